@@ -1,0 +1,1 @@
+"""The published tables, one module per paper, each with its source and page."""

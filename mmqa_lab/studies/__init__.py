@@ -1,0 +1,1 @@
+"""The studies: one module per notebook, and the catalogue that lists them."""
