@@ -1,0 +1,143 @@
+"""What a study leaves behind: tables, figures, named values, claims and a run record."""
+
+import json
+import os
+import platform
+import time
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import samples
+from mmqa_lab.io import write_atomically
+
+ROOT_VARIABLE = "MMQA_RESULTS"
+FORMATS = ("pdf", "svg", "png")
+LIBRARIES = ("numpy", "scipy", "pandas", "laspy", "matplotlib", "pyvista", "xarray", "statsmodels")
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of a study's prose, put to the test.
+
+    Parameters
+    ----------
+    sentence : str
+        What the notebook says.
+    holds : bool
+        Whether this run bears it out.
+    obtained : str
+        The numbers of this run.
+    reason : str
+        Where the tolerance comes from.
+    """
+
+    sentence: str
+    holds: bool
+    obtained: str
+    reason: str
+
+
+def root():
+    """Return the folder of all results: ``MMQA_RESULTS``, or ``notebooks/results``."""
+    default = Path(__file__).resolve().parent.parent / "notebooks" / "results"
+    return Path(os.environ.get(ROOT_VARIABLE, default))
+
+
+class Run:
+    """The results of one run of one study, each file written whole or not at all.
+
+    Parameters
+    ----------
+    stem : str
+        The study's stem; results go to ``<root>/<stem>/``.
+    parameters : dict
+        What the notebook was run with, for the record.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> os.environ["MMQA_RESULTS"] = tempfile.mkdtemp()
+    >>> run = Run("example", parameters={"seed": 1})
+    >>> run.save_value("f_poisson", 3.257, "1")
+    >>> run.finish()
+    >>> sorted(path.name for path in run.folder.iterdir())
+    ['run.json', 'values.csv']
+    >>> del os.environ["MMQA_RESULTS"]
+    """
+
+    def __init__(self, stem, *, parameters):
+        self.stem = stem
+        self.folder = root() / stem
+        self._parameters = parameters
+        self._began = time.time()
+        self._values = []
+        self._claims = []
+        self._files = []
+
+    def save_table(self, frame, name):
+        """Write a DataFrame as ``<name>.csv``."""
+        self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False))
+
+    def save_figure(self, figure, name):
+        """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run."""
+        dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+        for form in FORMATS:
+            self._write(
+                f"{name}.{form}",
+                lambda path, form=form: figure.savefig(path, metadata=dates[form]),
+            )
+
+    def save_value(self, name, value, unit):
+        """Keep a named number; all of them are written as ``values.csv`` by :meth:`finish`."""
+        self._values.append({"name": name, "value": float(value), "unit": unit})
+
+    def save_claims(self, claims):
+        """Write the claims as ``claims.csv``.
+
+        Raises
+        ------
+        AssertionError
+            If one does not hold; it names the first.
+        """
+        self._claims = list(claims)
+        frame = pd.DataFrame([asdict(claim) for claim in self._claims])
+        self.save_table(frame, "claims")
+        broken = [claim for claim in self._claims if not claim.holds]
+        if broken:
+            self.finish()
+            raise AssertionError(f"Does not hold: {broken[0].sentence} ({broken[0].obtained})")
+
+    def finish(self):
+        """Write the named values and the run record."""
+        if self._values:
+            self.save_table(pd.DataFrame(self._values), "values")
+        record = {
+            "study": self.stem,
+            "parameters": self._parameters,
+            "seconds": round(time.time() - self._began, 1),
+            "claims": len(self._claims),
+            "claims_that_hold": sum(bool(claim.holds) for claim in self._claims),
+            "files": self._files,
+            "python": platform.python_version(),
+            "versions": {name: metadata.version(name) for name in LIBRARIES},
+            "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
+        }
+        text = json.dumps(record, indent=1, default=_plain)
+        self._write("run.json", lambda path: path.write_text(text, encoding="utf-8"))
+
+    def _write(self, name, write):
+        """Write one file of this run and remember its name."""
+        write_atomically(self.folder / name, write)
+        if name not in self._files:
+            self._files.append(name)
+
+
+def _plain(value):
+    """NumPy values and paths as JSON knows them."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else str(value)

@@ -1,0 +1,103 @@
+"""The small clouds in ``data_samples`` and the larger public ones outside the repository."""
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from mmqa_lab._checks import check_choice
+
+FOLDER = Path(__file__).resolve().parent.parent / "data_samples"
+
+REAL_VARIABLE = "MMQA_DATA"
+"""The environment variable that names the folder of larger public clouds."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A file of ``data_samples`` and where it comes from."""
+
+    name: str
+    file: str
+    sha256: str
+    licence: str
+    origin: str
+    units: str
+    contents: str
+
+
+SAMPLES = (
+    Sample(
+        name="road_patch",
+        file="road_patch.laz",
+        sha256="2251306106cd2aaaf4d67b30a81704b421c7d46de0e49eebcd2d87efc00b5948",
+        licence="BSD-2-Clause (LICENSE-laspy.txt)",
+        origin="laspy 2.7.0 source distribution on PyPI, tests/data/plane.laz",
+        units="m, s; projected, system not stated",
+        contents="2.2 m x 2.0 m of road, crossing scan heads, rounded to 1 cm",
+    ),
+)
+
+
+def table():
+    """Return the registry as a DataFrame, a row per sample.
+
+    Examples
+    --------
+    >>> table()["name"].tolist()[0]
+    'road_patch'
+    """
+    return pd.DataFrame([vars(sample) for sample in SAMPLES])
+
+
+def path(name):
+    """Return the path of a sample by its registered name.
+
+    Raises
+    ------
+    ValueError
+        If no sample has that name.
+    FileNotFoundError
+        If the registered file is missing.
+
+    Examples
+    --------
+    >>> path("road_patch").name
+    'road_patch.laz'
+    """
+    check_choice(name, "sample", tuple(sample.name for sample in SAMPLES))
+    sample = next(sample for sample in SAMPLES if sample.name == name)
+    found = FOLDER / sample.file
+    if not found.is_file():
+        raise FileNotFoundError(f"Invalid sample {found}: no such file. Must exist.")
+    return found
+
+
+def sha256(file):
+    """Return the SHA-256 of a file in hexadecimal."""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+def has_real(relative):
+    """Return whether the folder of larger clouds holds this file."""
+    root = os.environ.get(REAL_VARIABLE)
+    return bool(root) and (Path(root) / relative).exists()
+
+
+def real_path(relative):
+    """Return the path of a larger public cloud under the folder that ``MMQA_DATA`` names.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the variable is not set or the file is not there.
+    """
+    if not has_real(relative):
+        root = os.environ.get(REAL_VARIABLE, "")
+        raise FileNotFoundError(
+            f"Invalid real cloud {relative} with {REAL_VARIABLE}={root!r}. "
+            "Must exist in the folder which that environment variable names."
+        )
+    return Path(os.environ[REAL_VARIABLE]) / relative
