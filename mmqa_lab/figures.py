@@ -1,0 +1,175 @@
+"""Journal figures in matplotlib: widths in millimetres, one style, colours everybody can tell apart.
+
+Import it where figures are drawn: the rooms that compute never need it.
+"""
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+from cycler import cycler
+
+from mmqa_lab._checks import check_choice
+
+WIDTHS_MM = {"single": 85.0, "double": 178.0}
+"""Figure widths of a single and a double column."""
+
+COLOURS = {
+    "blue": "#0072B2",
+    "vermilion": "#D55E00",
+    "green": "#009E73",
+    "purple": "#CC79A7",
+    "orange": "#E69F00",
+    "sky": "#56B4E9",
+    "black": "#000000",
+    "grey": "#7F7F7F",
+}
+"""Okabe and Ito's palette (jfly.uni-koeln.de/color), and a grey."""
+
+KIND_COLOURS = {
+    "published": COLOURS["black"],
+    "predicted": COLOURS["sky"],
+    "fitted": COLOURS["orange"],
+    "measured": COLOURS["blue"],
+}
+"""One colour for each kind of number, the same in all studies."""
+
+MAP = "cividis"
+DIVERGING_MAP = "RdBu_r"
+
+STYLE = {
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "mmqa_lab",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "lines.linewidth": 1.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "image.cmap": MAP,
+    "figure.dpi": 120,
+    "savefig.dpi": 300,
+    "figure.constrained_layout.use": True,
+    "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"]),
+}
+
+
+def use_style():
+    """Set the style for all figures drawn from here on.
+
+    Fonts are embedded as TrueType (Type 42), text in SVG stays text, and files are equal to the byte
+    from run to run.
+    """
+    mpl.rcParams.update(STYLE)
+
+
+def subplots(rows=1, columns=1, *, width="single", height_mm=60.0, **choices):
+    """Return a figure of a journal's width and its axes.
+
+    Parameters
+    ----------
+    rows, columns : int
+    width : {"single", "double"}
+        Column width, 85 mm or 178 mm.
+    height_mm : float
+    **choices
+        Handed to ``matplotlib.pyplot.subplots``.
+
+    Returns
+    -------
+    figure, axes
+        As ``matplotlib.pyplot.subplots`` returns them.
+
+    Examples
+    --------
+    >>> figure, ax = subplots(width="single", height_mm=50)
+    >>> round(figure.get_size_inches()[0] * 25.4)
+    85
+    >>> plt.close(figure)
+    """
+    check_choice(width, "width", tuple(WIDTHS_MM))
+    size = (WIDTHS_MM[width] / 25.4, height_mm / 25.4)
+    return plt.subplots(rows, columns, figsize=size, **choices)
+
+
+def letter_panels(axes):
+    """Write (a), (b), ... above the left corner of each axes."""
+    for k, ax in enumerate(np.ravel(axes)):
+        letter = f"({chr(ord('a') + k)})"
+        ax.set_title(letter, loc="left", fontweight="bold")
+
+
+def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
+    """Draw points in a plane, in mm-true proportion, coloured by a value.
+
+    Parameters
+    ----------
+    xy : array, shape (n, 2)
+        Metres.
+    ax : Axes
+    values : array, shape (n,), optional
+        Colours the points; ``label`` names it with its unit on the colour bar.
+    limits : pair of float, optional
+        Range of the colours.
+
+    Returns
+    -------
+    Axes
+    """
+    size = np.clip(4000 / max(len(xy), 1), 0.3, 6.0)
+    low, high = limits if limits is not None else (None, None)
+    colour = COLOURS["blue"] if values is None else values
+    dots = ax.scatter(
+        *np.asarray(xy).T, s=size, c=colour, vmin=low, vmax=high, cmap=cmap, lw=0, rasterized=True
+    )
+    if values is not None:
+        ax.figure.colorbar(dots, ax=ax, label=label, shrink=0.85)
+    ax.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+    return ax
+
+
+def draw_residual_histogram(residuals_mm, *, ax, std_mm, sigma_mad_mm):
+    """Draw the distances from the plane with the two measures of their dispersion."""
+    half = max(4 * sigma_mad_mm, 0.5)
+    ax.hist(np.clip(residuals_mm, -half, half), bins=61, color=COLOURS["sky"])
+    for value, name, colour, dash in (
+        (std_mm, "std", "vermilion", "-"),
+        (sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
+    ):
+        label = f"±{name} = {value:.1f} mm"
+        ax.axvline(-value, color=COLOURS[colour], ls=dash)
+        ax.axvline(value, color=COLOURS[colour], ls=dash, label=label)
+    ax.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
+    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
+    return ax
+
+
+def draw_spacing_histogram(distances_mm, *, ax, d1_mm, d4_mm):
+    """Draw the nearest and the farthest quadrant distance of each point, and their medians.
+
+    Parameters
+    ----------
+    distances_mm : array, shape (n, 4)
+        Sorted quadrant distances, NaN where a quadrant is empty.
+    """
+    nearest, farthest = distances_mm[:, 0], distances_mm[:, 3]
+    top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
+    bins = np.linspace(0, 1.1 * top, 56)
+    for values, name, median, colour in (
+        (nearest, "d1", d1_mm, "blue"),
+        (farthest, "d4", d4_mm, "orange"),
+    ):
+        ax.hist(values[np.isfinite(values)], bins=bins, color=COLOURS[colour], alpha=0.6)
+        label = f"median {name} = {median:.1f} mm"
+        ax.axvline(median, color=COLOURS[colour], label=label)
+    ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
+    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
+    return ax
