@@ -81,7 +81,7 @@ def check_count(value, name, *, low=1):
     Traceback (most recent call last):
     ValueError: Invalid repeats 0. Must be a whole number >= 1.
     """
-    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and value == int(value)
+    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and value % 1 == 0
     if not whole or value < low:
         raise ValueError(f"Invalid {name} {value}. Must be a whole number >= {low}.")
     return int(value)

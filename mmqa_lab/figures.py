@@ -1,4 +1,4 @@
-"""Journal figures in matplotlib: widths in millimetres, one style, colours everybody can tell apart.
+"""Journal figures in matplotlib: widths in millimetres, one style, colours all can tell apart.
 
 Import it where figures are drawn: the rooms that compute never need it.
 """
@@ -65,8 +65,8 @@ STYLE = {
 def use_style():
     """Set the style for all figures drawn from here on.
 
-    Fonts are embedded as TrueType (Type 42), text in SVG stays text, and files are equal to the byte
-    from run to run.
+    Fonts are embedded as TrueType (Type 42), text in SVG stays text, and files are equal to the
+    byte from run to run.
     """
     mpl.rcParams.update(STYLE)
 

@@ -1,0 +1,48 @@
+"""What all commands share: where rows of figures go."""
+
+import sys
+from pathlib import Path
+
+
+def add_output_arguments(parser):
+    """Add ``--json`` and ``--csv`` to a command's parser."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
+
+
+def print_rows(frame, options):
+    """Print a DataFrame as a table or as JSON, and write it where ``--csv`` says.
+
+    JSON is a list with an object for each row, null where a figure is not measurable.
+    """
+    if options.csv is not None:
+        from mmqa_lab.io import write_atomically
+
+        write_atomically(options.csv, lambda path: frame.to_csv(path, index=False))
+    if options.json:
+        print_json(frame.astype(object).to_dict(orient="records"))
+    else:
+        print(frame.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+
+
+def print_json(value):
+    """Print a value as JSON, null for what is not a finite number."""
+    import json
+
+    json.dump(_plain(value), sys.stdout, indent=1, allow_nan=False)
+    print()
+
+
+def _plain(value):
+    """Dicts, lists and NumPy values as JSON knows them."""
+    import numpy as np
+
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

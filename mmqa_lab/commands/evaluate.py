@@ -1,0 +1,128 @@
+"""Evaluate the points on one planar surface: density, sigma_MAD, d1..d4 and f.
+
+One row per cloud. The plane is the orthogonal regression plane of the points; density is given for
+the selection polygon and for the convex hull of the points; d1..d4 are the medians of the sorted
+distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021,
+doi 10.3390/rs13020237). Without --polygon the whole cloud is taken for the surface.
+"""
+
+import argparse
+from pathlib import Path
+
+from mmqa_lab.commands._output import add_output_arguments, print_rows
+
+SUMMARY = "point density, planarity and point spacing of a surface in a cloud"
+
+EPILOG = """\
+example:
+  mmqa evaluate data_samples/road_patch.laz --figure patch.pdf
+  mmqa evaluate chart.laz --polygon "0,0,0; 1,0,0; 1,0,1; 0,0,1" --json
+"""
+
+COLUMNS = (
+    *("file", "n", "area_polygon_m2", "area_hull_m2"),
+    *("density_polygon_per_m2", "density_hull_per_m2", "std_mm", "sigma_mad_mm"),
+    *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f", "incomplete_share", "coincident", "axes"),
+)
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "--polygon",
+        metavar="VERTICES",
+        help="CSV or GeoJSON file of 3-D vertices, or 'x,y,z; x,y,z; ...' in metres",
+    )
+    parser.add_argument(
+        "--thickness",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="take points up to this far from the polygon's plane, default %(default)s m",
+    )
+    parser.add_argument(
+        "--axes",
+        type=_axes,
+        default="principal",
+        metavar="AXES",
+        help="of the quadrants: principal (default), horizontal, or degrees from principal",
+    )
+    parser.add_argument(
+        "--radius",
+        type=float,
+        default=0.5,
+        metavar="M",
+        help="farther neighbours do not count, default %(default)s m",
+    )
+    parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
+    parser.add_argument(
+        "--figure", type=Path, metavar="FILE", help="draw the last cloud: .pdf, .svg or .png"
+    )
+    add_output_arguments(parser)
+
+
+def run(options):
+    """Evaluate every cloud, then print, write and draw."""
+    import pandas as pd
+
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
+    from mmqa_lab.io import read_cloud, read_polygon
+    from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
+
+    if options.figure is not None:
+        check_choice(options.figure.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
+    polygon = None if options.polygon is None else read_polygon(options.polygon)
+    scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
+    rows = []
+    for file in options.cloud:
+        points = read_cloud(file, columns=()).points
+        if polygon is not None:
+            points = points[inside_polygon(points, polygon, thickness=options.thickness)]
+        choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
+        quality = evaluate_cloud(points, polygon=polygon, scale=scale, **choices)
+        rows.append(quality.to_frame().assign(file=str(file)))
+    if options.figure is not None:
+        _draw(points, quality, options)
+    print_rows(pd.concat(rows)[list(COLUMNS)], options)
+
+
+def _draw(points, quality, options):
+    """Write the figure of one evaluated surface."""
+    from mmqa_lab import figures
+    from mmqa_lab.io import write_atomically
+    from mmqa_lab.neighbourhoods import quadrant_distances
+
+    figures.use_style()
+    figure, axes = figures.subplots(2, 2, width="double", height_mm=130)
+    xy = quality.plane.project(points)
+    residuals_mm = 1000 * quality.plane.residuals
+    gaps_mm = 1000 * quadrant_distances(xy, radius=options.radius)
+    limits = (-3 * quality.sigma_mad_mm, 3 * quality.sigma_mad_mm)
+    figures.draw_points(xy, ax=axes[0, 0])
+    figures.draw_points(
+        xy,
+        ax=axes[0, 1],
+        values=residuals_mm,
+        label="distance from plane (mm)",
+        limits=limits,
+        cmap=figures.DIVERGING_MAP,
+    )
+    figures.draw_spacing_histogram(gaps_mm, ax=axes[1, 0], d1_mm=quality.d1_mm, d4_mm=quality.d4_mm)
+    figures.draw_residual_histogram(
+        residuals_mm, ax=axes[1, 1], std_mm=quality.std_mm, sigma_mad_mm=quality.sigma_mad_mm
+    )
+    write_atomically(options.figure, figure.savefig)
+
+
+def _axes(text):
+    """The axes' name, or a number of degrees."""
+    if text in ("principal", "horizontal"):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"Invalid axes {text!r}. Must be principal, horizontal or degrees."
+        ) from None

@@ -1,0 +1,94 @@
+"""The index page of all results: key figure, claims, run record and links of every study."""
+
+import json
+from html import escape
+from pathlib import Path
+
+import pandas as pd
+
+from mmqa_lab.headless import read_outcome
+from mmqa_lab.io import write_atomically
+from mmqa_lab.studies.catalogue import STUDIES
+
+
+def write_index(folder):
+    """Write ``index.html`` over the studies that have results in ``folder``.
+
+    The page is one file with relative links; it needs no network.
+    """
+    folder = Path(folder)
+    cards = [_card(study, folder / study.stem) for study in STUDIES]
+    text = PAGE.format(cards="\n".join(card for card in cards if card))
+    write_atomically(folder / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _card(study, folder):
+    """The HTML of one study, empty where it was never run."""
+    outcome = read_outcome(folder)
+    if outcome is None:
+        return ""
+    record = _record(folder)
+    files = record.get("files", [])
+    pictures = [name for name in files if name.endswith(".png")]
+    return CARD.format(
+        kind="ok" if outcome.ok else "failed",
+        page=f"{study.stem}/{study.stem}.html",
+        notebook=escape(study.notebook),
+        title=escape(study.title),
+        question=escape(study.question),
+        source=escape(study.source),
+        verdict=escape(outcome.verdict),
+        seconds=outcome.seconds,
+        mode="quick run, small parameters" if outcome.quick else "full run",
+        picture=_picture(study, pictures[0]) if pictures else "",
+        claims=_claims(folder),
+        links=" ".join(f'<a href="{study.stem}/{n}">{escape(n)}</a>' for n in files),
+        record=escape(json.dumps(record.get("parameters", {}))),
+        versions=escape(", ".join(f"{k} {v}" for k, v in record.get("versions", {}).items())),
+    )
+
+
+def _record(folder):
+    """The run record, empty when the run did not get that far."""
+    file = folder / "run.json"
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def _picture(study, name):
+    """The key figure: the first that the study saved."""
+    return f'<img src="{study.stem}/{name}" alt="{escape(study.title)}" loading="lazy">'
+
+
+def _claims(folder):
+    """The claims as a list, those that do not hold marked."""
+    file = folder / "claims.csv"
+    if not file.is_file():
+        return ""
+    rows = pd.read_csv(file).fillna("")
+    items = [
+        f'<li class="{"ok" if row.holds else "failed"}">{escape(str(row.sentence))} '
+        f"<small>{escape(str(row.obtained))}</small></li>"
+        for row in rows.itertuples()
+    ]
+    return f"<ul>{''.join(items)}</ul>"
+
+
+PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>mmqa_lab: results</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>
+body {{ max-width: 64em; margin: 2em auto; padding: 0 1em; font: 16px/1.5 sans-serif; color: #222 }}
+section {{ border-top: 3px solid #009E73; margin: 2em 0; padding-top: .5em }}
+section.failed {{ border-color: #D55E00 }} img {{ max-width: 100%; border: 1px solid #eee }}
+li.ok::marker {{ content: "✓ " }} li.failed::marker {{ content: "✗ "; color: #D55E00 }}
+small, details {{ color: #555; font-size: 13px; overflow-wrap: anywhere }}
+</style></head><body><h1>mmqa_lab: results</h1>
+<p>What each study asked and what this run found. Tables say of every number whether it is
+published, predicted from specifications, fitted or measured.</p>
+{cards}</body></html>
+"""
+
+CARD = """<section class="{kind}"><h2><a href="{page}">{notebook}</a> {title}</h2>
+<p>{question}<br><small>{source}</small></p>{picture}
+<p><b>{verdict}</b> <small>{seconds} s, {mode}</small></p>{claims}
+<details><summary>Files and run record</summary><p>{links}</p><p>{record}</p><p>{versions}</p>
+</details></section>"""

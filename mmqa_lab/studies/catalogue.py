@@ -1,0 +1,73 @@
+"""The list of studies: notebook, module and table row belong together by their stem."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from mmqa_lab._checks import check_choice
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study: a notebook, the module behind it, and what it asks."""
+
+    number: int
+    stem: str
+    title: str
+    question: str
+    source: str
+
+    @property
+    def notebook(self):
+        """Name of the notebook without its ending."""
+        return f"{self.number:02d}_{self.stem}"
+
+    @property
+    def path(self):
+        """Path of the notebook."""
+        return notebooks_folder() / f"{self.notebook}.ipynb"
+
+    @property
+    def module(self):
+        """The imported module of the study."""
+        return import_module(f"mmqa_lab.studies.{self.stem}")
+
+
+STUDIES = (
+    Study(
+        number=1,
+        stem="chart_tables",
+        title="Chart metrics",
+        question="How good are the point clouds and images of three systems, measured on charts?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Tables 1 and 2",
+    ),
+)
+
+
+def notebooks_folder():
+    """Return the folder of the notebooks.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package runs without its repository.
+    """
+    folder = Path(__file__).resolve().parents[2] / "notebooks"
+    if not folder.is_dir():
+        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be the repository.")
+    return folder
+
+
+def chosen(names=()):
+    """Return the studies with these stems or notebook names, in the catalogue's order; all if none.
+
+    Examples
+    --------
+    >>> [study.notebook for study in chosen(["chart_tables"])]
+    ['01_chart_tables']
+    """
+    known = tuple(study.stem for study in STUDIES)
+    stems = [Path(name).stem.lstrip("0123456789_") for name in names]
+    for stem in stems:
+        check_choice(stem, "study", known)
+    return [study for study in STUDIES if study.stem in stems or not stems]
