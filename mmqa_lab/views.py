@@ -1,0 +1,134 @@
+"""3-D views by pyvista, with a matplotlib picture where the machine cannot draw with OpenGL.
+
+VTK without OpenGL libraries does not raise, it kills the process; so a child process tries first.
+"""
+
+import functools
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from mmqa_lab import figures
+from mmqa_lab.cloud import Cloud
+
+WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+
+PROBE = (
+    "import vtkmodules.vtkRenderingOpenGL2, vtkmodules.vtkRenderingCore as core;"
+    "window = core.vtkRenderWindow(); window.SetOffScreenRendering(1); window.SetSize(32, 32);"
+    "window.AddRenderer(core.vtkRenderer()); window.Render(); print('drawn')"
+)
+
+
+@functools.cache
+def can_render():
+    """Return whether VTK can draw off screen here; asked once, takes about 2 s.
+
+    Sets the environment variable that names the window class which works, so that this process
+    draws as the child did.
+    """
+    settings = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "")
+    for window in settings if not os.environ.get("DISPLAY") else reversed(settings):
+        environment = {**os.environ, WINDOW_VARIABLE: window}
+        child = subprocess.run(
+            [sys.executable, "-c", PROBE], env=environment, capture_output=True, text=True
+        )
+        if child.returncode == 0 and "drawn" in child.stdout:
+            os.environ[WINDOW_VARIABLE] = window
+            return True
+    return False
+
+
+def is_headless():
+    """Return whether this runs where nobody can turn a view: a notebook run as a batch job."""
+    return bool(os.environ.get("MMQA_HEADLESS"))
+
+
+def show_cloud(cloud, values, *, label):
+    """Show a cloud in 3-D, coloured by a value for each point.
+
+    In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
+    libraries it is a matplotlib figure.
+
+    Parameters
+    ----------
+    cloud : Cloud or array_like, shape (n, 3)
+        Metres.
+    values : array_like, shape (n,)
+        Residuals, intensities, f, ...
+    label : str
+        Name and unit of the values.
+
+    Returns
+    -------
+    pyvista viewer or matplotlib figure
+    """
+    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
+    local = points - points.mean(axis=0)
+    if not can_render():
+        return _figure(local, values, label)
+    plotter = _plotter(local, values, label, off_screen=is_headless())
+    return plotter.show(jupyter_backend="static" if is_headless() else "trame", return_viewer=True)
+
+
+def save_cloud(path, cloud, values, *, label):
+    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above."""
+    from mmqa_lab.io import write_atomically
+
+    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
+    local = points - points.mean(axis=0)
+    if can_render():
+        plotter = _plotter(local, values, label, off_screen=True)
+        write_atomically(path, lambda temporary: plotter.screenshot(str(temporary)))
+        plotter.close()
+    else:
+        write_atomically(path, _figure(local, values, label).savefig)
+
+
+def _plotter(local, values, label, *, off_screen):
+    """The pyvista scene of one cloud."""
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
+    plotter.set_background("white")
+    bar = {"title": f"{label}\n", "color": "black", "vertical": True, "n_labels": 5, "fmt": "%.3g"}
+    plotter.add_points(
+        pyvista.PolyData(local),
+        scalars=np.asarray(values, dtype=np.float64),
+        point_size=4,
+        cmap=figures.MAP,
+        scalar_bar_args=bar,
+    )
+    plotter.show_bounds(
+        xtitle="easting (m)",
+        ytitle="northing (m)",
+        ztitle="height (m)",
+        show_zaxis=not _flat(local),
+        show_zlabels=not _flat(local),
+        color="black",
+        font_size=9,
+        location="outer",
+    )
+    plotter.view_isometric()
+    plotter.camera.zoom(1.2)
+    return plotter
+
+
+def _figure(local, values, label, limit=20_000):
+    """The matplotlib picture of one cloud, thinned to what it can draw."""
+    step = max(1, len(local) // limit)
+    figure, ax = figures.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
+    dots = ax.scatter(*local[::step].T, c=np.asarray(values)[::step], s=1, rasterized=True)
+    ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)", aspect="equal")
+    if _flat(local):
+        ax.set(zticks=[], zlabel="")
+    figure.colorbar(dots, ax=ax, label=label, shrink=0.6)
+    return figure
+
+
+def _flat(local):
+    """Whether heights vary too little for an axis of their own."""
+    extent = np.ptp(local, axis=0)
+    return extent[2] < 0.1 * extent[:2].max()
