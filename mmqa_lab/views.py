@@ -93,7 +93,11 @@ def _plotter(local, values, label, *, off_screen):
 
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
     plotter.set_background("white")
-    bar = {"title": f"{label}\n", "color": "black", "vertical": True, "n_labels": 5, "fmt": "%.3g"}
+    bar = {
+        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": "%.3g"},
+        **{"vertical": False, "position_x": 0.25, "position_y": 0.88, "width": 0.5},
+        **{"title_font_size": 18, "label_font_size": 16},
+    }
     plotter.add_points(
         pyvista.PolyData(local),
         scalars=np.asarray(values, dtype=np.float64),
@@ -104,7 +108,7 @@ def _plotter(local, values, label, *, off_screen):
     plotter.show_bounds(
         xtitle="easting (m)",
         ytitle="northing (m)",
-        ztitle="height (m)",
+        ztitle=" " if _flat(local) else "height (m)",
         show_zaxis=not _flat(local),
         show_zlabels=not _flat(local),
         color="black",
@@ -112,7 +116,7 @@ def _plotter(local, values, label, *, off_screen):
         location="outer",
     )
     plotter.view_isometric()
-    plotter.camera.zoom(1.2)
+    plotter.camera.zoom(1.1)
     return plotter
 
 
