@@ -1,0 +1,71 @@
+"""Simulated scans whose truth is known: scenes, trajectories, scanners, exact ray casting.
+
+Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. Start here::
+
+    from mmqa_lab import simulate
+
+    scene = simulate.Scene([
+        simulate.ground(),
+        simulate.rectangle((8, 0, 0), along=(0, 50, 0), up=(0, 0, 6), label="wall"),
+        simulate.cylinder((5, 20, 0), (5, 20, 6), 0.08, label="lamp"),
+    ])
+    scanner = simulate.ProfileScanner(
+        pulse_rate_hz=300_000, mirror_frequency_hz=100, heading_deg=45, tilt_deg=45,
+        lever_arm_m=(0, 0, 2.5), range_noise_m=0.005, divergence_mrad=0.5,
+    )
+    path = simulate.straight(50, 10)
+    for cloud in simulate.scan(scene, scanner, path, seed=1, progress=True):
+        ...                                     # a Cloud each quarter of a second
+    cloud = simulate.scan_all(scene, scanner, path, seed=1)
+    cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
+"""
+
+from mmqa_lab.simulate.scan import scan, scan_all
+from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
+from mmqa_lab.simulate.scenes import Hits, Scene
+from mmqa_lab.simulate.surfaces import (
+    Surface,
+    board,
+    box,
+    cylinder,
+    disc,
+    ellipsoid,
+    foliage,
+    ground,
+    group,
+    polygon,
+    rectangle,
+)
+from mmqa_lab.simulate.trajectories import (
+    NavigationErrors,
+    Trajectory,
+    measured,
+    straight,
+    with_speed_variation,
+)
+
+__all__ = [
+    "Hits",
+    "MultiBeamScanner",
+    "NavigationErrors",
+    "ProfileScanner",
+    "Scanner",
+    "Scene",
+    "Surface",
+    "Trajectory",
+    "board",
+    "box",
+    "cylinder",
+    "disc",
+    "ellipsoid",
+    "foliage",
+    "ground",
+    "group",
+    "measured",
+    "polygon",
+    "rectangle",
+    "scan",
+    "scan_all",
+    "straight",
+    "with_speed_variation",
+]

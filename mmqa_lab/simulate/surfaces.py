@@ -1,0 +1,338 @@
+"""Surfaces with known geometry, reflectance, label and id.
+
+A surface is one thing with one id; it may consist of many primitives (a box of six faces, a crown
+of a thousand leaves). ``Scene`` holds surfaces and casts rays.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab.simulate import raycast
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Primitives that share an id, a label and a way of reflecting.
+
+    Made by the functions of this room (``rectangle``, ``cylinder``, ...), not by hand.
+
+    Parameters
+    ----------
+    label : str
+        What it is, in words of your choice: ``"wall"``, ``"lamp"``.
+    kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
+        Kind of each primitive, its centre in metres, its shape numbers (``raycast.Tree``), the
+        half extents of its box.
+    edges : array, shape (m, 4)
+        Edges of the outline and the holes of a polygon, in its own plane.
+    reflectance : array, shape (rows, columns)
+        Of the cells of each primitive, between 0 and 1; (1, 1) where it is plain.
+    """
+
+    label: str
+    kind: np.ndarray
+    centre: np.ndarray
+    shape: np.ndarray
+    half: np.ndarray
+    outline: np.ndarray
+    cells: np.ndarray
+    edges: np.ndarray
+    reflectance: np.ndarray
+
+    def __len__(self):
+        return len(self.kind)
+
+
+def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
+    """Return a rectangle or parallelogram from a corner and the two sides that leave it.
+
+    Parameters
+    ----------
+    corner, along, up : array_like, shape (3,)
+        Metres.
+    label : str
+    reflectance : float or array_like, shape (rows, columns)
+        Of the whole, or of cells: rows from the corner upwards, columns along.
+
+    Raises
+    ------
+    ValueError
+        If the sides are parallel or a reflectance lies outside 0 to 1.
+    """
+    corner, along, up = (
+        vector(v, n) for v, n in ((corner, "corner"), (along, "along"), (up, "up"))
+    )
+    u, v = along / 2, up / 2
+    shape = _planar_shape(u, v)
+    half = np.abs(u) + np.abs(v)
+    return _surface(label, raycast.PARALLELOGRAM, corner + u + v, shape, half, reflectance)
+
+
+def ground(
+    height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), label="ground", reflectance=0.2
+):
+    """Return a level rectangle: ``height``, ``centre`` (x, y) and ``size`` (x, y) in metres."""
+    height = check_number(height, "height", unit="m")
+    a, b = check_positive(size[0], "size", unit="m"), check_positive(size[1], "size", unit="m")
+    corner = (centre[0] - a / 2, centre[1] - b / 2, height)
+    return rectangle(corner, (a, 0, 0), (0, b, 0), label=label, reflectance=reflectance)
+
+
+def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
+    """Return a flat polygon with holes.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (n, 3)
+        The outline in order, metres, closed by itself; convex or not.
+    holes : list of array_like, shape (m, 3)
+        Outlines of holes in the same plane.
+    label : str
+    reflectance : float
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
+    """
+    rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
+    middle = (rings[0].min(axis=0) + rings[0].max(axis=0)) / 2
+    u, v, normal = _plane_axes(rings[0] - middle)
+    off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
+    if off > 1e-6:
+        raise ValueError(f"Invalid vertices, {off:.2g} m off one plane. Must be flat to 1e-6 m.")
+    flat = [(ring - middle) @ np.array([u, v]).T for ring in rings]
+    edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
+    reach = np.abs(flat[0]).max(axis=0)
+    half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
+    shape = np.concatenate([u, v, normal])
+    made = _surface(label, raycast.POLYGON, middle, shape, half, reflectance)
+    return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
+
+
+def disc(centre, normal, radius, *, label="board", reflectance=0.5):
+    """Return a flat disc from its centre, its normal (any length) and its radius in metres."""
+    centre, normal = vector(centre, "centre"), _unit(normal, "normal")
+    radius = check_positive(radius, "radius", unit="m")
+    u, v = radius * _perpendicular(normal[None])[0]
+    half = radius * np.sqrt(1 - normal**2)
+    return _surface(label, raycast.ELLIPSE, centre, _planar_shape(u, v), half, reflectance)
+
+
+def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflectance=0.8):
+    """Return a rectangular board that faces ``heading``.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    width, height : float
+        Metres.
+    heading : float
+        Horizontal direction its front looks to, degrees clockwise from +y (north).
+    lean : float
+        Degrees by which its front looks up.
+    label : str
+    reflectance : float or array_like, shape (rows, columns)
+        Rows from the bottom up, columns from left to right as one looks at the front.
+    """
+    centre = vector(centre, "centre")
+    h, t = np.radians([check_number(heading, "heading"), check_number(lean, "lean")])
+    along = check_positive(width, "width", unit="m") * np.array([-np.cos(h), np.sin(h), 0])
+    rise = np.array([-np.sin(h) * np.sin(t), -np.cos(h) * np.sin(t), np.cos(t)])
+    up = check_positive(height, "height", unit="m") * rise
+    corner = centre - along / 2 - up / 2
+    return rectangle(corner, along, up, label=label, reflectance=reflectance)
+
+
+def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", reflectance=0.5):
+    """Return a round post, lamp or trunk, upright or tilted, tapering where ``top_radius`` says so.
+
+    Parameters
+    ----------
+    base, top : array_like, shape (3,)
+        Ends of the axis, metres.
+    radius, top_radius : float
+        At the base and at the top, metres; ``top_radius`` may be 0 (a cone).
+    capped : bool
+        Whether discs close the ends.
+    label : str
+    reflectance : float
+    """
+    base, top = vector(base, "base"), vector(top, "top")
+    radius = check_positive(radius, "radius", unit="m")
+    end = radius if top_radius is None else check_number(top_radius, "top_radius", low=0, unit="m")
+    length = np.linalg.norm(top - base)
+    if length == 0:
+        raise ValueError(f"Invalid top {top.tolist()}. Must differ from the base.")
+    axis = (top - base) / length
+    shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
+    half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
+    return _surface(label, raycast.FRUSTUM, (base + top) / 2, shape, half, reflectance)
+
+
+def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
+    """Return a box from the middle of its bottom.
+
+    Parameters
+    ----------
+    base : array_like, shape (3,)
+        Metres.
+    size : array_like, shape (3,)
+        Across, along its heading, and up, metres.
+    heading : float
+        Degrees clockwise from +y.
+    label : str
+    reflectance : float
+    """
+    base = vector(base, "base")
+    width, length, height = (check_positive(s, "size", unit="m") for s in size)
+    h = np.radians(check_number(heading, "heading", unit="degrees"))
+    a = width * np.array([np.cos(h), -np.sin(h), 0])
+    b = length * np.array([np.sin(h), np.cos(h), 0])
+    c = np.array([0, 0, height])
+    low, high = base - a / 2 - b / 2, base + a / 2 + b / 2 + c
+    faces = [(low, a, b), (low, b, c), (low, a, c), (high, -a, -b), (high, -b, -c), (high, -a, -c)]
+    sides = [rectangle(*face, reflectance=reflectance) for face in faces]
+    return group(sides, label=label)
+
+
+def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
+    """Return a solid ellipsoid with axes along x, y, z; ``radii`` in metres, one or three."""
+    centre = vector(centre, "centre")
+    radii = _radii(radii)
+    shape = np.diag(1 / radii).ravel()
+    return _surface(label, raycast.ELLIPSOID, centre, shape, radii, reflectance)
+
+
+def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflectance=0.4):
+    """Return a crown or shrub: flat round leaves, at random in an ellipsoid, turned at random.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    radii : float or array_like, shape (3,)
+        Half axes along x, y, z, metres.
+    leaves : int
+        Number of leaves. A ray through the middle meets ``leaves * leaf_radius**2 * pi / 2 * 3 /
+        (4 pi rx ry rz) * length`` of them on average.
+    leaf_radius : float
+        Metres.
+    seed : int
+    label : str
+    reflectance : float
+    """
+    rng = np.random.default_rng(seed)
+    n = check_count(leaves, "leaves")
+    radius = check_positive(leaf_radius, "leaf_radius", unit="m")
+    ball = _unit_rows(rng.standard_normal((n, 3))) * rng.random((n, 1)) ** (1 / 3)
+    normal = _unit_rows(rng.standard_normal((n, 3)))
+    dual = _perpendicular(normal) / radius
+    shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
+    half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
+    points = vector(centre, "centre") + ball * _radii(radii)
+    return _surface(label, raycast.ELLIPSE, points, shape, half, reflectance)
+
+
+def group(surfaces, *, label):
+    """Return one surface, with one id, of several."""
+    surfaces = list(flattened(surfaces))
+    return Surface(label=label, **merged(surfaces))
+
+
+def _surface(label, kind, centre, shape, half, reflectance):
+    """A surface of primitives of one kind that share their cells."""
+    centre, shape, half = (np.atleast_2d(np.asarray(a, np.float64)) for a in (centre, shape, half))
+    cells = np.atleast_2d(np.asarray(reflectance, dtype=np.float64))
+    if not ((cells >= 0) & (cells <= 1)).all():
+        raise ValueError(f"Invalid reflectance {reflectance}. Must be between 0 and 1.")
+    n = len(centre)
+    return Surface(
+        label=label,
+        kind=np.full(n, kind, np.int8),
+        centre=centre,
+        shape=shape,
+        half=half,
+        outline=np.zeros((n, 2), np.int64),
+        cells=np.tile([0, *cells.shape], (n, 1)),
+        edges=np.zeros((0, 4)),
+        reflectance=cells.ravel(),
+    )
+
+
+def merged(surfaces):
+    """The arrays of several surfaces as one, with their places in the shared ones shifted."""
+    edge = np.cumsum([0, *(len(s.edges) for s in surfaces)])
+    cell = np.cumsum([0, *(len(s.reflectance) for s in surfaces)])
+    names = ("kind", "centre", "shape", "half", "edges", "reflectance")
+    arrays = {name: np.concatenate([getattr(s, name) for s in surfaces]) for name in names}
+    outline = [s.outline + first for s, first in zip(surfaces, edge, strict=False)]
+    cells = [s.cells + [first, 0, 0] for s, first in zip(surfaces, cell, strict=False)]
+    return arrays | {"outline": np.concatenate(outline), "cells": np.concatenate(cells)}
+
+
+def flattened(surfaces):
+    """Surfaces out of nested lists."""
+    for item in surfaces:
+        if isinstance(item, Surface):
+            yield item
+        elif isinstance(item, str | bytes) or not hasattr(item, "__iter__"):
+            raise TypeError(f"Invalid surface {item!r}. Must be a Surface or a list of them.")
+        else:
+            yield from flattened(item)
+
+
+def vector(values, name):
+    """Three finite numbers as float64."""
+    return check_points(np.atleast_2d(values), name=name)[0]
+
+
+def _unit(values, name):
+    """A vector of length one."""
+    direction = vector(values, name)
+    length = np.linalg.norm(direction)
+    if length == 0:
+        raise ValueError(f"Invalid {name} {direction.tolist()}. Must be > 0 m long.")
+    return direction / length
+
+
+def _unit_rows(vectors):
+    """Rows of length one."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _radii(values):
+    """Three half axes above zero."""
+    return np.array(
+        [check_positive(float(r), "radii", unit="m") for r in np.broadcast_to(values, 3)]
+    )
+
+
+def _planar_shape(u, v):
+    """Dual vectors and normal of the half sides ``u`` and ``v``."""
+    normal = np.cross(u, v)
+    area = np.linalg.norm(normal)
+    if area <= 1e-12 * np.linalg.norm(u) * np.linalg.norm(v):
+        raise ValueError(f"Invalid sides {2 * u} and {2 * v}. Must not be parallel or zero.")
+    normal = normal / area
+    return np.concatenate([np.cross(v, normal) / area, np.cross(normal, u) / area, normal])
+
+
+def _perpendicular(normal):
+    """Two unit vectors, shape (n, 2, 3), square to unit normals and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    u = _unit_rows(np.cross(normal, helper))
+    return np.stack([u, np.cross(normal, u)], axis=1)
+
+
+def _plane_axes(ring):
+    """In-plane unit axes and the normal (Newell) of a closed outline."""
+    normal = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
+    if np.linalg.norm(normal) <= 1e-12 * np.abs(ring).max() ** 2:
+        raise ValueError("Invalid vertices on one line. Must span a plane.")
+    normal = normal / np.linalg.norm(normal)
+    u, v = _perpendicular(normal[None])[0]
+    return u, v, normal

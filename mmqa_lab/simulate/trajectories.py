@@ -1,0 +1,265 @@
+"""Trajectories: the true path of a vehicle, and what its navigation would say it was.
+
+Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: heading clockwise from
++y (north), pitch positive nose up, roll positive right side down, all in degrees; the rotation from
+vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mmqa_lab._checks import check_number, check_points, check_positive
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A path with attitude, interpolated by cubic splines between its rows.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Seconds, increasing, n >= 2. May be GPS seconds.
+    position : array_like, shape (n, 3)
+        Easting, northing, height, metres.
+    roll, pitch, heading : array_like, shape (n,), or float
+        Degrees; see the top of this room for their signs. A heading may pass 360.
+
+    Raises
+    ------
+    ValueError
+        If times do not increase, lengths differ, or a value is not finite.
+
+    Notes
+    -----
+    Splines keep velocity and rates continuous, which a scan shows more than position; between two
+    rows only they are straight lines. Rows of white noise (a measured path) are passed through.
+
+    Examples
+    --------
+    >>> path = Trajectory([0, 2], [[0, 0, 2], [0, 20, 2]])
+    >>> path.at([0.5])[0].tolist(), path.duration_s
+    ([[0.0, 5.0, 2.0]], 2.0)
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    roll: np.ndarray = 0.0
+    pitch: np.ndarray = 0.0
+    heading: np.ndarray = 0.0
+
+    def __post_init__(self):
+        position = check_points(self.position, name="positions", minimum=2)
+        time = np.asarray(self.time, dtype=np.float64)
+        if time.shape != (len(position),) or not np.isfinite(time).all():
+            raise ValueError(
+                f"Invalid time of shape {time.shape}. Must be {len(position)} finite seconds."
+            )
+        step = np.diff(time)
+        if not (step > 0).all():
+            row = int(np.argmax(step <= 0)) + 1
+            raise ValueError(f"Invalid time {time[row]} in row {row}. Must be later than before.")
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "position", position)
+        for name in ("roll", "pitch", "heading"):
+            object.__setattr__(self, name, self._angles(name))
+
+    def _angles(self, name):
+        """An attitude angle as one finite value a row."""
+        values = np.asarray(getattr(self, name), dtype=np.float64)
+        if values.shape not in ((), self.time.shape) or not np.isfinite(values).all():
+            raise ValueError(
+                f"Invalid {name} of shape {values.shape}. Must be {len(self.time)} finite degrees."
+            )
+        return np.broadcast_to(values, self.time.shape)
+
+    @property
+    def duration_s(self):
+        """Seconds from the first row to the last."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def origin(self):
+        """The position of the first row, from which the spline counts."""
+        return self.position[0]
+
+    @cached_property
+    def _spline(self):
+        """Offset from ``origin`` (m) and roll, pitch, heading (rad) over seconds from the start."""
+        from scipy.interpolate import CubicSpline, make_interp_spline
+
+        angles = np.unwrap(np.radians([self.roll, self.pitch, self.heading]), axis=1)
+        values = np.hstack([self.position - self.origin, angles.T])
+        since = self.time - self.time[0]
+        if len(since) < 3:
+            return make_interp_spline(since, values, k=1)
+        return CubicSpline(since, values)
+
+    def poses(self, since_start):
+        """Return offsets from ``origin`` (n, 3) and rotations (n, 3, 3) from vehicle to world.
+
+        Parameters
+        ----------
+        since_start : array, shape (n,)
+            Seconds after the first row; GPS seconds of 1e9 would cost digits.
+        """
+        values = self._spline(since_start)
+        return values[:, :3], rotations(*values[:, 3:].T)
+
+    def at(self, time):
+        """Return positions (n, 3) and vehicle-to-world rotations (n, 3, 3) at times in seconds.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside the trajectory.
+        """
+        time = np.asarray(time, dtype=np.float64)
+        if not ((time >= self.time[0]) & (time <= self.time[-1])).all():
+            raise ValueError(f"Invalid time. Must be between {self.time[0]} and {self.time[-1]} s.")
+        offset, rotation = self.poses(time - self.time[0])
+        return self.origin + offset, rotation
+
+
+@dataclass(frozen=True)
+class NavigationErrors:
+    """What GNSS and IMU add to a path: per axis a bias, a slow drift, white noise.
+
+    Parameters
+    ----------
+    bias_m, drift_m, white_m : float or tuple of 3
+        East, north, height, metres: the constant, and the standard deviations.
+    bias_deg, drift_deg, white_deg : float or tuple of 3
+        Roll, pitch, heading, degrees.
+    correlation_s : float
+        Correlation time of the drift (first-order Gauss-Markov), seconds.
+    """
+
+    bias_m: tuple = 0.0
+    drift_m: tuple = 0.0
+    white_m: tuple = 0.0
+    bias_deg: tuple = 0.0
+    drift_deg: tuple = 0.0
+    white_deg: tuple = 0.0
+    correlation_s: float = 60.0
+
+
+def straight(
+    length, speed, *, start=(0.0, 0.0, 0.0), heading=0.0, roll=0.0, pitch=0.0, start_time=0.0
+):
+    """Return a straight level drive at constant speed.
+
+    Parameters
+    ----------
+    length : float
+        Metres.
+    speed : float
+        Metres per second.
+    start : array_like, shape (3,)
+        First position, metres.
+    heading, roll, pitch : float
+        Degrees.
+    start_time : float
+        Seconds.
+
+    Examples
+    --------
+    >>> straight(20.0, 10.0, heading=90).position[-1].round(9).tolist()
+    [20.0, 0.0, 0.0]
+    """
+    length = check_positive(length, "length", unit="m")
+    speed = check_positive(speed, "speed", unit="m/s")
+    h = np.radians(check_number(heading, "heading", unit="degrees"))
+    start = check_points(np.atleast_2d(start), name="start")[0]
+    end = start + length * np.array([np.sin(h), np.cos(h), 0.0])
+    times = start_time + np.array([0.0, length / speed])
+    return Trajectory(times, np.array([start, end]), roll, pitch, heading)
+
+
+def with_speed_variation(trajectory, *, share, seed, correlation_s=0.5, interval_s=0.01):
+    """Return the same path driven at a speed that wanders about its own.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    share : float
+        Standard deviation of the speed, as a share of it (0.01 = 1 %).
+    seed : int
+    correlation_s, interval_s : float
+        Correlation time of the speed (first-order Gauss-Markov) and step of the rows, seconds.
+
+    Notes
+    -----
+    The path ends where it ended; its duration changes by what the speed did on average.
+    """
+    share = check_number(share, "share", low=0, high=0.3)
+    n = int(np.ceil(trajectory.duration_s / interval_s)) + 1
+    along = np.linspace(0.0, trajectory.duration_s, n)
+    speed = 1 + share * gauss_markov(n, along[1], correlation_s, np.random.default_rng(seed))
+    pace = 1 / np.maximum(speed, 0.05)
+    since = np.concatenate([[0.0], np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(along))])
+    values = trajectory._spline(along)
+    angles = np.degrees(values[:, 3:])
+    return Trajectory(trajectory.time[0] + since, trajectory.origin + values[:, :3], *angles.T)
+
+
+def measured(trajectory, errors, *, seed, interval_s=0.01):
+    """Return the path that navigation with ``errors`` reports for a true path.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The truth; it stays as it is.
+    errors : NavigationErrors
+    seed : int
+    interval_s : float
+        Step of the reported rows, seconds.
+
+    Returns
+    -------
+    Trajectory
+        To hand to ``scan`` as ``measured=``: rays leave from the truth, points are computed
+        from this.
+    """
+    rng = np.random.default_rng(seed)
+    n = max(int(np.ceil(trajectory.duration_s / interval_s)) + 1, 2)
+    since = np.linspace(0.0, trajectory.duration_s, n)
+    values = trajectory._spline(since)
+    shift = _errors(errors.bias_m, errors.drift_m, errors.white_m, since, errors, rng)
+    turn = _errors(errors.bias_deg, errors.drift_deg, errors.white_deg, since, errors, rng)
+    angles = np.degrees(values[:, 3:]) + turn
+    position = trajectory.origin + (values[:, :3] + shift)
+    return Trajectory(trajectory.time[0] + since, position, *angles.T)
+
+
+def gauss_markov(n, interval, correlation, rng):
+    """Return ``n`` values of a first-order Gauss-Markov process of standard deviation one."""
+    from scipy.signal import lfilter
+
+    keep = np.exp(-interval / check_positive(correlation, "correlation_s", unit="s"))
+    white = rng.standard_normal(n)
+    white[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], white)
+
+
+def rotations(roll, pitch, heading):
+    """Return vehicle-to-world rotations, shape (n, 3, 3), of angles in radians."""
+    (sr, sp, sh), (cr, cp, ch) = (
+        np.sin([roll, pitch, heading]),
+        np.cos([roll, pitch, heading]),
+    )
+    rows = [
+        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
+        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
+        [-cp * sr, sp, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _errors(bias, drift, white, since, errors, rng):
+    """Errors of three channels at every time, shape (n, 3)."""
+    n = len(since)
+    slow = [gauss_markov(n, since[1], errors.correlation_s, rng) for _ in range(3)]
+    fast = rng.standard_normal((n, 3))
+    return np.array(bias) + np.array(drift) * np.array(slow).T + np.array(white) * fast
