@@ -1,0 +1,29 @@
+"""What several test modules share."""
+
+import os
+
+os.environ.setdefault("MPLBACKEND", "agg")
+os.environ.setdefault("MMQA_HEADLESS", "1")
+
+import numpy as np
+import pytest
+
+from mmqa_lab import samples
+
+
+@pytest.fixture
+def real():
+    """Path of a real cloud under MMQA_DATA by its relative name; skips where it is not there."""
+
+    def find(relative):
+        if not samples.has_real(relative):
+            pytest.skip(f"needs {relative} in the folder that MMQA_DATA names")
+        return samples.real_path(relative)
+
+    return find
+
+
+@pytest.fixture
+def rng():
+    """A seeded random generator."""
+    return np.random.default_rng(20210112)

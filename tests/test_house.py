@@ -1,0 +1,197 @@
+"""The house rules as data: who may import whom, and that nothing stands alone."""
+
+import ast
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mmqa_lab
+from mmqa_lab import samples
+from mmqa_lab.studies.catalogue import STUDIES
+
+ROOT = Path(mmqa_lab.__file__).parent.parent
+PACKAGE = ROOT / "mmqa_lab"
+
+LAYERS = {
+    "_checks": 0,
+    "cloud": 0,
+    "published": 0,
+    "_quadrants": 1,
+    "neighbourhoods": 1,
+    "planes": 1,
+    "segments": 1,
+    "scan_geometry": 1,
+    "mimic": 1,
+    "accuracy": 1,
+    "charts": 1,
+    "chart_cloud": 2,
+    "chart_image": 2,
+    "edges": 2,
+    "patterns": 2,
+    "poles": 2,
+    "tender": 2,
+    "simulate": 3,
+    "io": 3,
+    "samples": 3,
+    "results": 3,
+    "imagery": 3,
+    "segment_files": 3,
+    "figures": 4,
+    "views": 4,
+    "studies": 5,
+    "widgets": 6,
+    "selection": 6,
+    "jury": 6,
+    "headless": 6,
+    "gallery": 6,
+    "commands": 6,
+    "__main__": 6,
+}
+"""A room may import rooms of its own layer and of those below."""
+
+DRAWING = {"matplotlib", "pyvista", "ipywidgets", "IPython"}
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def room(path):
+    """The first name below the package: the room a file stands in."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(path):
+    """Every dotted name that a module imports, functions' own imports too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def rooms_imported(path):
+    """The rooms of this package that a module imports."""
+    names = {name.split(".")[1] for name in imports(path) if name.startswith("mmqa_lab.")}
+    return names & set(LAYERS)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_down(path):
+    here = room(path)
+    if here == "__init__":
+        return
+    assert here in LAYERS, f"{here} has no layer in the table of this test"
+    upward = {name for name in rooms_imported(path) if LAYERS[name] > LAYERS[here]}
+    assert not upward
+    if LAYERS[here] <= 3:
+        assert not DRAWING & {name.split(".")[0] for name in imports(path)}
+
+
+def test_no_study_imports_another():
+    for path in (PACKAGE / "studies").rglob("*.py"):
+        own = path.relative_to(PACKAGE / "studies").parts[0].removesuffix(".py")
+        others = {study.stem for study in STUDIES} - {own}
+        named = {name.split(".")[2] for name in imports(path) if name.count(".") >= 2}
+        assert own in ("catalogue", "__init__") or not others & named
+
+
+def test_commands_start_with_the_standard_library_alone():
+    for path in [*(PACKAGE / "commands").glob("*.py"), PACKAGE / "__main__.py"]:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module]
+            else:
+                continue
+            for name in names:
+                ours = name == "mmqa_lab" or name.startswith("mmqa_lab.commands")
+                assert ours or name.split(".")[0] in sys.stdlib_module_names, f"{path}: {name}"
+
+
+def test_importing_the_package_is_light():
+    code = "import sys, mmqa_lab; print({'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_catalogue_notebooks_modules_and_readme_agree():
+    notebooks = {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert notebooks == {study.notebook for study in STUDIES}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for study in STUDIES:
+        assert f"notebooks/{study.notebook}.ipynb" in readme
+        module = study.module
+        assert isinstance(module.QUICK, dict)
+        assert callable(module.claims)
+
+
+def notebook_cells(path):
+    """The cells of a notebook file, each with its source as one text."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return [{**cell, "source": "".join(cell["source"])} for cell in cells]
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_notebook_keeps_the_template(study):
+    cells = notebook_cells(study.path)
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert 14 <= len(cells) <= 30
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in code)
+    assert max(len(cell["source"].splitlines()) for cell in code) <= 15
+    assert not any(re.search(r"^\s*def ", cell["source"], re.MULTILINE) for cell in code)
+    tags = [tag for cell in cells for tag in cell["metadata"].get("tags", [])]
+    assert tags.count("parameters") == 1
+    assert 2 <= tags.count("solution") <= 4
+    assert "doi" in cells[0]["source"].lower()
+    assert "save_claims" in code[-1]["source"] or any("save_claims" in c["source"] for c in code)
+
+
+def test_samples_are_registered_with_hash_and_licence():
+    registered = {sample.file: sample for sample in samples.SAMPLES}
+    present = {path.name for path in samples.FOLDER.iterdir()}
+    assert present - {"README.md"} - {n for n in present if n.startswith("LICENSE")} == set(
+        registered
+    )
+    readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
+    for name, sample in registered.items():
+        assert samples.sha256(samples.FOLDER / name) == sample.sha256
+        assert sample.licence
+        assert sample.sha256 in readme
+
+
+def public_functions():
+    """Every public function and class of the package that is defined where it is found."""
+    for found in pkgutil.walk_packages([str(PACKAGE)], "mmqa_lab."):
+        if any(part.startswith("_") for part in found.name.split(".")):
+            continue
+        module = importlib.import_module(found.name)
+        for name, member in vars(module).items():
+            own = getattr(member, "__module__", None) == found.name
+            if own and not name.startswith("_") and callable(member):
+                yield f"{found.name}.{name}", member
+
+
+def test_public_names_have_docstrings():
+    bare = [name for name, member in public_functions() if not inspect.getdoc(member)]
+    assert not bare
+
+
+def test_at_most_five_required_arguments():
+    for name, member in public_functions():
+        if not inspect.isfunction(member):
+            continue
+        required = [
+            parameter
+            for parameter in inspect.signature(member).parameters.values()
+            if parameter.default is parameter.empty
+            and parameter.kind is parameter.POSITIONAL_OR_KEYWORD
+        ]
+        assert len(required) <= 5, name

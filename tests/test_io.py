@@ -1,0 +1,281 @@
+"""Reading and writing clouds, polygons and trajectories."""
+
+import json
+import os
+
+import laspy
+import numpy as np
+import pandas as pd
+import plyfile
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmqa_lab import samples
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import (
+    iterate_cloud,
+    read_cloud,
+    read_polygon,
+    read_trajectory,
+    write_atomically,
+    write_cloud,
+    write_polygon,
+)
+
+UTM = np.array([448_000.0, 5_411_000.0, 120.0])
+
+
+@pytest.fixture
+def cloud(rng):
+    """A cloud in UTM coordinates, in whole millimetres, with LAS fields and an extra dimension."""
+    points = np.round(rng.uniform(0, 50, (500, 3)), 3) + UTM
+    columns = {
+        "gps_time": np.sort(rng.uniform(0, 10, 500)),
+        "intensity": rng.integers(0, 60000, 500).astype(np.uint16),
+        "scan_angle": np.round(rng.uniform(-170, 170, 500) / 0.006) * 0.006,
+        "ring": rng.integers(0, 32, 500).astype(np.uint8),
+    }
+    return Cloud(points, columns)
+
+
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_las_there_and_back(tmp_path, cloud, ending):
+    write_cloud(tmp_path / f"c.{ending}", cloud)
+    again = read_cloud(tmp_path / f"c.{ending}")
+    assert np.abs(again.points - cloud.points).max() < 1e-8  # half a step would be 5e-4
+    for name, values in cloud.columns.items():
+        assert np.allclose(again[name], values, rtol=0, atol=1e-9)
+    assert again["ring"].dtype == np.uint8
+    assert again.name == "c"
+
+
+@pytest.mark.parametrize(("version", "form"), [("1.2", 3), ("1.3", 3), ("1.4", 6)])
+def test_all_las_versions(tmp_path, cloud, version, form):
+    header = laspy.LasHeader(version=version, point_format=form)
+    header.offsets, header.scales = UTM, np.full(3, 0.001)
+    las = laspy.LasData(header)
+    las.xyz = cloud.points
+    las.write(tmp_path / "c.laz")
+    assert np.abs(read_cloud(tmp_path / "c.laz").points - cloud.points).max() < 1e-8
+
+
+def test_sample_is_as_laspy_reads_it():
+    path = samples.path("road_patch")
+    assert np.array_equal(read_cloud(path).points, laspy.read(path).xyz)
+
+
+@pytest.mark.parametrize(("separator", "header"), [(" ", ""), (",", "x,y,z,ring\n"), ("\t", "")])
+def test_text(tmp_path, cloud, separator, header):
+    rows = np.column_stack([cloud.points, cloud["ring"]])
+    body = "\n".join(separator.join(f"{v:.3f}" for v in row) for row in rows)
+    (tmp_path / "c.txt").write_text(f"# made by hand\n{header}{body}\n")
+    again = read_cloud(tmp_path / "c.txt")
+    assert np.allclose(again.points, cloud.points, rtol=0, atol=1e-8)
+    assert np.array_equal(again["ring" if header else "column_4"], cloud["ring"])
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_ply_keeps_double_precision_and_every_property(tmp_path, cloud, text):
+    fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("ring", "u1")]
+    vertices = np.empty(len(cloud), dtype=fields)
+    vertices["x"], vertices["y"], vertices["z"] = cloud.points.T
+    vertices["ring"] = cloud["ring"]
+    element = plyfile.PlyElement.describe(vertices, "vertex")
+    plyfile.PlyData([element], text=text).write(tmp_path / "c.ply")
+    again = read_cloud(tmp_path / "c.ply")
+    assert np.allclose(again.points, cloud.points, rtol=0, atol=1e-8)
+    assert np.array_equal(again["ring"], cloud["ring"])
+
+
+def test_pieces_make_the_whole(tmp_path, cloud):
+    write_cloud(tmp_path / "c.laz", cloud)
+    parts = list(iterate_cloud(tmp_path / "c.laz", chunk=130))
+    assert [len(part) for part in parts] == [130, 130, 130, 110]
+    whole = read_cloud(tmp_path / "c.laz")
+    assert np.array_equal(Cloud.concatenate(parts).points, whole.points)
+
+
+def test_chosen_columns_only(tmp_path, cloud):
+    write_cloud(tmp_path / "c.laz", cloud)
+    assert list(read_cloud(tmp_path / "c.laz", columns=["ring"]).columns) == ["ring"]
+
+
+def test_points_that_are_not_finite_are_counted_and_dropped(tmp_path):
+    (tmp_path / "c.xyz").write_text("0 0 0\n1 nan 0\n2 0 inf\n3 0 0\n")
+    with pytest.warns(UserWarning, match="Dropped 2 of 4 points"):
+        cloud = read_cloud(tmp_path / "c.xyz")
+    assert cloud.points[:, 0].tolist() == [0, 3]
+
+
+def test_real_clouds_are_read_whole(real):
+    counts = {
+        "oakland/part2_ac.laz": ("label", 100_000),
+        "street_profiles/street_0.02_s.laz": ("gps_time", 10_310),
+        "hdl32e_pair/sweep_a.laz": (None, 64_056),
+    }
+    for name, (column, count) in counts.items():
+        cloud = read_cloud(real(name))
+        assert len(cloud) == count
+        assert column is None or column in cloud
+
+
+def corrupt(path, kind):
+    """Spoil a LAZ file in one of the ways that files are spoiled."""
+    data = bytearray(path.read_bytes())
+    if kind == "cut in the middle":
+        data = data[: len(data) // 2]
+    elif kind == "cut in the header":
+        data = data[:100]
+    elif kind == "empty":
+        data = bytearray()
+    elif kind == "a header that lies about the count":
+        data[247:255] = (10**9).to_bytes(8, "little")
+    elif kind == "no cloud at all":
+        data = bytearray(b"<html>not found</html>" * 50)
+    path.write_bytes(bytes(data))
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "cut in the middle",
+        "cut in the header",
+        "empty",
+        "a header that lies about the count",
+        "no cloud at all",
+    ],
+)
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_rejects_damaged_files(tmp_path, cloud, kind, ending):
+    path = tmp_path / f"c.{ending}"
+    write_cloud(path, cloud)
+    corrupt(path, kind)
+    with pytest.raises(ValueError, match=r"Invalid cloud .*Must be a complete LAS or LAZ file"):
+        read_cloud(path)
+
+
+@given(st.integers(0, 59_343), st.integers(1, 255))
+@settings(max_examples=40, deadline=2000)
+def test_a_flipped_byte_gives_a_cloud_or_a_sentence(tmp_path_factory, place, flip):
+    data = bytearray(samples.path("road_patch").read_bytes())
+    data[place] ^= flip
+    path = tmp_path_factory.mktemp("flip") / "c.laz"
+    path.write_bytes(bytes(data))
+    try:
+        outcome = f"{len(read_cloud(path))} points"
+    except ValueError as error:
+        outcome = str(error)
+    assert outcome.endswith(" points") or outcome.startswith("Invalid cloud")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("c.docx", "x", "with ending '.docx'. Must be one of .las, .laz, .ply"),
+        ("c.xyz", "", "Must be rows of columns"),
+        ("c.xyz", "1 2\n3 4\n", "2 columns. Must be rows of numbers, x y z first."),
+        ("c.xyz", "1 2 3\n4 five 6\n", "Must be rows of numbers, x y z first."),
+        ("c.csv", "x,y,z\n", "no points. Must hold one or more."),
+        ("c.ply", "ply\nformat ascii 1.0\nend_header\n", "Must be a PLY file with vertices"),
+    ],
+)
+def test_rejects_files(tmp_path, name, content, sentence):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match="Invalid") as error:
+        read_cloud(tmp_path / name)
+    assert sentence in str(error.value)
+
+
+def test_rejects_what_is_not_there(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no such file\. Must exist\."):
+        read_cloud(tmp_path / "none.laz")
+    with pytest.raises(ValueError, match=r"Invalid column 'ring'.*those present: intensity"):
+        read_cloud(samples.path("road_patch"), columns=["ring"])
+
+
+def test_rejects_writing_what_las_cannot_hold(tmp_path, cloud):
+    with pytest.raises(ValueError, match="Must be coarser for a cloud as wide"):
+        write_cloud(tmp_path / "c.laz", Cloud([[0, 0, 0], [1e7, 0, 0]]), scale=1e-4)
+    with pytest.raises(ValueError, match="Invalid column 'name'"):
+        write_cloud(tmp_path / "c.laz", Cloud(cloud.points[:1], {"name": np.array(["a"])}))
+    with pytest.raises(ValueError, match=r"Must be one of \.las, \.laz"):
+        write_cloud(tmp_path / "c.ply", cloud)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "t.csv"
+    target.write_text("old")
+
+    def fails(path):
+        path.write_text("half")
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        write_atomically(target, fails)
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["t.csv"]
+
+
+def test_polygons(tmp_path):
+    vertices = UTM + [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0.3, 0, 0.1]]
+    write_polygon(tmp_path / "p.geojson", vertices)
+    assert np.array_equal(read_polygon(tmp_path / "p.geojson"), vertices)
+    geometry = json.loads((tmp_path / "p.geojson").read_text())
+    feature = {"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": geometry}]}
+    (tmp_path / "f.geojson").write_text(json.dumps(feature))
+    assert np.array_equal(read_polygon(tmp_path / "f.geojson"), vertices)
+    pd.DataFrame(vertices, columns=["x", "y", "z"]).to_csv(tmp_path / "p.csv", index=False)
+    assert np.allclose(read_polygon(tmp_path / "p.csv"), vertices, rtol=0, atol=1e-9)
+    inline = "; ".join(",".join(map(repr, map(float, vertex))) for vertex in vertices)
+    assert np.array_equal(read_polygon(inline), vertices)
+
+
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        ("0,0,0; 1,0,0", "2 given. Must be 3 or more"),
+        ("0,0; 1,0; 1,1", "Must have shape (n, 3)"),
+        ("0,0,0; a,0,0; 1,1,0", "Must be vertices x,y,z"),
+        ("nowhere.csv", "no such file. Must exist."),
+        ("0,0,0; 1,nan,0; 1,1,0", "1 of 3 not finite"),
+    ],
+)
+def test_rejects_polygons(source, sentence):
+    with pytest.raises((ValueError, FileNotFoundError)) as error:
+        read_polygon(source)
+    assert sentence in str(error.value)
+
+
+def test_rejects_geojson_without_heights(tmp_path):
+    (tmp_path / "p.geojson").write_text('{"type": "Polygon", "coordinates": [[[0,0],[1,0],[1,1]]]}')
+    with pytest.raises(ValueError, match=r"Must have shape \(n, 3\)"):
+        read_polygon(tmp_path / "p.geojson")
+    (tmp_path / "q.geojson").write_text('{"type": "Point"}')
+    with pytest.raises(ValueError, match="Must be GeoJSON with a polygon"):
+        read_polygon(tmp_path / "q.geojson")
+
+
+def test_trajectory_of_a_survey_vehicle(real):
+    path = real("vehicle_trajectory.csv")
+    table = read_trajectory(path, time_unit="us", angle_unit="radians")
+    raw = pd.read_csv(path)
+    assert len(table) == 3000
+    assert table["time_s"].diff().median() == pytest.approx(0.1, rel=0.05)  # 10 Hz
+    assert np.allclose(table["heading_deg"], np.degrees(raw["heading"]))
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("time,easting,northing\n0,1,2\n", "no column 'height_m'. Must have one."),
+        ("time,easting,northing,height\n0,1,2,3\n1,x,2,3\n", "no finite number in line 3"),
+        ("time,easting,northing,height\n0,1,2,3\n0,1,2,3\n", "a time repeats"),
+    ],
+)
+def test_rejects_trajectories(tmp_path, content, sentence):
+    (tmp_path / "t.csv").write_text(content)
+    with pytest.raises(ValueError, match="Invalid trajectory") as error:
+        read_trajectory(tmp_path / "t.csv")
+    assert sentence in str(error.value)

@@ -1,0 +1,137 @@
+"""Regression planes and the dispersion about them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize, stats
+
+from mmqa_lab.planes import (
+    CONSISTENT_SCALE,
+    PAPER_SCALE,
+    fit_plane,
+    sigma_mad,
+    turned_axes,
+)
+
+
+def dyadic(rng, n, sigma=0.005):
+    """A noisy plane whose coordinates are multiples of 2^-20 m: exact when moved by 10,000 km."""
+    x, y = rng.uniform(-0.5, 0.5, (2, n))
+    z = 0.3 * x - 0.2 * y + rng.normal(0, sigma, n)
+    return np.round(np.stack([x, y, z], axis=1) * 2**20) / 2**20
+
+
+def test_known_plane_is_found(rng):
+    normal = np.array([2.0, -1.0, 2.0]) / 3
+    axes = np.linalg.svd(normal[None])[2][1:]
+    points = rng.uniform(-1, 1, (50, 2)) @ axes + [5.0, 6.0, 7.0]
+    plane = fit_plane(points)
+    assert np.abs(plane.normal) @ np.abs(normal) == pytest.approx(1, abs=1e-14)
+    assert np.abs(plane.residuals).max() < 1e-13  # rounding of coordinates below 10 m
+    assert plane.n == 50
+
+
+def test_agrees_with_a_search_over_directions(rng):
+    points = dyadic(rng, 300)
+    local = points - points.mean(axis=0)
+
+    def squares(angles):
+        """Sum of squared distances from the plane with this normal."""
+        a, b = angles
+        normal = [np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)]
+        return ((local @ normal) ** 2).sum()
+
+    found = optimize.minimize(squares, [0.4, 2.5], method="Nelder-Mead", options={"xatol": 1e-10})
+    assert fit_plane(points).rms ** 2 * len(points) == pytest.approx(found.fun, rel=1e-9)
+
+
+def test_axes_are_orthonormal_and_right_handed(rng):
+    plane = fit_plane(dyadic(rng, 100))
+    frame = np.vstack([plane.axes, plane.normal])
+    assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(frame) == pytest.approx(1)
+    xy = plane.project(dyadic(rng, 100))
+    assert np.ptp(xy[:, 0]) > 0
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_nothing_changes_when_the_cloud_is_moved(seed):
+    points = dyadic(np.random.default_rng(seed), 200)
+    here = fit_plane(points)
+    there = fit_plane(points + [1e7, -6.5e6, 2048.0])
+    assert there.rms == pytest.approx(here.rms, rel=1e-9)
+    assert sigma_mad(there.residuals) == pytest.approx(sigma_mad(here.residuals), rel=1e-9)
+    assert np.abs(there.normal - here.normal).max() < 1e-12
+
+
+def test_order_of_points_does_not_matter(rng):
+    points = dyadic(rng, 200)
+    turned = fit_plane(points[::-1])
+    assert np.allclose(turned.residuals[::-1], fit_plane(points).residuals, atol=1e-14)
+
+
+def test_robust_fit_withstands_points_behind_the_chart(rng):
+    points = dyadic(rng, 1000, sigma=0.002)
+    clean = fit_plane(points).normal
+    dirty = points.copy()
+    dirty[:50, 2] -= rng.uniform(0.2, 0.5, 50)  # 5 % behind, all of them one-sided
+    tilt = {
+        robust: np.degrees(np.arccos(fit_plane(dirty, robust=robust).normal @ clean))
+        for robust in (False, True)
+    }
+    assert tilt[True] < 0.05
+    assert tilt[True] < tilt[False] / 3
+
+
+def test_sigma_mad_is_consistent_for_normal_residuals():
+    quantiles = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000, scale=3.0)
+    assert sigma_mad(quantiles) == pytest.approx(3.0, rel=1e-4)
+    assert pytest.approx(1 / stats.norm.ppf(0.75), rel=1e-15) == CONSISTENT_SCALE
+
+
+def test_paper_factor_is_offered_by_name():
+    assert sigma_mad([-1, 0, 1], PAPER_SCALE) == pytest.approx(1.4862)  # Appendix A
+
+
+def test_horizontal_axes(rng):
+    plane = fit_plane(dyadic(rng, 100))
+    level, slope = plane.horizontal_axes()
+    assert level[2] == 0
+    assert level @ slope == pytest.approx(0, abs=1e-15)
+    assert np.cross(level, slope) @ plane.normal == pytest.approx(1)
+
+
+def test_turned_axes_by_a_right_angle():
+    axes = np.eye(3)[:2]
+    assert np.allclose(turned_axes(axes, 90), [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("points", "sentence"),
+    [
+        ([[0, 0, 0], [1, 1, 1]], "Invalid points: 2 given. Must be 3 or more."),
+        (np.arange(30).reshape(10, 3), "on one line or spot. Must span a plane."),
+        (np.ones((5, 3)), "on one line or spot. Must span a plane."),
+        ([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], "1 of 3 not finite, the first in row 2"),
+        ([[0, 0], [1, 0], [0, 1]], "Invalid points of shape (3, 2)."),
+        ([["a", "b", "c"]] * 3, "Must be real numbers."),
+    ],
+)
+def test_rejects(points, sentence):
+    with pytest.raises((ValueError, TypeError)) as error:
+        fit_plane(points)
+    assert sentence in str(error.value)
+
+
+def test_rejects_a_level_plane_for_horizontal_axes():
+    level = fit_plane([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    with pytest.raises(ValueError, match=r"Must be 0.1 degrees or more for horizontal axes"):
+        level.horizontal_axes()
+
+
+@pytest.mark.parametrize("residuals", [[], [np.nan], [[1.0]]])
+def test_rejects_residuals(residuals):
+    with pytest.raises(ValueError, match="Must be a row of finite numbers"):
+        sigma_mad(residuals)
