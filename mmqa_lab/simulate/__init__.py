@@ -18,8 +18,14 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
         ...                                     # a Cloud each quarter of a second
     cloud = simulate.scan_all(scene, scanner, path, seed=1)
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
+
+Real scanners are in ``presets``; ``dataclasses.replace(presets.ROAMER, lever_arm_m=(0, 0, 2.5))``
+mounts one.
 """
 
+from mmqa_lab.simulate import presets
+from mmqa_lab.simulate.matching import MatchingCamera, match
+from mmqa_lab.simulate.objects import chart, chart_corners, wall
 from mmqa_lab.simulate.scan import scan, scan_all
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
 from mmqa_lab.simulate.scenes import Hits, Scene
@@ -46,6 +52,7 @@ from mmqa_lab.simulate.trajectories import (
 
 __all__ = [
     "Hits",
+    "MatchingCamera",
     "MultiBeamScanner",
     "NavigationErrors",
     "ProfileScanner",
@@ -55,17 +62,22 @@ __all__ = [
     "Trajectory",
     "board",
     "box",
+    "chart",
+    "chart_corners",
     "cylinder",
     "disc",
     "ellipsoid",
     "foliage",
     "ground",
     "group",
+    "match",
     "measured",
     "polygon",
+    "presets",
     "rectangle",
     "scan",
     "scan_all",
     "straight",
+    "wall",
     "with_speed_variation",
 ]

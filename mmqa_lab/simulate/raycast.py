@@ -403,16 +403,38 @@ def _footprint(tree, stack, ray, part, hits, radius, growth, turn):
     return n
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+class Echoes(NamedTuple):
+    """The strongest echo of each pulse, NaN and surface -1 where there is none.
+
+    ``signal`` is reflectance x cosine(incidence) / range2, summed over the parts of the beam.
+    """
+
+    range_m: np.ndarray
+    surface: np.ndarray
+    cosine: np.ndarray
+    signal: np.ndarray
+    mixed: np.ndarray
+
+    def select(self, which):
+        """Return the echoes of a mask."""
+        return Echoes(*(values[which] for values in self))
+
+
 def echoes(tree, origins, directions, radius, growth, turn, separation):
-    """The strongest echo of each pulse: range, surface, cosine, signal and whether it is mixed.
+    """Return the ``Echoes`` of pulses along unit directions.
 
     A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a
     ring of six rays, each an equal share of its energy, turned by ``turn`` (0 to 1) at random. Hits
     closer than ``separation`` in range fall into one echo: its range is their mean weighted by the
-    signal (reflectance x cosine / range2), its signal their sum, its surface and cosine those of
-    its strongest part.
+    signal, its signal their sum, its surface and cosine those of its strongest part; it is mixed
+    where they belong to several surfaces.
     """
+    return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation))
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _echoes(tree, origins, directions, radius, growth, turn, separation):
+    """The arrays of ``Echoes``."""
     n = len(origins)
     wide = radius > 0.0 or growth > 0.0
     ranges, surface = np.full(n, np.nan), np.full(n, -1, np.int32)

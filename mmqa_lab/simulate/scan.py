@@ -89,7 +89,7 @@ def scan_all(scene, scanner, trajectory, *, seed, **options):
     >>> from mmqa_lab.simulate import ProfileScanner, Scene, ground, straight
     >>> scanner = ProfileScanner(pulse_rate_hz=36_000, mirror_frequency_hz=100)
     >>> cloud = scan_all(Scene([ground()]), scanner, straight(1, 10, start=(0, 0, 2)), seed=1)
-    >>> float(abs(cloud.points[:, 2]).max()) < 1e-9, cloud["scan_line"].max()
+    >>> float(abs(cloud.points[:, 2]).max()) < 1e-9, int(cloud["scan_line"].max())
     (True, 9)
     """
     return Cloud.concatenate(scan(scene, scanner, trajectory, seed=seed, **options))
@@ -114,55 +114,54 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     normal, uniform = _draws(seed, pulse)
     firing, left = scanner.fire(pulse)
     pulse, normal, uniform = pulse[left], normal[left], uniform[left]
-    angle, elevation = np.radians(firing.scan_angle), np.radians(firing.elevation)
-    noisy = angle + np.radians(scanner.angle_noise_deg) * normal[:, 0]
-    origin, direction = _rays(
-        trajectory,
-        firing.since_start,
-        scanner.lever_arm_m,
-        scanner.true_mounting,
-        scanner.beams(noisy, elevation),
-    )
-    local = origin + (trajectory.origin - scene.origin)
+    jitter = scanner.angle_noise_deg * normal[:, 0]
+    origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
     echo = raycast.echoes(
-        scene.tree, local, direction, *scanner.beam_radius, uniform[:, 0], scanner.echo_separation_m
+        scene.tree,
+        origin + (trajectory.origin - scene.origin),
+        direction,
+        *scanner.beam_radius,
+        uniform[:, 0],
+        scanner.echo_separation_m,
     )
-    ranges, surface, cosine, signal, mixed = echo
-    noise, kept = _detected(scanner, ranges, signal, normal, uniform)
-    shift = trajectory.time[0] - known.time[0]
+    noise, kept = _detected(scanner, echo, normal, uniform)
+    firing, echo, noise = firing.select(kept), echo.select(kept), noise[kept]
     origin, direction = _rays(
-        known,
-        firing.since_start[kept] + shift,
-        scanner.lever_arm_m,
-        scanner.mounting,
-        scanner.beams(angle[kept], elevation[kept]),
+        known, scanner, firing, scanner.mounting, 0.0, trajectory.time[0] - known.time[0]
     )
-    points = known.origin + (origin + (ranges + noise)[kept, None] * direction)
+    points = known.origin + (origin + (echo.range_m + noise)[:, None] * direction)
     if rounding:
         points = np.round(points / rounding) * rounding
+    truth = _columns(scanner, firing, echo)
+    times = trajectory.time[0] + firing.since_start
+    pulses = {"gps_time": times, "pulse": pulse[kept], "range_noise_m": noise}
+    return Cloud(points, pulses | truth, scanner.name)
+
+
+def _columns(scanner, firing, echo):
+    """What is known of each point but for its time and noise."""
     columns = {
-        "gps_time": trajectory.time[0] + firing.since_start[kept],
-        "scan_angle": firing.scan_angle[kept],
-        "scan_line": firing.scan_line[kept],
-        "pulse": pulse[kept],
-        "surface": surface[kept],
-        "range_m": ranges[kept],
-        "incidence_deg": np.degrees(np.arccos(np.minimum(cosine[kept], 1))),
-        "range_noise_m": noise[kept],
-        "intensity": np.round(FULL_SCALE * (signal * ranges**2)[kept]).astype(np.uint16),
+        "scan_angle": firing.scan_angle,
+        "scan_line": firing.scan_line,
+        "surface": echo.surface,
+        "range_m": echo.range_m,
+        "incidence_deg": np.degrees(np.arccos(np.minimum(echo.cosine, 1))),
+        "intensity": np.round(FULL_SCALE * echo.signal * echo.range_m**2).astype(np.uint16),
     }
     if firing.ring is not None:
-        columns["ring"] = firing.ring[kept].astype(np.uint8)
+        columns["ring"] = firing.ring.astype(np.uint8)
     if any(scanner.beam_radius):
-        columns["mixed"] = mixed[kept].astype(np.uint8)
-    return Cloud(points, columns, scanner.name)
+        columns["mixed"] = echo.mixed.astype(np.uint8)
+    return columns
 
 
-def _rays(path, since, lever_arm, mounting, beams):
-    """Origins from the path's origin, and directions, of beams in the scanner's frame."""
-    offset, rotation = path.poses(since)
-    origin = offset + rotation @ np.asarray(lever_arm, dtype=np.float64)
-    return origin, np.einsum("nij,nj->ni", rotation, beams @ mounting.T)
+def _rays(path, scanner, firing, mounting, jitter, shift=0.0):
+    """Origins from the path's origin, and directions; ``shift`` seconds to the path's clock."""
+    offset, rotation = path.poses(firing.since_start + shift)
+    angle, elevation = np.radians(firing.scan_angle + jitter), np.radians(firing.elevation)
+    origin = offset + rotation @ np.asarray(scanner.lever_arm_m, dtype=np.float64)
+    beams = scanner.beams(angle, elevation) @ mounting.T
+    return origin, np.einsum("nij,nj->ni", rotation, beams)
 
 
 def _draws(seed, pulse):
@@ -177,13 +176,13 @@ def _draws(seed, pulse):
     return tuple(np.concatenate(parts)[inside] for parts in zip(*drawn, strict=True))
 
 
-def _detected(scanner, ranges, signal, normal, uniform):
+def _detected(scanner, echo, normal, uniform):
     """Range noise, and which pulses come back."""
     weakest = scanner.max_range_reflectance / scanner.max_range_m**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        strength = signal / weakest
+        strength = echo.signal / weakest
         weak = scanner.range_noise_weak_m / np.sqrt(strength)
         heard = strength * np.exp(scanner.fading * normal[:, 2]) > 1
     spread = np.hypot(scanner.range_noise_m, np.where(np.isfinite(weak), weak, 0.0))
-    kept = heard & (ranges >= scanner.min_range_m) & np.isfinite(ranges)
+    kept = heard & (echo.range_m >= scanner.min_range_m)
     return spread * normal[:, 1], kept & (uniform[:, 1] >= scanner.dropout_share)

@@ -34,6 +34,12 @@ class Firing:
     scan_line: np.ndarray
     ring: np.ndarray = None
 
+    def select(self, which):
+        """Return the pulses of a mask."""
+        ring = None if self.ring is None else self.ring[which]
+        arrays = (self.since_start, self.scan_angle, self.elevation, self.scan_line)
+        return Firing(*(values[which] for values in arrays), ring)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scanner:
@@ -150,9 +156,9 @@ class ProfileScanner(Scanner):
 
     Examples
     --------
-    >>> scanner = ProfileScanner(pulse_rate_hz=4e5, mirror_frequency_hz=100, tilt_deg=90)
-    >>> scanner.plane_normal.round(9).tolist()
-    [0.0, 0.0, 1.0]
+    >>> scanner = ProfileScanner(pulse_rate_hz=4e5, mirror_frequency_hz=100, tilt_deg=30)
+    >>> scanner.plane_normal[1:].round(3).tolist()
+    [0.866, 0.5]
     """
 
     mirror_frequency_hz: float

@@ -51,6 +51,7 @@ class Scene:
 
     Examples
     --------
+    >>> from mmqa_lab.simulate import cylinder, ground
     >>> scene = Scene([ground(), cylinder([5, 0, 0], [5, 0, 4], 0.1, label="post")])
     >>> hits = scene.cast([[0, 0, 2]], [[1, 0, 0]])
     >>> float(hits.range_m[0]), scene.surfaces[hits.surface[0]].label

@@ -74,6 +74,25 @@ class Trajectory:
             )
         return np.broadcast_to(values, self.time.shape)
 
+    @classmethod
+    def from_table(cls, table):
+        """Return the trajectory of a table as ``io.read_trajectory`` reads it.
+
+        Parameters
+        ----------
+        table : DataFrame
+            ``time_s``, ``easting_m``, ``northing_m``, ``height_m``; ``roll_deg``, ``pitch_deg``,
+            ``heading_deg`` where known. Without a heading the vehicle looks where it moves.
+        """
+        position = table[["easting_m", "northing_m", "height_m"]].to_numpy()
+        known = {name: table[f"{name}_deg"] for name in ("roll", "pitch") if f"{name}_deg" in table}
+        if "heading_deg" in table:
+            heading = table["heading_deg"]
+        else:
+            east, north, _ = np.gradient(position, axis=0).T
+            heading = np.degrees(np.unwrap(np.arctan2(east, north)))
+        return cls(table["time_s"], position, heading=heading, **known)
+
     @property
     def duration_s(self):
         """Seconds from the first row to the last."""

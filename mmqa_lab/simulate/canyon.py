@@ -1,0 +1,414 @@
+"""An urban canyon of three streets, surveyed by three courses and a static scanner.
+
+It stands in for the unpublished edges of Poreba & Goulette 2013 (hal-00846334): facades along
+three streets give straight edges; each course sees a part of them, displaced by its positioning
+error, turned, cut short, split and mixed with clutter. Which segments belong together is known, and
+so is every displacement. :func:`canyon_cloud` covers the same facades with points.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice, check_number
+from mmqa_lab.segments import Segments
+
+COMPARISONS = {
+    "repeatability": (("C1", "C2"), ("C1", "C3"), ("C2", "C3")),
+    "absolute": (("C1", "TLS"), ("C2", "TLS"), ("C3", "TLS")),
+}
+"""Test and model of each comparison, as in Tables 1 and 2 of the paper."""
+
+SURVEYS = ("C1", "C2", "C3", "TLS")
+
+CENTRE_M = np.array([65.0, 60.0, 0.0])
+STREETS = pd.DataFrame(
+    [("x", 0.0, 15.0, 130.0, 14.0), ("x", 0.0, 95.0, 130.0, 9.0), ("y", 85.0, 24.0, 65.0, 8.0)],
+    columns=["axis", "x_m", "y_m", "length_m", "width_m"],
+)
+SETBACKS_M = (0.0, 0.25, 0.4, 0.7, 1.2)
+EDGE_SHARE = {"base": 0.45, "roof": 0.5, "cornice": 0.25, "corner": 0.35}
+"""Share of the buildings where this edge is a straight line that a detector can find."""
+
+PAIR_OVERLAP = 0.2
+"""Segments of one edge are a true pair when they share more than this part of the shorter one."""
+
+SHARED_COURSE, SHARED_SEEN = 0.39, 0.84
+"""Share of the edges along the way of C1 and C3, and what each of the two finds of them."""
+
+SEEN = {"C2": 0.265, "TLS": 0.57}
+DRIFT_LENGTH_M = 60.0
+DRIFT_STEP_M = 5.0
+YAW_DEG = 0.05
+POSITION_NOISE_M = {"C1": 0.04, "C2": 0.04, "C3": 0.04, "TLS": 0.03}
+ANGLE_FROM_POSITION_M = 0.02
+END_NOISE_M = 0.35
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What happens to the edges on their way into a survey.
+
+    Parameters
+    ----------
+    bias_m : tuple of two floats
+        Range of the length of the displacement that all courses share (GNSS), m.
+    drift_m : float
+        Standard deviation of each course's drift per street and axis, m: a Gauss-Markov process
+        along the street of 60 m correlation length.
+    angle_noise_deg : float
+        Standard deviation of the courses' edge directions, degrees; the static scanner has a
+        quarter of it.
+    twins : float
+        Share of edges with a parallel neighbour at 0.3-1.1 m: reveals, kerbs, cornices.
+    splits, truncations, clutter : float
+        Shares of segments found in two pieces, cut short, and without any counterpart.
+    jambs : float
+        Mean number of window jambs per building.
+
+    Raises
+    ------
+    ValueError
+        If a share is not within 0..1, a size is negative, or the range of the bias is reversed.
+    """
+
+    bias_m: tuple = (0.4, 0.7)
+    drift_m: float = 0.12
+    angle_noise_deg: float = 0.4
+    twins: float = 0.15
+    splits: float = 0.12
+    truncations: float = 0.35
+    clutter: float = 0.08
+    jambs: float = 0.2
+
+    def __post_init__(self):
+        for name in ("twins", "splits", "truncations", "clutter"):
+            check_number(getattr(self, name), name, low=0, high=1)
+        for name, unit in (("drift_m", "m"), ("angle_noise_deg", "degrees"), ("jambs", "")):
+            check_number(getattr(self, name), name, low=0, unit=unit)
+        low, high = self.bias_m
+        check_number(low, "bias_m", low=0, unit="m")
+        check_number(high, "bias_m", low=low, unit="m")
+
+
+@dataclass(frozen=True, eq=False)
+class Positioning:
+    """Error of a course's positions: constant, drifting along each street, and turned.
+
+    Parameters
+    ----------
+    bias : array, shape (3,)
+        Metres.
+    drift : array, shape (streets, nodes, 3)
+        Metres, a node every 5 m along the street.
+    yaw : float
+        Radians, about the centre of the scene.
+    """
+
+    bias: np.ndarray
+    drift: np.ndarray
+    yaw: float
+
+    def at(self, points, street):
+        """Displacement of points (n, 3) of the given streets (n,), shape (n, 3), m."""
+        points, street = np.asarray(points, dtype=np.float64), np.asarray(street)
+        station = _station(points, street) / DRIFT_STEP_M
+        node = np.clip(station.astype(int), 0, self.drift.shape[1] - 2)
+        part = np.clip(station - node, 0, 1)[:, None]
+        drift = (1 - part) * self.drift[street, node] + part * self.drift[street, node + 1]
+        arm = points - CENTRE_M
+        turned = self.yaw * np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)
+        return self.bias + drift + turned
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """The segments that one survey found, and where they come from.
+
+    Parameters
+    ----------
+    segments : Segments
+        n segments, m.
+    edge : array of int, shape (n,)
+        The true edge of each; -1 for clutter.
+    interval : array, shape (n, 2)
+        The part of the true edge that it shows, m from the edge's first end; NaN for clutter.
+    displacement : array, shape (n, 3)
+        The positioning error at its midpoint, m.
+    positioning : Positioning
+    """
+
+    segments: Segments
+    edge: np.ndarray
+    interval: np.ndarray
+    displacement: np.ndarray
+    positioning: Positioning
+
+
+@dataclass(frozen=True, eq=False)
+class Canyon:
+    """A scene: its buildings, its true edges and the surveys of it.
+
+    Parameters
+    ----------
+    buildings : DataFrame
+        ``street``, ``side`` (-1, 1), ``start_m``, ``width_m``, ``setback_m``, ``height_m``.
+    edges : Segments
+        The true edges.
+    street : array of int
+        The street of each edge.
+    surveys : dict of str to Survey
+        ``C1``, ``C2``, ``C3``, ``TLS``.
+    conditions : Conditions
+    """
+
+    buildings: pd.DataFrame
+    edges: Segments
+    street: np.ndarray
+    surveys: dict = field(repr=False)
+    conditions: Conditions = Conditions()
+
+    def pairs(self, test, model):
+        """True pairs of two surveys, bool (p, q): pieces of one edge that overlap by 20 %."""
+        test, model = self._survey(test), self._survey(model)
+        same = (test.edge[:, None] == model.edge[None]) & (test.edge >= 0)[:, None]
+        low = np.maximum(test.interval[:, None, 0], model.interval[None, :, 0])
+        high = np.minimum(test.interval[:, None, 1], model.interval[None, :, 1])
+        size = [np.diff(survey.interval, axis=1)[:, 0] for survey in (test, model)]
+        least = np.minimum(size[0][:, None], size[1][None])
+        return same & (high - low > PAIR_OVERLAP * least)
+
+    def displacements(self, test, model):
+        """Displacement of each true pair, test from model, shape (pairs, 3), m, in row order."""
+        rows, columns = np.nonzero(self.pairs(test, model))
+        test, model = self._survey(test), self._survey(model)
+        return test.displacement[rows] - model.displacement[columns]
+
+    def _survey(self, name):
+        return self.surveys[check_choice(name, "survey", SURVEYS)]
+
+
+def canyon(seed, *, conditions=None):
+    """Simulate the canyon and its four surveys.
+
+    A scene is 130 m x 120 m with facades 9-22 m wide and 12-21 m high along streets of 14, 9 and
+    8 m. C1 and C3 pass the same facades, C2 others. The mean numbers of segments and true pairs
+    follow the paper's tables (36, 28, 41 and 64 segments).
+
+    Parameters
+    ----------
+    seed : int
+        Equal seeds give equal scenes.
+    conditions : Conditions, optional
+
+    Returns
+    -------
+    Canyon
+
+    Notes
+    -----
+    The shares of edges, splits and clutter are assumptions of this simulator, set so that the
+    counts agree with the paper: an analogue of its test site, not a reconstruction.
+
+    References
+    ----------
+    Poreba & Goulette 2013 (hal-00846334), sections 3.1 and 3.2: counts of Tables 1 and 2.
+
+    Examples
+    --------
+    >>> scene = canyon(1)
+    >>> sorted(scene.surveys), scene.pairs("C1", "C3").sum() > scene.pairs("C1", "C2").sum()
+    (['C1', 'C2', 'C3', 'TLS'], np.True_)
+    """
+    conditions = conditions or Conditions()
+    rng = np.random.default_rng(seed)
+    buildings = _buildings(rng)
+    ends, street = _edges(buildings, conditions, rng)
+    seen = _seen(len(ends), rng)
+    surveys = {}
+    for name, positioning in _positionings(conditions, rng).items():
+        rows = np.flatnonzero(seen[name])
+        surveys[name] = _survey(name, ends, street, rows, positioning, conditions, rng)
+    return Canyon(buildings, Segments(ends), street, surveys, conditions)
+
+
+def _buildings(rng):
+    """Facades side by side along both sides of each street."""
+    rows = []
+    for street, length in enumerate(STREETS["length_m"]):
+        for side in (-1, 1):
+            start = rng.uniform(0, 5)
+            while start < length - 9:
+                width = min(rng.uniform(9, 22), length - start)
+                rows.append(
+                    (street, side, start, width, rng.choice(SETBACKS_M), rng.uniform(12, 21))
+                )
+                start += width
+    columns = ["street", "side", "start_m", "width_m", "setback_m", "height_m"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _edges(buildings, conditions, rng):
+    """End points (n, 2, 3) of the true edges and the street of each."""
+    ends, streets = [], []
+    for row in buildings.itertuples():
+        lines = _building_edges(row, conditions, rng)
+        ends += [_placed(row, line) for line in lines]
+        streets += [row.street] * len(lines)
+    ends, streets = np.array(ends), np.array(streets)
+    twin = rng.random(len(ends)) < conditions.twins
+    return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
+
+
+def _building_edges(row, conditions, rng):
+    """The edges of one facade as (station, height) pairs of ends."""
+    left, right, top = row.start_m, row.start_m + row.width_m, row.height_m
+    level = rng.uniform(3.5, 4.5)
+    candidates = [
+        ("base", ((left, 0.0), (right, 0.0))),
+        ("roof", ((left, top), (right, top))),
+        ("cornice", ((left, level), (right, level))),
+        ("corner", ((left, 0.0), (left, top))),
+        ("corner", ((right, 0.0), (right, top))),
+    ]
+    lines = [line for kind, line in candidates if rng.random() < EDGE_SHARE[kind]]
+    for _ in range(rng.poisson(conditions.jambs)):
+        station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
+        lines.append(((station, sill), (station, sill + rng.uniform(1.5, 2.5))))
+    return lines
+
+
+def _placed(row, line):
+    """Scene coordinates (2, 3) of a line on a building's facade."""
+    station, height = np.array(line).T
+    offset = row.side * (STREETS["width_m"][row.street] / 2 + row.setback_m)
+    return _located(row.street, station, np.full(2, offset), height)
+
+
+def _located(street, station, offset, height):
+    """Points (n, 3) from station along a street, offset from its axis and height, m."""
+    frame = STREETS.loc[street]
+    if frame["axis"] == "x":
+        return np.stack([frame["x_m"] + station, frame["y_m"] + offset, height], axis=-1)
+    return np.stack([frame["x_m"] + offset, frame["y_m"] + station, height], axis=-1)
+
+
+def _station(points, street):
+    """Metres along the street of points (n, 3) of the streets (n,)."""
+    along_x = (STREETS["axis"] == "x").to_numpy()[street]
+    origin = STREETS[["x_m", "y_m"]].to_numpy()[street]
+    return np.where(along_x, points[:, 0] - origin[:, 0], points[:, 1] - origin[:, 1])
+
+
+def _twins(ends, rng):
+    """Parallel neighbours 0.3-1.1 m off the given edges."""
+    vectors = ends[:, 1] - ends[:, 0]
+    across = np.cross(vectors, rng.normal(size=vectors.shape))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return ends + (across * rng.uniform(0.3, 1.1, (len(ends), 1)))[:, None]
+
+
+def _seen(n, rng):
+    """Which edges each survey finds; prominent edges are found by all of them more often."""
+    prominence = rng.uniform(0.25, 1.75, n)
+    shared = rng.random(n) < SHARED_COURSE * prominence
+    seen = {name: shared & (rng.random(n) < SHARED_SEEN) for name in ("C1", "C3")}
+    return seen | {name: rng.random(n) < share * prominence for name, share in SEEN.items()}
+
+
+def _positionings(conditions, rng):
+    """The positioning error of each course; the static scanner has none."""
+    nodes = int(STREETS["length_m"].max() / DRIFT_STEP_M) + 2
+    shared = rng.uniform(*conditions.bias_m) * _unit_vector(rng)
+    own_ranges = {"C1": (0.1, 0.35), "C2": (0.3, 0.7), "C3": (0.1, 0.35)}
+    errors = {}
+    for name, own_range in own_ranges.items():
+        own = rng.uniform(*own_range) * _unit_vector(rng)
+        drift = conditions.drift_m * _gauss_markov(nodes, rng)
+        errors[name] = Positioning(shared + own, drift, np.radians(rng.normal(0, YAW_DEG)))
+    still = np.zeros((len(STREETS), nodes, 3))
+    return errors | {"TLS": Positioning(np.zeros(3), still, 0.0)}
+
+
+def _unit_vector(rng):
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def _gauss_markov(nodes, rng):
+    """Unit-variance first-order Gauss-Markov processes, shape (streets, nodes, 3)."""
+    keep = np.exp(-DRIFT_STEP_M / DRIFT_LENGTH_M)
+    noise = rng.normal(size=(len(STREETS), nodes, 3))
+    for node in range(1, nodes):
+        noise[:, node] = keep * noise[:, node - 1] + np.sqrt(1 - keep**2) * noise[:, node]
+    return noise
+
+
+def _survey(name, ends, street, rows, positioning, conditions, rng):
+    """What a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    pieces = [(row, *cut) for row in rows for cut in _pieces(lengths[row], conditions, rng)]
+    edge = np.array([piece[0] for piece in pieces], dtype=int)
+    interval = np.array([piece[1:] for piece in pieces], dtype=float).reshape(-1, 2)
+    found = _along(ends[edge], lengths[edge], interval)
+    found = np.concatenate([found, _clutter(rng.binomial(len(edge), conditions.clutter), rng)])
+    strays = len(found) - len(edge)
+    streets = np.concatenate([street[edge], rng.integers(len(STREETS), size=strays)])
+    displacement = positioning.at(found.mean(axis=1), streets)
+    angle = conditions.angle_noise_deg * (0.25 if name == "TLS" else 1.0)
+    found = _noisy(found, angle, POSITION_NOISE_M[name], rng) + displacement[:, None]
+    flip = rng.random(len(found)) < 0.5
+    found[flip] = found[flip, ::-1]
+    order = rng.permutation(len(found))
+    edge = np.concatenate([edge, np.full(strays, -1)])
+    interval = np.concatenate([interval, np.full((strays, 2), np.nan)])
+    segments = Segments(found[order], name=name)
+    return Survey(segments, edge[order], interval[order], displacement[order], positioning)
+
+
+def _pieces(length, conditions, rng):
+    """Intervals along an edge that a survey finds: whole, cut short, or in two."""
+    low, high = 0.0, length
+    if rng.random() < conditions.truncations:
+        size = length * rng.uniform(0.4, 0.9)
+        low = rng.uniform(0, length - size)
+        high = low + size
+    if rng.random() >= conditions.splits or high - low < 3:
+        return [(low, high)]
+    middle = low + (high - low) * rng.uniform(0.3, 0.7)
+    gap = rng.uniform(0.1, 0.5)
+    return [(low, middle - gap), (middle + gap, high)]
+
+
+def _along(ends, lengths, interval):
+    """Sub-segments (n, 2, 3) of the given edges."""
+    unit = (ends[:, 1] - ends[:, 0]) / lengths[:, None]
+    return ends[:, :1] + interval[:, :, None] * unit[:, None]
+
+
+def _clutter(n, rng):
+    """Segments of things that no other survey shows: mostly level or upright, anywhere."""
+    middle = rng.uniform([0, 0, 0], [130, 120, 12], (n, 3))
+    axes = np.eye(3)[rng.integers(3, size=n)]
+    free = rng.random(n) < 0.25
+    axes[free] = rng.normal(size=(free.sum(), 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    half = rng.uniform(0.75, 5, (n, 1)) * axes
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def _noisy(ends, angle_deg, position, rng):
+    """Segments with their ends moved along, directions turned and places shifted at random."""
+    vectors = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(vectors, axis=1)
+    unit = vectors / lengths[:, None]
+    sigma = np.hypot(np.radians(angle_deg), ANGLE_FROM_POSITION_M / lengths)
+    tilt = rng.normal(size=unit.shape)
+    tilt -= (tilt * unit).sum(axis=1, keepdims=True) * unit
+    turned = unit + tilt * (sigma / np.sqrt(2))[:, None]
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    half = lengths[:, None] / 2 + rng.normal(0, END_NOISE_M, (len(ends), 2)) * [-1, 1]
+    half = np.maximum(half, 0.25)
+    middle = ends.mean(axis=1) + rng.normal(0, position, unit.shape)
+    return np.stack([middle - half[:, :1] * turned, middle + half[:, 1:] * turned], axis=1)

@@ -1,0 +1,117 @@
+"""Things made of several surfaces: walls with openings, charts."""
+
+import numpy as np
+
+from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab.simulate.surfaces import board, group, polygon, rectangle, vector
+
+
+def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflectance=0.5):
+    """Return a wall with openings, their reveals and the panes behind them.
+
+    Parameters
+    ----------
+    corner : array_like, shape (3,)
+        A lower corner, metres.
+    along : array_like, shape (3,)
+        The lower edge from there, level, metres; it runs to the left as one looks at the front.
+    height : float
+        Metres.
+    openings : list of (float, float, float, float)
+        Distance along, height above the lower edge, width and height of each, metres.
+    reveal : float
+        Depth from the wall to the panes, metres; 0 for a flat front.
+    label : str
+        Of the wall; the others are called ``"reveal"`` and ``"pane"``.
+    reflectance : float
+        Of wall and reveals; panes have 0.1.
+
+    Returns
+    -------
+    list of Surface
+        The wall; then, opening by opening, its four reveals as one surface, and its pane.
+
+    Raises
+    ------
+    ValueError
+        If an opening does not lie within the wall.
+    """
+    corner, along = vector(corner, "corner"), vector(along, "along")
+    up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
+    length = np.linalg.norm(along)
+    inward = check_number(reveal, "reveal", low=0, unit="m") * np.cross(along / length, [0, 0, 1])
+    holes, parts = [], []
+    for opening in openings:
+        s, z, w, h = opening
+        if min(s, z) <= 0 or min(w, h) <= 0 or s + w >= length or z + h >= height:
+            raise ValueError(
+                f"Invalid opening {opening}. Must lie within {length:.3f} m x {height} m of wall."
+            )
+        low = corner + s / length * along + [0, 0, z]
+        side, rise = w / length * along, np.array([0.0, 0.0, h])
+        holes.append([low, low + side, low + side + rise, low + rise])
+        if reveal:
+            starts = [(low, side), (low + rise, side), (low, rise), (low + side, rise)]
+            faces = [rectangle(p, edge, inward, reflectance=reflectance) for p, edge in starts]
+            parts.append(group(faces, label="reveal"))
+        parts.append(rectangle(low + inward, side, rise, label="pane", reflectance=0.1))
+    outline = [corner, corner + along, corner + along + up, corner + up]
+    return [polygon(outline, holes=holes, label=label, reflectance=reflectance), *parts]
+
+
+def chart(
+    centre, *, heading, size=1.0, cells=40, border=0.05, bright=0.8, dark=0.1, seed=0, label="chart"
+):
+    """Return a test chart: a random pattern of bright and dark cells, a border, two plain squares.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    heading : float
+        Where its front looks to, degrees clockwise from +y.
+    size : float
+        Side of the square, metres.
+    cells : int
+        Cells along a side.
+    border : float
+        Share of the side on every edge that is bright throughout.
+    bright, dark : float
+        Reflectances. The lower corners hold a plain bright and a plain dark square, a fifth of the
+        side each.
+    seed : int
+    label : str
+
+    Returns
+    -------
+    Surface
+
+    References
+    ----------
+    After Pfeifer et al. 2021, section 3 (doi:10.3390/rs13020237); the pattern is our own.
+    """
+    n = check_count(cells, "cells", low=5)
+    border = check_number(border, "border", low=0, high=0.25)
+    pattern = np.where(np.random.default_rng(seed).random((n, n)) < 0.5, bright, dark)
+    edge, plain = round(border * n), round(0.2 * n)
+    pattern[edge : edge + plain, edge : edge + plain] = bright
+    pattern[edge : edge + plain, n - edge - plain : n - edge] = dark
+    frame = np.ones((n, n), dtype=bool)
+    frame[edge : n - edge, edge : n - edge] = False
+    pattern[frame] = bright
+    return board(centre, size, size, heading=heading, label=label, reflectance=pattern)
+
+
+def chart_corners(centre, *, heading, size=1.0):
+    """Return the corners of a chart, (4, 3), from the lower left around, as one looks at its front.
+
+    Examples
+    --------
+    >>> chart_corners((5, 0, 1), heading=-90)[0].round(9).tolist()
+    [5.0, 0.5, 0.5]
+    """
+    h = np.radians(check_number(heading, "heading", unit="degrees"))
+    along = check_positive(size, "size", unit="m") * np.array([-np.cos(h), np.sin(h), 0.0])
+    up = np.array([0.0, 0.0, size])
+    low = vector(centre, "centre") - along / 2 - up / 2
+    return np.array([low, low + along, low + along + up, low + up])
