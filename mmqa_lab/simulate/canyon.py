@@ -28,7 +28,7 @@ STREETS = pd.DataFrame(
     columns=["axis", "x_m", "y_m", "length_m", "width_m"],
 )
 SETBACKS_M = (0.0, 0.25, 0.4, 0.7, 1.2)
-EDGE_SHARE = {"base": 0.45, "roof": 0.5, "cornice": 0.25, "corner": 0.35}
+EDGE_SHARE = {"base": 0.33, "roof": 0.33, "cornice": 0.15, "corner": 0.57}
 """Share of the buildings where this edge is a straight line that a detector can find."""
 
 PAIR_OVERLAP = 0.2

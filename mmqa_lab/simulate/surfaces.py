@@ -98,7 +98,7 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
         If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
     """
     rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
-    middle = (rings[0].min(axis=0) + rings[0].max(axis=0)) / 2
+    middle = rings[0].mean(axis=0)
     u, v, normal = _plane_axes(rings[0] - middle)
     off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
     if off > 1e-6:

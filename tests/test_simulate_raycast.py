@@ -1,0 +1,251 @@
+"""Rays against surfaces: closed forms and brute force written here, another ray caster, shifts."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmqa_lab import simulate
+from mmqa_lab.simulate import Scene
+
+FAR = np.array([1e7, -4e6, 300.0])
+
+
+def random_rays(rng, n, *, reach=20.0):
+    """Rays from within a cube to random directions."""
+    return rng.uniform(-reach, reach, (n, 3)), rng.standard_normal((n, 3))
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def parallelogram_range(corner, a, b, origin, direction):
+    """o + t d = corner + s a + r b, solved as three equations."""
+    matrix = np.stack(
+        [direction, *np.broadcast_to([-a, -b], (len(direction), 2, 3)).swapaxes(0, 1)]
+    )
+    t, s, r = np.linalg.solve(np.moveaxis(matrix, 0, 2), (corner - origin)[..., None])[..., 0].T
+    return np.where((t > 0) & (s >= 0) & (s <= 1) & (r >= 0) & (r <= 1), t, np.inf)
+
+
+def cylinder_range(base, top, radius, origin, direction):
+    """Uncapped cylinder: the quadratic of |(o + t d - base) x axis|^2 = radius^2."""
+    axis = unit(top - base)
+    length = np.linalg.norm(top - base)
+    p, q = np.cross(origin - base, axis), np.cross(direction, axis)
+    a, b, c = (q * q).sum(1), 2 * (p * q).sum(1), (p * p).sum(1) - radius**2
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(b * b - 4 * a * c)
+    best = np.full(len(direction), np.inf)
+    for t in ((-b - root) / (2 * a), (-b + root) / (2 * a)):
+        h = ((origin + t[:, None] * direction - base) * axis).sum(1)
+        best = np.where((t > 0) & (h >= 0) & (h <= length) & (t < best), t, best)
+    return best
+
+
+def ellipsoid_range(centre, radii, origin, direction):
+    """Roots of the quadratic in coordinates divided by the half axes."""
+    p, q = (origin - centre) / radii, direction / radii
+    a, b, c = (q * q).sum(1), 2 * (p * q).sum(1), (p * p).sum(1) - 1
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(b * b - 4 * a * c)
+    near, far = (-b - root) / (2 * a), (-b + root) / (2 * a)
+    return np.where(near > 0, near, np.where(far > 0, far, np.inf))
+
+
+def test_a_street_of_all_kinds_equals_brute_force(rng):
+    origin, direction = random_rays(rng, 3000, reach=12)
+    direction = unit(direction)
+    surfaces, ranges = [], []
+    for _ in range(80):
+        place, a, b = rng.uniform(-12, 12, 3), *rng.uniform(-3, 3, (2, 3))
+        surfaces.append(simulate.rectangle(place, a, b))
+        ranges.append(parallelogram_range(place, a, b, origin, direction))
+        top, radius = place + rng.uniform(-4, 4, 3), rng.uniform(0.02, 1)
+        surfaces.append(simulate.cylinder(place, top, radius, capped=False))
+        ranges.append(cylinder_range(place, top, radius, origin, direction))
+        radii = rng.uniform(0.1, 2, 3)
+        surfaces.append(simulate.ellipsoid(place, radii))
+        ranges.append(ellipsoid_range(place, radii, origin, direction))
+    ranges = np.array(ranges)
+    hits = Scene(surfaces).cast(origin, direction)
+    expected = ranges.min(axis=0)
+    met = np.isfinite(expected)
+    assert 0.2 < met.mean() < 0.99
+    assert np.array_equal(np.isfinite(hits.range_m), met)
+    assert np.abs(hits.range_m - expected)[met].max() < 1e-9
+    assert np.array_equal(hits.surface[met], ranges.argmin(axis=0)[met])
+
+
+def test_polygon_with_holes_equals_shapely(rng):
+    star = np.array([[0, 0], [4, 1], [6, 0], [5, 4], [6, 8], [3, 6], [0, 8], [1, 4]], dtype=float)
+    hole = np.array([[2, 2], [3.5, 2], [3, 4], [2, 4.5]], dtype=float)
+    frame = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    place = np.array([3.0, -2.0, 1.0])
+
+    def to_3d(xy):
+        return place + xy @ frame[:2]
+
+    scene = Scene([simulate.polygon(to_3d(star), holes=[to_3d(hole)])])
+    xy = rng.uniform(-1, 9, (4000, 2))
+    origin = place + 5 * frame[2] + rng.standard_normal((4000, 3)) * 0.3
+    hits = scene.cast(origin, to_3d(xy) - origin)
+    inside = shapely.contains_xy(shapely.Polygon(star, [hole]), *xy.T)
+    assert np.array_equal(hits.surface == 0, inside)
+    expected = np.linalg.norm(to_3d(xy) - origin, axis=1)
+    assert np.abs(hits.range_m - expected)[inside].max() < 1e-12
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    distance=st.floats(0.5, 300),
+    radius=st.floats(0.002, 0.4),
+    lean=st.floats(-0.5, 0.5),
+    offset=st.floats(-0.99, 0.99),
+)
+def test_thin_leaning_posts_far_away_keep_their_digits(distance, radius, lean, offset):
+    scene = Scene([simulate.cylinder((0, -3 * lean, -3), (0, 3 * lean, 3), radius, capped=False)])
+    origin = np.array([[-distance, offset * radius, 0.0]])
+    hits = scene.cast(origin, [[1.0, 0.0, 0.0]])
+    across = np.longdouble(offset) * radius * np.cos(np.arctan(np.longdouble(lean)))
+    expected = np.longdouble(distance) - np.sqrt(np.longdouble(radius) ** 2 - across**2)
+    assert abs(hits.range_m[0] - expected) < 1e-11 * max(1, distance)
+
+
+def test_cone_closes_at_its_tip_and_at_its_caps():
+    cone = Scene([simulate.cylinder((0, 0, 0), (0, 0, 2), 0.4, top_radius=0.0)])
+    hits = cone.cast(
+        [[5, 0, 1], [5, 0, 1.999], [5, 0, 2.001], [0, 0, -3]], [[-1, 0, 0]] * 3 + [[0, 0, 1]]
+    )
+    expected = [4.8, 5 - 0.4 * 0.001 / 2, np.nan, 3.0]
+    assert np.allclose(hits.range_m, expected, atol=1e-12, equal_nan=True)
+    assert np.allclose(hits.normal[0], np.array([1, 0, 0.2]) / np.hypot(1, 0.2), atol=1e-12)
+    assert hits.incidence_deg[3] == pytest.approx(0, abs=1e-5)  # arccos near 1
+
+
+def test_box_seen_from_inside_and_outside():
+    scene = Scene([simulate.box((0, 0, 0), (2, 4, 1.5), heading=90)])
+    outside = scene.cast([[9, 0, 1], [0, 9, 1], [0, 0, 9]], [[-1, 0, 0], [0, -1, 0], [0, 0, -1]])
+    assert np.allclose(outside.range_m, [7, 8, 7.5], atol=1e-12)
+    assert np.allclose(outside.normal, np.eye(3), atol=1e-12)
+    inside = scene.cast([[0, 0, 0.5]] * 2, [[1, 0, 0], [0, 0, -1]])
+    assert np.allclose(inside.range_m, [2, 0.5], atol=1e-12)
+
+
+def test_crown_lets_through_what_beer_and_lambert_say(rng):
+    leaves, leaf, radius = 3000, 0.04, 2.0
+    crown = simulate.foliage((0, 0, 0), radius, leaves=leaves, leaf_radius=leaf, seed=4)
+    direction = unit(rng.standard_normal((20_000, 3)))
+    gap = np.isnan(Scene([crown]).cast(-5 * direction, direction).range_m).mean()
+    volume = 4 / 3 * np.pi * radius**3
+    expected = np.exp(-leaves / volume * np.pi * leaf**2 / 2 * 2 * radius)
+    # 3000 leaves seen through the middle: the sampling error of the crown itself is about 0.01
+    assert gap == pytest.approx(expected, abs=0.03)
+
+
+def test_chart_cells_are_read_at_their_centres():
+    corners = simulate.chart_corners((5, 0, 1.5), heading=-90)
+    scene = Scene([simulate.chart((5, 0, 1.5), heading=-90, cells=20, bright=0.8, dark=0.1)])
+    share = (np.arange(20) + 0.5) / 20
+    along, up = corners[1] - corners[0], corners[3] - corners[0]
+    points = corners[0] + share[:, None, None] * up + share[None, :, None] * along
+    seen = scene.cast((0, 0, 1.5), points.reshape(-1, 3) - [0, 0, 1.5]).reflectance.reshape(20, 20)
+    assert set(np.unique(seen)) == {0.1, 0.8}
+    assert (seen[[0, -1]] == 0.8).all()
+    assert (seen[1:5, 1:5] == 0.8).all()
+    assert (seen[1:5, 15:19] == 0.1).all()
+    assert 0.3 < (seen[6:14, 6:14] == 0.8).mean() < 0.7
+
+
+def test_wall_openings_show_reveals_and_panes():
+    wall = simulate.wall((5, 0, 0), (0, 6, 0), 4, openings=[(1, 1, 1, 2)], reveal=0.2)
+    hits = Scene(wall).cast((0, 1.5, 2), [[1, 0, 0], [5, 3, 0], [5.1, 0.5, 0], [0, 0, 1]])
+    labels = [wall[k].label if k >= 0 else "" for k in hits.surface]
+    assert labels == ["pane", "wall", "reveal", ""]
+    assert hits.range_m[0] == pytest.approx(5.2)
+    assert np.allclose(hits.normal[2], [0, -1, 0])
+
+
+def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
+    origin, direction = random_rays(rng, 500)
+
+    def cast(shift):
+        surfaces = [
+            simulate.ground(-20 + shift[2], centre=shift[:2]),
+            simulate.cylinder(shift + [3, 3, -20], shift + [3, 4, 20], 2.0, top_radius=1.0),
+            simulate.ellipsoid(shift + [-8, 0, 0], (1, 2, 3)),
+            simulate.box(shift + [0, 9, -20], (3, 5, 30), heading=20),
+        ]
+        return Scene(surfaces).cast(origin + shift, direction)
+
+    here, there = cast(np.zeros(3)), cast(FAR)
+    assert np.array_equal(here.surface, there.surface)
+    met = here.surface >= 0
+    # one step of float64 at 1e7 m is 1.9e-9 m; grazing rays stretch it
+    assert np.abs(here.range_m - there.range_m)[met].max() < 1e-6
+    assert np.median(np.abs(here.range_m - there.range_m)[met]) < 1e-8
+
+
+def test_another_ray_caster_agrees(rng):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is an optional second oracle")
+    pytest.importorskip("embreex", reason="embreex is an optional second oracle")
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    vertices = rng.uniform(-10, 10, (200, 3, 3))
+    mesh = trimesh.Trimesh(vertices.reshape(-1, 3), np.arange(600).reshape(-1, 3), process=False)
+    origin, direction = random_rays(rng, 2000, reach=15)
+    direction = unit(direction)
+    place, ray, triangle = RayMeshIntersector(mesh).intersects_location(
+        origin, direction, multiple_hits=False
+    )
+    hits = Scene([simulate.polygon(v) for v in vertices]).cast(origin, direction)
+    embree = np.full(2000, -1)
+    embree[ray] = triangle
+    same = embree == hits.surface
+    assert same.mean() > 0.999  # Embree works in float32: rays along edges may differ
+    distance = np.linalg.norm(place - origin[ray], axis=1)
+    assert np.abs(distance - hits.range_m[ray])[same[ray]].max() < 1e-4
+
+
+def test_many_equal_boxes_do_not_break_the_tree():
+    stack = [simulate.ellipsoid((0, 0, 0), 1.0) for _ in range(300)]
+    hits = Scene(stack).cast([[5, 0, 0]], [[-1, 0, 0]])
+    assert hits.range_m[0] == pytest.approx(4, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
+        (lambda: simulate.cylinder((0, 0, 0), (0, 0, 0), 1), "Must differ from the base"),
+        (lambda: simulate.cylinder((0, 0, 0), (0, 0, 1), 0), "Invalid radius 0. Must be > 0 m."),
+        (lambda: simulate.disc((0, 0, 0), (0, 0, 0), 1), "Invalid normal"),
+        (lambda: simulate.ellipsoid((0, 0, 0), (1, -1, 1)), "Invalid radii -1"),
+        (lambda: simulate.board((0, 0, 0), 1, 1, reflectance=2), "Must be between 0 and 1"),
+        (lambda: simulate.polygon([(0, 0, 0), (1, 0, 0), (2, 0, 0)]), "one line"),
+        (lambda: simulate.polygon([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)]), "Must be flat"),
+        (
+            lambda: simulate.wall((0, 0, 0), (3, 0, 0), 2, openings=[(1, 1, 3, 0.5)]),
+            "Must lie with",
+        ),
+        (lambda: Scene([]), "Invalid surfaces: none"),
+        (
+            lambda: Scene([simulate.ground()]).cast((0, 0, 1), [[0, 0, 0]]),
+            "Invalid direction in row 0",
+        ),
+        (
+            lambda: Scene([simulate.ground()]).cast(np.ones((2, 3)), np.ones((3, 3))),
+            "Must be 1 or 3",
+        ),
+    ],
+)
+def test_bad_surfaces_and_rays_are_named(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+def test_scene_of_something_else_is_named():
+    with pytest.raises(TypeError, match="Invalid surface 3"):
+        Scene([simulate.ground(), 3])
