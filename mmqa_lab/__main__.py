@@ -73,18 +73,17 @@ def parser():
 
 def prepared():
     """Return whether this interpreter has what environment.txt asks for."""
-    if not ENVIRONMENT.is_file():
-        return True
-    if Path(sys.prefix).resolve() == VENV.resolve():
-        return _stamped()
-    return all(importlib.util.find_spec(name) for name in PROBES)
+    return not ENVIRONMENT.is_file() or all(importlib.util.find_spec(name) for name in PROBES)
 
 
 def prepare():
     """Make ``.venv`` from environment.txt, once for each of its versions; return its Python."""
     python = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    if python.exists() and _stamped():
+    stamped = STAMP.is_file() and STAMP.read_text(encoding="utf-8") == _wanted()
+    if python.exists() and stamped:
         return str(python)
+    if sys.version_info < (3, 11):  # noqa: UP036 - an older Python gets a sentence
+        sys.exit(f"mmqa: Invalid Python {sys.version.split()[0]}. Must be 3.11 or newer.")
     began = time.monotonic()
     print(f"Preparing {VENV} from environment.txt, once; takes minutes.", file=sys.stderr)
     try:
@@ -104,8 +103,7 @@ def prepare():
 
 def _with_pip(python):
     """The usual way: venv and pip."""
-    if not python.exists():
-        subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
+    subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     subprocess.check_call([*install, "--requirement", str(ENVIRONMENT)], cwd=ROOT)
 
@@ -128,11 +126,6 @@ def _with_uv(python):
 def _wanted():
     """The hash that the stamp must hold."""
     return hashlib.sha256(ENVIRONMENT.read_bytes()).hexdigest()
-
-
-def _stamped():
-    """Whether ``.venv`` was made from environment.txt as it is now."""
-    return STAMP.is_file() and STAMP.read_text(encoding="utf-8") == _wanted()
 
 
 def _say(command, sentence):

@@ -55,7 +55,7 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "image.cmap": MAP,
-    "figure.dpi": 120,
+    "figure.dpi": 150,
     "savefig.dpi": 300,
     "figure.constrained_layout.use": True,
     "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"]),
@@ -125,12 +125,13 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
     Axes
     """
     size = np.clip(4000 / max(len(xy), 1), 0.3, 6.0)
-    low, high = limits if limits is not None else (None, None)
-    colour = COLOURS["blue"] if values is None else values
-    dots = ax.scatter(
-        *np.asarray(xy).T, s=size, c=colour, vmin=low, vmax=high, cmap=cmap, lw=0, rasterized=True
-    )
-    if values is not None:
+    x, y = np.asarray(xy).T
+    if values is None:
+        ax.scatter(x, y, s=size, color=COLOURS["blue"], lw=0, rasterized=True)
+    else:
+        low, high = limits if limits is not None else (None, None)
+        shades = {"c": values, "vmin": low, "vmax": high, "cmap": cmap}
+        dots = ax.scatter(x, y, s=size, lw=0, rasterized=True, **shades)
         ax.figure.colorbar(dots, ax=ax, label=label, shrink=0.85)
     ax.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
     return ax

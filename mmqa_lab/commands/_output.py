@@ -22,7 +22,7 @@ def print_rows(frame, options):
     if options.json:
         print_json(frame.astype(object).to_dict(orient="records"))
     else:
-        print(frame.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+        print(frame.to_string(index=False, float_format=_figure))
 
 
 def print_json(value):
@@ -31,6 +31,11 @@ def print_json(value):
 
     json.dump(_plain(value), sys.stdout, indent=1, allow_nan=False)
     print()
+
+
+def _figure(value):
+    """A number with four figures, without an exponent where it is large."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def _plain(value):

@@ -78,12 +78,12 @@ def run(options):
     rows = []
     for file in options.cloud:
         points = read_cloud(file, columns=()).points
-        if polygon is not None:
-            points = points[inside_polygon(points, polygon, thickness=options.thickness)]
         choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
         quality = evaluate_cloud(points, polygon=polygon, scale=scale, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
     if options.figure is not None:
+        if polygon is not None:
+            points = points[inside_polygon(points, polygon, thickness=options.thickness)]
         _draw(points, quality, options)
     print_rows(pd.concat(rows)[list(COLUMNS)], options)
 

@@ -1,0 +1,61 @@
+"""What a study leaves behind."""
+
+import json
+
+import matplotlib.pyplot as plt
+import pandas as pd
+import pytest
+
+from mmqa_lab import figures
+from mmqa_lab.results import Claim, Run
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A run that writes to a temporary folder."""
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    return Run("example", parameters={"seed": 3})
+
+
+def test_record_tables_values(run):
+    run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "table")
+    run.save_value("f_poisson", 3.257, "1")
+    run.save_claims([Claim("f exceeds 2", True, "3.257", "closed form")])
+    run.finish()
+    record = json.loads((run.folder / "run.json").read_text())
+    assert record["parameters"] == {"seed": 3}
+    assert record["files"] == ["table.csv", "claims.csv", "values.csv"]
+    assert (record["claims"], record["claims_that_hold"]) == (1, 1)
+    assert record["versions"]["numpy"]
+    assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
+
+
+def test_a_claim_that_fails_is_written_and_named(run):
+    claims = [Claim("one", True, "1", ""), Claim("f is below 2", False, "3.257", "")]
+    with pytest.raises(AssertionError, match=r"Does not hold: f is below 2 \(3\.257\)"):
+        run.save_claims(claims)
+    assert pd.read_csv(run.folder / "claims.csv")["holds"].tolist() == [True, False]
+    assert (run.folder / "run.json").is_file()
+
+
+def test_figures_are_equal_to_the_byte(run):
+    figures.use_style()
+    contents = []
+    for _ in range(2):
+        figure, ax = figures.subplots(height_mm=40)
+        figures.draw_points([[0, 0], [1, 1], [2, 0]], ax=ax)
+        run.save_figure(figure, "points")
+        plt.close(figure)
+        contents.append([(run.folder / f"points.{e}").read_bytes() for e in ("pdf", "svg", "png")])
+    assert contents[0] == contents[1]
+
+
+def test_fonts_are_embedded_as_truetype(run):
+    figures.use_style()
+    figure, ax = figures.subplots(height_mm=40)
+    ax.set_xlabel("range (m)")
+    run.save_figure(figure, "font")
+    plt.close(figure)
+    pdf = (run.folder / "font.pdf").read_bytes()
+    assert b"/Type3" not in pdf
+    assert b"/FontFile2" in pdf
