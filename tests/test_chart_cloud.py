@@ -1,0 +1,208 @@
+"""The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from mmqa_lab.chart_cloud import (
+    chart_polygon,
+    evaluate_cloud,
+    hull_area,
+    inside_polygon,
+)
+from mmqa_lab.io import read_cloud
+from mmqa_lab.planes import PAPER_SCALE, fit_plane
+from mmqa_lab.published.pfeifer2021 import rounding_check, table_2
+
+CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
+
+
+def brute_force(xy, radius):
+    """Medians of the sorted quadrant distances, point by point, as the paper's code does it."""
+    rows = np.full((len(xy), 4), np.nan)
+    for i, point in enumerate(xy):
+        dx, dy = (xy - point).T
+        gaps = np.sqrt(dx * dx + dy * dy)
+        quadrants = (
+            (dx > 0) & (dy >= 0),
+            (dx <= 0) & (dy > 0),
+            (dx < 0) & (dy <= 0),
+            (dx >= 0) & (dy < 0),
+        )
+        for q, mask in enumerate(quadrants):
+            near = gaps[mask & (gaps <= radius)]
+            rows[i, q] = near.min() if len(near) else np.nan
+    return np.nanmedian(np.sort(rows, axis=1), axis=0), np.isnan(rows).any(axis=1).mean()
+
+
+def scan_lines(rng, *, along=0.0046, across=0.047, turn=0.3, noise=0.001):
+    """A square metre of scan lines in UTM coordinates, rounded to 2^-20 m."""
+    u, v = np.meshgrid(np.arange(0, 1, along), np.arange(0, 1, across))
+    u = u + rng.uniform(0, along, (len(v), 1))
+    x, y = u.ravel(), v.ravel()
+    c, s = np.cos(turn), np.sin(turn)
+    points = np.stack([c * x - s * y, s * x + c * y, rng.normal(0, noise, x.size)], axis=1)
+    return np.round(points * 2**20) / 2**20
+
+
+def test_lattice_has_its_steps_for_spacings():
+    x, y = np.meshgrid(np.arange(40) * 0.015, np.arange(20) * 0.03)
+    points = np.stack([x.ravel(), np.full(x.size, 5.0), y.ravel()], axis=1)
+    quality = evaluate_cloud(points, axes="horizontal")
+    d = [quality.d1_mm, quality.d2_mm, quality.d3_mm, quality.d4_mm]
+    # half-open quadrants of a lattice hold one step each: two short and two long ones
+    assert d == pytest.approx([15, 15, 30, 30], rel=1e-9)
+    assert quality.f == pytest.approx(2)
+    assert quality.area_hull_m2 == pytest.approx(39 * 0.015 * 19 * 0.03)
+    assert quality.n == 800
+    assert quality.std_mm < 1e-9
+
+
+def test_agrees_with_brute_force_on_scan_lines(rng):
+    points = scan_lines(rng, along=0.012)
+    quality = evaluate_cloud(points)
+    expected, incomplete = brute_force(fit_plane(points).project(points), 0.5)
+    assert quality.d1_mm == pytest.approx(1000 * expected[0], rel=1e-12)
+    assert quality.d4_mm == pytest.approx(1000 * expected[3], rel=1e-12)
+    assert quality.incomplete_share == pytest.approx(incomplete)
+
+
+def test_homogeneous_poisson_pattern_fails_the_threshold(rng):
+    points = np.column_stack([rng.uniform(0, 1, (30_000, 2)), np.zeros(30_000)])
+    inner = np.array([[0.1, 0.1, 0], [0.9, 0.1, 0], [0.9, 0.9, 0], [0.1, 0.9, 0]])
+    quality = evaluate_cloud(points, polygon=inner)
+    density = quality.density_polygon_per_m2
+    for k, value in enumerate((quality.d1_mm, quality.d2_mm, quality.d3_mm, quality.d4_mm), 1):
+        q = stats.beta(k, 5 - k).median()
+        closed = 1000 * np.sqrt(-4 * np.log(1 - q) / (np.pi * density))
+        # medians of 19,000 neighbouring, hence dependent, distances scatter by about 0.7 %
+        assert value == pytest.approx(closed, rel=0.025)
+    assert quality.f == pytest.approx(3.257, rel=0.03)
+
+
+def test_hull_area_is_too_small_by_a_known_amount(rng):
+    n, areas = 500, []
+    for _ in range(200):
+        areas.append(hull_area(rng.uniform(0, 1, (n, 2))))
+    # Rényi and Sulanke 1963: missing area of n points in a square, 8/3 (ln n + c) / n
+    constant = np.euler_gamma - np.log(2)
+    expected = 1 - 8 / 3 * (np.log(n) + constant) / n
+    error = np.std(areas) / np.sqrt(len(areas))
+    assert np.mean(areas) == pytest.approx(expected, abs=4 * error + 0.002)
+    assert n / np.mean(areas) > 1.02 * n  # the density it gives is too high by over 2 %
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shift=st.sampled_from([(652_000.0, 6_862_000.0, 60.0), (1e7, -1e7, 1e7), (0.0, 0.0, 0.0)]),
+    turn=st.sampled_from([0, 1, 2, 3]),
+)
+@settings(max_examples=20, deadline=None)
+def test_nothing_changes_when_the_cloud_is_moved_and_turned(seed, shift, turn):
+    points = scan_lines(np.random.default_rng(seed), along=0.02)
+    quarter = np.linalg.matrix_power([[0, -1, 0], [1, 0, 0], [0, 0, 1]], turn)  # exact in float64
+    here, there = (evaluate_cloud(p) for p in (points, points @ quarter + shift))
+    for name in ("std_mm", "sigma_mad_mm", "area_hull_m2", "d1_mm", "d2_mm", "d3_mm", "d4_mm", "f"):
+        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-9), name
+
+
+def test_any_turn_changes_nothing(rng):
+    points = scan_lines(rng, along=0.02)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    here, there = evaluate_cloud(points).to_frame(), evaluate_cloud(points @ turn).to_frame()
+    numbers = here.columns.drop("axes")
+    # the points themselves are rounded anew by the turn, to 1e-16 m
+    assert np.allclose(here[numbers], there[numbers], rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
+def test_f_depends_on_the_axes(rng):
+    points = scan_lines(rng, turn=0.0)
+    points = points[points[:, 1] < 0.5]  # longer than wide: the principal axis runs along the lines
+    points[:, 1] += rng.normal(0, 0.001, len(points))
+    along, oblique = (evaluate_cloud(points, axes=angle).f for angle in (0.0, 45.0))
+    # noise throws the next points of a line to either side of an axis that runs along it, so they
+    # fill all four quadrants; seen obliquely, two quadrants reach to the next line, 47 mm away
+    assert along < 4
+    assert oblique > 9
+    assert evaluate_cloud(points, axes=90.0).f == pytest.approx(along, rel=0.05)
+
+
+def test_selection_by_a_concave_polygon(rng):
+    points = np.column_stack([rng.uniform(0, 1, 5000), np.zeros(5000), rng.uniform(0, 1, 5000)])
+    corner = [[0, 0, 0], [1, 0, 0], [1, 0, 0.5], [0.5, 0, 0.5], [0.5, 0, 1], [0, 0, 1]]
+    mask = inside_polygon(points, corner)
+    assert np.array_equal(mask, ~((points[:, 0] > 0.5) & (points[:, 2] > 0.5)))
+
+
+def test_points_behind_the_chart_are_left_out(rng):
+    chart = np.column_stack([rng.uniform(0, 1, 900), np.zeros(900), rng.uniform(0, 1, 900)])
+    wall = chart + [0, 0.3, 0]
+    quality = evaluate_cloud(np.vstack([chart, wall]), polygon=CHART)
+    assert quality.n == 900
+    assert quality.density_polygon_per_m2 == pytest.approx(900)
+
+
+def test_chart_polygon_leaves_out_its_margins():
+    polygon = chart_polygon(CHART, margins=[0.1, 0.2, 0.3, 0.4])  # lower, right, upper, left
+    assert np.allclose(polygon, [[0.4, 0, 0.1], [0.8, 0, 0.1], [0.8, 0, 0.7], [0.4, 0, 0.7]])
+    side = np.linalg.norm(chart_polygon(CHART)[1] - chart_polygon(CHART)[0])
+    assert side**2 == pytest.approx(0.5, abs=0.005)  # section 4.2: about half a square metre
+
+
+def test_spacing_of_one_place_is_not_measurable():
+    corners = np.repeat([[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]], 3, axis=0)
+    quality = evaluate_cloud(corners)
+    assert np.isnan([quality.d1_mm, quality.d4_mm, quality.f]).all()
+    assert quality.incomplete_share == 1
+    assert quality.coincident == 12
+
+
+def test_road_patch_by_head_as_brute_force_and_as_known(real):
+    cloud = read_cloud(real("mls_patch/road_patch_two_heads.laz"))
+    time = cloud["gps_time"] - cloud["gps_time"].min()
+    known = {"A": (time < 0.32, [10, 10, 14, 36], 3.6), "B": (time > 0.32, [14, 14, 41, 42], 3.0)}
+    for mask, spacings, f in known.values():
+        points = np.unique(cloud.points[mask], axis=0)
+        quality = evaluate_cloud(points, scale=PAPER_SCALE)
+        d = np.array([quality.d1_mm, quality.d2_mm, quality.d3_mm, quality.d4_mm])
+        assert np.round(d).tolist() == spacings
+        assert quality.f == pytest.approx(f, abs=0.05)
+        sample = fit_plane(points).project(points)
+        expected, _ = brute_force(sample, 0.5)
+        assert d == pytest.approx(1000 * expected, rel=1e-12)
+    assert evaluate_cloud(np.unique(cloud.points, axis=0)).f == pytest.approx(2.2, abs=0.05)
+
+
+def test_published_table_is_consistent_where_it_says_so():
+    check = rounding_check()
+    assert check["f_consistent"].tolist()[:4] == [True] * 4  # Table 2, rows A and B
+    assert check["lattice_consistent"].tolist()[:2] == [False, True]  # A at 5 m and at 10 m
+    assert table_2().attrs["missing"] == "12 cells not at hand"
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        ({"radius": -0.2}, "Invalid radius -0.2. Must be > 0 m."),
+        ({"thickness": 0, "polygon": CHART}, "Invalid thickness 0. Must be > 0 m."),
+        ({"axes": "up"}, "Invalid axes 'up'. Must be one of principal, horizontal."),
+        ({"axes": np.nan}, "Invalid axes nan. Must be finite."),
+        ({"polygon": CHART[:2]}, "Invalid polygon: 2 given. Must be 3 or more."),
+        ({"polygon": CHART[[0, 2, 1, 3]]}, "Must be an outline that encloses an area."),
+        ({"polygon": CHART + 50}, "Invalid points inside the polygon: 0 given."),
+        ({"scale": 0}, "Invalid scale 0. Must be > 0."),
+    ],
+)
+def test_rejects(rng, choices, sentence):
+    points = np.column_stack([rng.uniform(0, 1, 50), np.zeros(50), rng.uniform(0, 1, 50)])
+    with pytest.raises(ValueError, match="Invalid") as error:
+        evaluate_cloud(points, **choices)
+    assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize("margins", [0.5, [0.1, 0.2], -0.1, [0.6, 0, 0.5, 0]])
+def test_rejects_margins(margins):
+    with pytest.raises(ValueError, match="Invalid margins"):
+        chart_polygon(CHART, margins=margins)
