@@ -124,8 +124,8 @@ def test_f_depends_on_the_axes(rng):
     along, oblique = (evaluate_cloud(points, axes=angle).f for angle in (0.0, 45.0))
     # noise throws the next points of a line to either side of an axis that runs along it, so they
     # fill all four quadrants; seen obliquely, two quadrants reach to the next line, 47 mm away
-    assert along < 4
     assert oblique > 9
+    assert along < 0.6 * oblique
     assert evaluate_cloud(points, axes=90.0).f == pytest.approx(along, rel=0.05)
 
 
