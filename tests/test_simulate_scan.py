@@ -1,0 +1,325 @@
+"""Scans with known truth: lattice and density in closed form, errors one by one, same seeds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mmqa_lab import io, simulate
+from mmqa_lab.simulate import NavigationErrors, ProfileScanner, Scene, Trajectory
+
+SPEED = 10.0
+PROFILER = ProfileScanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)
+WALL = Scene([simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 40))])
+UTM = np.array([600_123.4, 4_800_456.7, 150.2])
+
+
+def drive(length=2.0, **options):
+    return simulate.straight(length, SPEED, **options)
+
+
+def scan(scene=WALL, scanner=PROFILER, path=None, **options):
+    return simulate.scan_all(scene, scanner, path or drive(), **{"seed": 1, **options})
+
+
+def turned_wall(turn, lean, distance=5.0):
+    """A wall turned by MIMIC's alpha_targ and beta_targ, with its normal, level and slope lines."""
+    a, b = np.radians([turn, lean])
+    normal = np.array([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), -np.sin(b)])
+    level = np.array([-np.sin(a), np.cos(a), 0.0])
+    slope = np.array([np.sin(b) * np.cos(a), np.sin(b) * np.sin(a), np.cos(b)])
+    corner = np.array([distance, 0, 0]) - 30 * level - 30 * slope
+    return Scene([simulate.rectangle(corner, 60 * level, 60 * slope)]), normal, level, slope
+
+
+def test_point_spacing_and_profile_spacing_on_a_parallel_wall():
+    cloud = scan()
+    line = cloud["scan_line"]
+    one = cloud.select(line == line[len(line) // 2])
+    down = np.radians(one["scan_angle"])
+    step = 2 * np.pi * 100 / 300_000
+    gap = np.linalg.norm(np.diff(one.points[:, [0, 2]], axis=0), axis=1)
+    exact = 5 / np.tan(down[:-1]) - 5 / np.tan(down[1:])  # z = -R cos, 5 = R sin
+    assert np.abs(gap - exact).max() < 1e-9
+    middle = np.argmin(np.abs(down - np.pi / 2))
+    assert gap[middle] == pytest.approx(5 * step, rel=1e-5)  # d_PS = R dphi, hit square
+    level = np.abs(cloud["scan_angle"] - 90) < 0.06
+    along = np.diff(np.sort(cloud.points[level, 1]))
+    assert np.abs(along - SPEED / 100).max() < 1e-9  # profiles v / Mf apart
+
+
+@pytest.mark.parametrize(
+    ("turn", "lean"), [(15, 0), (0, 15), (15, 15), (-15, 0), (0, -15)], ids=str
+)
+def test_horizontal_profile_spacing_is_mimics_in_the_set_ups_of_its_table_3(turn, lean):
+    scene, _, level, slope = turned_wall(turn, lean)
+    cloud = scan(scene, replace(PROFILER, heading_deg=45, tilt_deg=45), drive(1.0))
+    # the same mirror angle in successive revolutions, and the next pulse
+    order = np.argsort(cloud["pulse"])
+    pulse, xy = cloud["pulse"][order], cloud.points[order] @ np.array([level, slope]).T
+    k = len(pulse) // 2
+    following = np.searchsorted(pulse, pulse[k] + 1), np.searchsorted(pulse, pulse[k] + 3000)
+    a, b = (xy[j] - xy[k] for j in following)
+    spacing = abs(a[0] * b[1] - a[1] * b[0]) / abs(a[1])  # Cahalane et al. 2014, equation 2
+    exact = SPEED / 100 * np.cos(np.pi / 4) / np.cos(np.radians(45 - turn))
+    # consecutive pulses span a chord of 2 mrad: second-order terms of 1e-3
+    assert spacing == pytest.approx(exact, rel=2e-3)
+
+
+@pytest.mark.parametrize(("heading", "tilt", "turn", "lean"), [(45, 45, 15, 10), (0, 53, 0, 0)])
+def test_density_by_count_is_that_of_the_closed_form(heading, tilt, turn, lean):
+    scene, normal, level, slope = turned_wall(turn, lean, distance=6)
+    scanner = replace(PROFILER, heading_deg=heading, tilt_deg=tilt)
+    cloud = scan(scene, scanner, drive(30.0, start=(0, -15, 0)))
+    xy = (cloud.points - [6, 0, 0]) @ np.array([level, slope]).T
+    inside = (np.abs(xy) < [1.5, 0.5]).all(axis=1)
+    counted = inside.sum() / 3.0
+    ray = cloud.points[inside] - np.column_stack(
+        [np.zeros(inside.sum()), -15 + SPEED * cloud["pulse"][inside] / 3e5, np.zeros(inside.sum())]
+    )
+    cosine = np.abs(ray @ normal) / cloud["range_m"][inside]
+    density = (
+        3e5 * cosine / (2 * np.pi * SPEED * cloud["range_m"][inside] * abs(scanner.plane_normal[1]))
+    )
+    # harmonic mean: points are counted where they are, area is what is averaged over
+    assert counted == pytest.approx(1 / np.mean(1 / density), rel=0.01)
+
+
+def test_points_lie_in_the_scan_plane_at_their_range_on_their_surface():
+    scene = Scene([simulate.ground(-2), simulate.cylinder((4, 1, -2), (4.3, 1, 4), 0.1)])
+    scanner = replace(PROFILER, heading_deg=30, tilt_deg=-20, lever_arm_m=(0.3, -1, 0.5))
+    cloud = scan(scene, scanner, drive(2, roll=2, pitch=-3, heading=10))
+    h, p, r, a, g = np.radians([10, -3, 2, 30, -20])
+    turn = Rotation.from_euler
+    body = (turn("z", -h) * turn("x", p) * turn("y", r)).as_matrix()
+    origin = np.outer(SPEED * cloud["pulse"] / 3e5, [np.sin(h), np.cos(h), 0]) + body @ [
+        0.3,
+        -1,
+        0.5,
+    ]
+    ray = cloud.points - origin
+    assert np.abs(np.linalg.norm(ray, axis=1) - cloud["range_m"]).max() < 1e-9
+    normal = body @ (turn("z", a) * turn("x", g)).apply([0, 1, 0])
+    assert np.abs(ray @ normal).max() < 1e-9
+    ground = cloud["surface"] == 0
+    assert ground.any()
+    assert (~ground).any()
+    assert np.abs(cloud.points[ground, 2] + 2).max() < 1e-9
+    incidence = np.degrees(np.arccos(-ray[ground, 2] / cloud["range_m"][ground]))
+    assert np.abs(incidence - cloud["incidence_deg"][ground]).max() < 1e-5
+
+
+def test_same_seed_same_points_whatever_the_blocks():
+    noisy = replace(PROFILER, range_noise_m=0.01, angle_noise_deg=0.01, divergence_mrad=0.5)
+    noisy = replace(noisy, dropout_share=0.1)
+    whole = scan(scanner=noisy, block_s=10)
+    pieces = scan(scanner=noisy, block_s=0.0371)
+    assert np.array_equal(whole.points, pieces.points)
+    assert all(np.array_equal(whole[key], pieces[key]) for key in whole.columns)
+    assert not np.array_equal(whole.points, scan(scanner=noisy, seed=2).points[: len(whole)])
+
+
+def test_switching_one_error_on_leaves_the_others_as_they_were():
+    noisy = replace(PROFILER, range_noise_m=0.01)
+    both = replace(noisy, dropout_share=0.3)
+    first, second = scan(scanner=noisy), scan(scanner=both)
+    shared = np.isin(first["pulse"], second["pulse"])
+    assert np.array_equal(first["range_noise_m"][shared], second["range_noise_m"])
+
+
+def test_moving_to_utm_and_to_gps_time_changes_nothing():
+    scene = [simulate.rectangle(UTM + [5, -60, -20], (0, 120, 0), (0, 0, 40))]
+    moved, still = scan(Scene(scene), path=drive(start=UTM)), scan()
+    assert np.array_equal(moved["pulse"], still["pulse"])
+    assert np.abs(moved.points - UTM - still.points).max() < 5e-9  # float64 steps at 4.8e6 m
+    late = scan(path=drive(start_time=1.4e9))
+    assert np.abs(late.points - still.points).max() < 1e-6  # the end time is rounded to 2.4e-7 s
+    assert late["gps_time"][0] == pytest.approx(1.4e9 + still["gps_time"][0], abs=1e-6)
+
+
+def test_range_noise_angle_noise_and_dropouts_have_their_size():
+    scanner = replace(PROFILER, range_noise_m=0.01, angle_noise_deg=0.02, dropout_share=0.2)
+    cloud, clean = scan(scanner=scanner), scan()
+    n = len(cloud)
+    assert cloud["range_noise_m"].std() == pytest.approx(0.01, rel=4 / np.sqrt(2 * n))
+    assert n / len(clean) == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / len(clean)))
+    near = np.abs(cloud["scan_angle"] - 90) < 20
+    true_angle = np.degrees(np.arcsin(np.minimum(5 / cloud["range_m"][near], 1)))
+    shift = true_angle - np.minimum(cloud["scan_angle"], 180 - cloud["scan_angle"])[near]
+    steep = np.abs(cloud["scan_angle"][near] - 90) > 5  # where the range shows the angle
+    assert shift[steep].std() == pytest.approx(0.02, rel=0.05)
+
+
+def test_weak_signals_are_noisier_and_get_lost():
+    scanner = replace(
+        PROFILER, range_noise_weak_m=0.02, max_range_m=20, max_range_reflectance=0.5, fading=0.0
+    )
+    cloud = scan(scanner=scanner)
+    strength = np.cos(np.radians(cloud["incidence_deg"])) * (20 / cloud["range_m"]) ** 2
+    assert strength.min() == pytest.approx(1, abs=0.01)  # reflectance of the wall is 0.5 too
+    weak = strength < 1.5
+    expected = 0.02 / np.sqrt(strength[weak])
+    assert (cloud["range_noise_m"][weak] / expected).std() == pytest.approx(1, rel=0.1)
+    dark = Scene([simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 40), reflectance=0.05)])
+    assert len(scan(dark, scanner)) < 0.6 * len(cloud)
+
+
+def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
+    def edge(gap):
+        surfaces = [
+            simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 20)),
+            simulate.rectangle((5 + gap, -60, -20), (0, 120, 0), (0, 0, 40)),
+        ]
+        wide = replace(PROFILER, exit_diameter_m=0.02, divergence_mrad=2.0, echo_separation_m=0.6)
+        cloud = scan(Scene(surfaces), wide)
+        return cloud.select(np.abs(cloud["scan_angle"] - 90) < 3)
+
+    near, far = edge(0.3), edge(2.0)
+    between = (near.points[:, 0] > 5.02) & (near.points[:, 0] < 5.28)
+    assert between.any()
+    assert (near["mixed"][between] == 1).all()
+    height = np.abs(near.points[near["mixed"] == 1, 2])
+    assert height.max() < 0.02  # beam radius 15 mm at 5 m plus what z = 0 cuts
+    assert not far["mixed"].any()
+    assert not ((far.points[:, 0] > 5.02) & (far.points[:, 0] < 6.98)).any()
+
+
+def test_mixed_share_is_footprint_over_spacing():
+    surfaces = [
+        simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 20)),
+        simulate.rectangle((5.3, -60, -20), (0, 120, 0), (0, 0, 40)),
+    ]
+    # a pulse rate that the mirror frequency does not divide: pulses lie anywhere about the edge
+    wide = replace(PROFILER, exit_diameter_m=0.06, pulse_rate_hz=299_987)
+    cloud = scan(Scene(surfaces), wide, drive(20.0))
+    # six rays on a ring of radius r reach r cos(u) high, u uniform within 30 degrees of the top
+    reach = 0.651 * 0.03 * np.sin(np.pi / 6) / (np.pi / 6)
+    expected = 2 * reach / (5 * 2 * np.pi * 100 / 3e5) * 200  # profiles
+    assert cloud["mixed"].sum() == pytest.approx(expected, rel=0.05)
+
+
+def test_rounding_snaps_to_the_grid():
+    points = scan(rounding_m=0.01).points
+    assert np.abs(points / 0.01 - np.round(points / 0.01)).max() < 1e-6
+
+
+def test_two_heads_are_told_apart_and_cross():
+    heads = [replace(PROFILER, heading_deg=h, tilt_deg=0) for h in (45, -45)]
+    cloud = scan(scanner=heads, path=drive(30, start=(0, -15, 0)))
+    assert set(cloud["head"]) == {0, 1}
+    alone = scan(scanner=heads[0], path=drive(30, start=(0, -15, 0)))
+    assert np.array_equal(cloud.points[cloud["head"] == 0], alone.points)
+
+
+def test_measured_path_moves_points_and_not_rays():
+    errors = NavigationErrors(bias_m=(0.1, -0.2, 0.05))
+    path = drive()
+    known = simulate.measured(path, errors, seed=3)
+    truth, seen = scan(path=path), scan(path=path, measured=known)
+    assert np.allclose(seen.points - truth.points, [0.1, -0.2, 0.05], atol=1e-9)
+    assert np.array_equal(seen["range_m"], truth["range_m"])
+
+
+def test_boresight_error_turns_the_cloud_about_the_scanner():
+    off = replace(PROFILER, boresight_deg=(0, 0, 0.5))
+    cloud = scan(scanner=off)
+    level = np.abs(cloud["scan_angle"] - 90) < 1
+    # true beams run 0.5 degrees clockwise; their ranges are put where none are expected
+    assert cloud["range_m"][level].min() == pytest.approx(5 / np.cos(np.radians(0.5)), rel=1e-9)
+    assert cloud.points[level, 0].min() == pytest.approx(5 / np.cos(np.radians(0.5)), rel=1e-9)
+
+
+def test_hdl_32e_fires_its_beams_in_order_all_round():
+    scanner = replace(simulate.presets.HDL_32E, range_noise_m=0, lever_arm_m=(0, 0, 2))
+    ball = Scene([simulate.ellipsoid((0, 0, 2), 20.0)])
+    cloud = scan(ball, scanner, Trajectory([0, 0.2], [[0, 0, 0], [0, 0, 0]]))
+    ray = cloud.points - [0, 0, 2]
+    elevation = np.degrees(np.arcsin(ray[:, 2] / 20))
+    assert np.allclose(elevation, -92 / 3 + 4 / 3 * cloud["ring"], atol=1e-6)
+    assert np.round(elevation[:4], 2).tolist() == [-30.67, -9.33, -29.33, -8.0]
+    assert len(cloud) == pytest.approx(0.2 * 694_444, abs=1)
+    azimuth = np.degrees(np.arctan2(ray[:, 0], ray[:, 1]))
+    assert np.allclose((azimuth - cloud["scan_angle"] + 180) % 360, 180, atol=1e-6)
+    assert len(np.unique(cloud["scan_line"])) == 64
+
+
+@pytest.mark.real
+def test_hdl_32e_fires_as_the_real_one(real):
+    points = io.read_cloud(real("hdl32e_pair/sweep_a.laz")).points
+    elevation = np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1)))
+    ring = np.round((elevation + 92 / 3) * 3 / 4)
+    spread = elevation - (-92 / 3 + 4 / 3 * ring)
+    assert np.median(np.abs(spread)) < 0.02
+    order = simulate.presets.HDL_32E.fire(np.arange(32))[0].ring
+    step = (np.argsort(order)[ring[1:].astype(int)] - np.argsort(order)[ring[:-1].astype(int)]) % 32
+    assert (step == 1).mean() > 0.9  # the rest are pulses without an echo
+    azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 0], points[:, 1])))
+    assert azimuth[-1] - azimuth[0] > 300  # clockwise from +y, as ours
+
+
+@pytest.mark.real
+def test_a_real_drive_carries_the_scanner(real):
+    table = io.read_trajectory(real("vehicle_trajectory.csv"), time_unit="us", angle_unit="radians")
+    step = np.hypot(*np.diff(table[["easting_m", "northing_m"]], axis=0).T)
+    fastest = int(np.argmax(step))
+    table = table.iloc[fastest - 30 : fastest + 30]
+    path = Trajectory.from_table(table)
+    floor = simulate.ground(table["height_m"].mean() - 3, centre=path.position.mean(axis=0)[:2])
+    scanner = replace(PROFILER, pulse_rate_hz=36_000)
+    cloud = scan(Scene([floor]), scanner, path)
+    assert np.abs(cloud.points[:, 2] - floor.centre[0, 2]).max() < 1e-6
+    nadir = np.abs(cloud["scan_angle"]) < 0.5
+    moved = np.linalg.norm(np.diff(cloud.points[nadir][:, :2], axis=0), axis=1)
+    position = np.stack(
+        [np.interp(cloud["gps_time"][nadir], path.time, p) for p in path.position.T]
+    )
+    ranges = np.linalg.norm(cloud.points[nadir] - position.T, axis=1)
+    # linear against spline interpolation of 10 Hz poses: a few mm where the vehicle accelerates
+    assert np.abs(ranges - cloud["range_m"][nadir]).max() < 0.01
+    speed = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1) / np.diff(path.time)
+    assert np.median(moved) == pytest.approx(np.median(speed) / 100, rel=0.05)
+
+
+def test_laz_keeps_points_and_truth(tmp_path):
+    scanner = replace(PROFILER, range_noise_m=0.01, divergence_mrad=0.5)
+    cloud = scan(scanner=scanner, path=drive(0.2, start_time=1.4e9))
+    io.write_cloud(tmp_path / "drive.laz", cloud)
+    back = io.read_cloud(tmp_path / "drive.laz")
+    assert np.abs(back.points - cloud.points).max() <= 0.0005 + 1e-9
+    assert np.array_equal(back["gps_time"], cloud["gps_time"])
+    assert np.abs(back["scan_angle"] - cloud["scan_angle"]).max() <= 0.003 + 1e-9
+    for key in ("pulse", "scan_line", "surface", "range_m", "range_noise_m", "intensity", "mixed"):
+        assert np.array_equal(back[key], cloud[key]), key
+
+
+def test_progress_bar_counts_blocks(capsys):
+    blocks = list(simulate.scan(WALL, PROFILER, drive(), seed=1, block_s=0.05, progress=True))
+    assert len(blocks) == 4
+    assert "4/4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"pulse_rate_hz": 0}, "Invalid pulse_rate_hz 0. Must be > 0 Hz."),
+        ({"mirror_frequency_hz": -5}, "Invalid mirror_frequency_hz"),
+        ({"field_of_view_deg": (30, 10)}, "Invalid field_of_view_deg 10"),
+        ({"range_noise_m": -0.1}, "Invalid range_noise_m"),
+        ({"dropout_share": 1.5}, "Invalid dropout_share 1.5. Must be between 0 and 1."),
+        ({"lever_arm_m": (0, 0)}, "Invalid lever_arm_m"),
+        ({"min_range_m": float("nan")}, "Must be finite"),
+    ],
+)
+def test_bad_scanners_are_named(change, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        replace(PROFILER, **change)
+
+
+def test_bad_drives_are_named():
+    with pytest.raises(TypeError, match="Invalid scanner"):
+        scan(scanner=["riegl"])
+    with pytest.raises(ValueError, match="Invalid block_s 0"):
+        scan(block_s=0)
+    with pytest.raises(ValueError, match="Must cover 0"):
+        scan(measured=drive(1.0))
