@@ -1,0 +1,113 @@
+"""Trajectories: signs of attitude, errors of the size asked for, bad tables named."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mmqa_lab import simulate
+from mmqa_lab.simulate import NavigationErrors, Trajectory
+from mmqa_lab.simulate.trajectories import gauss_markov, rotations
+
+ANGLES = st.floats(-180, 180)
+
+
+@given(roll=ANGLES, pitch=ANGLES, heading=ANGLES)
+def test_rotations_equal_scipy(roll, pitch, heading):
+    r, p, h = np.radians([roll, pitch, heading])
+    expected = Rotation.from_euler("ZXY", [-h, p, r]).as_matrix()
+    assert np.abs(rotations(*np.array([[r], [p], [h]]))[0] - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("attitude", "axis", "points_to"),
+    [
+        ({"heading": 90}, 1, (1, 0, 0)),  # travel looks east
+        ({"pitch": 90}, 1, (0, 0, 1)),  # nose up
+        ({"roll": 90}, 0, (0, 0, -1)),  # right side down
+    ],
+)
+def test_signs_of_attitude(attitude, axis, points_to):
+    path = Trajectory([0, 1], [[0, 0, 0], [0, 1, 0]], **attitude)
+    assert np.allclose(path.at([0.5])[1][0][:, axis], points_to, atol=1e-12)
+
+
+def test_a_circle_is_followed_between_its_rows():
+    time = np.arange(0, 20.01, 0.1)
+    angle = 0.3 * time
+    position = 25 * np.stack([np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    path = Trajectory(time, position, heading=np.degrees(angle) + 90)
+    between = np.linspace(1, 19, 777)
+    where, rotation = path.at(between)
+    assert np.abs(np.linalg.norm(where, axis=1) - 25).max() < 1e-6  # (h^4/384) w^4 R = 5e-8
+    tangent = np.stack([np.cos(0.3 * between), -np.sin(0.3 * between), 0 * between], axis=1)
+    assert np.abs(rotation[:, :, 1] - tangent).max() < 1e-9
+
+
+def test_headings_wrap_without_a_turn():
+    path = Trajectory([0, 1], np.eye(3)[:2], heading=[359, 1])
+    assert np.allclose(path.at([0.5])[1][0], np.eye(3), atol=1e-12)
+
+
+def test_a_table_without_heading_looks_where_it_moves():
+    table = pd.DataFrame(
+        {"time_s": [0, 1, 2], "easting_m": [0, 1, 2], "northing_m": [0, 1, 2], "height_m": 0.0}
+    )
+    path = Trajectory.from_table(table)
+    assert np.allclose(path.heading, 45)
+    assert np.allclose(path.roll, 0)
+
+
+def test_speed_variation_has_its_size_and_keeps_the_path():
+    path = simulate.straight(4000, 10, heading=30)
+    varied = simulate.with_speed_variation(path, share=0.02, seed=5)
+    speed = np.linalg.norm(np.diff(varied.position, axis=0), axis=1) / np.diff(varied.time)
+    assert speed.std() / speed.mean() == pytest.approx(0.02, rel=0.1)  # 800 independent halves
+    assert np.allclose(varied.position[-1], path.position[-1], atol=1e-9)
+    assert np.allclose(np.cross(varied.position, path.position[-1]), 0, atol=1e-6)
+
+
+def test_gauss_markov_forgets_at_the_correlation_time(rng):
+    values = gauss_markov(400_000, 0.01, 0.5, rng)
+    assert values.std() == pytest.approx(1, abs=0.03)
+    assert np.mean(values[:-50] * values[50:]) == pytest.approx(np.exp(-1), abs=0.04)
+
+
+def test_navigation_errors_are_kept_apart_from_the_truth():
+    path = simulate.straight(1200, 10)
+    errors = NavigationErrors(
+        bias_m=(0.03, -0.02, 0.05), white_m=0.01, white_deg=(0.1, 0.2, 0.3), bias_deg=1.0
+    )
+    known = simulate.measured(path, errors, seed=1)
+    truth = path.at(known.time)[0]
+    shift = known.position - truth
+    assert np.allclose(shift.mean(axis=0), [0.03, -0.02, 0.05], atol=4 * 0.01 / np.sqrt(len(shift)))
+    assert np.allclose(shift.std(axis=0), 0.01, rtol=0.05)
+    assert known.heading.std() == pytest.approx(0.3, rel=0.05)
+    assert known.roll.mean() == pytest.approx(1.0, abs=0.01)
+    assert path.position.tolist() == [[0, 0, 0], [0, 1200, 0]]
+    drift = simulate.measured(path, NavigationErrors(drift_m=0.1, correlation_s=5), seed=1)
+    jump = np.diff(drift.position[:, 0])
+    assert jump.std() == pytest.approx(0.1 * np.sqrt(2 * 0.01 / 5), rel=0.05)  # smooth
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: Trajectory([0, 0], np.eye(3)[:2]), "Invalid time 0.0 in row 1. Must be later"),
+        (lambda: Trajectory([0, 1, 2], np.eye(3)[:2]), "Must be 2 finite seconds"),
+        (lambda: Trajectory([0, 1], np.eye(3)[:2], roll=[1, 2, 3]), "Invalid roll of shape"),
+        (lambda: Trajectory([0], [[0, 0, 0]]), "Must be 2 or more"),
+        (lambda: simulate.straight(10, 0), "Invalid speed 0. Must be > 0 m/s."),
+        (lambda: simulate.straight(10, 1).at([11]), "Must be between 0.0 and 10.0 s"),
+        (
+            lambda: simulate.with_speed_variation(simulate.straight(10, 1), share=0.5, seed=1),
+            "Invalid share 0.5. Must be between 0 and 0.3.",
+        ),
+    ],
+)
+def test_bad_trajectories_are_named(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
