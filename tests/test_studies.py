@@ -1,0 +1,77 @@
+"""Every study runs from top to bottom without a screen, and one that fails says what failed."""
+
+import json
+
+import nbformat
+import pytest
+
+from mmqa_lab import gallery, headless
+from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_notebook_runs_with_small_parameters(study, tmp_path):
+    outcome = headless.run_study(study, tmp_path, quick=True)
+    assert outcome.verdict == "ok"
+    folder = tmp_path / study.stem
+    record = json.loads((folder / "run.json").read_text())
+    assert record["claims"] == record["claims_that_hold"] > 0
+    assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
+    page = (folder / f"{study.stem}.html").read_text()
+    assert "<img" in page
+    assert 'src="http' not in page  # nothing comes from the network
+    gallery.write_index(tmp_path)
+    index = (tmp_path / "index.html").read_text()
+    assert study.title in index
+    assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
+
+
+class Broken(Study):
+    """A study whose notebook lies elsewhere."""
+
+    folder = None
+
+    @property
+    def path(self):
+        return self.folder / f"{self.notebook}.ipynb"
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """Run a notebook of the given cells as a study."""
+
+    def run(*sources, tags=()):
+        cells = [nbformat.v4.new_code_cell(source) for source in sources]
+        cells[0].metadata["tags"] = list(tags)
+        study = Broken(99, "broken", "Broken", "What happens?", "nowhere")
+        object.__setattr__(study, "folder", tmp_path)
+        nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
+        return headless.run_study(study, tmp_path / "results")
+
+    return run
+
+
+def test_a_failing_cell_is_named_and_its_page_kept(broken, tmp_path):
+    outcome = broken("1 + 1", "assert False, 'Does not hold: f is below 2'")
+    assert not outcome.ok
+    assert outcome.verdict == "AssertionError: Does not hold: f is below 2"
+    assert headless.read_outcome(tmp_path / "results" / "broken") == outcome
+    assert "f is below 2" in (tmp_path / "results" / "broken" / "broken.html").read_text()
+
+
+def test_a_kernel_that_dies_is_reported(broken):
+    assert broken("import os; os._exit(1)").verdict == "the kernel died"
+
+
+def test_a_cell_that_never_ends_is_stopped(tmp_path):
+    cell = nbformat.v4.new_code_cell("import time; time.sleep(60)")
+    nbformat.write(nbformat.v4.new_notebook(cells=[cell]), tmp_path / "slow.ipynb")
+    _, failure = headless.execute(tmp_path / "slow.ipynb", cell_seconds=1)
+    assert failure == "a cell ran longer than 1 s"
+
+
+def test_studies_are_chosen_by_stem_or_notebook_name():
+    assert [study.stem for study in chosen()] == [study.stem for study in STUDIES]
+    assert chosen(["01_chart_tables"]) == chosen(["chart_tables"])
+    assert STUDIES[0].path.parent == notebooks_folder()
