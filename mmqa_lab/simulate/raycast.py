@@ -312,6 +312,36 @@ def _cell(tree, i, x, y, z):
     return tree.reflectance[first + row * columns + column]
 
 
+@njit(cache=True)
+def _turned(state, x, y, z):
+    """Rz(-heading) Rx(pitch) Ry(roll), the angles at the end of ``state``, applied to a vector."""
+    s, c = np.sin(state[3]), np.cos(state[3])
+    x, z = c * x + s * z, c * z - s * x
+    s, c = np.sin(state[4]), np.cos(state[4])
+    y, z = c * y - s * z, s * y + c * z
+    s, c = np.sin(state[5]), np.cos(state[5])
+    return c * x + s * y, c * y - s * x, z
+
+
+@njit(cache=True, parallel=True)
+def beam_rays(states, lever_arm, mounting, beams):
+    """Origins and directions of beams in a mounted scanner's frame on a vehicle in given states.
+
+    ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
+    """
+    n = len(beams)
+    origins, directions = np.empty((n, 3)), np.empty((n, 3))
+    matrix = np.ascontiguousarray(mounting).ravel()
+    for k in prange(n):
+        x, y, z = _turned(states[k], lever_arm[0], lever_arm[1], lever_arm[2])
+        origins[k, 0], origins[k, 1] = states[k, 0] + x, states[k, 1] + y
+        origins[k, 2] = states[k, 2] + z
+        x, y, z = _map(matrix, beams[k, 0], beams[k, 1], beams[k, 2])
+        x, y, z = _turned(states[k], x, y, z)
+        directions[k, 0], directions[k, 1], directions[k, 2] = x, y, z
+    return origins, directions
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def cast(tree, origins, directions):
     """Range, surface, normal and reflectance where unit rays first meet a primitive."""

@@ -157,11 +157,9 @@ def _columns(scanner, firing, echo):
 
 def _rays(path, scanner, firing, mounting, jitter, shift=0.0):
     """Origins from the path's origin, and directions; ``shift`` seconds to the path's clock."""
-    offset, rotation = path.poses(firing.since_start + shift)
-    angle, elevation = np.radians(firing.scan_angle + jitter), np.radians(firing.elevation)
-    origin = offset + rotation @ np.asarray(scanner.lever_arm_m, dtype=np.float64)
-    beams = scanner.beams(angle, elevation) @ mounting.T
-    return origin, np.einsum("nij,nj->ni", rotation, beams)
+    states = path.states(firing.since_start + shift)
+    beams = scanner.beams(np.radians(firing.scan_angle + jitter), np.radians(firing.elevation))
+    return raycast.beam_rays(states, np.asarray(scanner.lever_arm_m, float), mounting, beams)
 
 
 def _draws(seed, pulse):

@@ -115,16 +115,15 @@ class Trajectory:
             return make_interp_spline(since, values, k=1)
         return CubicSpline(since, values)
 
-    def poses(self, since_start):
-        """Return offsets from ``origin`` (n, 3) and rotations (n, 3, 3) from vehicle to world.
+    def states(self, since_start):
+        """Return offsets from ``origin`` in metres and roll, pitch, heading in radians, (n, 6).
 
         Parameters
         ----------
         since_start : array, shape (n,)
             Seconds after the first row; GPS seconds of 1e9 would cost digits.
         """
-        values = self._spline(since_start)
-        return values[:, :3], rotations(*values[:, 3:].T)
+        return self._spline(since_start)
 
     def at(self, time):
         """Return positions (n, 3) and vehicle-to-world rotations (n, 3, 3) at times in seconds.
@@ -137,8 +136,8 @@ class Trajectory:
         time = np.asarray(time, dtype=np.float64)
         if not ((time >= self.time[0]) & (time <= self.time[-1])).all():
             raise ValueError(f"Invalid time. Must be between {self.time[0]} and {self.time[-1]} s.")
-        offset, rotation = self.poses(time - self.time[0])
-        return self.origin + offset, rotation
+        states = self.states(time - self.time[0])
+        return self.origin + states[:, :3], rotations(*states[:, 3:].T)
 
 
 @dataclass(frozen=True)
@@ -218,7 +217,7 @@ def with_speed_variation(trajectory, *, share, seed, correlation_s=0.5, interval
     speed = 1 + share * gauss_markov(n, along[1], correlation_s, np.random.default_rng(seed))
     pace = 1 / np.maximum(speed, 0.05)
     since = np.concatenate([[0.0], np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(along))])
-    values = trajectory._spline(along)
+    values = trajectory.states(along)
     angles = np.degrees(values[:, 3:])
     return Trajectory(trajectory.time[0] + since, trajectory.origin + values[:, :3], *angles.T)
 
@@ -244,7 +243,7 @@ def measured(trajectory, errors, *, seed, interval_s=0.01):
     rng = np.random.default_rng(seed)
     n = max(int(np.ceil(trajectory.duration_s / interval_s)) + 1, 2)
     since = np.linspace(0.0, trajectory.duration_s, n)
-    values = trajectory._spline(since)
+    values = trajectory.states(since)
     shift = _errors(errors.bias_m, errors.drift_m, errors.white_m, since, errors, rng)
     turn = _errors(errors.bias_deg, errors.drift_deg, errors.white_deg, since, errors, rng)
     angles = np.degrees(values[:, 3:]) + turn
