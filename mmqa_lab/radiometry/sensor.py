@@ -1,0 +1,270 @@
+"""From digital numbers to radiance: gain and offset, exposure, saturation, stability.
+
+EuroSDR 2013, image radiometry, equations 1-3: a linear sensor records
+DN = offset + gain * radiance * exposure, where exposure is the exposure time over the squared
+f-number, relative to that of a reference setting.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_count, check_positive
+
+SPREAD = 3.0
+"""A target counts as saturated when its mean comes this near full scale, in its own deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFit:
+    """A linear sensor model and how well it is known.
+
+    Parameters
+    ----------
+    gain, offset : float
+        DN per unit of radiance at exposure 1, and DN of darkness.
+    covariance : array, shape (2, 2)
+        Of (gain, offset).
+    r_squared : float
+        Share of the (weighted) variance of DN that radiance explains.
+    residuals : array, shape (n,)
+        DN minus the line for every given target, NaN for the saturated ones.
+    saturated : int
+        Targets left out because they were saturated.
+    """
+
+    gain: float
+    offset: float
+    covariance: np.ndarray
+    r_squared: float
+    residuals: np.ndarray
+    saturated: int
+
+    @property
+    def n(self):
+        """Number of targets used."""
+        return int(np.isfinite(self.residuals).sum())
+
+    @property
+    def std(self):
+        """Standard errors of (gain, offset), shape (2,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def p_values(self):
+        """Two-sided p-values of (gain, offset) being zero, Student's t with n - 2."""
+        from scipy.stats import t
+
+        return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.n - 2)
+
+    def radiance(self, dn, *, exposure=1.0):
+        """Radiance of digital numbers taken at an exposure relative to the calibration's."""
+        exposure = check_positive(exposure, "exposure")
+        return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
+
+    def to_frame(self):
+        """Return one row: both coefficients with standard errors and p-values, R2 and counts."""
+        (s_gain, s_offset), (p_gain, p_offset) = self.std, self.p_values
+        row = {
+            **{"gain": self.gain, "gain_std": s_gain, "gain_p": p_gain},
+            **{"offset_dn": self.offset, "offset_std_dn": s_offset, "offset_p": p_offset},
+            **{"r_squared": self.r_squared, "n": self.n, "saturated": self.saturated},
+        }
+        return pd.DataFrame([row])
+
+
+def relative_exposure(time_s, f_number, *, reference=(0.01, 4.0)):
+    """Return the exposure time / f-number squared, over that of a reference setting.
+
+    Parameters
+    ----------
+    time_s, f_number : float
+    reference : (float, float)
+        Exposure time (s) and f-number at which the relative exposure is 1.
+
+    Examples
+    --------
+    >>> relative_exposure(0.02, 8.0)
+    0.5
+    """
+    values = [check_positive(v, "exposure setting") for v in (time_s, f_number, *reference)]
+    time, number, time0, number0 = values
+    return time / time0 * (number0 / number) ** 2
+
+
+def saturation_level(dn):
+    """Return the digital number at which an image is saturated, NaN where it is not.
+
+    Saturated pixels pile up on the highest value: it counts as saturation when it holds more than
+    1 in 10,000 of the pixels and five times as many as any of the ten levels below it.
+
+    Parameters
+    ----------
+    dn : array_like of int
+        Digital numbers of one band.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> dn = np.clip(np.random.default_rng(1).normal(230, 20, 10_000).round(), 0, 255)
+    >>> saturation_level(dn)
+    255.0
+    """
+    dn = np.asarray(dn)
+    if not dn.size:
+        raise ValueError("Invalid digital numbers: none given. Must be one or more.")
+    top = dn.max()
+    counts = np.array([np.count_nonzero(dn == top - k) for k in range(11)])
+    piled = counts[0] > max(1e-4 * dn.size, 5 * counts[1:].max(), 1)
+    return float(top) if piled else np.nan
+
+
+def patch_statistics(image, patches, *, full_scale=np.inf):
+    """Return the mean DN of targets in an image, and how much of each is saturated.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        One band.
+    patches : array_like of int, shape (m, 4)
+        First row, last row (excluded), first column, last column (excluded) of each target.
+    full_scale : float
+        DN from which a pixel is saturated.
+
+    Returns
+    -------
+    DataFrame
+        ``n``, ``mean_dn``, ``std_dn`` (of a pixel), ``std_error_dn`` (of the mean),
+        ``saturated_share``.
+
+    Raises
+    ------
+    ValueError
+        If a patch holds fewer than two pixels or leaves the image.
+    """
+    image = np.asarray(image, dtype=np.float64)
+    rows = []
+    for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
+        inside = 0 <= r0 < r1 <= image.shape[0] and 0 <= c0 < c1 <= image.shape[1]
+        if not inside or (r1 - r0) * (c1 - c0) < 2:
+            raise ValueError(
+                f"Invalid patch {(r0, r1, c0, c1)}. Must hold two or more pixels of an image of "
+                f"{image.shape[0]} x {image.shape[1]}."
+            )
+        dn = image[r0:r1, c0:c1].ravel()
+        std = dn.std(ddof=1)
+        rows.append((dn.size, dn.mean(), std, std / np.sqrt(dn.size), (dn >= full_scale).mean()))
+    columns = ["n", "mean_dn", "std_dn", "std_error_dn", "saturated_share"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale=np.inf):
+    """Fit gain and offset of a sensor to targets of known radiance.
+
+    Weighted regression of DN on radiance times exposure. Targets whose DN comes within three of
+    their standard deviations of full scale are left out: a mean of clipped pixels is too low.
+
+    Parameters
+    ----------
+    radiance : array_like, shape (n,)
+        At the sensor, W m-2 sr-1 um-1 or any unit in which the answer is wanted.
+    dn : array_like, shape (n,)
+        Digital numbers of the targets.
+    exposure : float or array_like, shape (n,)
+        See ``relative_exposure``.
+    std_dn : float or array_like, shape (n,), optional
+        Standard deviation of a target's pixels; weights are its inverse square. Without it all
+        targets weigh alike, which is right only where noise does not grow with the signal.
+    full_scale : float
+        DN from which a pixel is saturated.
+
+    Returns
+    -------
+    SensorFit
+
+    Raises
+    ------
+    ValueError
+        If fewer than three unsaturated targets are left or all have the same radiance.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, equations 1-3.
+
+    Examples
+    --------
+    >>> fit = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820.4])
+    >>> round(fit.gain, 2), round(fit.offset, 1), fit.n
+    (10.01, 19.9, 4)
+    """
+    from statsmodels.regression.linear_model import WLS
+
+    dn = np.asarray(dn, dtype=np.float64)
+    signal = np.broadcast_to(np.asarray(radiance, dtype=np.float64) * exposure, dn.shape)
+    std = np.broadcast_to(1.0 if std_dn is None else np.asarray(std_dn, np.float64), dn.shape)
+    if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
+        raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
+    used = dn + SPREAD * (0 if std_dn is None else std) < full_scale
+    if used.sum() < 3 or np.ptp(signal[used]) == 0:
+        raise ValueError(
+            f"Invalid targets: {used.sum()} unsaturated of {len(dn)}. Must be three or more, of "
+            "different radiance."
+        )
+    design = np.stack([signal, np.ones_like(signal)], axis=1)
+    fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
+    return SensorFit(
+        gain=float(fit.params[0]),
+        offset=float(fit.params[1]),
+        covariance=np.asarray(fit.cov_params()),
+        r_squared=float(fit.rsquared),
+        residuals=np.where(used, dn - design @ fit.params, np.nan),
+        saturated=int((~used).sum()),
+    )
+
+
+def stability(fits):
+    """Compare the gains of several settings of one camera, all at relative exposure.
+
+    Parameters
+    ----------
+    fits : dict of str to SensorFit
+        By the name of the setting (exposure time, f-number, date).
+
+    Returns
+    -------
+    DataFrame
+        ``setting``, ``gain``, ``gain_std``, ``difference_percent`` from the weighted mean,
+        ``difference_std_percent``, and ``p``: the p-value of no difference. If exposure time and
+        f-number did what their labels say, all differences would be zero.
+
+    Examples
+    --------
+    >>> one = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820.4])
+    >>> two = fit_sensor([10, 20, 40, 80], [122, 224, 428, 836.4])
+    >>> stability({"1/100 s": one, "1/200 s": two})["difference_percent"].round(1).tolist()
+    [-1.0, 1.0]
+    """
+    from scipy.stats import norm
+
+    check_count(len(fits), "number of settings", low=2)
+    gain = np.array([fit.gain for fit in fits.values()])
+    std = np.array([fit.std[0] for fit in fits.values()])
+    weight = std**-2 / (std**-2).sum()
+    mean = weight @ gain
+    spread = np.sqrt(np.maximum(std**2 - 1 / (std**-2).sum(), 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = 2 * norm.sf(np.abs(gain - mean) / spread)
+    return pd.DataFrame(
+        {
+            "setting": list(fits),
+            "gain": gain,
+            "gain_std": std,
+            "difference_percent": 100 * (gain / mean - 1),
+            "difference_std_percent": 100 * spread / mean,
+            "p": p,
+        }
+    )

@@ -1,0 +1,315 @@
+"""Rendered resolution and radiometric targets whose point spread function is known.
+
+Coordinates are pixels from the image's centre, x along columns to the right, y along rows downwards
+(the flight). Edges, Siemens stars and line bars are drawn on a grid several times finer than the
+pixels, filtered with the exact transfer function of the optics, the image motion and the square
+pixel, and read at the pixels' centres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+
+FINE = 8
+"""Samples a pixel of the grid that targets are drawn on."""
+
+MARGIN_PX = 12
+"""Drawn around the image, so that what the filter wraps around stays outside."""
+
+
+@dataclass(frozen=True)
+class Optics:
+    """The point spread function of a camera at one place of its image.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation of the Gaussian blur along ``angle_deg``.
+    sigma_across_px : float, optional
+        Across it; the same where left out.
+    angle_deg : float
+        Direction of ``sigma_px`` from x towards y.
+    motion_px : float
+        Length by which the image moves along y while it is exposed.
+
+    Examples
+    --------
+    >>> optics = Optics(0.5)
+    >>> round(float(optics.mtf(0.25, 0.0)), 4), round(optics.mtf50(0), 3)
+    (0.6614, 0.323)
+    """
+
+    sigma_px: float
+    sigma_across_px: float = None
+    angle_deg: float = 0.0
+    motion_px: float = 0.0
+
+    def __post_init__(self):
+        check_positive(self.sigma_px, "sigma_px", unit="px")
+        if self.sigma_across_px is not None:
+            check_positive(self.sigma_across_px, "sigma_across_px", unit="px")
+        check_number(self.motion_px, "motion_px", low=0, unit="px")
+
+    @property
+    def blur(self):
+        """Covariance matrix (2, 2) of the Gaussian along x and y, px2."""
+        across = self.sigma_px if self.sigma_across_px is None else self.sigma_across_px
+        c, s = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
+        turn = np.array([[c, -s], [s, c]])
+        return turn @ np.diag([self.sigma_px**2, across**2]) @ turn.T
+
+    def mtf(self, fx, fy):
+        """Transfer function of optics, motion and pixel at frequencies in cycles per pixel."""
+        fx, fy = np.asarray(fx, np.float64), np.asarray(fy, np.float64)
+        (xx, xy), (_, yy) = self.blur
+        gaussian = np.exp(-2 * np.pi**2 * (xx * fx**2 + 2 * xy * fx * fy + yy * fy**2))
+        return gaussian * np.sinc(self.motion_px * fy) * np.sinc(fx) * np.sinc(fy)
+
+    def mtf_mean(self, f):
+        """Transfer function averaged over all directions."""
+        turn = np.radians(np.arange(0, 180, 1.0))
+        f = np.asarray(f, dtype=np.float64)[..., None]
+        return np.abs(self.mtf(f * np.cos(turn), f * np.sin(turn))).mean(axis=-1)
+
+    def mtf50(self, angle_deg):
+        """Frequency at which the contrast across an edge is halved."""
+        from scipy.optimize import brentq
+
+        c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        return float(brentq(lambda f: self.mtf(f * c, f * s) - 0.5, 0, 0.7))
+
+    def fwhm(self, angle_deg):
+        """Full width at half maximum (px) of the line spread function across an edge."""
+        from scipy.optimize import brentq
+
+        c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        f = np.linspace(0, 8, 4001)
+        mtf = self.mtf(f * c, f * s)
+        spread = lambda d: np.trapezoid(mtf * np.cos(2 * np.pi * f * d), f)  # noqa: E731
+        half = spread(0) / 2
+        return float(2 * brentq(lambda d: spread(d) - half, 0, 6 * np.sqrt(self.blur.max()) + 2))
+
+
+def render_edge(shape, optics, *, angle_deg=5.0, position_px=0.0, low=0.1, high=0.6):
+    """Return an image of one straight edge.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    optics : Optics
+    angle_deg : float
+        Direction from dark to bright, from x towards y.
+    position_px : float
+        Of the edge along that direction from the image's centre.
+    low, high : float
+        Levels of the two sides.
+    """
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    return _render(shape, optics, lambda x, y: x * c + y * s - position_px, low, high)
+
+
+def render_star(
+    shape, optics, *, cycles=36, radius_px, centre=(0.0, 0.0), half=False, low=0.1, high=0.6
+):
+    """Return an image of a Siemens star on a dark ground.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    optics : Optics
+    cycles : int
+        Pairs of sectors around the full circle: 36 of 5 degree sectors, 18 of 10 degree sectors.
+    radius_px : float
+        Of the star.
+    centre : (float, float)
+        x, y from the image's centre, px.
+    half : bool
+        Only the half with y below the centre's (upwards in the image).
+    low, high : float
+        Levels of dark and bright sectors.
+    """
+    n = check_count(cycles, "cycles", low=2)
+
+    def distance(x, y):
+        """Distance into the bright sectors, cut off at the star's outline."""
+        x, y = x - centre[0], y - centre[1]
+        r = np.hypot(x, y)
+        phase = n * np.arctan2(y, x) / (2 * np.pi)
+        to_border = 0.25 - np.abs(phase - np.round(phase))
+        inside = np.minimum(r * np.sin(2 * np.pi * to_border / n), radius_px - r)
+        return np.minimum(inside, -y) if half else inside
+
+    return _render(shape, optics, distance, low, high)
+
+
+def render_bars(shape, optics, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
+    """Return an image of bright line bars on a dark ground, as long as five of their widths.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    optics : Optics
+    period_px : float
+        Width of a bright and a dark bar.
+    bars : int
+        Bright bars.
+    angle_deg : float
+        Direction across the bars, from x towards y.
+    offset_px : float
+        Of the group's centre along that direction.
+    **levels
+        ``low``, ``high``.
+    """
+    period = check_positive(period_px, "period_px", unit="px")
+    count = check_count(bars, "bars")
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+
+    def distance(x, y):
+        """Distance into the bars."""
+        u, v = (x * c + y * s - offset_px) / period, -x * s + y * c
+        place = u + (count - 1) / 2
+        near = np.clip(np.round(place), 0, count - 1)
+        return np.minimum((0.25 - np.abs(place - near)) * period, 1.25 * period - np.abs(v))
+
+    return _render(shape, optics, distance, **{"low": 0.1, "high": 0.6} | levels)
+
+
+def texture(shape, *, seed, slope=1.0):
+    """Return a random scene with as much detail as natural ones have, values 0 to 1.
+
+    Its amplitude spectrum falls off with the frequency to the power of -``slope`` (about 1 for
+    photographs of natural scenes).
+    """
+    rng = np.random.default_rng(seed)
+    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    f = np.hypot(fx, fy)
+    f[0, 0] = np.inf
+    noise = np.fft.rfft2(rng.standard_normal(shape))
+    scene = np.fft.irfft2(noise * f**-slope, shape)
+    return np.clip(0.5 + 0.15 * scene / scene.std(), 0, 1)
+
+
+def blur_over_image(scene, sigma):
+    """Return a scene blurred by a Gaussian whose width changes over the image.
+
+    Parameters
+    ----------
+    scene, sigma : array, shape (rows, columns)
+        Grey values; standard deviation at each pixel, px.
+
+    Notes
+    -----
+    Interpolated between nine evenly blurred images, in the variance.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    variance = np.asarray(sigma, dtype=np.float64) ** 2
+    steps = np.linspace(variance.min(), variance.max() + 1e-9, 9)
+    stack = np.stack([gaussian_filter(scene, np.sqrt(step), mode="reflect") for step in steps])
+    place = (variance - steps[0]) / (steps[1] - steps[0])
+    lower = np.minimum(place.astype(int), len(steps) - 2)
+    share = place - lower
+    rows, columns = np.indices(scene.shape)
+    return (1 - share) * stack[lower, rows, columns] + share * stack[lower + 1, rows, columns]
+
+
+def expose(light, *, gain, offset=0.0, read_noise=2.0, electrons_per_dn=10.0, bits=12, seed):
+    """Return the digital numbers that a linear sensor with shot and read noise would record.
+
+    Parameters
+    ----------
+    light : array_like
+        Radiance times relative exposure, per pixel.
+    gain, offset : float
+        DN per unit of it, DN.
+    read_noise : float
+        Standard deviation, DN.
+    electrons_per_dn : float
+        Photo-electrons a DN: shot noise has the variance DN / electrons_per_dn.
+    bits : int
+        Values are rounded and clipped to 0 .. 2**bits - 1.
+    seed : int
+
+    Returns
+    -------
+    array of float
+        Whole numbers.
+    """
+    rng = np.random.default_rng(seed)
+    check_number(read_noise, "read_noise", low=0, unit="DN")
+    signal = gain * np.asarray(light, dtype=np.float64)
+    shot = np.maximum(signal, 0) / check_positive(electrons_per_dn, "electrons_per_dn")
+    noisy = signal + offset + np.sqrt(shot + read_noise**2) * rng.standard_normal(signal.shape)
+    return np.clip(np.round(noisy), 0, 2 ** check_count(bits, "bits") - 1)
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    """What air does to radiance between level ground and a camera.
+
+    Parameters
+    ----------
+    irradiance : float
+        On the ground under a black ground, W m-2 um-1.
+    path_radiance : float
+        Added by the air, W m-2 sr-1 um-1.
+    transmittance : float
+        From ground to camera.
+    spherical_albedo : float
+        Share of the light leaving the ground that the air sends back: bright surroundings light
+        up a target, which bends the line of DN over reflectance.
+    """
+
+    irradiance: float
+    path_radiance: float
+    transmittance: float
+    spherical_albedo: float
+
+    def radiance(self, reflectance):
+        """Radiance at the camera over wide ground of a reflectance."""
+        rho = np.asarray(reflectance, dtype=np.float64)
+        light = self.irradiance / (np.pi * (1 - self.spherical_albedo * rho))
+        return self.path_radiance + self.transmittance * light * rho
+
+
+ATMOSPHERES = {
+    "clean": Atmosphere(1200.0, 6.0, 0.95, 0.05),
+    "hazy": Atmosphere(950.0, 38.0, 0.72, 0.25),
+}
+"""Assumed values in the red, flying at 1-2 km: visibility above 40 km, and of a few kilometres."""
+
+
+def atmosphere(name):
+    """Return one of ``ATMOSPHERES``.
+
+    Examples
+    --------
+    >>> round(float(atmosphere("clean").radiance(0.2)), 1)
+    79.3
+    """
+    return ATMOSPHERES[check_choice(name, "atmosphere", tuple(ATMOSPHERES))]
+
+
+def _render(shape, optics, distance, low, high):
+    """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    rows, columns = (check_count(size, "image size", low=4) for size in shape)
+    fine = [next_fast_len((size + 2 * MARGIN_PX) * FINE, real=True) for size in (rows, columns)]
+    y, x = (
+        np.arange(count)[:, None] / FINE - MARGIN_PX - (size - 1) / 2
+        for count, size in zip(fine, (rows, columns), strict=True)
+    )
+    bright = np.clip(0.5 + FINE * distance(x.T, y), 0, 1)
+    fy, fx = FINE * np.fft.fftfreq(fine[0])[:, None], FINE * np.fft.rfftfreq(fine[1])
+    # the drawn edges rise over one fine sample: that much of the blur is there already
+    drawn = np.exp(np.pi**2 * (fx**2 + fy**2) / (6 * FINE**2))
+    seen = irfft2(rfft2(bright) * np.minimum(drawn, 4) * optics.mtf(fx, fy), fine)
+    begin = MARGIN_PX * FINE
+    image = seen[begin : begin + rows * FINE : FINE, begin : begin + columns * FINE : FINE]
+    return low + (high - low) * image
