@@ -1,0 +1,281 @@
+"""Rates and errors with the uncertainty they carry: recall and precision, RMSE, bias, NMAD.
+
+Rates come with Wilson intervals; statistics of values with a bootstrap over values or over groups
+(scenes, 50 m blocks) where values of a group are not independent. NaN means not measurable.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mmqa_lab._checks import check_count, check_number
+
+NMAD_SCALE = 1.4826022185056018
+"""1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their standard deviation."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of successes and its Wilson interval.
+
+    Parameters
+    ----------
+    k, n : int
+        Successes and trials.
+    value, low, high : float
+        k / n and the interval's ends; NaN for n = 0.
+    """
+
+    k: int
+    n: int
+    value: float
+    low: float
+    high: float
+
+    def __str__(self):
+        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}] ({self.k}/{self.n})"
+
+
+def wilson(k, n, *, confidence=0.95):
+    """Return the rate k / n with its Wilson score interval.
+
+    Parameters
+    ----------
+    k, n : int
+        Successes and trials; n may be 0.
+    confidence : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    Rate
+
+    Notes
+    -----
+    The interval never leaves [0, 1] and is not empty at k = 0 or k = n. It takes trials as
+    independent: poles of one street are not quite, see :func:`bootstrap` over groups.
+
+    References
+    ----------
+    Wilson 1927, Journal of the American Statistical Association 22, 209-212,
+    doi:10.1080/01621459.1927.10502953.
+
+    Examples
+    --------
+    >>> print(wilson(230, 330))
+    0.697 [0.645, 0.744] (230/330)
+    """
+    from scipy.special import ndtri
+
+    n = check_count(n, "n", low=0)
+    k = check_count(k, "k", low=0)
+    if k > n:
+        raise ValueError(f"Invalid k {k}. Must be <= n = {n}.")
+    z = ndtri(0.5 + check_number(confidence, "confidence", low=0, high=1) / 2)
+    if n == 0:
+        return Rate(0, 0, np.nan, np.nan, np.nan)
+    p, w = k / n, z**2 / n
+    centre = (p + w / 2) / (1 + w)
+    half = np.sqrt(w * (p * (1 - p) + w / 4)) / (1 + w)
+    low = 0.0 if k == 0 else centre - half
+    high = 1.0 if k == n else centre + half
+    return Rate(k, n, p, float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Statistics of errors, in the unit of the errors; NaN where there are too few.
+
+    Parameters
+    ----------
+    n, missing : int
+        Errors used; errors that were NaN.
+    bias : float
+        Mean.
+    std : float
+        Standard deviation about the mean, n - 1; NaN below two.
+    rmse : float
+        Root of the mean square.
+    median, nmad : float
+        Median, and 1.4826 times the median absolute deviation from it.
+    """
+
+    n: int
+    missing: int
+    bias: float
+    std: float
+    rmse: float
+    median: float
+    nmad: float
+
+
+def errors(values):
+    """Return the statistics of errors (obtained minus reference).
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        NaN for what was not measured; counted in ``missing``.
+
+    Examples
+    --------
+    >>> errors([1.0, -1.0, 3.0]).bias, round(errors([1.0, -1.0, 3.0]).rmse, 3)
+    (1.0, 1.915)
+    """
+    values = np.asarray(values, dtype=np.float64).ravel()
+    if np.isinf(values).any():
+        raise ValueError("Invalid errors: infinite. Must be finite, or NaN where not measured.")
+    known = values[~np.isnan(values)]
+    missing = len(values) - len(known)
+    if not len(known):
+        return Errors(0, missing, *[np.nan] * 5)
+    median = np.median(known)
+    return Errors(
+        n=len(known),
+        missing=missing,
+        bias=float(known.mean()),
+        std=float(known.std(ddof=1)) if len(known) > 1 else np.nan,
+        rmse=float(np.sqrt(np.mean(known**2))),
+        median=float(median),
+        nmad=float(NMAD_SCALE * np.median(np.abs(known - median))),
+    )
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A statistic and its bootstrap percentile interval.
+
+    Parameters
+    ----------
+    value, low, high : float
+    repeats : int
+        Resamples for which the statistic was measurable.
+    """
+
+    value: float
+    low: float
+    high: float
+    repeats: int
+
+
+def bootstrap(statistic, *values, groups=None, repeats=1000, confidence=0.95, seed=0):
+    """Return a statistic with a percentile bootstrap interval.
+
+    Parameters
+    ----------
+    statistic : callable
+        Takes the arrays and returns a float, NaN where not measurable.
+    *values : array_like, shape (n, ...)
+        Resampled together by rows; several for paired statistics.
+    groups : array_like, shape (n,), optional
+        Rows of one group are drawn together: scenes, blocks of street.
+    repeats : int
+    confidence : float
+    seed : int
+
+    Returns
+    -------
+    Interval
+        ``value`` from all rows; NaN bounds where fewer than half of the resamples are measurable.
+
+    References
+    ----------
+    Efron 1979, Annals of Statistics 7, 1-26, doi:10.1214/aos/1176344552.
+
+    Examples
+    --------
+    >>> found = bootstrap(np.mean, np.arange(101.0))
+    >>> found.value, found.low < 50 < found.high
+    (50.0, True)
+    """
+    arrays = [np.asarray(v) for v in values]
+    n = len(arrays[0]) if arrays else 0
+    if n == 0 or any(len(a) != n for a in arrays):
+        raise ValueError(
+            f"Invalid values of lengths {[len(a) for a in arrays]}. Must be equal and above 0."
+        )
+    check_count(repeats, "repeats")
+    tail = (1 - check_number(confidence, "confidence", low=0, high=1)) / 2
+    rows = _rows_by_group(groups, n)
+    rng = np.random.default_rng(seed)
+    drawn = np.empty(repeats)
+    for k in range(repeats):
+        picked = np.concatenate([rows[g] for g in rng.integers(len(rows), size=len(rows))])
+        drawn[k] = statistic(*(a[picked] for a in arrays))
+    known = drawn[np.isfinite(drawn)]
+    low, high = np.quantile(known, [tail, 1 - tail]) if 2 * len(known) >= repeats else [np.nan] * 2
+    return Interval(float(statistic(*arrays)), float(low), float(high), len(known))
+
+
+def mcnemar(first, second):
+    """Return the exact two-sided p-value that two methods succeed equally often on the same things.
+
+    Parameters
+    ----------
+    first, second : array_like of bool, shape (n,)
+        Success of each method on each thing.
+
+    References
+    ----------
+    McNemar 1947, Psychometrika 12, 153-157, doi:10.1007/BF02295996; exact binomial form.
+
+    Examples
+    --------
+    >>> mcnemar([1, 1, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0])
+    0.0625
+    """
+    from scipy.stats import binomtest
+
+    first, second = (np.asarray(a, dtype=bool) for a in (first, second))
+    if first.shape != second.shape:
+        raise ValueError(
+            f"Invalid second of shape {second.shape}. Must be that of the first, {first.shape}."
+        )
+    only_first, only_second = int((first & ~second).sum()), int((second & ~first).sum())
+    if only_first + only_second == 0:
+        return 1.0
+    return float(binomtest(only_first, only_first + only_second).pvalue)
+
+
+def f1(recall, precision):
+    """Return the harmonic mean of recall and precision; NaN where either is, 0 where both are 0."""
+    total = recall + precision
+    if total == 0:
+        return 0.0
+    return 2 * recall * precision / total
+
+
+def average_precision(recall, precision):
+    """Return the area under a precision-recall curve, in steps (no interpolation).
+
+    Parameters
+    ----------
+    recall, precision : array_like, shape (n,)
+        With falling threshold: recall does not decrease.
+
+    Notes
+    -----
+    Detections below the lowest threshold add nothing: recall the method never reaches counts as 0.
+
+    Examples
+    --------
+    >>> average_precision([0.5, 1.0], [1.0, 0.5])
+    0.75
+    """
+    recall, precision = (np.asarray(a, dtype=np.float64) for a in (recall, precision))
+    steps = np.diff(recall, prepend=0.0)
+    if (steps < 0).any():
+        raise ValueError("Invalid recall: it falls along the curve. Must not decrease.")
+    return float(np.sum(steps * precision))
+
+
+def _rows_by_group(groups, n):
+    """Row numbers of each group; every row its own where there are no groups."""
+    if groups is None:
+        return list(np.arange(n)[:, None])
+    groups = np.asarray(groups)
+    if groups.shape != (n,):
+        raise ValueError(f"Invalid groups of shape {groups.shape}. Must be ({n},).")
+    order = np.argsort(groups, kind="stable")
+    cuts = np.flatnonzero(groups[order][1:] != groups[order][:-1]) + 1
+    return np.split(order, cuts)
