@@ -28,7 +28,10 @@ FREE, FIXED = np.inf, 0.0
 HUBER = 1.5
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009)."""
 
-AT_REST = 1e-6
+REWEIGHTINGS = 6
+"""Weights are computed anew in so many iterations and then stay; more would change little."""
+
+AT_REST = 1e-7
 """Largest change of a gain, coefficient or relative reflectance in the last iteration."""
 
 
@@ -224,7 +227,12 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
                 f"Invalid block: not at rest after {rounds} iterations. Must have tie points that "
                 "determine the parameters."
             )
-        step, inverse, scaled = _iterate(problem)
+        misfit, jacobian, by_ground = problem.linearised()
+        scaled = misfit / problem.std
+        if iteration < REWEIGHTINGS:
+            weight = np.minimum(1, HUBER * _scale(scaled) / np.maximum(np.abs(scaled), 1e-12))
+            weight = weight / problem.std**2
+        step, inverse = _iterate(problem, (misfit, jacobian, by_ground), weight)
         iteration += 1
     return _result(problem, names, observations, inverse, scaled, iteration)
 
@@ -250,12 +258,9 @@ def tie_spread(values, tie):
     return 100 * groups.std() / groups.mean()
 
 
-def _iterate(problem):
-    """One step: its largest change, the inverse of the reduced system, the scaled misfit."""
-    misfit, jacobian, by_ground = problem.linearised()
-    scaled = misfit / problem.std
-    weight = np.minimum(1, HUBER / np.maximum(np.abs(scaled) / _scale(scaled), 1e-12))
-    weight = weight / problem.std**2
+def _iterate(problem, linearised, weight):
+    """One step: its largest change, and the inverse of the reduced system."""
+    misfit, jacobian, by_ground = linearised
     ties = problem.shape[2]
     ground_normal = np.bincount(problem.tie, weight * by_ground**2, ties) + problem.control_weight
     ground_right = np.bincount(problem.tie, weight * by_ground * misfit, ties)
@@ -279,7 +284,7 @@ def _iterate(problem):
     ground_change = (ground_right - mixed @ change) / ground_normal
     problem.ground = problem.ground + ground_change
     relative = np.abs(ground_change) / np.abs(problem.ground).mean()
-    return max(np.abs(change).max(), relative.max()), inverse, scaled
+    return max(np.abs(change).max(), relative.max()), inverse
 
 
 def _solved(reduced, right, fixed):
