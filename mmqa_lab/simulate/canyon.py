@@ -234,16 +234,15 @@ def canyon(seed, *, conditions=None):
 
 
 def _buildings(rng):
-    """Facades side by side along both sides of each street."""
+    """Facades side by side along both sides of each street, no two neighbours flush."""
     rows = []
     for street, length in enumerate(STREETS["length_m"]):
         for side in (-1, 1):
-            start = rng.uniform(0, 5)
+            start, setback = rng.uniform(0, 5), None
             while start < length - 9:
-                width = min(rng.uniform(9, 22), length - start)
-                rows.append(
-                    (street, side, start, width, rng.choice(SETBACKS_M), rng.uniform(12, 21))
-                )
+                width, height = min(rng.uniform(9, 22), length - start), rng.uniform(12, 21)
+                setback = rng.choice([value for value in SETBACKS_M if value != setback])
+                rows.append((street, side, start, width, setback, height))
                 start += width
     columns = ["street", "side", "start_m", "width_m", "setback_m", "height_m"]
     return pd.DataFrame(rows, columns=columns)
