@@ -49,6 +49,8 @@ class Scanner:
     ----------
     pulse_rate_hz : float
         Measurements per second (PRR).
+    field_of_view_deg : tuple of 2
+        Scan angles between which pulses leave.
     lever_arm_m : tuple of 3
         Scanner from the vehicle's reference point, in the vehicle's frame.
     heading_deg, tilt_deg : float
@@ -81,6 +83,7 @@ class Scanner:
     """
 
     pulse_rate_hz: float
+    field_of_view_deg: tuple = (-180.0, 180.0)
     lever_arm_m: tuple = (0.0, 0.0, 0.0)
     heading_deg: float = 0.0
     tilt_deg: float = 0.0
@@ -102,6 +105,9 @@ class Scanner:
 
     def __post_init__(self):
         check_positive(self.pulse_rate_hz, "pulse_rate_hz", unit="Hz")
+        low, high = self.field_of_view_deg
+        check_number(low, "field_of_view_deg", low=-180, high=180)
+        check_number(high, "field_of_view_deg", low=low, high=180)
         check_number(self.dropout_share, "dropout_share", low=0, high=1)
         check_number(self.max_range_reflectance, "max_range_reflectance", low=0.01, high=1)
         for name in _NOT_NEGATIVE:
@@ -119,6 +125,15 @@ class Scanner:
     def true_mounting(self):
         """Rotation with the boresight error, (3, 3)."""
         return rotations(*np.radians(self.boresight_deg)[:, None])[0] @ self.mounting
+
+    def _turn(self, pulse, frequency):
+        """Turns done and angle now of the pulses within the field of view, and which those are."""
+        turns = pulse * (frequency / self.pulse_rate_hz)
+        done = np.floor(turns)
+        angle = 360 * (turns - done) - 180
+        low, high = self.field_of_view_deg
+        left = (angle >= low) & (angle <= high)
+        return done[left].astype(np.int64), angle[left], left
 
     @property
     def beam_radius(self):
@@ -149,8 +164,6 @@ class ProfileScanner(Scanner):
     ----------
     mirror_frequency_hz : float
         Revolutions per second, one profile each (Mf).
-    field_of_view_deg : tuple of 2
-        Scan angles between which pulses leave.
     **scanner
         See ``Scanner``.
 
@@ -162,14 +175,15 @@ class ProfileScanner(Scanner):
     """
 
     mirror_frequency_hz: float
-    field_of_view_deg: tuple = (-180.0, 180.0)
 
     def __post_init__(self):
         super().__post_init__()
         check_positive(self.mirror_frequency_hz, "mirror_frequency_hz", unit="Hz")
-        low, high = self.field_of_view_deg
-        check_number(low, "field_of_view_deg", low=-180, high=180)
-        check_number(high, "field_of_view_deg", low=low, high=180)
+
+    @property
+    def elevations_deg(self):
+        """Elevation of the only beam above the scan plane."""
+        return (0.0,)
 
     @property
     def plane_normal(self):
@@ -177,25 +191,21 @@ class ProfileScanner(Scanner):
         return self.mounting[:, 1]
 
     def fire(self, pulse):
-        """Return the ``Firing`` of pulses counted from the start; those out of view are left out.
-
-        Returns
-        -------
-        Firing, array of bool
-            The second says which of the pulses left.
-        """
-        turns = pulse * (self.mirror_frequency_hz / self.pulse_rate_hz)
-        line = np.floor(turns).astype(np.int64)
-        angle = 360 * (turns - line) - 180
-        low, high = self.field_of_view_deg
-        left = (angle >= low) & (angle <= high)
+        """Return the ``Firing`` of pulses counted from the start, and which of them left."""
+        line, angle, left = self._turn(pulse, self.mirror_frequency_hz)
         since = pulse[left] / self.pulse_rate_hz
-        return Firing(since, angle[left], np.zeros(len(since)), line[left]), left
+        return Firing(since, angle, np.zeros(len(since)), line), left
 
     @staticmethod
     def beams(angle, elevation):
         """Unit vectors in the scanner's frame, (n, 3), of angles in radians."""
         return np.stack([np.sin(angle), np.sin(elevation), -np.cos(angle)], axis=1)
+
+    @staticmethod
+    def angles(vectors):
+        """Scan angle and elevation above the scan plane, degrees, of vectors, (..., 3)."""
+        x, y, z = np.moveaxis(vectors, -1, 0)
+        return np.degrees(np.arctan2(x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,18 +236,22 @@ class MultiBeamScanner(Scanner):
             check_number(elevation, "elevations_deg", low=-90, high=90, unit="degrees")
 
     def fire(self, pulse):
-        """Return the ``Firing`` of pulses counted from the start, and that all of them left."""
+        """Return the ``Firing`` of pulses counted from the start, and which of them left."""
+        turn, angle, left = self._turn(pulse, self.spin_hz)
         elevations = np.asarray(self.elevations_deg, dtype=np.float64)
-        ring = np.argsort(np.argsort(elevations))[pulse % len(elevations)]
-        turns = pulse * (self.spin_hz / self.pulse_rate_hz)
-        turn = np.floor(turns).astype(np.int64)
-        elevation = elevations[pulse % len(elevations)]
+        beam = pulse[left] % len(elevations)
+        ring = np.argsort(np.argsort(elevations))[beam]
         line = turn * len(elevations) + ring
-        since, angle = pulse / self.pulse_rate_hz, 360 * (turns - turn) - 180
-        return Firing(since, angle, elevation, line, ring), np.ones(len(pulse), dtype=bool)
+        return Firing(pulse[left] / self.pulse_rate_hz, angle, elevations[beam], line, ring), left
 
     @staticmethod
     def beams(angle, elevation):
         """Unit vectors in the scanner's frame, (n, 3), of angles in radians."""
         level = np.cos(elevation)
         return np.stack([level * np.sin(angle), level * np.cos(angle), np.sin(elevation)], axis=1)
+
+    @staticmethod
+    def angles(vectors):
+        """Scan angle and elevation above the plane of rotation, degrees, of vectors, (..., 3)."""
+        x, y, z = np.moveaxis(vectors, -1, 0)
+        return np.degrees(np.arctan2(x, y)), np.degrees(np.arctan2(z, np.hypot(x, y)))
