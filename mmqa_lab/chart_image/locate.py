@@ -1,0 +1,245 @@
+"""Finding a chart in an image: by its coded targets, from four corners, and to a part of a pixel."""
+
+import numpy as np
+
+from mmqa_lab._checks import check_points
+from mmqa_lab.chart_image.levels import check_image
+from mmqa_lab.chart_image.mapping import ChartMap
+from mmqa_lab.charts import LinePairs, Marker, reflectance
+
+ENLARGEMENTS = (1, 2, 4)
+"""Small targets are looked for in the image enlarged so many times."""
+
+ENLARGED_PIXELS = 4e6
+"""Larger images than this are not enlarged."""
+
+SEARCHED_PIXELS = 40e6
+"""Larger images than this are searched in strips that overlap."""
+
+FINEST_PAIR_PX = 3.0
+"""Line pairs narrower than this take no part in the alignment: aliased, they would mislead it."""
+
+SMALLEST_CORRELATION = 0.6
+"""Between chart and image after alignment; unrelated pictures stay below 0.3."""
+
+ALIGNMENT_CELL_PX = 0.6
+"""Cells of the alignment in pixels: with whole pixels it errs three times as much."""
+
+LARGEST_MOVE = 0.03
+"""Share of the chart's side by which the alignment may move a corner."""
+
+
+def locate_markers(image, layout, *, camera=None, offset=(0.0, 0.0)):
+    """Find a chart by its coded targets.
+
+    OpenCV finds and decodes the targets; all their corners together give the map.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey values, any unit.
+    layout : Layout
+        With at least one :class:`mmqa_lab.charts.Marker`.
+    camera : FrameCamera or PanoramaCamera, optional
+        What bends rays into pixels, for distorted images and panoramas.
+    offset : (float, float)
+        Column and row of the whole image where this window begins.
+
+    Returns
+    -------
+    ChartMap
+        ``residuals_px`` of the corners of all targets found.
+
+    Raises
+    ------
+    ValueError
+        If the layout has no targets or none of them is found.
+
+    Notes
+    -----
+    A target of 100 mm is found while its six modules have about 1.5 pixels each: up to pixels of
+    about 10 mm.
+    """
+    image = check_image(image)
+    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+    if not markers:
+        raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
+    dictionary = next(iter(markers.values())).dictionary
+    low, high = np.percentile(image[:: 1 + len(image) // 500], [0.5, 99.5])
+    grey = np.clip((image - low) / max(high - low, 1e-12) * 255, 0, 255).astype(np.uint8)
+    found = {}
+    for enlargement in ENLARGEMENTS:
+        if enlargement > 1 and grey.size > ENLARGED_PIXELS:
+            break
+        seen = _detected(grey, dictionary, enlargement)
+        seen = {key: corners for key, corners in seen.items() if key in markers}
+        found = seen if len(seen) > len(found) else found
+        if len(found) == len(markers):
+            break
+    if not found:
+        raise ValueError(
+            f"Invalid image: none of the {len(markers)} coded targets of {dictionary} found. "
+            "Must show them, or the corners of the chart must be given."
+        )
+    places = np.concatenate([markers[key].corners() for key in found])
+    corners = np.concatenate(list(found.values()))
+    source = f"{len(found)} coded targets"
+    return ChartMap.from_points(places, corners, camera=camera, offset=offset, source=source)
+
+
+def locate_corners(corners, layout, *, camera=None, offset=(0.0, 0.0)):
+    """Return the map of a chart from its four corners in the image.
+
+    Parameters
+    ----------
+    corners : array_like, shape (4, 2)
+        Column and row of the lower left, lower right, upper right and upper left corner of the
+        printed chart.
+    layout : Layout
+    camera : FrameCamera or PanoramaCamera, optional
+        What bends rays into pixels.
+    offset : (float, float)
+        Column and row of the whole image where the window begins that corners are counted in.
+
+    Returns
+    -------
+    ChartMap
+
+    Raises
+    ------
+    ValueError
+        If there are not four corners, or they are not in this order.
+    """
+    corners = check_points(corners, name="corners", columns=2, minimum=4)
+    if len(corners) != 4:
+        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    places = layout.corners()
+    return ChartMap.from_points(places, corners, camera=camera, offset=offset, source="corners")
+
+
+def align(image, layout, chart_map):
+    """Improve a map by the whole printed chart.
+
+    The image is brought to the chart's frame, where OpenCV maximises its correlation with the
+    printed tones over the eight parameters of a homography (ECC). Fine line pairs are left out.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Linear light.
+    layout : Layout
+    chart_map : ChartMap
+        Right to a few pixels.
+
+    Returns
+    -------
+    ChartMap
+        ``residuals_px`` are those of the long bars' edges, measured one by one.
+
+    Raises
+    ------
+    ValueError
+        If the chart is not found there: no convergence, a correlation below 0.6, or corners that
+        moved by more than 3 % of the chart's side.
+
+    References
+    ----------
+    Evangelidis and Psarakis 2008, doi:10.1109/TPAMI.2008.113.
+    """
+    import cv2
+
+    image = check_image(image)
+    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
+    cell = max(ALIGNMENT_CELL_PX * pixel_mm, layout.width / 1500)
+    printed = cv2.GaussianBlur(reflectance(layout, cell=cell), (0, 0), 0.55 * pixel_mm / cell)
+    seen, inside = _rectified(image, layout, chart_map, cell, printed.shape)
+    mask = inside & _trusted(layout, chart_map, cell, printed.shape)
+    change = np.eye(3, dtype=np.float32)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-7)
+    correlation = 0.0
+    try:
+        for smoothing in (11, 5):
+            correlation, change = cv2.findTransformECC(
+                printed, seen, change, cv2.MOTION_HOMOGRAPHY, stop, mask, smoothing
+            )
+    except cv2.error:
+        correlation = 0.0
+    if not correlation >= SMALLEST_CORRELATION:
+        raise ValueError(
+            f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
+            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there?"
+        )
+    to_cells = np.array([[1 / cell, 0, -0.5], [0, 1 / cell, -0.5], [0, 0, 1]])
+    change = np.linalg.inv(to_cells) @ change.astype(float) @ to_cells
+    aligned = chart_map.corrected(change / change[2, 2], source=f"{chart_map.source}, aligned")
+    moved = np.linalg.norm(
+        aligned.pixels(layout.corners()) - chart_map.pixels(layout.corners()), axis=1
+    ).max()
+    limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
+    if moved > limit:
+        raise ValueError(
+            f"Invalid place of the chart: a corner lies {moved:.1f} px away. Must be given to "
+            f"{limit:.1f} px."
+        )
+    return aligned
+
+
+def _detected(grey, dictionary, enlargement):
+    """Corners of the coded targets by number, in pixels of the image."""
+    import cv2
+
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    settings.minMarkerPerimeterRate = 0.001
+    settings.cornerRefinementWinSize = 3 * enlargement
+    detector = cv2.aruco.ArucoDetector(book, settings)
+    found = {}
+    for first, strip in _strips(grey):
+        if enlargement > 1:
+            size = (strip.shape[1] * enlargement, strip.shape[0] * enlargement)
+            strip = cv2.resize(strip, size, interpolation=cv2.INTER_CUBIC)
+        corners, identifiers, _ = detector.detectMarkers(strip)
+        for one, key in zip(corners, () if identifiers is None else identifiers, strict=False):
+            places = (one.reshape(4, 2).astype(float) + 0.5) / enlargement - 0.5
+            found[int(np.ravel(key)[0])] = places + [0, first]
+    return found
+
+
+def _strips(grey):
+    """An image as strips of rows that overlap by half, with their first rows."""
+    rows = max(int(SEARCHED_PIXELS / grey.shape[1]), 512)
+    if rows >= len(grey):
+        yield 0, grey
+        return
+    for first in range(0, len(grey) - rows // 2, rows // 2):
+        yield first, grey[first : first + rows]
+
+
+def _rectified(image, layout, chart_map, cell, shape):
+    """The image in the chart's frame, and where it is known."""
+    import cv2
+
+    rows, columns = np.indices(shape)
+    places = np.column_stack([columns.ravel() + 0.5, rows.ravel() + 0.5]) * cell
+    pixels = chart_map.pixels(places).astype(np.float32).reshape(*shape, 2)
+    image = image.astype(np.float32)
+    seen = cv2.remap(image, pixels, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    limit = np.array(image.shape[::-1]) - 1
+    inside = ((pixels >= 0) & (pixels <= limit)).all(axis=2)
+    return seen, inside.astype(np.uint8) * 255
+
+
+def _trusted(layout, chart_map, cell, shape):
+    """The cells that may take part in the alignment."""
+    trusted = np.full(shape, 255, dtype=np.uint8)
+    for pairs in layout.of_kind(LinePairs):
+        middle = [[pairs.x + pairs.width / 2, pairs.y + pairs.height / 2]]
+        axis = 0 if pairs.direction == "h" else 1
+        if pairs.pair / chart_map.pixel_sizes_mm(middle)[0, axis] < FINEST_PAIR_PX:
+            low = np.floor((np.array([pairs.x, pairs.y]) / cell) - 2).astype(int)
+            size = np.array([pairs.width, pairs.height])
+            high = np.ceil((np.array([pairs.x, pairs.y]) + size) / cell + 2).astype(int)
+            low = np.maximum(low, 0)
+            trusted[low[1] : high[1], low[0] : high[0]] = 0
+    return trusted

@@ -1,0 +1,352 @@
+"""From millimetres on the chart to pixels of the image and back.
+
+Pixels are (column, row), the centre of the first one at (0, 0). The camera looks along its z axis,
+x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends
+rays into pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+
+STEP_MM = 0.5
+"""Half of the step that local scales are measured over."""
+
+
+@dataclass(frozen=True)
+class FrameCamera:
+    """A central perspective with Brown's distortion.
+
+    Parameters
+    ----------
+    width, height : int
+        Pixels.
+    focal_px : float
+        Principal distance in pixels.
+    principal : (float, float), optional
+        Principal point, column and row; the middle of the image when not given.
+    distortion : sequence of float
+        k1, k2, p1, p2 and k3 as OpenCV defines them.
+    """
+
+    width: int
+    height: int
+    focal_px: float
+    principal: tuple = None
+    distortion: tuple = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        check_count(self.width, "width")
+        check_count(self.height, "height")
+        check_positive(self.focal_px, "focal_px", unit="pixels")
+        if len(self.distortion) != 5:
+            raise ValueError(f"Invalid distortion {self.distortion}. Must be k1, k2, p1, p2, k3.")
+
+    @property
+    def _interior(self):
+        """The camera matrix."""
+        middle = ((self.width - 1) / 2, (self.height - 1) / 2)
+        column, row = middle if self.principal is None else self.principal
+        return np.array([[self.focal_px, 0, column], [0, self.focal_px, row], [0, 0, 1.0]])
+
+    def pixels(self, rays):
+        """Return the pixels of rays, shape (n, 2); NaN for rays from behind."""
+        import cv2
+
+        rays = np.asarray(rays, dtype=float)
+        ahead = np.where(rays[:, 2:] > 0, rays, np.nan)
+        flat = ahead[:, :2] / ahead[:, 2:]
+        if not any(self.distortion):
+            return flat * self.focal_px + self._interior[:2, 2]
+        points = np.column_stack([flat, np.ones(len(flat))])
+        zero, distortion = np.zeros(3), np.array(self.distortion)
+        return cv2.projectPoints(points, zero, zero, self._interior, distortion)[0][:, 0]
+
+    def rays(self, pixels):
+        """Return the directions of pixels, shape (n, 3), z = 1."""
+        import cv2
+
+        pixels = np.ascontiguousarray(pixels, dtype=float)
+        if any(self.distortion):
+            stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+            flat = cv2.undistortPoints(
+                pixels[:, None], self._interior, np.array(self.distortion), criteria=stop
+            )[:, 0]
+        else:
+            flat = (pixels - self._interior[:2, 2]) / self.focal_px
+        return np.column_stack([flat, np.ones(len(flat))])
+
+
+@dataclass(frozen=True)
+class PanoramaCamera:
+    """An equirectangular panorama: columns are equal steps of azimuth, rows of elevation.
+
+    The middle of the image is the z axis. ``height`` is half of ``width``.
+
+    Examples
+    --------
+    >>> round(PanoramaCamera.of_megapixels(30).pixel_size_mm(10), 2)
+    8.11
+    """
+
+    width: int
+
+    def __post_init__(self):
+        check_count(self.width, "width", low=4)
+
+    @classmethod
+    def of_megapixels(cls, megapixels):
+        """Return the panorama with N megapixels: width sqrt(2 N)."""
+        megapixels = check_positive(megapixels, "megapixels")
+        return cls(2 * round(np.sqrt(2e6 * megapixels) / 2))
+
+    @property
+    def height(self):
+        """Rows."""
+        return self.width // 2
+
+    def pixel_size_mm(self, distance):
+        """Return the size of a pixel on a sphere ``distance`` metres away, mm."""
+        return 2000 * np.pi * check_positive(distance, "distance", unit="m") / self.width
+
+    def pixels(self, rays):
+        """Return the pixels of rays, shape (n, 2)."""
+        x, y, z = np.asarray(rays, dtype=float).T
+        azimuth, elevation = np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))
+        step = self.width / (2 * np.pi)
+        return np.column_stack(
+            [
+                self.width / 2 + azimuth * step - 0.5,
+                self.height / 2 - elevation * step - 0.5,
+            ]
+        )
+
+    def rays(self, pixels):
+        """Return the directions of pixels as unit vectors, shape (n, 3)."""
+        column, row = np.asarray(pixels, dtype=float).T
+        step = 2 * np.pi / self.width
+        azimuth = (column + 0.5 - self.width / 2) * step
+        elevation = (self.height / 2 - row - 0.5) * step
+        level = np.cos(elevation)
+        return np.column_stack(
+            [level * np.sin(azimuth), -np.sin(elevation), level * np.cos(azimuth)]
+        )
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera stands and how it is turned.
+
+    Parameters
+    ----------
+    position : array_like, shape (3,)
+        East, north, height, metres.
+    rotation : array_like, shape (3, 3)
+        Rows are the camera's x (right), y (down) and z (view) axis in the world.
+    """
+
+    position: tuple
+    rotation: tuple
+
+    @classmethod
+    def looking(cls, position, target, *, roll_deg=0.0):
+        """Return the pose at ``position`` that looks at ``target`` with a level x axis.
+
+        Examples
+        --------
+        >>> Pose.looking((0, 0, 2), (0, 10, 2)).rotation.round(12).tolist()[2]
+        [0.0, 1.0, 0.0]
+        """
+        position, target = (np.asarray(place, dtype=float) for place in (position, target))
+        view = target - position
+        level = np.cross(view, [0, 0, 1.0])
+        if not np.linalg.norm(level) > 0:
+            raise ValueError(f"Invalid target {target}. Must not lie plumb above or below.")
+        view, right = view / np.linalg.norm(view), level / np.linalg.norm(level)
+        down = np.cross(view, right)
+        angle = np.radians(check_number(roll_deg, "roll_deg"))
+        turned = np.cos(angle) * right + np.sin(angle) * down
+        return cls(position, np.stack([turned, np.cross(view, turned), view]))
+
+    def to_camera(self, points):
+        """Return world points in the camera's axes, metres; differences are taken first."""
+        return (np.asarray(points, dtype=float) - self.position) @ np.asarray(self.rotation).T
+
+
+@dataclass(frozen=True, eq=False)
+class ChartMap:
+    """Where each place of a chart is in an image.
+
+    Parameters
+    ----------
+    matrix : array, shape (3, 3)
+        Takes (x, y, 1) in mm on the chart to a ray of the camera.
+    camera : FrameCamera or PanoramaCamera, optional
+        Without one, rays are pixels: column, row, 1 and a common factor.
+    offset : (float, float)
+        Column and row that count as (0, 0), for a window of an image.
+    source : str
+        What the map was made from.
+    residuals_px : array, shape (n,)
+        Distances of the points it was fitted to from where it puts them; empty if none are left
+        over.
+    """
+
+    matrix: np.ndarray
+    camera: object = None
+    offset: tuple = (0.0, 0.0)
+    source: str = "given"
+    residuals_px: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def from_points(cls, xy, pixels, *, camera=None, offset=(0.0, 0.0), source="points"):
+        """Fit the map to four or more points by least squares.
+
+        Parameters
+        ----------
+        xy : array_like, shape (n, 2)
+            Places on the chart, mm.
+        pixels : array_like, shape (n, 2)
+            Where they are in the image.
+        camera, offset, source
+            As for the class.
+
+        Examples
+        --------
+        >>> corners = [[0, 0], [1000, 0], [1000, 1000], [0, 1000]]
+        >>> there = ChartMap.from_points(corners, [[10, 90], [90, 90], [90, 10], [10, 10]])
+        >>> there.pixels([[500, 500]]).round(6).tolist()
+        [[50.0, 50.0]]
+        """
+        import cv2
+
+        xy = check_points(xy, name="chart points", columns=2, minimum=4)
+        pixels = check_points(pixels, name="pixels", columns=2, minimum=4)
+        if len(xy) != len(pixels):
+            raise ValueError(f"Invalid pixels: {len(pixels)} given. Must be {len(xy)}.")
+        turn, flat = np.eye(3), pixels + offset
+        if camera is not None:
+            # rays become points of the plane across their mean direction
+            rays = camera.rays(pixels + offset)
+            rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+            turn = _turn_to_z(rays.mean(axis=0))
+            turned = rays @ turn.T
+            flat = turned[:, :2] / turned[:, 2:]
+        homography, _ = cv2.findHomography(xy, flat, 0)
+        if homography is None or not _same_orientation(homography, xy):
+            raise ValueError(f"Invalid {source}: no chart fits. Must be four corners in order.")
+        found = cls(turn.T @ homography, camera, tuple(offset), source=source)
+        residuals = np.linalg.norm(found.pixels(xy) - pixels, axis=1)
+        return replace(found, residuals_px=residuals if len(xy) > 4 else np.empty(0))
+
+    @classmethod
+    def from_orientation(cls, camera, pose, corners, layout):
+        """Return the map of a chart whose corners are surveyed, for a camera of known orientation.
+
+        Parameters
+        ----------
+        camera : FrameCamera or PanoramaCamera
+        pose : Pose
+        corners : array_like, shape (4, 3)
+            East, north, height of the chart's corners from the lower left counterclockwise as one
+            looks at it, metres. The chart is taken for plane with right angles and the layout's
+            size; its frame is fitted to the corners.
+        layout : Layout
+
+        Raises
+        ------
+        ValueError
+            If the corners do not have the layout's size within 2 %, or lie behind the camera.
+        """
+        corners = check_points(corners, name="corners", minimum=4)
+        if len(corners) != 4:
+            raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+        seen = pose.to_camera(corners)
+        sides = np.linalg.norm(np.roll(seen, -1, axis=0) - seen, axis=1) * 1000
+        expected = np.array([layout.width, layout.height] * 2)
+        if (np.abs(sides / expected - 1) > 0.02).any():
+            raise ValueError(
+                f"Invalid corners with sides {np.round(sides).tolist()} mm. "
+                f"Must be a chart of {layout.width:g} mm x {layout.height:g} mm."
+            )
+        middle, x, y = _rectangle_frame(seen)
+        origin = middle - (x * layout.width + y * layout.height) / 2000
+        found = cls(np.stack([x / 1000, y / 1000, origin], axis=1), camera, source="orientation")
+        pixels = found.pixels(layout.corners())
+        if not np.isfinite(pixels).all():
+            raise ValueError("Invalid corners: behind the camera. Must lie before it.")
+        residuals = np.linalg.norm(pixels - camera.pixels(seen), axis=1)
+        return replace(found, residuals_px=residuals)
+
+    @property
+    def rms_px(self):
+        """Root mean square of the residuals, pixels; NaN where nothing is left over."""
+        if not len(self.residuals_px):
+            return np.nan
+        return float(np.sqrt(np.mean(self.residuals_px**2)))
+
+    def pixels(self, xy):
+        """Return the pixels of chart places, shape (n, 2)."""
+        rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
+        if self.camera is None:
+            return rays[:, :2] / rays[:, 2:] - self.offset
+        return self.camera.pixels(rays) - self.offset
+
+    def chart(self, pixels):
+        """Return the chart places of pixels, mm, shape (n, 2)."""
+        pixels = np.asarray(pixels, dtype=float) + self.offset
+        if self.camera is None:
+            rays = np.column_stack([pixels, np.ones(len(pixels))])
+        else:
+            rays = self.camera.rays(pixels)
+        places = rays @ np.linalg.inv(self.matrix).T
+        return places[:, :2] / places[:, 2:]
+
+    def within(self, column, row):
+        """Return the map for a window of the image that begins at this column and row."""
+        offset = np.asarray(self.offset) + [column, row]
+        return replace(self, offset=tuple(offset))
+
+    def corrected(self, change, *, source):
+        """Return the map after a 3 x 3 change of places on the chart."""
+        return replace(self, matrix=self.matrix @ change, source=source)
+
+    def scale(self, xy):
+        """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""
+        xy = np.asarray(xy, dtype=float)
+        ends = [self.pixels(xy + step) - self.pixels(xy - step) for step in np.eye(2) * STEP_MM]
+        return np.stack(ends, axis=1) / (2 * STEP_MM)
+
+    def pixel_sizes_mm(self, xy):
+        """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
+        return 1 / np.linalg.norm(self.scale(xy), axis=2)
+
+
+def _turn_to_z(direction):
+    """The rotation that takes a direction to the z axis."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross([0.0, 1.0, 0.0], z)
+    if np.linalg.norm(x) < 1e-3:
+        x = np.cross([1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _same_orientation(homography, xy):
+    """Whether a homography keeps all points on one side and turns up to down, as images do."""
+    depth = np.column_stack([xy, np.ones(len(xy))]) @ homography[2]
+    turned = np.linalg.det(homography / np.sign(depth[0])) < 0
+    return bool((depth * depth[0] > 0).all() and turned)
+
+
+def _rectangle_frame(corners):
+    """Middle, x axis and y axis of the rectangle nearest to four corners."""
+    a, b, c, d = corners
+    x, y = (b - a) + (c - d), (d - a) + (c - b)
+    x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
+    # the orthogonal pair nearest to both
+    both, difference = x + y, x - y
+    both, difference = both / np.linalg.norm(both), difference / np.linalg.norm(difference)
+    return corners.mean(axis=0), (both + difference) / np.sqrt(2), (both - difference) / np.sqrt(2)

@@ -1,0 +1,286 @@
+"""The elements of a chart and the layout that holds them."""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.charts import glyphs
+
+BLACK, GREY, WHITE = 0.0, 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A plain rectangle: long bars, panels, patches."""
+
+    name: str
+    x: float
+    y: float
+    width: float
+    height: float
+    tone: float = BLACK
+    ground: float = WHITE
+
+    def grid(self):
+        """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
+        x = np.array([self.x, self.x + self.width])
+        return x, np.array([self.y, self.y + self.height]), np.array([[self.tone]])
+
+
+@dataclass(frozen=True)
+class LinePairs:
+    """Equal black and white bars; ``pair`` is the width w of one black and one white bar.
+
+    ``direction`` says along what the pairs follow each other: ``"h"`` is standing bars, read in
+    horizontal direction, ``"v"`` lying bars. It begins with black at the low end.
+    """
+
+    name: str
+    x: float
+    y: float
+    pair: float
+    direction: str
+    repeats: int = 8
+    length: float = 80.0
+    ground: float = WHITE
+
+    @property
+    def extent(self):
+        """Length across all bars, mm."""
+        return self.pair * self.repeats
+
+    @property
+    def width(self):
+        """Size along x, mm."""
+        return self.extent if self.direction == "h" else self.length
+
+    @property
+    def height(self):
+        """Size along y, mm."""
+        return self.length if self.direction == "h" else self.extent
+
+    def grid(self):
+        """Return the edges in x and y and the tones between them."""
+        steps = np.arange(2 * self.repeats + 1) * self.pair / 2
+        tones = np.tile([BLACK, WHITE], self.repeats)
+        if self.direction == "h":
+            return self.x + steps, np.array([self.y, self.y + self.length]), tones[None, :]
+        return np.array([self.x, self.x + self.length]), self.y + steps, tones[:, None]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A coded square target of an OpenCV dictionary, black border included."""
+
+    name: str
+    x: float
+    y: float
+    size: float
+    dictionary: str
+    identifier: int
+    ground: float = WHITE
+
+    @property
+    def width(self):
+        """Side, mm."""
+        return self.size
+
+    @property
+    def height(self):
+        """Side, mm."""
+        return self.size
+
+    def grid(self):
+        """Return the edges in x and y and the tones between them."""
+        bits = _marker_bits(self.dictionary, self.identifier)
+        edges = np.linspace(0, self.size, len(bits) + 1)
+        return self.x + edges, self.y + edges, bits[::-1]
+
+    def corners(self):
+        """Return the corners in the order of OpenCV's detector, from the upper left, shape (4, 2)."""
+        low, right = np.array([self.x, self.y]), np.array([self.size, 0.0])
+        up = right[::-1]
+        return np.stack([low + up, low + up + right, low + right, low])
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A square of black and white cells, ``bits`` in hexadecimal, row by row from below."""
+
+    name: str
+    x: float
+    y: float
+    size: float
+    count: int
+    bits: str
+    ground: float = WHITE
+
+    @property
+    def width(self):
+        """Side, mm."""
+        return self.size
+
+    @property
+    def height(self):
+        """Side, mm."""
+        return self.size
+
+    def grid(self):
+        """Return the edges in x and y and the tones between them."""
+        packed = np.frombuffer(bytes.fromhex(self.bits), dtype=np.uint8)
+        tones = np.unpackbits(packed, count=self.count**2).reshape(self.count, self.count)
+        edges = np.linspace(0, self.size, self.count + 1)
+        return self.x + edges, self.y + edges, tones.astype(float)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A line of text from its lower left corner on the base line; ``cap`` is the height of H."""
+
+    name: str
+    x: float
+    y: float
+    text: str
+    cap: float
+    tone: float = BLACK
+    ground: float = WHITE
+
+    @property
+    def width(self):
+        """Advance width, mm."""
+        return glyphs.advance(self.text, self.cap)
+
+    @property
+    def height(self):
+        """Height of the capitals, mm; accents and descenders reach beyond."""
+        return self.cap
+
+    def outlines(self):
+        """Return the closed outlines of all letters, arrays (k, 2) in mm, to be filled even-odd."""
+        origin = np.array([self.x, self.y])
+        return [outline + origin for outline in glyphs.outlines(self.text, self.cap)]
+
+
+KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A chart: its size in mm and its elements, each with a name of its own.
+
+    Raises
+    ------
+    ValueError
+        If two elements share a name or one reaches over the chart's edge.
+
+    Examples
+    --------
+    >>> chart = Layout("two bars", 100, 50, (Bar("a", 10, 10, 5, 30), Bar("b", 60, 10, 5, 30)))
+    >>> chart["b"].x
+    60
+    """
+
+    name: str
+    width: float
+    height: float
+    elements: tuple
+
+    def __post_init__(self):
+        check_positive(self.width, "chart width", unit="mm")
+        check_positive(self.height, "chart height", unit="mm")
+        if len(self._by_name) < len(self.elements):
+            raise ValueError(f"Invalid chart {self.name!r}: a name repeats. Must be distinct.")
+        for element in self.elements:
+            _check_element(element)
+            high = element.x + element.width, element.y + element.height
+            if min(element.x, element.y) < 0 or high[0] > self.width or high[1] > self.height:
+                raise ValueError(
+                    f"Invalid element {element.name!r}: ends at {high[0]:.1f}, {high[1]:.1f} mm. "
+                    f"Must lie within {self.width} mm x {self.height} mm."
+                )
+
+    @cached_property
+    def _by_name(self):
+        return {element.name: element for element in self.elements}
+
+    def __getitem__(self, name):
+        return self._by_name[check_choice(name, "element", tuple(self._by_name))]
+
+    def of_kind(self, kind):
+        """Return the elements of one class, in order."""
+        return [element for element in self.elements if isinstance(element, kind)]
+
+    def corners(self):
+        """Return the chart's corners from the lower left, counterclockwise, mm, shape (4, 2)."""
+        w, h = self.width, self.height
+        return np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=float)
+
+
+def to_json(layout):
+    """Return a layout as JSON text; :func:`from_json` reads it back unchanged."""
+    elements = [
+        {"kind": type(element).__name__, **dataclasses.asdict(element)}
+        for element in layout.elements
+    ]
+    whole = {"name": layout.name, "width": layout.width, "height": layout.height}
+    return json.dumps({**whole, "elements": elements}, indent=1)
+
+
+def from_json(text):
+    """Return the layout that JSON text describes.
+
+    Raises
+    ------
+    ValueError
+        If the text is no JSON, lacks a field or describes no valid layout.
+
+    Examples
+    --------
+    >>> chart = Layout("one bar", 100, 50, (Bar("a", 10, 10, 5, 30),))
+    >>> from_json(to_json(chart)) == chart
+    True
+    """
+    try:
+        whole = json.loads(text)
+        elements = []
+        for fields in whole["elements"]:
+            kind = KINDS[check_choice(fields.pop("kind"), "kind", tuple(KINDS))]
+            elements.append(kind(**fields))
+        return Layout(whole["name"], whole["width"], whole["height"], tuple(elements))
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"Invalid chart layout: {error}. Must be JSON with all fields.") from None
+
+
+def _check_element(element):
+    """Every number of an element, named."""
+    name = f"of element {element.name!r}"
+    for field in dataclasses.fields(element):
+        value = getattr(element, field.name)
+        if field.name in ("x", "y", "tone", "ground"):
+            check_number(value, f"{field.name} {name}")
+        elif field.name in ("width", "height", "pair", "length", "size", "cap"):
+            check_positive(value, f"{field.name} {name}", unit="mm")
+        elif field.name in ("repeats", "count"):
+            check_count(value, f"{field.name} {name}")
+        elif field.name == "direction":
+            check_choice(value, f"direction {name}", ("h", "v"))
+
+
+@lru_cache
+def _marker_bits(dictionary, identifier):
+    """The modules of a coded target from above, border included: 0 black, 1 white."""
+    import cv2
+
+    known = tuple(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    number = getattr(cv2.aruco, check_choice(dictionary, "dictionary", known))
+    book = cv2.aruco.getPredefinedDictionary(number)
+    if not 0 <= identifier < len(book.bytesList):
+        raise ValueError(
+            f"Invalid target {identifier} of {dictionary}. Must be below {len(book.bytesList)}."
+        )
+    side = book.markerSize + 2
+    return cv2.aruco.generateImageMarker(book, identifier, side) / 255.0

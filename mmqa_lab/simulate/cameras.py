@@ -1,0 +1,392 @@
+"""Photographs of charts whose truth is known: geometry, optics, motion, sensor, file.
+
+::
+
+    from mmqa_lab import charts
+    from mmqa_lab.simulate import cameras
+
+    layout = charts.imaging_chart()
+    camera = cameras.PanoramaCamera.of_megapixels(250)
+    view = cameras.chart_view(camera, distance=10, heading_deg=30, layout=layout)
+    photo = cameras.photograph(layout, view, optics=cameras.Optics(sigma_px=0.6), seed=1)
+    photo.image, photo.chart_map                     # grey values and the truth of every element
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.charts import reflectance
+
+__all__ = [
+    "ChartMap",
+    "FrameCamera",
+    "Optics",
+    "PanoramaCamera",
+    "Photo",
+    "Pose",
+    "Sensor",
+    "chart_view",
+    "decode",
+    "encode",
+    "photograph",
+]
+
+SUPERSAMPLING = 6
+"""Samples along each side of a pixel."""
+
+SRGB_KNEE = 0.0031308
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What the light passes before the pixels integrate it.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation of the Gaussian point spread, pixels, without that of the pixel itself.
+    defocus_px : float
+        Radius of a uniform disc, pixels; beyond the first zero of its transfer, contrast reverses.
+    travel : (float, float, float)
+        Way of the camera during the exposure, in its own axes and in the unit of its map's rays:
+        metres for oriented cameras, (columns, rows, 0) for plain homographies.
+    """
+
+    sigma_px: float = 0.5
+    defocus_px: float = 0.0
+    travel: tuple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        check_number(self.sigma_px, "sigma_px", low=0, unit="pixels")
+        check_number(self.defocus_px, "defocus_px", low=0, unit="pixels")
+        for step in self.travel:
+            check_number(step, "travel")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """From irradiance to the grey values of a file.
+
+    Parameters
+    ----------
+    black, white : float
+        Signal of black and white print, as shares of full scale.
+    noise : float
+        Standard deviation at full scale, share of full scale.
+    shot_share : float
+        Share of the variance there that is proportional to the signal; the rest is constant.
+    bayer : bool
+        One colour per pixel, interpolated by OpenCV's edge-aware method.
+    sharpening : float
+        Amount of an unsharp mask of 1 px.
+    gamma : {"linear", "srgb"}
+    bits : int or None
+        8 or 16, None for unrounded values.
+    jpeg_quality : int or None
+        1 to 100, OpenCV's encoder; None for no compression.
+    """
+
+    black: float = 0.06
+    white: float = 0.7
+    noise: float = 0.01
+    shot_share: float = 0.5
+    bayer: bool = False
+    sharpening: float = 0.0
+    gamma: str = "linear"
+    bits: int | None = None
+    jpeg_quality: int | None = None
+
+    def __post_init__(self):
+        check_number(self.black, "black", low=0, high=1)
+        check_number(self.white, "white", low=self.black, high=1)
+        check_number(self.noise, "noise", low=0)
+        check_number(self.shot_share, "shot_share", low=0, high=1)
+        check_number(self.sharpening, "sharpening", low=0)
+        check_choice(self.gamma, "gamma", ("linear", "srgb"))
+        check_choice(self.bits, "bits", (8, 16, None))
+        if self.jpeg_quality is not None:
+            check_number(self.jpeg_quality, "jpeg_quality", low=1, high=100)
+            if self.bits != 8:
+                raise ValueError(f"Invalid bits {self.bits}. Must be 8 for JPEG.")
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A simulated photograph of a chart, the window around it.
+
+    Parameters
+    ----------
+    image : array, shape (rows, columns) or (rows, columns, 3)
+        Blue, green, red for a Bayer sensor.
+    chart_map : ChartMap
+        The true map, counted from the window's first pixel.
+    origin : (int, int)
+        Column and row of the window in the whole image.
+    """
+
+    image: np.ndarray
+    chart_map: ChartMap
+    origin: tuple
+
+
+def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, height=0.0, aim_deg=0.0):
+    """Return the map of a chart for a camera of the test configuration.
+
+    The chart stands upright; its middle is the target. The camera is at ``distance`` on the line
+    that leaves the chart's normal by ``heading_deg``: 0 orthogonal, positive to the right.
+
+    Parameters
+    ----------
+    camera : FrameCamera or PanoramaCamera
+    distance : float
+        From the camera to the chart's plane, metres.
+    layout : Layout
+    heading_deg : float
+        Direction of view against the normal, below 90 degrees.
+    roll_deg : float
+        Of the camera.
+    height : float
+        Of the camera above the chart's middle, metres.
+    aim_deg : float
+        Turns the camera to the right, away from the target.
+
+    Returns
+    -------
+    ChartMap
+
+    Examples
+    --------
+    >>> from mmqa_lab import charts
+    >>> camera = PanoramaCamera.of_megapixels(30)
+    >>> view = chart_view(camera, distance=10, layout=charts.imaging_chart())
+    >>> view.pixel_sizes_mm([[500, 500]]).round(2).tolist()
+    [[8.11, 8.11]]
+    """
+    distance = check_positive(distance, "distance", unit="m")
+    heading = np.radians(check_number(heading_deg, "heading_deg", low=-89, high=89, unit="degrees"))
+    place = np.array([distance * np.tan(heading), -distance, height])
+    pose = Pose.looking(place, (0.0, 0.0, 0.0), roll_deg=roll_deg)
+    aim = np.radians(check_number(aim_deg, "aim_deg"))
+    turn = np.array([[np.cos(aim), 0, -np.sin(aim)], [0, 1, 0], [np.sin(aim), 0, np.cos(aim)]])
+    pose = replace(pose, rotation=turn @ pose.rotation)
+    corners = layout.corners() / 1000 - np.array([layout.width, layout.height]) / 2000
+    corners = np.column_stack([corners[:, 0], np.zeros(4), corners[:, 1]])
+    return ChartMap.from_orientation(camera, pose, corners, layout)
+
+
+def photograph(
+    layout,
+    chart_map,
+    *,
+    optics=Optics(),
+    sensor=Sensor(),
+    surround=0.4,
+    margin=12,
+    supersampling=SUPERSAMPLING,
+    seed=0,
+):
+    """Photograph a chart.
+
+    Each pixel averages ``supersampling`` squared samples of the printed tones after point spread
+    and motion; the motion averages exposures along the way. The remaining width of the samples is
+    taken off the point spread, so that its standard deviation is the one asked for.
+
+    Parameters
+    ----------
+    layout : Layout
+    chart_map : ChartMap
+    optics : Optics
+    sensor : Sensor
+    surround : float
+        Tone around the chart.
+    margin : int
+        Pixels around the chart.
+    supersampling : int
+        Samples along each side of a pixel.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    Photo
+
+    Raises
+    ------
+    ValueError
+        If the chart is not in view or an argument is invalid.
+
+    Examples
+    --------
+    >>> from mmqa_lab import charts
+    >>> layout = charts.imaging_chart()
+    >>> view = chart_view(PanoramaCamera.of_megapixels(30), distance=10, layout=layout)
+    >>> photo = photograph(layout, view, seed=1)
+    >>> photo.image.shape
+    (149, 150)
+    """
+    fine = check_count(supersampling, "supersampling")
+    low, size = _window(layout, chart_map, check_count(margin, "margin", low=0))
+    inside = chart_map.within(*low)
+    tones = _exposed(layout, inside, size, optics, fine, surround)
+    signal = sensor.black + (sensor.white - sensor.black) * tones
+    origin = tuple(int(place) for place in low)
+    return Photo(_recorded(signal, sensor, np.random.default_rng(seed)), inside, origin)
+
+
+def encode(values, gamma):
+    """Return values 0..1 of linear light as the file's: unchanged, or by sRGB's curve."""
+    if check_choice(gamma, "gamma", ("linear", "srgb")) == "linear":
+        return values
+    values = np.clip(values, 0, 1)
+    curve = 1.055 * np.maximum(values, SRGB_KNEE) ** (1 / 2.4) - 0.055
+    return np.where(values <= SRGB_KNEE, 12.92 * values, curve).astype(values.dtype)
+
+
+def decode(values, gamma):
+    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
+
+    Examples
+    --------
+    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
+    True
+    """
+    if check_choice(gamma, "gamma", ("linear", "srgb")) == "linear":
+        return values
+    curve = ((np.maximum(values, 12.92 * SRGB_KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 12.92 * SRGB_KNEE, values / 12.92, curve).astype(values.dtype)
+
+
+def _window(layout, chart_map, margin):
+    """First column and row, and columns and rows, of the chart's surroundings."""
+    edge = np.linspace(0, 1, 9)[:, None]
+    corners = layout.corners()
+    outline = np.concatenate(
+        [a + edge * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    )
+    pixels = chart_map.pixels(outline)
+    if not np.isfinite(pixels).all():
+        raise ValueError("Invalid view: the chart lies behind the camera. Must be in view.")
+    low = np.floor(pixels.min(axis=0)).astype(int) - margin
+    high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
+    if chart_map.camera is not None:
+        limit = np.array([chart_map.camera.width, chart_map.camera.height])
+        low, high = np.maximum(low, 0), np.minimum(high, limit)
+    size = high - low
+    if (size < 2).any() or size.prod() > 1e9:
+        raise ValueError(f"Invalid view: {size.tolist()} pixels of chart. Must be in view.")
+    return low, size
+
+
+def _exposed(layout, chart_map, size, optics, fine, surround):
+    """The mean tone in each pixel after motion, point spread and integration."""
+    import cv2
+
+    centre = np.array([[layout.width / 2, layout.height / 2]])
+    cell = max(chart_map.pixel_sizes_mm(centre).min() / fine, max(layout.corners()[2]) / 12_000)
+    printed = reflectance(layout, cell=cell)
+    travel = np.asarray(optics.travel, dtype=float)
+    instants = 1
+    if travel.any():
+        start, end = (_moved(chart_map, travel, t).pixels(centre) for t in (-0.5, 0.5))
+        instants = int(np.ceil(np.linalg.norm(end - start) * fine / 2)) + 1
+    total = 0
+    for t in (np.arange(instants) + 0.5) / instants - 0.5:
+        total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size, fine, surround)
+    samples = total / instants
+    left = optics.sigma_px**2 - _sampling_variance(fine)
+    if left > 0:
+        samples = cv2.GaussianBlur(samples, (0, 0), fine * np.sqrt(left))
+    if optics.defocus_px > 0:
+        samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * fine))
+    return samples.reshape(size[1], fine, size[0], fine).mean(axis=(1, 3))
+
+
+def _sampling_variance(fine):
+    """Variance that the samples themselves add along each axis, pixels².
+
+    A cell (1/12) read bilinearly (1/6), in units of fine steps; ``fine`` samples spread over a pixel
+    have (1 - 1/fine²)/12, short of the full pixel's 1/12 by 1/12 fine steps.
+    """
+    return (1 / 12 + 1 / 6 - 1 / 12) / fine**2
+
+
+def _moved(chart_map, travel, t):
+    """The map at time t of an exposure from -0.5 to 0.5."""
+    matrix = chart_map.matrix.copy()
+    matrix[:, 2] -= t * travel * (matrix[2, 2] if chart_map.camera is None else 1)
+    return replace(chart_map, matrix=matrix)
+
+
+def _sampled(printed, cell, chart_map, size, fine, surround):
+    """The tones at a regular grid of samples, ``fine`` along each side of a pixel."""
+    import cv2
+
+    columns, rows = size
+    column, row = np.meshgrid(np.arange(-1, columns + 1.0), np.arange(-1, rows + 1.0))
+    places = chart_map.chart(np.column_stack([column.ravel(), row.ravel()]))
+    places = (places / cell - 0.5).astype(np.float32).reshape(rows + 2, columns + 2, 2)
+    # within a pixel the map is straight to 1e-4 px; resizing interpolates between centres
+    dense = cv2.resize(places, None, fx=fine, fy=fine, interpolation=cv2.INTER_LINEAR)
+    dense = np.ascontiguousarray(dense[fine:-fine, fine:-fine])
+    samples = np.empty(dense.shape[:2], dtype=np.float32)
+    # remap addresses at most 32,767 rows at once
+    for first in range(0, len(dense), 16_384):
+        part = slice(first, first + 16_384)
+        samples[part] = cv2.remap(
+            printed,
+            dense[part],
+            None,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=surround,
+        )
+    return samples
+
+
+def _disc(radius):
+    """A uniform disc as a kernel, antialiased at its edge."""
+    reach = int(np.ceil(radius))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    kernel = np.clip(radius + 0.5 - np.hypot(x, y), 0, 1)
+    return kernel / kernel.sum()
+
+
+def _recorded(signal, sensor, rng):
+    """Noise, colour filter, sharpening, gamma, rounding and compression, in this order."""
+    shot = sensor.shot_share * np.clip(signal, 0, None) + 1 - sensor.shot_share
+    values = signal + sensor.noise * np.sqrt(shot) * rng.standard_normal(signal.shape)
+    values = values.astype(np.float32)
+    if sensor.bayer:
+        values = _demosaiced(values)
+    if sensor.sharpening:
+        import cv2
+
+        blurred = cv2.GaussianBlur(values, (0, 0), 1.0)
+        values = values + sensor.sharpening * (values - blurred)
+    values = encode(values, sensor.gamma)
+    if sensor.bits is None:
+        return values
+    full = 2**sensor.bits - 1
+    rounded = np.clip(np.round(values * full), 0, full)
+    values = rounded.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    return values if sensor.jpeg_quality is None else _compressed(values, sensor.jpeg_quality)
+
+
+def _demosaiced(values):
+    """Blue, green and red from a mosaic of neutral light, through OpenCV's 16-bit interpolation."""
+    import cv2
+
+    mosaic = np.clip(np.round((values + 0.25) * 40_000), 0, 65_535).astype(np.uint16)
+    colours = cv2.cvtColor(mosaic, cv2.COLOR_BayerRG2BGR_EA)
+    return colours.astype(np.float32) / 40_000 - 0.25
+
+
+def _compressed(values, quality):
+    """What JPEG leaves of 8-bit values."""
+    import cv2
+
+    _, buffer = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])
+    return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
