@@ -1,8 +1,8 @@
 """The scan lattice: the two steps that lay a surface out with points, and what follows from them.
 
-Around a pulse that strikes a plane, the next pulse and the same pulse one revolution later are
-solved exactly, with the motion of the vehicle in between. Cahalane et al. 2014
-(doi 10.3390/s140609471) hold the scan plane still during a revolution; it is not still.
+Around a spot of a plane, two successive pulses and two successive revolutions are solved exactly,
+with the motion of the vehicle in between. Cahalane et al. 2014 (doi 10.3390/s140609471) hold the
+scan plane still during a revolution; it is not still.
 """
 
 from dataclasses import dataclass
@@ -36,12 +36,12 @@ class Lattice:
     normal : array, shape (..., 3)
         Unit normal of the surface.
     a : array, shape (..., 3)
-        Step to the next pulse: motion of vehicle and mirror.
+        Step from a pulse to the next, motion of vehicle and mirror; the spot is halfway in time.
     b : array, shape (..., 3)
-        Step to the same mirror angle one revolution later.
+        Step to the same mirror angle one revolution later, the spot halfway in time.
     nearest : array, shape (..., 3)
         Step to the pulse of the next profile that is ``b`` up to half a step of the mirror: with
-        ``a`` it spans the points, where PRR / Mf is not whole too.
+        ``a`` it spans the points, also where PRR / Mf is not whole.
     """
 
     setup: ScanSetup
@@ -169,9 +169,9 @@ class Lattice:
 def scan_lattice(setup, patch):
     """Return the scan lattice on each piece of a surface.
 
-    The piece is struck when the scan plane comes past it; from then on the next pulse and the next
-    revolution are intersected with the piece's plane in closed form, position and attitude of
-    their own moments included.
+    The piece is struck when the scan plane comes past it. The pulses half a step before and after,
+    and those half a revolution before and after at the same mirror angle, are intersected with the
+    piece's plane in closed form, each from its own position and attitude.
 
     Parameters
     ----------
@@ -182,13 +182,14 @@ def scan_lattice(setup, patch):
     Returns
     -------
     Lattice
-        NaN where the next pulse does not meet the plane.
+        NaN where a pulse does not meet the plane.
 
     Notes
     -----
-    The lattice is local: over a wall of some metres range, incidence and so the steps change.
-    Density is that at the spot, 1 / |a x b| that of the cell ahead of it; they differ by as much as
-    a single step changes.
+    The lattice is local: over a wall of some metres range and incidence change, and so do the
+    steps. Laid about the spot they are those of the spot; a step from the spot to the next pulse
+    differs by half of what spacing changes from step to step (0.2 to 2 %), upwards and downwards
+    with opposite signs. 1 / |a x b| is the density up to the square of the mirror's step (1e-5).
 
     References
     ----------
@@ -210,9 +211,9 @@ def scan_lattice(setup, patch):
     pulse_rate, mirror = (np.asarray(rate, dtype=np.float64) for rate in rates)
     whole = np.round(pulse_rate / mirror)
     steps = (
-        _hit(setup, beam, normal, 1 / pulse_rate, mirror / pulse_rate),
-        _hit(setup, beam, normal, 1 / mirror, np.zeros_like(mirror)),
-        _hit(setup, beam, normal, whole / pulse_rate, whole * mirror / pulse_rate - 1),
+        _step(setup, beam, normal, 1 / pulse_rate, mirror / pulse_rate),
+        _step(setup, beam, normal, 1 / mirror, np.zeros_like(mirror)),
+        _step(setup, beam, normal, whole / pulse_rate, whole * mirror / pulse_rate - 1),
     )
     return Lattice(setup, beam, normal, *(np.broadcast_to(step, shape) for step in steps))
 
@@ -226,7 +227,7 @@ def crossing_angle(first, second):
 def lattice_distances(a, b):
     """Return d1..d4 of an endless lattice: the nearest points of the four quadrants, sorted.
 
-    The quadrants are half open, each with the axis on its clockwise side left out. The basis is
+    The quadrants are half open, each with the axis on its counter-clockwise side left out. The basis is
     reduced (Lagrange); then in each quadrant the nearest point lies on one of three rows, next to
     where the row is closest to the origin or enters the quadrant.
 
@@ -248,7 +249,7 @@ def lattice_distances(a, b):
     Examples
     --------
     >>> lattice_distances([0.004, 0], [0.001, 0.047]).round(6).tolist()
-    [0.004, 0.004, 0.047011, 0.047011]
+    [0.004, 0.004, 0.047096, 0.047096]
     """
     a, b = np.broadcast_arrays(check_shape(a), check_shape(b))
     area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
@@ -276,8 +277,14 @@ def _meet(setup, points):
     return points - wait[..., None] * np.array([0.0, 1.0, 0.0])
 
 
+def _step(setup, beam, normal, seconds, turns):
+    """Step on the plane from half a time and half a turn before to half of both after."""
+    before, after = (_hit(setup, beam, normal, s * seconds / 2, s * turns / 2) for s in (-1, 1))
+    return after - before
+
+
 def _hit(setup, beam, normal, seconds, turns):
-    """Step on the plane to the pulse some time and some turn of the mirror later."""
+    """Where on the plane, seen from the spot, a pulse strikes some time and turn later."""
     local = np.swapaxes(setup.rotation(), -1, -2) @ beam[..., None]
     angle = np.arctan2(local[..., 2, 0], local[..., 0, 0]) + setup.spin * 2 * np.pi * turns
     aim = np.stack([np.cos(angle), np.zeros_like(angle), np.sin(angle)], axis=-1)
@@ -329,6 +336,6 @@ def _nearest(short, long, side):
             x, y = np.moveaxis(point, -1, 0)
             tiny = 1e-9 * length
             x, y = np.where(np.abs(x) <= tiny, 0, x), np.where(np.abs(y) <= tiny, 0, y)
-            inside = (x >= 0) & (y > 0) if side == 1 else (x > 0) & (y >= 0)
+            inside = (x > 0) & (y >= 0) if side == 1 else (x >= 0) & (y > 0)
             best = np.where(inside & (length > 0) & (length < best), length, best)
     return best
