@@ -15,16 +15,12 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
+from mmqa_lab._las import las_data, las_tables
 from mmqa_lab.cloud import Cloud
 
 LAS_ENDINGS = (".las", ".laz")
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".asc")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
-
-SCAN_ANGLE_STEP = 0.006
-"""Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10)."""
-
-LAS_POINT_FORMAT = 6
 
 
 def read_cloud(path, *, columns=None):
@@ -89,7 +85,7 @@ def iterate_cloud(path, *, columns=None, chunk=1_000_000):
         listed = ", ".join(CLOUD_ENDINGS)
         raise ValueError(f"Invalid cloud {path} with ending {ending!r}. Must be one of {listed}.")
     if ending in LAS_ENDINGS:
-        tables = _las_tables(path, chunk)
+        tables = _sound(las_tables(path, chunk), path, "a complete LAS or LAZ file")
     elif ending == ".ply":
         tables = _ply_tables(path)
     else:
@@ -116,25 +112,13 @@ def write_cloud(path, cloud, *, scale=0.001):
     ValueError
         If the ending is another, the cloud has no points or is too wide for the step.
     """
-    import laspy
-
     path = Path(path)
     check_choice(path.suffix.lower(), "ending", LAS_ENDINGS)
     scale = check_positive(scale, "scale", unit="m")
     check_points(cloud.points)
-    low = np.floor(cloud.points.min(axis=0))
-    if (cloud.points.max(axis=0) - low).max() / scale >= 2**31:
+    if np.ptp(cloud.points, axis=0).max() / scale >= 2**31:
         raise ValueError(f"Invalid scale {scale}. Must be coarser for a cloud as wide as this.")
-    header = laspy.LasHeader(point_format=LAS_POINT_FORMAT, version="1.4")
-    header.scales, header.offsets = np.full(3, scale), low
-    fields = set(header.point_format.dimension_names)
-    extra = {key: values for key, values in cloud.columns.items() if key not in fields}
-    for key, values in extra.items():
-        header.add_extra_dim(laspy.ExtraBytesParams(name=key, type=_extra_type(key, values)))
-    las = laspy.LasData(header)
-    las.xyz = cloud.points
-    for key, values in cloud.columns.items():
-        las[key] = _las_angles(values) if key == "scan_angle" else values
+    las = las_data(cloud, scale)
     write_atomically(path, lambda temporary: las.write(str(temporary)))
 
 
@@ -269,22 +253,10 @@ def read_trajectory(path, *, time_unit="s", angle_unit="degrees"):
     return table
 
 
-def _las_tables(path, chunk):
-    """Points and attributes of a LAS or LAZ file, piece by piece, with any damage named."""
-    import laspy
-
-    with _damage_named(path, "a complete LAS or LAZ file"), laspy.open(path) as reader:
-        count = reader.header.point_count
-        names = [n for n in reader.header.point_format.dimension_names if n not in ("X", "Y", "Z")]
-        read = 0
-        for part in reader.chunk_iterator(chunk):
-            read += len(part)
-            attributes = {name: np.array(part[name]) for name in names}
-            if "scan_angle" in attributes:
-                attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
-            yield np.stack([part.x, part.y, part.z], axis=1).astype(np.float64), attributes
-        if read < count:
-            raise ValueError(f"{read} points where the header says {count}")
+def _sound(tables, path, wanted):
+    """The tables of a reader, with whatever it raises turned into one sentence."""
+    with _damage_named(path, wanted):
+        yield from tables
 
 
 def _ply_tables(path):
@@ -383,22 +355,6 @@ def _finite_cloud(path, points, attributes):
         points = points[finite]
         attributes = {key: values[finite] for key, values in attributes.items()}
     return Cloud(points, attributes, Path(path).stem)
-
-
-def _extra_type(name, values):
-    """The LAS extra-bytes type of a column."""
-    if values.ndim != 1 or values.dtype.kind not in "fiub":
-        raise ValueError(
-            f"Invalid column {name!r} of type {values.dtype} and shape {values.shape}. "
-            "Must be one number for each point."
-        )
-    return np.uint8 if values.dtype.kind == "b" else values.dtype
-
-
-def _las_angles(degrees):
-    """Scan angles as LAS 1.4 stores them, -180 to 180 degrees in steps of 0.006."""
-    wrapped = (np.asarray(degrees, dtype=np.float64) + 180) % 360 - 180
-    return np.round(wrapped / SCAN_ANGLE_STEP).astype(np.int16)
 
 
 def _numbers(rows, text):

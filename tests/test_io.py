@@ -155,18 +155,51 @@ def test_rejects_damaged_files(tmp_path, cloud, kind, ending):
         read_cloud(path)
 
 
-@given(st.integers(0, 59_343), st.integers(1, 255))
-@settings(max_examples=40, deadline=2000)
-def test_a_flipped_byte_gives_a_cloud_or_a_sentence(tmp_path_factory, place, flip):
-    data = bytearray(samples.path("road_patch").read_bytes())
-    data[place] ^= flip
-    path = tmp_path_factory.mktemp("flip") / "c.laz"
+SAMPLE = samples.path("road_patch").read_bytes()
+POINTS_AT = int.from_bytes(SAMPLE[96:100], "little")
+TABLE_AT = int.from_bytes(SAMPLE[POINTS_AT : POINTS_AT + 8], "little")
+
+HEADERS = (*range(POINTS_AT + 16), *range(TABLE_AT, len(SAMPLE)))
+"""Bytes that count or place something: the headers, the first chunk's begin, the chunk table."""
+
+
+def outcome_of(data, folder):
+    """What reading these bytes ends with."""
+    path = folder / "c.laz"
     path.write_bytes(bytes(data))
     try:
-        outcome = f"{len(read_cloud(path))} points"
+        return f"{len(read_cloud(path))} points"
     except ValueError as error:
-        outcome = str(error)
+        return str(error)
+
+
+@given(st.sampled_from(HEADERS) | st.integers(0, len(SAMPLE) - 1), st.integers(1, 255))
+@settings(max_examples=80, deadline=10_000)
+def test_a_flipped_byte_gives_a_cloud_or_a_sentence(tmp_path_factory, place, flip):
+    data = bytearray(SAMPLE)
+    data[place] ^= flip
+    outcome = outcome_of(data, tmp_path_factory.mktemp("flip"))
     assert outcome.endswith(" points") or outcome.startswith("Invalid cloud")
+
+
+@pytest.mark.parametrize(
+    ("place", "flip", "sentence"),
+    [
+        (103, 0xFF, "records before byte 878"),  # number of records: a loop of minutes
+        (841, 0xFF, "chunks of"),  # points in a chunk: an allocation that ends the process
+        (863, 0xFF, "bytes, not 34"),  # bytes of a point
+        (878, 0xFF, "chunk"),  # place of the chunk table
+        (TABLE_AT + 7, 0xFF, "chunks in"),  # number of chunks
+    ],
+)
+def test_headers_that_lie_are_found_out_before_anything_is_allocated(
+    tmp_path, place, flip, sentence
+):
+    data = bytearray(SAMPLE)
+    data[place] ^= flip
+    outcome = outcome_of(data, tmp_path)
+    assert outcome.startswith("Invalid cloud")
+    assert sentence in outcome
 
 
 @pytest.mark.parametrize(
