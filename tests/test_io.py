@@ -88,6 +88,15 @@ def test_ply_keeps_double_precision_and_every_property(tmp_path, cloud, text):
     assert np.array_equal(again["ring"], cloud["ring"])
 
 
+def test_copc_is_read_whole():
+    path = samples.path("chart_b_5m")
+    cloud = read_cloud(path)
+    with laspy.CopcReader.open(path) as reader:  # by its octree, not point by point
+        points = np.stack([*reader.query().xyz.T], axis=1)
+    assert np.array_equal(np.sort(points, axis=0), np.sort(cloud.points, axis=0))
+    assert "gps_time" in cloud
+
+
 def test_pieces_make_the_whole(tmp_path, cloud):
     write_cloud(tmp_path / "c.laz", cloud)
     parts = list(iterate_cloud(tmp_path / "c.laz", chunk=130))
