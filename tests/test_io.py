@@ -92,7 +92,8 @@ def test_copc_is_read_whole():
     path = samples.path("chart_b_5m")
     cloud = read_cloud(path)
     with laspy.CopcReader.open(path) as reader:  # by its octree, not point by point
-        points = np.stack([*reader.query().xyz.T], axis=1)
+        found = reader.query()
+    points = np.stack([found.x, found.y, found.z], axis=1)
     assert np.array_equal(np.sort(points, axis=0), np.sort(cloud.points, axis=0))
     assert "gps_time" in cloud
 
