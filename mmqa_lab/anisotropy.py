@@ -51,17 +51,21 @@ class DirectionalSpacing:
     @property
     def along(self):
         """Spacing along that direction."""
-        return self._at(self.direction_deg)
+        return self.at(self.direction_deg)
 
     @property
     def across(self):
         """Spacing at a right angle to it; NaN when not measurable."""
-        return self._at(self.direction_deg + 90)
+        return self.at(self.direction_deg + 90)
 
     @property
     def g(self):
         """Spacing ratio across / along: 1 without a direction; needs no axes."""
         return self.across / self.along
+
+    def at(self, direction):
+        """Spacing in a direction (degrees), between those tried."""
+        return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
 
     def _filled(self):
         """Spacing, twice the largest one where there is none."""
@@ -69,10 +73,6 @@ class DirectionalSpacing:
         if not known.any():
             return np.ones(len(self.spacing))
         return np.where(known, self.spacing, 2 * np.nanmax(self.spacing))
-
-    def _at(self, direction):
-        """Spacing in a direction between those tried."""
-        return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
 
 
 def directional_spacing(xy, *, radius=0.5):
@@ -103,10 +103,10 @@ def directional_spacing(xy, *, radius=0.5):
     -----
     Because the direction is sought, a random pattern of n points has g = 1 + 1.6 / sqrt(n) on
     average, and 95 % of them stay below 1 + 3.2 / sqrt(n) (simulated, n = 200 to 10,000). The
-    direction is found to about 2 degrees. Repeated points are counted once. On scan lines that are
-    blurred by more than their point spacing, the nearest point across lies on the same line: g falls
-    towards 1, as the pattern has no direction at that scale. Elongated clusters have their direction
-    along their length.
+    direction is found to about 2 degrees. Repeated points are counted once. On scan lines blurred
+    by more than their point spacing, the nearest point across lies on the same line: g falls
+    towards 1, as the pattern has no direction at that scale. Elongated clusters have their
+    direction along their length.
 
     Examples
     --------
