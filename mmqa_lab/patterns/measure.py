@@ -205,10 +205,12 @@ def _numbers(uv, time, line, mirror_frequency_hz):
 
 
 def _pulses(fit, time, pulse_rate_hz):
-    """Pulse counts of the points used."""
-    if time is None:
-        return pulses_from_pattern(fit.x, fit.y, fit.off, fit.profile)
-    return pulses_from_time(time, fit.profile, pulse_rate_hz=pulse_rate_hz)
+    """Pulse counts of the points used: by time, by the pattern where time is none or coarse."""
+    if time is not None:
+        pulse = pulses_from_time(time, fit.profile, pulse_rate_hz=pulse_rate_hz)
+        if np.isfinite(pulse).all():
+            return pulse
+    return pulses_from_pattern(fit.x, fit.y, fit.off, fit.profile)
 
 
 def _measurement(plane, flat, near, fit, numbering, pulse):
@@ -238,7 +240,7 @@ def _measurement(plane, flat, near, fit, numbering, pulse):
         profile=profile,
         profiles=len(fit.numbers),
         points=len(fit.x),
-        profile_spacing_perpendicular_m=abs(gap),
+        profile_spacing_perpendicular_m=float(abs(gap)),
         profile_spacing_perpendicular_std=float(np.sqrt(variance)),
         profile_angle_deg=float(np.degrees(np.arccos(abs(np.cos(angle))))),
         profile_angle_std=float(np.degrees(np.sqrt(angle_variance))),

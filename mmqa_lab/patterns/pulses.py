@@ -9,12 +9,17 @@ from mmqa_lab.planes import sigma_mad
 UNSURE = 0.2
 """Scatter of the pulses about whole numbers, in pulses, above which they cannot be counted."""
 
+TIES = 0.02
+"""Share of neighbours of equal time above which a clock is too coarse for counting pulses."""
+
 POINTS_FOR_DEGREE = (60, 150, 600, 2000)
 """Points from which on pulse over place is a polynomial of degree 2, 3, 4, 5."""
 
 
 def pulse_period(time, profile):
     """Return the time from pulse to pulse, seconds, from the times of the points of profiles.
+
+    NaN where points of a profile share times: the clock is then coarser than the pulses.
 
     Examples
     --------
@@ -25,9 +30,10 @@ def pulse_period(time, profile):
     order = np.lexsort((time, profile))
     since, group = (time - time.min())[order], profile[order]
     step = np.diff(since)
-    same = (np.diff(group) == 0) & (step > 0)
-    if not same.any():
+    same = np.diff(group) == 0
+    if not same.any() or np.mean(step[same] > 0) < 1 - TIES:
         return np.nan
+    same &= step > 0
     period = np.quantile(step[same], 0.25)
     for _ in range(5):
         count = np.where(same, np.round(step / period), 0)
