@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
 
 from mmqa_lab import io, simulate
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, Scene, Trajectory
+from mmqa_lab.simulate.draws import draws
 
 SPEED = 10.0
 PROFILER = ProfileScanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)
@@ -323,3 +325,36 @@ def test_bad_drives_are_named():
         scan(block_s=0)
     with pytest.raises(ValueError, match="Must cover 0"):
         scan(measured=drive(1.0))
+
+
+def test_parts_of_a_drive_add_up_to_the_whole():
+    noisy = replace(PROFILER, range_noise_m=0.01, divergence_mrad=0.5, dropout_share=0.1)
+    whole = scan(scanner=noisy)
+    first, second = (scan(scanner=noisy, between=b) for b in ((0, 0.0731), (0.0731, 0.2)))
+    assert np.array_equal(whole.points, np.concatenate([first.points, second.points]))
+    assert np.array_equal(whole["pulse"], np.concatenate([first["pulse"], second["pulse"]]))
+    narrow = scan(scanner=replace(noisy, field_of_view_deg=(60, 110)))
+    inside = (whole["scan_angle"] >= 60) & (whole["scan_angle"] <= 110)
+    assert np.array_equal(whole.points[inside], narrow.points)
+
+
+def test_draws_are_normal_uniform_and_independent():
+    normal, uniform = draws([3, 1], np.arange(200_000))
+    for column in normal.T:
+        assert kstest(column, "norm").pvalue > 1e-4
+    for column in uniform.T:
+        assert kstest(column, "uniform").pvalue > 1e-4
+    both = np.hstack([normal, uniform, normal[np.r_[1 : len(normal), 0]]])
+    between = np.corrcoef(both.T) - np.eye(8)
+    assert np.abs(between).max() < 5 / np.sqrt(len(normal))
+    other = draws([3, 2], np.arange(200_000))[0]
+    assert abs(np.corrcoef(normal[:, 0], other[:, 0])[0, 1]) < 5 / np.sqrt(len(normal))
+
+
+@pytest.mark.parametrize("scanner", [PROFILER, simulate.presets.HDL_32E], ids=["profile", "multi"])
+def test_angles_undo_beams(scanner, rng):
+    low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
+    angle, elevation = rng.uniform(-180, 180, 500), rng.uniform(low, high, 500)
+    beams = scanner.beams(np.radians(angle), np.radians(elevation))
+    assert np.allclose(np.linalg.norm(beams, axis=1), 1)
+    assert np.allclose(scanner.angles(7 * beams), [angle, elevation])

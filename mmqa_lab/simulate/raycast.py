@@ -6,8 +6,10 @@ primitives are solved about the point of the ray closest to their centre, so tha
 100 m keeps its digits.
 """
 
+from contextlib import contextmanager
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numba import njit, prange
 
@@ -19,6 +21,7 @@ LEAF_SIZE = 4
 DEEPEST = 60  # levels cut where the heuristic says; below, halves, so that STACK suffices
 STACK = 128
 TASK = 512
+RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
 FOOTPRINT = 7  # rays a beam: its axis and a ring
 RING = 0.651  # radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam
 
@@ -45,6 +48,17 @@ class Tree(NamedTuple):
     cells: np.ndarray  # (n, 3) first reflectance, rows, columns
     edges: np.ndarray  # (m, 4) s, t of the start and the end of each polygon edge
     reflectance: np.ndarray  # (k,) of the cells
+
+
+@contextmanager
+def enough_threads(n):
+    """Let compiled code use no more threads than ``n`` rays keep busy."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(before, 1 + n // RAYS_A_THREAD))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def build(kind, centre, shape, half, surface, outline, cells, edges, reflectance):
@@ -323,12 +337,18 @@ def _turned(state, x, y, z):
     return c * x + s * y, c * y - s * x, z
 
 
-@njit(cache=True, parallel=True)
 def beam_rays(states, lever_arm, mounting, beams):
     """Origins and directions of beams in a mounted scanner's frame on a vehicle in given states.
 
     ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
     """
+    with enough_threads(len(beams)):
+        return _beam_rays(states, lever_arm, mounting, beams)
+
+
+@njit(cache=True, parallel=True)
+def _beam_rays(states, lever_arm, mounting, beams):
+    """The arrays of ``beam_rays``."""
     n = len(beams)
     origins, directions = np.empty((n, 3)), np.empty((n, 3))
     matrix = np.ascontiguousarray(mounting).ravel()
@@ -342,9 +362,15 @@ def beam_rays(states, lever_arm, mounting, beams):
     return origins, directions
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
 def cast(tree, origins, directions):
     """Range, surface, normal and reflectance where unit rays first meet a primitive."""
+    with enough_threads(len(directions)):
+        return _cast(tree, origins, directions)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _cast(tree, origins, directions):
+    """The arrays of ``cast``."""
     n = len(origins)
     ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
     normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
@@ -459,7 +485,8 @@ def echoes(tree, origins, directions, radius, growth, turn, separation):
     signal, its signal their sum, its surface and cosine those of its strongest part; it is mixed
     where they belong to several surfaces.
     """
-    return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation))
+    with enough_threads(len(directions)):
+        return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

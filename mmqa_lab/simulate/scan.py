@@ -7,17 +7,24 @@ import numpy as np
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import raycast
+from mmqa_lab.simulate.draws import draws
 from mmqa_lab.simulate.scanners import Scanner
-
-CHUNK = 65_536
-"""Pulses that share a random stream: what a pulse draws depends on neither blocks nor settings."""
 
 FULL_SCALE = 65_535
 """Intensity of a surface of reflectance 1 hit square."""
 
 
 def scan(
-    scene, scanner, trajectory, *, seed, measured=None, block_s=0.25, rounding_m=0.0, progress=False
+    scene,
+    scanner,
+    trajectory,
+    *,
+    seed,
+    measured=None,
+    between=None,
+    block_s=0.25,
+    rounding_m=0.0,
+    progress=False,
 ):
     """Yield the point cloud of a drive, one ``Cloud`` a block of time.
 
@@ -36,6 +43,9 @@ def scan(
         The same seed gives the same points whatever ``block_s``.
     measured : Trajectory, optional
         The path from which points are computed; the truth where left out.
+    between : (float, float), optional
+        Drive only from one time to another, seconds after the start. Pulses are counted from the
+        start all the same: parts add up to the whole, and an interrupted run can be taken up.
     block_s : float
         Seconds a block; memory grows with it and not with the drive.
     rounding_m : float
@@ -72,7 +82,10 @@ def scan(
             f"Invalid measured path from {known.time[0]} to {known.time[-1]} s. "
             f"Must cover {trajectory.time[0]} to {trajectory.time[-1]} s."
         )
-    edges = np.append(np.arange(0.0, trajectory.duration_s, block), trajectory.duration_s)
+    start, stop = (0.0, trajectory.duration_s) if between is None else between
+    check_number(stop, "between", low=0, high=trajectory.duration_s, unit="s")
+    check_number(start, "between", low=0, high=stop, unit="s")
+    edges = np.append(np.arange(start, stop, block), stop)
     drive = _blocks(scene, heads, trajectory, known, edges, int(seed), rounding_m)
     if not progress:
         return drive
@@ -111,9 +124,9 @@ def _blocks(scene, heads, trajectory, known, edges, seed, rounding):
 
 def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     """The cloud of some pulses of one head."""
-    normal, uniform = _draws(seed, pulse)
     firing, left = scanner.fire(pulse)
-    pulse, normal, uniform = pulse[left], normal[left], uniform[left]
+    pulse = pulse[left]
+    normal, uniform = draws(seed, pulse)
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
     echo = raycast.echoes(
@@ -160,18 +173,6 @@ def _rays(path, scanner, firing, mounting, jitter, shift=0.0):
     states = path.states(firing.since_start + shift)
     beams = scanner.beams(np.radians(firing.scan_angle + jitter), np.radians(firing.elevation))
     return raycast.beam_rays(states, np.asarray(scanner.lever_arm_m, float), mounting, beams)
-
-
-def _draws(seed, pulse):
-    """Three standard normal and two uniform numbers a pulse, the same however drives are cut."""
-    if not len(pulse):
-        return np.empty((0, 3)), np.empty((0, 2))
-    first, last = pulse[0], pulse[-1] + 1
-    chunks = range(first // CHUNK, (last - 1) // CHUNK + 1)
-    streams = [np.random.default_rng([*seed, chunk]) for chunk in chunks]
-    drawn = [(rng.standard_normal((CHUNK, 3)), rng.random((CHUNK, 2))) for rng in streams]
-    inside = slice(first - chunks[0] * CHUNK, last - chunks[0] * CHUNK)
-    return tuple(np.concatenate(parts)[inside] for parts in zip(*drawn, strict=True))
 
 
 def _detected(scanner, echo, normal, uniform):
