@@ -85,9 +85,9 @@ def sign(rng, at, side):
     return [post, group(plates, label="board")], truth
 
 
-def tree(rng, at, *, low_crown, low_branches, crown_density):
+def tree(rng, at, *, low_crown, low_branches, trunk_radius, crown_density):
     """A tree: trunk, crown; ``low_crown`` and ``low_branches`` are shares of such trees."""
-    radius, taper = rng.uniform(0.06, 0.2), rng.uniform(0.6, 0.9)
+    radius, taper = rng.uniform(*trunk_radius), rng.uniform(0.6, 0.9)
     crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(2.5, 5.0)
     base = rng.uniform(0.7, 1.5) if rng.random() < low_crown else rng.uniform(2.0, 3.5)
     height = base + 0.5 * crown_height
@@ -137,6 +137,15 @@ def shrub(rng, at):
     density = rng.uniform(1.5, 4.0)
     radii = (radius, radius, height / 2)
     return crown(at + shift, radii, density, int(rng.integers(2**31)), "shrub")
+
+
+def thicket(rng, at):
+    """Undergrowth around a foot: 1-2 m in radius, 2-4 m high."""
+    radius, height = rng.uniform(1.0, 2.0), rng.uniform(2.0, 4.0)
+    shift = np.array([*rng.normal(0, 0.3, 2), 0.45 * height])
+    density = rng.uniform(1.5, 5.0)
+    radii = (radius, radius, 0.55 * height)
+    return crown(at + shift, radii, density, int(rng.integers(2**31)), "thicket")
 
 
 def hedge(rng, at, length):

@@ -19,6 +19,7 @@ from mmqa_lab.simulate.surfaces import rectangle
 from mmqa_lab.simulate.trajectories import straight
 
 MAST_M = (0.0, 0.0, 2.5)
+FAR_M = 12.5
 
 SCANNERS = {
     "roamer": replace(presets.ROAMER, lever_arm_m=MAST_M),
@@ -33,13 +34,13 @@ SCANNERS = {
     "vq-450": replace(presets.VQ_450, lever_arm_m=MAST_M),
     "push-broom": ProfileScanner(
         name="side-looking push-broom profiler",
-        pulse_rate_hz=27_075,
+        pulse_rate_hz=54_000,
         mirror_frequency_hz=75,
         range_noise_m=0.01,
         max_range_m=40,
         lever_arm_m=(0.0, 0.0, 2.0),
         field_of_view_deg=(0.0, 180.0),
-        source="an older industrial profiler: one degree steps, 75 Hz, one side; assumed",
+        source="an older industrial profiler: steps of half a degree, 75 Hz, one side; assumed",
     ),
 }
 """Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
@@ -57,8 +58,12 @@ class Plan:
         Share of trees and others that stand 12.5 to 29 m from the vehicle, not at the road.
     shrub_share : float
         Share of poles with a shrub around the foot.
+    thicket_share : float
+        Share of the poles beyond 12.5 m that stand in undergrowth up to 4 m high.
     low_crown_share, low_branch_share : float
         Share of trees whose crown begins at 0.7-1.5 m; share with branches around the trunk.
+    trunk_radius_m : tuple of 2
+        Least and largest radius of trunks at the foot.
     crown_density : float
         Of crowns; 1 is 0.8 leaves a metre of way.
     cars_per_100m, pedestrians_per_100m, billboards_per_100m, hedges_per_100m : float
@@ -80,18 +85,20 @@ class Plan:
     lamps_per_100m: float = 3.5
     others_per_100m: float = 6.0
     far_share: float = 0.6
-    shrub_share: float = 0.3
-    low_crown_share: float = 0.3
-    low_branch_share: float = 0.4
+    shrub_share: float = 0.35
+    thicket_share: float = 0.6
+    low_crown_share: float = 0.2
+    low_branch_share: float = 0.3
+    trunk_radius_m: tuple = (0.06, 0.2)
     crown_density: float = 1.0
     cars_per_100m: float = 4.0
-    pedestrians_per_100m: float = 1.5
+    pedestrians_per_100m: float = 0.6
     billboards_per_100m: float = 0.3
-    hedges_per_100m: float = 2.0
+    hedges_per_100m: float = 4.0
     building_share: float = 0.5
     setback_m: tuple = (12.0, 26.0)
-    balcony_share: float = 0.2
-    columns_per_100m: float = 3.0
+    balcony_share: float = 0.1
+    columns_per_100m: float = 1.0
     pipes_per_100m: float = 3.0
     slope: float = 0.0
     cross_slope: float = 0.0
@@ -110,6 +117,7 @@ PLANS = {
     "table-4-1": Plan(),
     "quiet": Plan(
         shrub_share=0.1,
+        thicket_share=0.1,
         low_crown_share=0.1,
         low_branch_share=0.1,
         balcony_share=0.0,
@@ -302,7 +310,7 @@ def _poles(plan, length, seed, blocks):
         for _ in range(rng.poisson(rate * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             side = int(rng.choice([-1, 1]))
-            shrubby = dressing.random() < plan.shrub_share
+            shrubby, hidden = dressing.random(2) < (plan.shrub_share, plan.thicket_share)
             at = _spot(own, kind, side, length, plan)
             crowded = (np.hypot(*(taken - at[:2]).T) < 1.0).any()
             if crowded or any(_inside(at, block) for block in blocks):
@@ -311,6 +319,8 @@ def _poles(plan, length, seed, blocks):
             parts, truth = _made(own, kind, at, side, plan)
             if shrubby:
                 parts.append(street_parts.shrub(own, at))
+            if hidden and abs(at[0]) >= FAR_M:
+                parts.append(street_parts.thicket(own, at))
             yield parts, truth
 
 
@@ -318,13 +328,14 @@ def _made(rng, kind, at, side, plan):
     """Surfaces, the shaft first, and truth of a pole."""
     if kind == "tree":
         shares = {"low_crown": plan.low_crown_share, "low_branches": plan.low_branch_share}
-        return street_parts.tree(rng, at, **shares, crown_density=plan.crown_density)
+        sizes = {"trunk_radius": plan.trunk_radius_m, "crown_density": plan.crown_density}
+        return street_parts.tree(rng, at, **shares, **sizes)
     return getattr(street_parts, kind)(rng, at, side)
 
 
 def _spot(rng, kind, side, length, plan):
     """Foot of a pole: at the road, or among the yards."""
-    near, far = rng.uniform(4.0, 12.0), rng.uniform(12.5, 29.0)
+    near, far = rng.uniform(4.0, 12.0), rng.uniform(FAR_M, 29.0)
     beside, back = rng.uniform(4.0, 7.0), rng.random()
     if kind in ("lamp", "sign"):
         across = beside if back > 0.3 * plan.far_share else far

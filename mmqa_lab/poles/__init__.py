@@ -1,0 +1,167 @@
+"""Poles: two published detectors, a better one, and their scores against a reference.
+
+    from mmqa_lab import poles
+
+    found = poles.detect(cloud, method="ours")              # or "fgi", "itc"
+    result = poles.score(found, reference, corridor=15, trajectory=positions)
+    result.recall, result.precision, result.by_class()
+
+Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et al. 2011) and
+``ours``. Their thresholds are the fields of ``settings_of(method)``.
+"""
+
+import warnings
+from importlib import import_module
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab.cloud import Cloud
+
+METHODS = ("ours", "fgi", "itc")
+
+__all__ = ["METHODS", "curve", "detect", "match", "score", "settings_of"]
+
+
+def detect(points, *, method="ours", trajectory=None, corridor=None, explain=False, **thresholds):
+    """Detect poles.
+
+    Parameters
+    ----------
+    points : Cloud or array_like, shape (n, 3)
+        Metres, any origin. The scan-line method needs a cloud with ``scan_line`` and ``pulse`` or
+        ``gps_time``, or with ``gps_time`` and ``scan_angle``; without them it warns and the
+        component method answers.
+    method : {"ours", "fgi", "itc"}
+    trajectory : array_like, shape (m, 2) or (m, 3), optional
+        Points farther than ``corridor`` from it are left out.
+    corridor : float, optional
+        Metres; 15 m for the component method and 30 m for the others where left out.
+    explain : bool
+        Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
+    **thresholds
+        Fields of the method's settings, see :func:`settings_of`.
+
+    Returns
+    -------
+    DataFrame
+        One row a pole, from south to north: ``x_m``, ``y_m`` (the axis at half the height),
+        ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (NaN where not
+        measurable), ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m).
+
+    Raises
+    ------
+    ValueError
+        If a threshold is unknown or not a number, or a corridor comes without a trajectory.
+
+    Notes
+    -----
+    The score is a probability for ``ours``; for the others it is the share of points that the inner
+    cylinder holds and the share of slices that are pole-like, which order detections and no more.
+
+    Examples
+    --------
+    >>> z = np.linspace(0, 3, 60)
+    >>> turn = np.arange(60) * 2.4
+    >>> post = np.stack([5 + 0.05 * np.cos(turn), 5 + 0.05 * np.sin(turn), z], axis=1)
+    >>> floor = np.stack([*np.mgrid[0:10:0.2, 0:10:0.2].reshape(2, -1), np.zeros(2500)], axis=1)
+    >>> found = detect(np.vstack([post, floor]), method="itc")
+    >>> found[["x_m", "y_m"]].round(1).to_numpy().tolist()
+    [[5.0, 5.0]]
+    """
+    check_choice(method, "method", METHODS)
+    cloud = points if isinstance(points, Cloud) else Cloud(check_points(points, minimum=0))
+    lines = None
+    if method != "itc":
+        from mmqa_lab.poles.profiles import scan_lines
+
+        lines = scan_lines(cloud)
+    if method == "fgi" and lines is None:
+        warnings.warn(
+            "The scan-line method needs scan lines: columns scan_line and pulse or gps_time, or "
+            f"gps_time and scan_angle. This cloud has {', '.join(cloud.columns) or 'none'}; the "
+            "component method answers instead.",
+            stacklevel=2,
+        )
+        method, thresholds = "itc", {}
+    module = import_module(f"mmqa_lab.poles.{method}")
+    settings = _settings(module, method, thresholds)
+    local, origin, lines = _clipped(cloud.points, lines, trajectory, corridor, settings)
+    if method == "fgi":
+        found = module.detect(local, *lines, settings, explain=explain)
+    elif method == "itc":
+        found = module.detect(local, settings, explain=explain)
+    else:
+        line = None if lines is None else lines[0]
+        found = module.detect(local, settings, line=line, explain=explain)
+    shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
+    return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
+
+
+def settings_of(method):
+    """Return the default thresholds of a method; each is documented at the class returned.
+
+    Examples
+    --------
+    >>> settings_of("fgi").minimum_length
+    1.0
+    """
+    check_choice(method, "method", METHODS)
+    return import_module(f"mmqa_lab.poles.{method}").Settings()
+
+
+def match(detections, references, **choices):
+    """Match detections and references one to one; see :func:`mmqa_lab.poles.scores.match`."""
+    from mmqa_lab.poles import scores
+
+    return scores.match(detections, references, **choices)
+
+
+def score(detections, references, **choices):
+    """Score detections against references; see :func:`mmqa_lab.poles.scores.score`."""
+    from mmqa_lab.poles import scores
+
+    return scores.score(detections, references, **choices)
+
+
+def curve(detections, references, **choices):
+    """Return the precision-recall curve; see :func:`mmqa_lab.poles.scores.curve`."""
+    from mmqa_lab.poles import scores
+
+    return scores.curve(detections, references, **choices)
+
+
+def _settings(module, method, thresholds):
+    """The settings of a method with some thresholds changed."""
+    known = vars(module.Settings())
+    for name, value in thresholds.items():
+        check_choice(name, f"threshold of {method}", tuple(known))
+        check_positive(value, name)
+    return module.Settings(**thresholds)
+
+
+def _clipped(points, lines, trajectory, corridor, settings):
+    """Points from an origin nearby, that origin, and lines, of what lies in the corridor."""
+    if corridor is not None and trajectory is None:
+        raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
+    if trajectory is not None:
+        reach = getattr(settings, "corridor", 30.0) if corridor is None else corridor
+        path = np.asarray(trajectory, dtype=np.float64)
+        path = check_points(path[:, :2], name="trajectory", columns=2)
+        inside = _near_path(points, path, check_positive(reach, "corridor", unit="m"))
+        points = points[inside]
+        lines = None if lines is None else tuple(values[inside] for values in lines)
+    origin = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
+    return points - origin, origin, lines
+
+
+def _near_path(points, path, reach):
+    """Which points lie within reach of a path; far ones are told by cells of 1 m."""
+    from mmqa_lab.poles.scores import path_distance
+
+    cells, cell = np.unique(np.floor(points[:, :2] - path[0]), axis=0, return_inverse=True)
+    distance = path_distance(cells + path[0] + 0.5, path)
+    inside = (distance <= reach - 0.71)[cell.ravel()]
+    edge = np.flatnonzero((np.abs(distance - reach) < 0.72)[cell.ravel()])
+    inside[edge] = path_distance(points[edge, :2], path) <= reach
+    return inside

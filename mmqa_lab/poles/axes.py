@@ -1,0 +1,143 @@
+"""The axis of a pole: principal direction, lean, length; and the diameter from chords."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A straight axis through a group of points.
+
+    Parameters
+    ----------
+    centre : array, shape (3,)
+    direction : array, shape (3,)
+        Unit vector, upwards.
+    length : float
+        Extent of the points along it, metres.
+    ratio : float
+        Largest over second largest eigenvalue of the points' covariance.
+    """
+
+    centre: np.ndarray
+    direction: np.ndarray
+    length: float
+    ratio: float
+
+    @property
+    def tilt_deg(self):
+        """Angle from the vertical, degrees."""
+        return float(np.degrees(np.arccos(np.clip(self.direction[2], -1, 1))))
+
+
+def principal_axis(points):
+    """Return the ``Axis`` of points, (n, 3), n >= 2, by principal components.
+
+    Examples
+    --------
+    >>> axis = principal_axis(np.array([[0, 0, 0], [0, 0.01, 1], [0, 0, 2.0]]))
+    >>> axis.length, round(axis.tilt_deg, 3)
+    (2.0, 0.0)
+    """
+    centre = points.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(points - centre, full_matrices=False)
+    direction = directions[0] * (1.0 if directions[0, 2] >= 0 else -1.0)
+    along = (points - centre) @ direction
+    second = sizes[1] ** 2 if len(sizes) > 1 else 0.0
+    ratio = float(sizes[0] ** 2 / max(second, 1e-12))
+    return Axis(centre, direction, float(np.ptp(along)), ratio)
+
+
+def chord_diameter(points, axis_direction, line, *, minimum_points=2):
+    """Return the diameter from the chords that scan lines cut: mean chord plus one ray spacing.
+
+    A ray every ``s`` metres meets a post of diameter d between floor(d / s) and ceil(d / s) times,
+    d / s times on average, and the chord from the first to the last hit is one spacing less.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        On the shaft, metres.
+    axis_direction : array, shape (3,)
+        Unit vector of the axis.
+    line : array of int, shape (n,)
+        Scan line of each.
+    minimum_points : int
+        Lines with fewer hits do not count.
+
+    Returns
+    -------
+    float
+        Metres; NaN where no line has enough hits.
+
+    Notes
+    -----
+    Lines with a single hit tell no spacing and are left out, which makes thin, far posts too wide;
+    the spacing is the median over lines. A front-facing arc is less wide than the post by less
+    than 1 % unless the scanner is nearer than ten radii.
+
+    References
+    ----------
+    The estimator is ours.
+    """
+    from scipy.stats import median_abs_deviation
+
+    if not len(points):
+        return np.nan
+    cross = np.eye(3) - np.outer(axis_direction, axis_direction)
+    flat = (points - points.mean(axis=0)) @ cross
+    order = np.argsort(line, kind="stable")
+    first = np.flatnonzero(np.diff(line[order], prepend=line[order[0]] - 1))
+    chords, spacings = [], []
+    for part in np.split(flat[order], first[1:]):
+        if len(part) >= minimum_points:
+            wide = np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2][0]
+            chords.append(np.ptp(part @ wide))
+            spacings.append(chords[-1] / (len(part) - 1))
+    if not chords:
+        return np.nan
+    chords = np.array(chords)
+    spread = 3 * max(median_abs_deviation(chords, scale="normal"), np.median(spacings))
+    usual = np.abs(chords - np.median(chords)) <= spread
+    return float(chords[usual].mean() + np.median(spacings))
+
+
+def circle_diameter(points, axis_direction, *, slice_length=0.5, largest=1.0):
+    """Return the median diameter of circles fitted to slices across an axis.
+
+    Each slice gets an algebraic circle (Pratt's normalisation is not needed where noise is small
+    against the radius); slices with fewer than five points or a circle wider than ``largest``
+    metres are left out.
+
+    Returns
+    -------
+    float
+        Metres; NaN where no slice is measurable.
+
+    References
+    ----------
+    Kasa 1976, IEEE Transactions on Instrumentation and Measurement 25, 8-14,
+    doi:10.1109/TIM.1976.6312298.
+    """
+    if len(points) < 5:
+        return np.nan
+    centred = points - points.mean(axis=0)
+    along = centred @ axis_direction
+    u = np.cross(axis_direction, np.eye(3)[np.argmin(np.abs(axis_direction))])
+    u /= np.linalg.norm(u)
+    plan = centred @ np.stack([u, np.cross(axis_direction, u)], axis=1)
+    found = []
+    for number in np.unique(np.floor(along / slice_length)):
+        part = plan[np.floor(along / slice_length) == number]
+        if len(part) >= 5:
+            found.append(_kasa(part))
+    found = np.array([d for d in found if np.isfinite(d) and d <= largest])
+    return float(np.median(found)) if len(found) else np.nan
+
+
+def _kasa(xy):
+    """Diameter of the circle with the least algebraic distance."""
+    design = np.column_stack([xy, np.ones(len(xy))])
+    (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
+    return 2 * np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))

@@ -1,0 +1,326 @@
+"""Features of a candidate: its axis, its emptiness over height and azimuth, what stands around it.
+
+Everything is counted in height bins that are occupied or not, in sectors and in shares, rather than
+in points: a denser scanner changes them little.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
+from mmqa_lab.poles.columns import near_axis
+
+RADII_M = np.array([0.06, 0.10, 0.15, 0.20, 0.30, 0.40])
+SHELL_M = 0.25
+CLEAN = 0.15
+"""A bin is clean when the shell holds at most this share of what the core holds."""
+
+SECTORS = 12
+REACH_M = 2.0
+CELL_M = 0.2
+GRID = 20
+TALL_BINS = 6
+MAX_LEAN = 0.27
+"""Largest lean that an axis may take, m/m (15 degrees)."""
+
+NAMES = (
+    *(f"clean_run_{int(100 * r):02d}_m" for r in RADII_M),
+    *("radius_m", "run_m", "run_low_m", "run_high_m", "column_m", "column_high_m"),
+    *("run_share", "column_share", "run_points", "run_points_per_m", "run_filled"),
+    *("mean_across", "spread_across", "median_across_m", "wide_across_m", "taper"),
+    *("tilt_deg", "wobble_m", "sectors_near", "empty_arc", "opposite_near"),
+    *("beside_050", "beside_100", "beside_200", "sectors_100", "sectors_200", "opposite_200"),
+    *("flatness", "off_line_m", "tall_100", "tall_200", "tall_flatness"),
+    *("above_core", "above_shell", "below_shell", "slab_above", "slab_below"),
+    *("highest_200_m", "inner_count_share", "elongation"),
+)
+"""What the columns of :func:`describe` mean; ``across`` is the distance from the axis.
+
+``beside_R``: share of the run's height bins with points between the last radius and R cm;
+``tall_R``: plan cells of 0.2 m with 6 or more occupied bins; ``flatness``: how much what stands
+beside lies on a line in plan; ``off_line_m``: how far the axis stands from that line; ``slab``:
+share of the plan around occupied right above or below the run.
+"""
+
+
+@njit(cache=True)
+def fit_axis(x, y, h, x0, y0, iterations=12):
+    """Robust straight axis (x, y at h = middle, lean x, lean y, middle) near (x0, y0).
+
+    Iteratively reweighted least squares with Geman-McClure weights whose scale shrinks from 0.15 m
+    to 0.06 m; leans are drawn towards 0 with a standard deviation of 0.05 m/m.
+    """
+    n = len(x)
+    middle = 0.0
+    for k in range(n):
+        middle += h[k]
+    middle /= max(n, 1)
+    ax, ay, lx, ly = x0, y0, 0.0, 0.0
+    for step in range(iterations):
+        scale = max(0.15 * 0.85**step, 0.06)
+        w0, w1, w2 = 1e-9, 0.0, 0.0
+        sx, sy, tx, ty = 0.0, 0.0, 0.0, 0.0
+        for k in range(n):
+            u = h[k] - middle
+            dx, dy = x[k] - ax - lx * u, y[k] - ay - ly * u
+            w = 1.0 / (1.0 + (dx * dx + dy * dy) / (scale * scale)) ** 2
+            w0 += w
+            w1 += w * u
+            w2 += w * u * u
+            sx += w * x[k]
+            sy += w * y[k]
+            tx += w * x[k] * u
+            ty += w * y[k] * u
+        w2 += (0.05 / 0.05) ** 2
+        det = w0 * w2 - w1 * w1
+        ax, lx = (w2 * sx - w1 * tx) / det, (w0 * tx - w1 * sx) / det
+        ay, ly = (w2 * sy - w1 * ty) / det, (w0 * ty - w1 * sy) / det
+        lx, ly = min(max(lx, -MAX_LEAN), MAX_LEAN), min(max(ly, -MAX_LEAN), MAX_LEAN)
+    return ax, ay, lx, ly, middle
+
+
+@njit(cache=True)
+def _longest(flags, gap):
+    """First and last + 1 of the longest run of set flags, gaps up to ``gap`` bins allowed."""
+    best_low, best_high = 0, 0
+    low, last = -1, -1
+    for k in range(len(flags)):
+        if flags[k]:
+            if low < 0 or k - last > gap + 1:
+                low = k
+            last = k
+            if last + 1 - low > best_high - best_low:
+                best_low, best_high = low, last + 1
+    return best_low, best_high
+
+
+@njit(cache=True)
+def _profile(across, level, radius, core, shell):
+    """Points of each height bin within the radius and in the shell around it."""
+    core[:] = 0
+    shell[:] = 0
+    for k in range(len(across)):
+        if across[k] <= radius:
+            core[level[k]] += 1
+        elif across[k] <= radius + SHELL_M:
+            shell[level[k]] += 1
+
+
+@njit(cache=True)
+def _flatness(xx, xy, yy):
+    """1 - smaller over larger eigenvalue of a plan covariance, and the direction of the larger."""
+    mean, half = (xx + yy) / 2, np.sqrt((xx - yy) ** 2 / 4 + xy * xy)
+    if mean + half <= 0:
+        return 0.0, 0.0
+    return 1 - (mean - half) / (mean + half), 0.5 * np.arctan2(2 * xy, xx - yy)
+
+
+@njit(cache=True)
+def _arc(sectors):
+    """Longest empty arc and number of opposite occupied pairs of a circle of sectors."""
+    empty, longest, opposite = 0, 0, 0
+    n = len(sectors)
+    for k in range(2 * n):
+        empty = 0 if sectors[k % n] else min(empty + 1, n)
+        longest = max(longest, empty)
+    for k in range(n // 2):
+        opposite += sectors[k] and sectors[k + n // 2]
+    return longest, opposite
+
+
+@njit(cache=True)
+def _describe(x, y, h, x0, y0, out, axis):
+    """Write the features and the axis (x, y, lean x, lean y, middle, low, high, radius)."""
+    close = np.hypot(x - x0, y - y0) < 0.5
+    ax, ay, lx, ly, middle = fit_axis(x[close], y[close], h[close], x0, y0)
+    n = len(x)
+    dx, dy = x - ax - lx * (h - middle), y - ay - ly * (h - middle)
+    across = np.sqrt(dx * dx + dy * dy)
+    level = np.empty(n, np.int64)
+    for k in range(n):
+        level[k] = min(max(int(h[k] / BIN_M), 0), BINS - 1)
+    core, shell = np.zeros(BINS), np.zeros(BINS)
+    best = (0, 0, 0)
+    for r in range(len(RADII_M)):
+        _profile(across, level, RADII_M[r], core, shell)
+        low, high = _longest((core > 0) & (shell <= CLEAN * core), 1)
+        out[r] = (high - low) * BIN_M
+        if high - low > best[1] - best[0]:
+            best = (low, high, r)
+    low, high, r = best
+    radius = RADII_M[r]
+    _profile(across, level, radius, core, shell)
+    first, last = _longest(core > 0, 1)
+    if high == low:
+        low, high = first, last
+    run = max(high - low, 1)
+    f = len(RADII_M)
+    out[f], out[f + 1], out[f + 2], out[f + 3] = radius, run * BIN_M, low * BIN_M, high * BIN_M
+    out[f + 4], out[f + 5] = (last - first) * BIN_M, last * BIN_M
+    dense, around = core[low:high].sum(), shell[low:high].sum()
+    out[f + 6] = dense / max(dense + around, 1.0)
+    dense_all, around_all = core[first:last].sum(), shell[first:last].sum()
+    out[f + 7] = dense_all / max(dense_all + around_all, 1.0)
+    out[f + 8], out[f + 9] = np.log1p(dense), np.log1p(dense / (run * BIN_M))
+    out[f + 10] = (core[low:high] > 0).sum() / run
+    _shape(across, level, low, high, radius, out[f + 11 :])
+    out[f + 16] = np.degrees(np.arctan(np.hypot(lx, ly)))
+    out[f + 17] = _wobble(dx, dy, across, level, low, high, radius)
+    _beside(dx, dy, across, level, low, high, radius, out[f + 18 :])
+    _around(dx, dy, across, level, low, high, radius, core, shell, out[f + 27 :])
+    out[f + 38] = core.sum() / max(n, 1)
+    axis[0], axis[1], axis[2], axis[3], axis[4] = ax, ay, lx, ly, middle
+    axis[5], axis[6], axis[7] = low * BIN_M, high * BIN_M, radius
+
+
+@njit(cache=True)
+def _shape(across, level, low, high, radius, out):
+    """Distances from the axis within the run: mean, spread, median, 90 % and their taper."""
+    inside = (level >= low) & (level < high) & (across <= radius)
+    rho, where = across[inside], level[inside]
+    if len(rho) < 2:
+        out[:5] = 0.0
+        return
+    out[0], out[1] = rho.mean() / radius, rho.std() / radius
+    ranked = np.sort(rho)
+    out[2], out[3] = ranked[len(rho) // 2], ranked[int(0.9 * (len(rho) - 1))]
+    half = (low + high) / 2
+    lower, upper = rho[where < half], rho[where >= half]
+    out[4] = 0.0
+    if len(lower) > 1 and len(upper) > 1:
+        out[4] = (np.median(upper) - np.median(lower)) / radius
+
+
+@njit(cache=True)
+def _wobble(dx, dy, across, level, low, high, radius):
+    """Root mean square distance of the bins' centres from the axis."""
+    total, bins = 0.0, 0
+    for b in range(low, high):
+        inside = (level == b) & (across <= radius)
+        if inside.any():
+            total += dx[inside].mean() ** 2 + dy[inside].mean() ** 2
+            bins += 1
+    return np.sqrt(total / max(bins, 1))
+
+
+@njit(cache=True)
+def _beside(dx, dy, across, level, low, high, radius, out):
+    """What stands beside the run, by distance and azimuth: 9 numbers."""
+    held = np.zeros((3, BINS), np.bool_)
+    sectors = np.zeros((3, SECTORS), np.bool_)
+    for k in range(len(dx)):
+        if level[k] < low or level[k] >= high or across[k] <= radius + 0.03:
+            continue
+        ring = 0 if across[k] <= 0.5 else (1 if across[k] <= 1.0 else 2)
+        held[ring, level[k]] = True
+        turn = (np.arctan2(dy[k], dx[k]) / (2 * np.pi)) % 1.0
+        sectors[ring, min(int(turn * SECTORS), SECTORS - 1)] = True
+    run = max(high - low, 1)
+    empty, opposite = _arc(sectors[0])
+    out[0], out[1], out[2] = sectors[0].sum(), empty, opposite
+    for ring in range(3):
+        out[3 + ring] = held[ring].sum() / run
+    out[6], out[7] = sectors[1].sum(), sectors[2].sum()
+    out[8] = _arc(sectors[0] | sectors[1] | sectors[2])[1]
+
+
+@njit(cache=True)
+def _add(sums, u, v):
+    """Add a plan position to a sum of moments."""
+    for k, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
+        sums[k] += value
+
+
+@njit(cache=True)
+def _around(dx, dy, across, level, low, high, radius, core, shell, out):
+    """Lines and slabs around the run, and what is above and below it: 11 numbers."""
+    cells = np.zeros((GRID, GRID), np.uint64)
+    above, below = np.zeros((GRID, GRID), np.bool_), np.zeros((GRID, GRID), np.bool_)
+    sums, highest = np.zeros(6), 0
+    for k in range(len(dx)):
+        i, j = int(dx[k] / CELL_M + GRID / 2), int(dy[k] / CELL_M + GRID / 2)
+        highest = max(highest, level[k])
+        if 0 <= i < GRID and 0 <= j < GRID:
+            cells[i, j] |= np.uint64(1) << np.uint64(level[k])
+            above[i, j] |= high <= level[k] < high + 2
+            below[i, j] |= low - 2 <= level[k] < low
+        if low <= level[k] < high and across[k] > radius + 0.03:
+            _add(sums, dx[k], dy[k])
+    out[0], out[1] = 0.0, REACH_M
+    if sums[0] >= 5:
+        m = sums / sums[0]
+        out[0], turn = _flatness(m[3] - m[1] ** 2, m[4] - m[1] * m[2], m[5] - m[2] ** 2)
+        out[1] = abs(m[1] * np.sin(turn) - m[2] * np.cos(turn))
+    tall = np.zeros(6)
+    near = 0
+    for i in range(GRID):
+        for j in range(GRID):
+            u, v = (i + 0.5 - GRID / 2) * CELL_M, (j + 0.5 - GRID / 2) * CELL_M
+            away = np.hypot(u, v)
+            apart = away > max(0.3, radius + 0.15) and away <= REACH_M
+            if apart and set_bits(cells[i, j]) >= TALL_BINS:
+                near += away <= 1.0
+                _add(tall, u, v)
+    out[2], out[3], out[4] = near, tall[0] - near, 0.0
+    if tall[0] >= 3:
+        m = tall / tall[0]
+        out[4] = _flatness(m[3] - m[1] ** 2, m[4] - m[1] * m[2], m[5] - m[2] ** 2)[0]
+    top = min(high + 8, BINS)
+    out[5] = (core[high:top] > 0).sum() / 8
+    out[6] = (shell[high:top] > 0).sum() / 8
+    out[7] = (shell[:low] > 0).sum() / max(low, 1)
+    middle = GRID // 2
+    out[8] = above[middle - 5 : middle + 5, middle - 5 : middle + 5].sum() / 100
+    out[9] = below[middle - 5 : middle + 5, middle - 5 : middle + 5].sum() / 100
+    out[10] = highest * BIN_M
+
+
+@njit(cache=True, parallel=True)
+def describe(points, height, start, base, xy):
+    """Return features (k, len(NAMES)) and axes (k, 8) of candidates.
+
+    Parameters
+    ----------
+    points, start, base
+        Of :func:`mmqa_lab.poles.columns.rows`; ``height`` (n,) above ground in the same order.
+    xy : array, shape (k, 2)
+        Candidates.
+
+    Returns
+    -------
+    features, axes
+        ``axes``: x, y, lean x, lean y at height ``middle`` above ground, then that height, lower
+        and upper end of the pole-like part above ground, radius of the core.
+    """
+    features, axes = np.zeros((len(xy), 46)), np.zeros((len(xy), 8))
+    for c in prange(len(xy)):
+        _candidate(points, height, start, base, xy[c, 0], xy[c, 1], features[c], axes[c])
+    return features, axes
+
+
+@njit(cache=True)
+def _candidate(points, height, start, base, x0, y0, out, axis):
+    """Write the features and the axis of one candidate."""
+    near = near_axis(points, start, base, x0, y0, REACH_M)
+    n = 0
+    for i in near:
+        if 0.1 < height[i] < BINS * BIN_M:
+            near[n] = i
+            n += 1
+    x, y, h = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        x[k], y[k], h[k] = points[near[k], 0], points[near[k], 1], height[near[k]]
+    _describe(x, y, h, x0, y0, out, axis)
+    out[45] = _elongation(x, y, h, axis)
+
+
+@njit(cache=True)
+def _elongation(x, y, h, axis):
+    """Length of the run over twice the median distance of its points from the axis."""
+    dx = x - axis[0] - axis[2] * (h - axis[4])
+    dy = y - axis[1] - axis[3] * (h - axis[4])
+    across = np.sqrt(dx * dx + dy * dy)
+    inside = (h >= axis[5]) & (h < axis[6]) & (across <= axis[7])
+    if not inside.any():
+        return 0.0
+    return min((axis[6] - axis[5]) / (2 * np.median(across[inside]) + 0.01), 100.0)

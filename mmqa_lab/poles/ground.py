@@ -1,0 +1,62 @@
+"""Height above ground, from the lowest points of a plan grid."""
+
+import numpy as np
+from scipy import ndimage
+
+CELL_M = 1.0
+WINDOW = 9
+"""Cells: lowest points that stand out from a window of 9 m x 9 m are roofs and crowns."""
+
+STEP_M = 0.5
+
+
+def height_above_ground(points, *, cell=CELL_M):
+    """Return the height of each point above the ground, metres.
+
+    The lowest point of each cell is the ground, unless it lies more than 0.5 m above what a
+    morphological opening leaves; cells without ground take the nearest cell's. Between cell
+    centres the ground is bilinear.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Metres.
+    cell : float
+        Metres.
+
+    Returns
+    -------
+    array, shape (n,)
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(0, 20, 0.2), np.arange(0, 20, 0.2))
+    >>> street = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    >>> float(height_above_ground(np.vstack([street, [[10, 10, 3]]]))[-1])
+    3.0
+    """
+    if not len(points):
+        return np.empty(0)
+    low = points[:, :2].min(axis=0)
+    place = (points[:, :2] - low) / cell
+    column, row = place.astype(np.int64).T
+    shape = int(row.max()) + 1, int(column.max()) + 1
+    lowest = np.full(shape[0] * shape[1], np.inf)
+    np.minimum.at(lowest, row * shape[1] + column, points[:, 2])
+    ground = _opened(lowest.reshape(shape))
+    at = np.stack([place[:, 1] - 0.5, place[:, 0] - 0.5])
+    return points[:, 2] - ndimage.map_coordinates(ground, at, order=1, mode="nearest")
+
+
+def _opened(lowest):
+    """Lowest heights without what stands out, and without gaps."""
+    filled = _filled(lowest, np.isfinite(lowest))
+    opened = ndimage.grey_opening(filled, size=(WINDOW, WINDOW), mode="nearest")
+    known = np.isfinite(lowest) & (lowest - opened <= STEP_M)
+    return _filled(lowest, known) if known.any() else filled
+
+
+def _filled(values, known):
+    """Values with gaps taken from the nearest known cell."""
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]

@@ -1,0 +1,157 @@
+"""A better detector: many candidates, features of the whole surroundings, a learned verdict.
+
+Works without scan lines: the cloud is thinned, columns that hold points over many heights become
+candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
+stands around it (``features``), and a sum of small decision trees, trained on simulated streets
+alone, gives the probability that it is a pole (``trees``, ``model.json``).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mmqa_lab.poles.axes import chord_diameter
+from mmqa_lab.poles.candidates import candidates
+from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.features import NAMES, describe
+from mmqa_lab.poles.ground import height_above_ground
+from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
+from mmqa_lab.poles.trees import read_model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Choices of the learned method; all are ours.
+
+    Parameters
+    ----------
+    threshold : float
+        Least probability of a pole: the operating point, fixed on training streets.
+    voxel : float
+        Points are thinned to one a cube of that size, metres: what makes a dense scanner look like
+        a sparse one.
+    minimum_length : float
+        Of the pole-like part, metres.
+    apart : float
+        Two poles are at least that far apart, metres.
+    """
+
+    threshold: float = 0.5
+    voxel: float = 0.03
+    minimum_length: float = 1.0
+    apart: float = 0.6
+
+
+def detect(points, settings, *, line=None, explain=False, model=None):
+    """Return the poles of a cloud.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Metres from an origin nearby.
+    settings : Settings
+    line : array of int, shape (n,), optional
+        Scan lines: where known, diameters come from chords.
+    explain : bool
+    model : mmqa_lab.poles.trees.Trees, optional
+        The one that comes with the package where left out.
+
+    Returns
+    -------
+    DataFrame
+        See :func:`mmqa_lab.poles.detect`.
+    """
+    features, axes, ground = described(points, settings)
+    model = read_model() if model is None else model
+    probability = model.probability(features) if len(features) else np.empty(0)
+    reason = first_reason(
+        len(axes),
+        probability=probability < settings.threshold,
+        length=features[:, NAMES.index("column_m")] < settings.minimum_length,
+    )
+    table = _rows(axes, ground, probability, reason)
+    drop_duplicates(table, settings.apart)
+    table["diameter_m"] = _diameters(points, line, table, axes[:, 7])
+    return pole_table(table, "ours", explain=explain)
+
+
+def described(points, settings):
+    """Return features (k, 46), axes (k, 8) and ground heights (k,) of all candidates."""
+    if not len(points):
+        return np.empty((0, len(NAMES))), np.empty((0, 8)), np.empty(0)
+    thin = thinned(points, settings.voxel)
+    height = height_above_ground(thin)
+    xy = candidates(thin, height)
+    sorted_thin = rows(thin)
+    where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, base(sorted_thin))
+    features, axes = describe(*where, xy)
+    return features, axes, _ground_at(thin, height, axes)
+
+
+def thinned(points, voxel):
+    """Return the centre of the points of each occupied cube.
+
+    Examples
+    --------
+    >>> thinned(np.array([[0, 0, 0], [0.01, 0, 0], [1, 0, 0]]), 0.05).tolist()
+    [[0.005, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    """
+    index = np.floor((points - points.min(axis=0)) / voxel).astype(np.int64)
+    spans = index.max(axis=0) + 1
+    key = (index[:, 0] * spans[1] + index[:, 1]) * spans[2] + index[:, 2]
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    count = np.diff(np.append(first, len(points)))
+    return np.add.reduceat(points[order], first, axis=0) / count[:, None]
+
+
+def _ground_at(thin, height, axes):
+    """Height of the ground at each axis: that under the nearest point."""
+    from scipy.spatial import cKDTree
+
+    _, nearest = cKDTree(thin[:, :2]).query(axes[:, :2])
+    return thin[nearest, 2] - height[nearest]
+
+
+def _rows(axes, ground, probability, reason):
+    """Columns of the table but for the diameter; axes are taken at half the height."""
+    low, high = axes[:, 5], axes[:, 6]
+    shift = ((low + high) / 2 - axes[:, 4])[:, None]
+    middle = axes[:, :2] + axes[:, 2:4] * shift
+    return {
+        "x_m": middle[:, 0],
+        "y_m": middle[:, 1],
+        "z_base_m": ground + low,
+        "height_m": high - low,
+        "lean_x": axes[:, 2],
+        "lean_y": axes[:, 3],
+        "score": probability,
+        "rejected_by": reason,
+    }
+
+
+def _diameters(points, line, table, radius):
+    """Diameters of the accepted candidates: chords of scan lines, else twice the usual distance."""
+    diameter = np.full(len(radius), np.nan)
+    accepted = np.flatnonzero(table["rejected_by"] == "")
+    if not len(accepted):
+        return diameter
+    found = rows(points)
+    low = base(found)
+    for k in accepted:
+        x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
+        lean = np.array([table["lean_x"][k], table["lean_y"][k]])
+        slack = np.hypot(*lean) * h / 2
+        near = near_axis(found.points, found.start, low, x, y, radius[k] + slack)
+        part = found.points[near]
+        part_height = part[:, 2] - z
+        inside = (part_height >= 0) & (part_height <= h)
+        off = part[:, :2] - [x, y] - lean * (part_height - h / 2)[:, None]
+        inside &= np.hypot(*off.T) <= radius[k]
+        if line is None:
+            diameter[k] = 2 * np.median(np.hypot(*off[inside].T)) if inside.any() else np.nan
+        else:
+            direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
+            lines = line[found.order[near[inside]]]
+            diameter[k] = chord_diameter(part[inside], direction, lines)
+    return diameter

@@ -1,0 +1,86 @@
+"""Scan lines of a cloud: as recorded, or recovered from time and scan angle."""
+
+import numpy as np
+
+
+def scan_lines(cloud):
+    """Return the scan line of each point and its place along the line, or None.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With ``scan_line`` and ``pulse`` or ``gps_time``; or with ``gps_time`` and ``scan_angle``.
+        Where there is a ``head`` or a ``point_source_id`` (one for each drive in LAS), lines of
+        different heads and drives are not neighbours.
+
+    Returns
+    -------
+    line, place : arrays of int and float, shape (n,)
+        Or None, where the cloud says neither.
+
+    Notes
+    -----
+    Without ``scan_line``, a line ends where the scan angle turns back by more than a quarter of its
+    range while time runs on: this finds the turns of a full-circle profiler and the ends of an
+    oscillating one.
+
+    Examples
+    --------
+    >>> from mmqa_lab.cloud import Cloud
+    >>> angle = np.tile(np.arange(-180.0, 180, 45), 3)
+    >>> columns = {"gps_time": np.arange(24.0), "scan_angle": angle}
+    >>> line, place = scan_lines(Cloud(np.zeros((24, 3)), columns))
+    >>> line[[0, 7, 8, 23]].tolist()
+    [0, 0, 1, 2]
+    """
+    source = _source(cloud)
+    if "scan_line" in cloud and ("pulse" in cloud or "gps_time" in cloud):
+        line = np.asarray(cloud["scan_line"], dtype=np.int64)
+        place = cloud["pulse"] if "pulse" in cloud else cloud["gps_time"]
+    elif "gps_time" in cloud and "scan_angle" in cloud:
+        place = np.asarray(cloud["gps_time"], dtype=np.float64)
+        line = _lines_by_angle(place, np.asarray(cloud["scan_angle"], dtype=np.float64), source)
+    else:
+        return None
+    return line - line.min(initial=0) + source * _apart(line), np.asarray(place, dtype=np.float64)
+
+
+def pulse_numbers(line, place):
+    """Return pulses counted from 0 from places along lines that may be times.
+
+    Times become numbers by their most frequent step; whole numbers stay as they are.
+    """
+    if not len(place) or np.array_equal(place, np.floor(place)):
+        return place
+    order = np.lexsort([place, line])
+    steps = np.diff(place[order])[np.diff(line[order]) == 0]
+    steps = steps[steps > 0]
+    step = np.median(steps) if len(steps) else 1.0
+    return np.round((place - place.min()) / step)
+
+
+def _source(cloud):
+    """A number for each head and drive."""
+    source = np.zeros(len(cloud), dtype=np.int64)
+    for name in ("head", "point_source_id"):
+        if name in cloud:
+            _, number = np.unique(cloud[name], return_inverse=True)
+            source = source * (number.max(initial=0) + 1) + number
+    return source
+
+
+def _apart(line):
+    """What keeps lines of different heads from being neighbours."""
+    return np.ptp(line) + 10 if len(line) else 0
+
+
+def _lines_by_angle(time, angle, source):
+    """Lines numbered along time, a new one where the angle turns back."""
+    order = np.lexsort([angle, time, source])
+    step = np.diff(angle[order])
+    turned = step < -0.25 * np.ptp(angle) if len(angle) else step
+    if not turned.any():
+        turned = step > 0.25 * np.ptp(angle)
+    line = np.empty(len(time), dtype=np.int64)
+    line[order] = np.concatenate([[0], np.cumsum(turned)])
+    return line

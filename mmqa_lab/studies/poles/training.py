@@ -1,0 +1,190 @@
+"""Training of the verifier of "ours", on simulated streets alone.
+
+``python -m mmqa_lab.studies.poles.training`` writes ``mmqa_lab/poles/model.json`` anew; the same
+seed gives the same file. Streets, scanners and errors are drawn widely, so that the verifier learns
+poles and not a street: every example has its own plan, scanner, speed, noise and thinning.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mmqa_lab.poles import ours
+from mmqa_lab.poles.features import NAMES
+from mmqa_lab.poles.trees import Trees
+from mmqa_lab.simulate import streets
+
+EXAMPLES = 60
+FIRST_SEED = 9_000_000
+"""Seeds of training streets start here; tests and studies use smaller ones."""
+
+SETUPS = (
+    ("roamer", 100.0, (5.0, 14.0)),
+    ("push-broom", 140.0, (3.0, 9.0)),
+    ("vq-450", 45.0, (8.0, 14.0)),
+    ("roamer", 100.0, (5.0, 14.0)),
+    ("push-broom", 140.0, (3.0, 9.0)),
+    ("dense-profiler", 35.0, (8.0, 14.0)),
+)
+"""Scanner, length of the street (m) and range of speeds (m/s), by turns."""
+
+
+def random_plan(rng):
+    """Return a street plan drawn at random between few and many of everything."""
+    setback = rng.uniform(7, 20)
+    return streets.Plan(
+        trees_per_100m=rng.uniform(8, 20),
+        signs_per_100m=rng.uniform(5, 14),
+        lamps_per_100m=rng.uniform(3, 8),
+        others_per_100m=rng.uniform(5, 14),
+        far_share=rng.uniform(0.1, 0.7),
+        shrub_share=rng.uniform(0, 0.7),
+        thicket_share=rng.uniform(0, 0.6),
+        low_crown_share=rng.uniform(0, 0.7),
+        low_branch_share=rng.uniform(0, 0.9),
+        trunk_radius_m=(0.05, rng.uniform(0.15, 0.4)),
+        crown_density=rng.uniform(0.5, 1.8),
+        cars_per_100m=rng.uniform(0, 15),
+        pedestrians_per_100m=rng.uniform(0, 5),
+        billboards_per_100m=rng.uniform(0, 2),
+        hedges_per_100m=rng.uniform(0, 6),
+        building_share=rng.uniform(0.1, 1.0),
+        setback_m=(setback, setback + rng.uniform(1, 10)),
+        balcony_share=rng.uniform(0, 0.9),
+        columns_per_100m=rng.uniform(0, 10),
+        pipes_per_100m=rng.uniform(0, 10),
+        slope=rng.normal(0, 0.02),
+        cross_slope=rng.normal(0, 0.02),
+    )
+
+
+def example(number, *, seed=FIRST_SEED):
+    """Return the street, the cloud and the targets of a training example.
+
+    The cloud is degraded by thinning, extra noise and rounding, all of it or none.
+    """
+    rng = np.random.default_rng([seed, number])
+    name, length, speeds = SETUPS[number % len(SETUPS)]
+    made = streets.street(random_plan(rng), length=length, seed=seed + number)
+    scanner = streets.SCANNERS[name]
+    noise = scanner.range_noise_m + rng.choice([0.0, 0.005, 0.015])
+    if rng.random() < 0.7:
+        scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=0.0)
+    scanner = replace(scanner, range_noise_m=noise)
+    rounding = rng.choice([0.0, 0.0, 0.01])
+    cloud = streets.drive(
+        made, scanner, seed=seed + number, speed=rng.uniform(*speeds), rounding_m=rounding
+    )
+    cloud = cloud.select(rng.random(len(cloud)) < rng.choice([1.0, 1.0, 0.6, 0.35]))
+    # an upright scan plane draws a post in one or two lines
+    sweeps = 1 if name == "push-broom" else 5
+    return made, cloud, streets.visible_targets(made, cloud, minimum_sweeps=sweeps)
+
+
+def labels(axes, targets, *, near=0.3, far=0.6):
+    """Return what each candidate is: 1 a visible pole, 0 none, -1 not to be learned from.
+
+    Parameters
+    ----------
+    axes : array, shape (k, 8)
+        Of :func:`mmqa_lab.poles.features.describe`, in the coordinates of the targets.
+    targets : DataFrame
+        Of :func:`mmqa_lab.simulate.streets.visible_targets`.
+    near, far : float
+        Candidates nearer than ``near`` to a visible pole are that pole; those between, and those
+        near a pole that the cloud hardly shows, are left out, metres.
+    """
+    middle = (axes[:, 5] + axes[:, 6]) / 2
+    xy = axes[:, :2] + axes[:, 2:4] * (middle - axes[:, 4])[:, None]
+    half = targets["height_m"].to_numpy() / 2
+    shift = np.clip(middle[:, None] - half, -half, half)
+    off = xy[:, None] - targets[["x_m", "y_m"]].to_numpy()
+    off -= targets[["lean_x", "lean_y"]].to_numpy() * shift[:, :, None]
+    distance = np.hypot(off[..., 0], off[..., 1])
+    nearest = distance.argmin(axis=1)
+    least = distance[np.arange(len(axes)), nearest]
+    label = np.where(least < far, -1, 0)
+    label[(least < near) & targets["visible"].to_numpy()[nearest]] = 1
+    return label
+
+
+def examples(numbers, *, seed=FIRST_SEED, progress=True):
+    """Return the features and the labels of many training examples.
+
+    Returns
+    -------
+    features, label, group
+        (k, features), (k,), and the number of the example of each, (k,).
+    """
+    from tqdm.auto import tqdm
+
+    parts = []
+    for number in tqdm(numbers, unit="street", disable=not progress):
+        _, cloud, targets = example(number, seed=seed)
+        origin = np.floor(cloud.points.min(axis=0))
+        features, axes, _ = ours.described(cloud.points - origin, ours.Settings())
+        axes[:, :2] += origin[:2]
+        label = labels(axes, targets)
+        parts.append((features, label, np.full(len(label), number)))
+    features, label, group = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    kept = label >= 0
+    return features[kept], label[kept], group[kept]
+
+
+def fit(features, label, group, *, rounds=120, leaves=12, rate=0.1, notes=None):
+    """Return the ``Trees`` of a gradient boosting of the log loss; each street weighs the same.
+
+    Parameters
+    ----------
+    features, label, group
+        Of :func:`examples`.
+    rounds, leaves, rate : int, int, float
+        Number of trees, leaves of each, learning rate.
+    """
+    from sklearn.ensemble import HistGradientBoostingClassifier
+
+    size = np.bincount(group)[group]
+    model = HistGradientBoostingClassifier(
+        max_iter=rounds,
+        max_leaf_nodes=leaves,
+        learning_rate=rate,
+        min_samples_leaf=15,
+        l2_regularization=1.0,
+        early_stopping=False,
+        random_state=0,
+    )
+    model.fit(features, label, sample_weight=np.sqrt(np.median(size) / size))
+    nodes, roots = [], []
+    for (tree,) in model._predictors:
+        first = len(nodes)
+        roots.append(first)
+        for node in tree.nodes:
+            if node["is_leaf"]:
+                nodes.append([-1, 0, 0, 0, node["value"]])
+            else:
+                sides = node["left"] + first, node["right"] + first
+                nodes.append([node["feature_idx"], node["num_threshold"], *sides, 0])
+    base = float(model._baseline_prediction.ravel()[0])
+    return Trees(NAMES, base, np.array(nodes, float), np.array(roots), notes or {})
+
+
+def main():
+    """Train on all examples and write the model."""
+    from importlib import resources
+
+    from mmqa_lab.io import write_atomically
+
+    data = examples(range(EXAMPLES))
+    notes = {
+        "trained on": f"{EXAMPLES} simulated streets, seeds from {FIRST_SEED}",
+        "candidates": len(data[1]),
+        "poles": int(data[1].sum()),
+        "program": "python -m mmqa_lab.studies.poles.training",
+    }
+    text = fit(*data, notes=notes).to_json()
+    target = resources.files("mmqa_lab.poles").joinpath("model.json")
+    write_atomically(target, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()
