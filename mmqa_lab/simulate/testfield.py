@@ -1,0 +1,315 @@
+"""A simulated test field: a street with surveyed ground, poles and corners, driven both ways.
+
+After the field of EuroSDR 2013, mobile laser scanning, chapter 3: a street between buildings, with
+curbs, lamps and signs, passed in both directions. Here everything's true place is known; the
+reference gets the errors of a survey.
+"""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.simulate import presets
+from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.surfaces import box, cylinder, polygon, rectangle
+from mmqa_lab.simulate.trajectories import NavigationErrors, measured, straight
+
+ROAD_HALF_M = 5.0
+PAVEMENT_M = 4.0
+CURB_M = 0.12
+ANTENNA_M = 2.2
+"""Height of the vehicle's reference point above the road."""
+
+LANE_M = 2.5
+"""Distance of the two paths from the street's axis."""
+
+SURVEY_STD_M = 0.003
+"""Assumed standard deviation of a surveyed coordinate."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedField:
+    """A street whose geometry is known.
+
+    Parameters
+    ----------
+    scene : Scene
+    origin : array, shape (3,)
+        Of the street's south end, on its axis, at road level.
+    length_m : float
+    poles, corners : DataFrame
+        As surveyed: ``pole``, ``x_m``, ``y_m``, ``z_m``, ``diameter_m``; ``corner``, ``kind``,
+        ``x_m``, ``y_m``, ``z_m``.
+    """
+
+    scene: Scene
+    origin: np.ndarray
+    length_m: float
+    poles: pd.DataFrame
+    corners: pd.DataFrame
+
+    def height(self, xy):
+        """True height of the ground at places in plan (n, 2), NaN next to curbs and in houses."""
+        x, y = (np.asarray(xy, dtype=np.float64) - self.origin[:2]).T
+        height = np.full(len(x), np.nan)
+        kerb = _kerb(y, self.length_m)
+        aside = np.abs(x)
+        height[aside < kerb - 0.3] = 0.0
+        pavement = (aside > kerb + 0.3) & (aside < ROAD_HALF_M + PAVEMENT_M - 0.3)
+        height[pavement] = CURB_M
+        near_bay = np.abs(y - _bays(self.length_m).ravel()[:, None]).min(axis=0) < 0.4
+        height[near_bay & (aside > ROAD_HALF_M - 2.5)] = np.nan
+        return height + self.origin[2]
+
+    def ground(self, *, spacing_m=1.0, seed):
+        """Return surveyed ground points on a grid: array, shape (n, 3)."""
+        step = check_positive(spacing_m, "spacing_m", unit="m")
+        half = ROAD_HALF_M + PAVEMENT_M
+        x, y = np.meshgrid(np.arange(-half, half, step), np.arange(1, self.length_m - 1, step))
+        xy = np.stack([x.ravel(), y.ravel()], axis=1) + step / 2 + self.origin[:2]
+        z = self.height(xy)
+        points = np.column_stack([xy, z])[np.isfinite(z)]
+        return points + np.random.default_rng(seed).normal(0, [0, 0, SURVEY_STD_M], points.shape)
+
+    def drives(self, speed=10.0):
+        """Return the two true paths, south to north on the right lane, and back."""
+        x, y, z = self.origin + [0, 0, ANTENNA_M]
+        there = straight(self.length_m, speed, start=(x + LANE_M, y, z))
+        away = (x - LANE_M, y + self.length_m, z)
+        back = straight(self.length_m, speed, start=away, heading=180, start_time=1000.0)
+        return [there, back]
+
+
+@dataclass(frozen=True)
+class System:
+    """A mobile mapping system: scan heads and navigation.
+
+    Parameters
+    ----------
+    name : str
+    heads : tuple of Scanner
+        With the lever arms and boresight errors that they truly have.
+    navigation : NavigationErrors
+    lever_arm_error_m : tuple of tuple of 3, optional
+        Assumed minus true lever arm of each head.
+    """
+
+    name: str
+    heads: tuple
+    navigation: NavigationErrors = field(default_factory=NavigationErrors)
+    lever_arm_error_m: tuple = ()
+
+    @property
+    def assumed_lever_arms(self):
+        """Lever arms that the evaluation uses, (heads, 3)."""
+        true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
+        return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
+
+
+GOOD_NAVIGATION = NavigationErrors(
+    drift_m=(0.008, 0.008, 0.012), drift_deg=(0.004, 0.004, 0.012), correlation_s=60
+)
+LOW_COST_NAVIGATION = NavigationErrors(
+    drift_m=(0.03, 0.03, 0.04), drift_deg=(0.05, 0.05, 0.15), correlation_s=30
+)
+"""Assumed of post-processed positioning with good satellites: tactical-grade and low-cost units."""
+
+
+def systems():
+    """Return the simulated systems by name.
+
+    They stand for the sorts of systems on the test field, not for the makers' products: a research
+    system with one phase-based profiler before and after its boresight was calibrated (the
+    contrast of ROAMER I and II; the size of the error is assumed), two pulsed profilers, and a
+    low-cost multi-beam scanner with low-cost navigation.
+    """
+    roamer = replace(presets.ROAMER, lever_arm_m=(0.0, -0.5, 0.4))
+    left = replace(presets.VQ_450, lever_arm_m=(-0.4, -0.6, 0.3), heading_deg=45)
+    right = replace(presets.VQ_450, lever_arm_m=(0.4, -0.6, 0.3), heading_deg=-45)
+    velodyne = replace(presets.HDL_32E, lever_arm_m=(0.0, 0.0, 0.4))
+    off = replace(roamer, boresight_deg=(0.15, -0.2, 0.35))
+    return {
+        "profiler, not calibrated": System("profiler, not calibrated", (off,), GOOD_NAVIGATION),
+        "profiler": System("profiler", (roamer,), GOOD_NAVIGATION),
+        "two pulsed profilers": System("two pulsed profilers", (left, right), GOOD_NAVIGATION),
+        "low-cost multi-beam": System("low-cost multi-beam", (velodyne,), LOW_COST_NAVIGATION),
+    }
+
+
+def make_testfield(*, length_m=120.0, origin=(380_000.0, 6_672_000.0, 20.0), seed=1):
+    """Return a street with everything that is measured on the test field.
+
+    Parameters
+    ----------
+    length_m : float
+        Of the street, m; 40 or more.
+    origin : array_like, shape (3,)
+        Its south end in projected coordinates.
+    seed : int
+        Of the places of poles and houses and of the survey's errors.
+
+    Returns
+    -------
+    SimulatedField
+    """
+    length = check_positive(length_m, "length_m", unit="m")
+    if length < 40:
+        raise ValueError(f"Invalid length_m {length_m}. Must be >= 40 m.")
+    origin = check_points([origin], name="origin")[0]
+    rng = np.random.default_rng(seed)
+    poles, shafts = _poles(length, rng)
+    houses, house_corners = _houses(length, rng)
+    surfaces = [*_road(length), *houses, *shafts, *_cars(length)]
+    bays = _bays(length)
+    curb_corners = [
+        (sign * (ROAD_HALF_M - 2.0), y, 0.0, "curb")
+        for bay in bays
+        for y in bay
+        for sign in (-1, 1)
+    ]
+    corners = pd.DataFrame(house_corners + curb_corners, columns=["x_m", "y_m", "z_m", "kind"])
+    corners["corner"] = [f"{kind} {k}" for k, kind in enumerate(corners["kind"])]
+    for table in (poles, corners):
+        table[["x_m", "y_m", "z_m"]] += origin
+        table[["x_m", "y_m"]] += rng.normal(0, SURVEY_STD_M, (len(table), 2))
+    return SimulatedField(Scene(_moved(surfaces, origin)), origin, length, poles, corners)
+
+
+def drive_testfield(street, system, *, speed=10.0, seed, rate=1.0, progress=False):
+    """Return what a system delivers of both drives.
+
+    Parameters
+    ----------
+    street : SimulatedField
+    system : System
+    speed : float
+        m/s.
+    seed : int
+    rate : float
+        Share of the pulse rate that is simulated, the mirror's frequency stays: 0.5 halves the
+        points along the profiles.
+    progress : bool
+
+    Returns
+    -------
+    list of (Cloud, Trajectory)
+        Of each drive: the georeferenced cloud with ``head`` and ``drive``, and the path that the
+        system reports.
+    """
+    heads = [replace(head, pulse_rate_hz=rate * head.pulse_rate_hz) for head in system.heads]
+    drives = []
+    for number, path in enumerate(street.drives(speed)):
+        known = measured(path, system.navigation, seed=[seed, number])
+        choices = {"seed": seed + number, "measured": known, "progress": progress}
+        cloud = scan_all(street.scene, heads, path, **choices)
+        cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
+        if system.lever_arm_error_m:
+            cloud = _with_wrong_lever_arm(cloud, known, system.lever_arm_error_m)
+        cloud.columns["drive"] = np.full(len(cloud), number, np.uint8)
+        drives.append((cloud, known))
+    return drives
+
+
+def _with_wrong_lever_arm(cloud, path, error):
+    """The cloud as computed with lever arms that are off by ``error`` (heads, 3)."""
+    shift = np.empty_like(cloud.points)
+    for first in range(0, len(cloud), 200_000):
+        part = slice(first, first + 200_000)
+        rotation = path.at(cloud["gps_time"][part])[1]
+        shift[part] = np.einsum("nij,nj->ni", rotation, np.array(error)[cloud["head"][part]])
+    return Cloud(cloud.points + shift, cloud.columns, cloud.name)
+
+
+def _kerb(y, length):
+    """Distance of the curb from the axis: 5 m, and 3 m where bays end in build-outs."""
+    out = np.zeros(np.shape(y), dtype=bool)
+    for low, high in _bays(length):
+        out |= (y > low) & (y < high)
+    return np.where(out, ROAD_HALF_M - 2.0, ROAD_HALF_M)
+
+
+def _bays(length):
+    """Where build-outs of the pavement begin and end along the street, (k, 2)."""
+    starts = np.arange(15.0, length - 12, 30.0)
+    return np.stack([starts, starts + 6], axis=1)
+
+
+def _road(length):
+    """Road, curbs and pavements on both sides, with build-outs."""
+    end = ROAD_HALF_M + PAVEMENT_M
+    beyond = 30.0
+    edges = [(-beyond, ROAD_HALF_M)]
+    for low, high in _bays(length):
+        edges += [(low, ROAD_HALF_M), (low, ROAD_HALF_M - 2), (high, ROAD_HALF_M - 2)]
+        edges += [(high, ROAD_HALF_M)]
+    edges += [(length + beyond, ROAD_HALF_M)]
+    span = length + 2 * beyond
+    yield rectangle(
+        (-end, -beyond, 0), (2 * end, 0, 0), (0, span, 0), label="road", reflectance=0.15
+    )
+    for sign in (-1, 1):
+        outline = [(sign * x, y, CURB_M) for y, x in edges]
+        outline += [(sign * end, length + beyond, CURB_M), (sign * end, -beyond, CURB_M)]
+        yield polygon(outline, label="pavement", reflectance=0.3)
+        for (y0, x0), (y1, x1) in pairwise(edges):
+            along = (sign * (x1 - x0), y1 - y0, 0)
+            yield rectangle(
+                (sign * x0, y0, 0), along, (0, 0, CURB_M), label="curb", reflectance=0.4
+            )
+
+
+def _houses(length, rng):
+    """Boxes on both sides with gaps between them, and their corners towards the street."""
+    houses, corners = [], []
+    front = ROAD_HALF_M + PAVEMENT_M
+    for sign in (-1, 1):
+        y = rng.uniform(0, 4)
+        while y < length - 8:
+            depth = min(rng.uniform(10, 16), length - y)
+            back = rng.choice([0.0, 0.0, 8.0])
+            x = sign * (front + back)
+            houses.append(
+                box(
+                    (x + sign * 5, y + depth / 2, 0),
+                    (10, depth, rng.uniform(6, 12)),
+                    label="house",
+                    reflectance=0.5,
+                )
+            )
+            corners += [(x, y, CURB_M, "building"), (x, y + depth, CURB_M, "building")]
+            y += depth + rng.uniform(3, 6)
+    return houses, corners
+
+
+def _cars(length):
+    """Cars parked at the curbs, where the survey found free ground."""
+    for sign, y in ((1, 10.0), (-1, 32.0), (1, 0.7 * length)):
+        base = (sign * (ROAD_HALF_M - 1.1), y, 0.0)
+        yield box(base, (1.8, 4.5, 1.5), label="car", reflectance=0.4)
+
+
+def _poles(length, rng):
+    """Lamps of 8 m and signs of 3 m along the curbs: the table and the cylinders."""
+    rows, shafts = [], []
+    for sign in (-1, 1):
+        for y in np.arange(6.0, length - 4, 12.0):
+            lamp = rng.random() < 0.6
+            diameter, top = (0.14, 8.0) if lamp else (0.06, 3.0)
+            x = sign * (ROAD_HALF_M + 0.8)
+            place = np.array([x, y + rng.uniform(-1.5, 1.5), CURB_M])
+            label = "lamp" if lamp else "sign"
+            shafts.append(
+                cylinder(place, place + [0, 0, top], diameter / 2, label=label, reflectance=0.4)
+            )
+            rows.append((f"{label} {len(rows)}", *place, diameter))
+    return pd.DataFrame(rows, columns=["pole", "x_m", "y_m", "z_m", "diameter_m"]), shafts
+
+
+def _moved(surfaces, shift):
+    """Surfaces moved to the street's place."""
+    return [replace(s, centre=s.centre + shift) for s in surfaces]

@@ -1,0 +1,282 @@
+"""Plan positions of poles and corners in a cloud, near where the reference says they are.
+
+EuroSDR 2013, mobile laser scanning, chapter 3: centres of poles by circles near the ground and 5 m
+above it, corners of buildings and curbs as intersections of fitted lines, equation 3-1.
+"""
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab.accuracy import errors
+from mmqa_lab.planes import sigma_mad
+
+POLE_HEIGHTS = ((0.5, 1.5), (4.5, 5.5))
+"""Metres above the foot between which points of a pole are taken: near the ground, and 5 m up."""
+
+CORNER_HEIGHTS = {"building": (1.0, 3.0), "curb": (0.03, 0.10)}
+"""Metres above the corner's foot between which points of its two faces are taken."""
+
+FEWEST = 5
+"""Points a circle needs, and each line of a corner twice as many."""
+
+SMALLEST_ANGLE = 30.0
+"""Degrees between the two lines of a corner."""
+
+TUKEY = 4.685
+
+
+def pole_positions(points, poles, *, heights=POLE_HEIGHTS, search=0.4):
+    """Measure the centres of poles in a cloud.
+
+    At each height the points near the reference axis get a circle, robustly (soft L1 of the
+    distances from it), of the reference diameter where one is given, else of a free one.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    poles : DataFrame
+        ``x_m``, ``y_m``, ``z_m`` of the foot; ``diameter_m`` where surveyed; ``pole`` (its name).
+    heights : sequence of (float, float)
+        Metres above the foot.
+    search : float
+        Points up to this far from the reference axis in plan are taken, m.
+
+    Returns
+    -------
+    DataFrame
+        One row a pole and height: ``pole``, ``height_m`` (middle), ``n``, ``dx_m``, ``dy_m``
+        (cloud minus reference), ``std_m`` (of a centre coordinate), ``reason`` there is none.
+
+    Notes
+    -----
+    Seen from one side, points cover less than half of the circle: with a free diameter centre and
+    radius trade off along the line of sight, and a few centimetres are lost on a thin pole.
+    """
+    points = check_points(points)
+    check_positive(search, "search", unit="m")
+    tree, origin = _plan_tree(points)
+    rows = []
+    for number, pole in enumerate(poles.to_dict("records")):
+        place = np.array([pole["x_m"], pole["y_m"]]) - origin
+        near = points[tree.query_ball_point(place, search)]
+        for low, high in heights:
+            above = near[:, 2] - pole["z_m"]
+            xy = near[(above >= low) & (above <= high), :2] - origin - place
+            centre, std, reason = _circle(xy, pole.get("diameter_m", np.nan), search)
+            found = {"pole": pole.get("pole", number), "height_m": (low + high) / 2, "n": len(xy)}
+            found |= {"x_m": pole["x_m"], "y_m": pole["y_m"]}
+            found |= {"dx_m": centre[0], "dy_m": centre[1], "std_m": std, "reason": reason}
+            rows.append(found)
+    return pd.DataFrame(rows)
+
+
+def corner_positions(points, corners, *, search=2.0, tolerance=0.03, seed=0):
+    """Measure corners of buildings and curbs in a cloud, as intersections of two lines in plan.
+
+    Points of the faces near the reference get two lines: the one with the most points within the
+    tolerance, then that of the rest, both fitted robustly (Tukey) to the points on their side of
+    the corner.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    corners : DataFrame
+        ``x_m``, ``y_m``, ``z_m`` of the foot; ``kind`` (building or curb); ``corner`` (its name).
+    search : float
+        Points up to this far from the reference in plan are taken, m.
+    tolerance : float
+        Points up to this far from a line belong to it, m.
+    seed : int
+        Of the pairs of points that lines are tried through.
+
+    Returns
+    -------
+    DataFrame
+        ``corner``, ``kind``, ``n`` (points of both lines), ``dx_m``, ``dy_m``, ``angle_deg``
+        between the lines, ``reason`` there is no corner.
+    """
+    points = check_points(points)
+    check_positive(tolerance, "tolerance", unit="m")
+    tree, origin = _plan_tree(points)
+    rng = np.random.default_rng(seed)
+    rows = []
+    for number, corner in enumerate(corners.to_dict("records")):
+        low, high = CORNER_HEIGHTS[corner["kind"]]
+        place = np.array([corner["x_m"], corner["y_m"]]) - origin
+        near = points[tree.query_ball_point(place, search)]
+        above = near[:, 2] - corner["z_m"]
+        xy = near[(above >= low) & (above <= high), :2] - origin - place
+        crossing, n, angle, reason = _corner(xy, tolerance, search, rng)
+        found = {"corner": corner.get("corner", number), "kind": corner["kind"], "n": n}
+        found |= {"x_m": corner["x_m"], "y_m": corner["y_m"]}
+        found |= {"dx_m": crossing[0], "dy_m": crossing[1], "angle_deg": angle, "reason": reason}
+        rows.append(found)
+    return pd.DataFrame(rows)
+
+
+def plan_accuracy(table):
+    """Sum up plan differences, as measured and with systematic easting and northing removed.
+
+    Parameters
+    ----------
+    table : DataFrame
+        ``dx_m``, ``dy_m``, ``reason``, from ``pole_positions`` or ``corner_positions``.
+
+    Returns
+    -------
+    DataFrame
+        Two rows, ``shift`` = kept and removed: ``n``, ``missing``; ``mean_east_mm``,
+        ``mean_north_mm``, ``std_east_mm``, ``std_north_mm``; of the distances in plan ``mean_mm``,
+        ``min_mm``, ``max_mm``, ``std_mm``; and ``rmse_mm``, the root of the mean squared distance
+        (equation 3-1; ASPRS: RMSE_H).
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"dx_m": [0.03, 0.03], "dy_m": [0.04, 0.04], "reason": ["", ""]})
+    >>> plan_accuracy(table)["rmse_mm"].round(6).tolist()
+    [50.0, 0.0]
+    """
+    used = table[table["reason"] == ""]
+    difference = 1000 * used[["dx_m", "dy_m"]].to_numpy(dtype=np.float64)
+    missing = len(table) - len(used)
+    mean = difference.mean(axis=0) if len(used) else np.full(2, np.nan)
+    rows = []
+    for name, shift in (("kept", 0), ("removed", mean)):
+        left = difference - shift
+        east, north, plan = (errors(v) for v in (*left.T, np.hypot(*left.T)))
+        low, high = (
+            (np.hypot(*left.T).min(), np.hypot(*left.T).max()) if len(used) else [np.nan] * 2
+        )
+        rows.append(
+            {"shift": name, "n": len(used), "missing": missing}
+            | {"mean_east_mm": east.bias, "mean_north_mm": north.bias}
+            | {"std_east_mm": east.std, "std_north_mm": north.std}
+            | {"mean_mm": plan.bias, "min_mm": low, "max_mm": high}
+            | {"std_mm": plan.std, "rmse_mm": plan.rmse}
+        )
+    return pd.DataFrame(rows)
+
+
+def _plan_tree(points):
+    """Search tree over the plan, and the origin taken off."""
+    from scipy.spatial import cKDTree
+
+    origin = points[:, :2].mean(axis=0).round()
+    return cKDTree(points[:, :2] - origin), origin
+
+
+def _circle(xy, diameter, search):
+    """Centre, its standard deviation and the reason there is none."""
+    from scipy.optimize import least_squares
+
+    nothing = np.full(2, np.nan), np.nan
+    if len(xy) < FEWEST:
+        return *nothing, "too few points"
+    fixed = np.isfinite(diameter)
+    radius = diameter / 2 if fixed else 0.08
+
+    def misfit(p):
+        """Distances from the circle."""
+        return np.hypot(*(xy - p[:2]).T) - (radius if fixed else np.exp(p[2]))
+
+    middle = np.median(xy, axis=0)
+    best = None
+    for turn in np.arange(0, 2 * np.pi, np.pi / 3):
+        start = middle + radius * np.array([np.cos(turn), np.sin(turn)])
+        begin = start if fixed else [*start, np.log(radius)]
+        found = least_squares(misfit, begin, loss="soft_l1", f_scale=0.01)
+        if best is None or found.cost < best.cost:
+            best = found
+    if np.hypot(*best.x[:2]) > search or (not fixed and np.exp(best.x[2]) > search):
+        return *nothing, "no circle near"
+    sigma = sigma_mad(misfit(best.x))
+    normal = best.jac.T @ best.jac
+    if np.linalg.cond(normal) > 1e10:
+        return *nothing, "no circle near"
+    covariance = sigma**2 * np.linalg.inv(normal)
+    return best.x[:2], float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)), ""
+
+
+def _corner(xy, tolerance, search, rng):
+    """Intersection of the two lines, their points, the angle between them, the reason of none."""
+    nothing = np.full(2, np.nan), 0, np.nan
+    if len(xy) < 4 * FEWEST:
+        return *nothing, "too few points"
+    first = _line(xy, tolerance, rng)
+    rest = xy[np.abs(_off(xy, first)) > 2 * tolerance]
+    if len(rest) < 2 * FEWEST:
+        return *nothing, "one line"
+    second = _line(rest, tolerance, rng)
+    for _ in range(5):
+        crossing, angle = _crossing(first, second)
+        if angle < SMALLEST_ANGLE:
+            return *nothing, "one line"
+        masks = _sides(xy, first, second, crossing, tolerance)
+        if min(mask.sum() for mask in masks) < 2 * FEWEST:
+            return *nothing, "too few points"
+        first, second = (_fitted(xy[mask]) for mask in masks)
+    crossing, angle = _crossing(first, second)
+    if np.hypot(*crossing) > search / 2:
+        return *nothing, "no corner near"
+    return crossing, int(sum(mask.sum() for mask in masks)), angle, ""
+
+
+def _line(xy, tolerance, rng, tries=300):
+    """Line (a point and a direction) with the most points within the tolerance."""
+    pairs = rng.integers(len(xy), size=(tries, 2))
+    start, way = xy[pairs[:, 0]], xy[pairs[:, 1]] - xy[pairs[:, 0]]
+    length = np.hypot(*way.T)
+    long = length > 10 * tolerance
+    if not long.any():
+        return _fitted(xy)
+    normal = np.stack([-way[long, 1], way[long, 0]], axis=1) / length[long, None]
+    off = xy @ normal.T - (start[long] * normal).sum(axis=1)
+    inside = np.abs(off) < tolerance
+    best = np.argmax(inside.sum(axis=0))
+    return _fitted(xy[inside[:, best]])
+
+
+def _fitted(xy, rounds=10):
+    """Orthogonal regression line of points, Tukey-weighted: a point and a direction."""
+    weight = np.ones(len(xy))
+    for _ in range(rounds):
+        centre = weight @ xy / weight.sum()
+        centred = xy - centre
+        _, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)
+        off = centred @ vectors[:, 0]
+        scale = TUKEY * max(sigma_mad(off), 1e-6)
+        weight = np.where(np.abs(off) < scale, (1 - (off / scale) ** 2) ** 2, 0)
+        if not weight.any():
+            break
+    return centre, vectors[:, 1]
+
+
+def _off(xy, line):
+    """Signed distances of points from a line."""
+    centre, way = line
+    return (xy - centre) @ np.array([-way[1], way[0]])
+
+
+def _crossing(first, second):
+    """Where two lines meet, and the angle between them in degrees."""
+    turn = abs(first[1][0] * second[1][1] - first[1][1] * second[1][0])
+    angle = float(np.degrees(np.arcsin(min(turn, 1.0))))
+    if turn < 1e-6:
+        return np.full(2, np.nan), angle
+    along = np.linalg.solve(np.stack([first[1], -second[1]], axis=1), second[0] - first[0])
+    return first[0] + along[0] * first[1], angle
+
+
+def _sides(xy, first, second, crossing, tolerance):
+    """Points of each line on its side of the corner, and clear of the other line."""
+    masks = []
+    for line, other in ((first, second), (second, first)):
+        near = np.abs(_off(xy, line)) < tolerance
+        clear = np.abs(_off(xy, other)) > 2 * tolerance
+        along = (xy - crossing) @ line[1]
+        side = np.sign(np.median(along[near & clear])) if (near & clear).any() else 1
+        masks.append(near & clear & (along * side > 0))
+    return masks

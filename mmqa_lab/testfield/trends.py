@@ -1,0 +1,124 @@
+"""Errors as a function of the distance from the trajectory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mmqa_lab._checks import check_number, check_points
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A robust straight line through errors over distance.
+
+    Parameters
+    ----------
+    slope, intercept : float
+        Errors' unit per metre, errors' unit at distance 0.
+    slope_low, slope_high : float
+        Confidence interval of the slope.
+    p : float
+        P-value of no slope.
+    n : int
+    """
+
+    slope: float
+    intercept: float
+    slope_low: float
+    slope_high: float
+    p: float
+    n: int
+
+    def at(self, distance):
+        """The line at distances in metres."""
+        return self.intercept + self.slope * np.asarray(distance, dtype=np.float64)
+
+
+def trend(distance, values, *, confidence=0.95):
+    """Fit a straight line of errors over distance, robustly.
+
+    Huber's estimator (statsmodels RLM), so that a few far poles do not tilt the line.
+
+    Parameters
+    ----------
+    distance : array_like, shape (n,)
+        Metres from the trajectory.
+    values : array_like, shape (n,)
+        Errors in any unit; NaN are left out.
+    confidence : float
+        Of the slope's interval.
+
+    Returns
+    -------
+    Trend
+
+    Raises
+    ------
+    ValueError
+        If fewer than three values are left or all lie at one distance.
+
+    Notes
+    -----
+    The interval takes errors as independent. Along one drive they are not: a drift of the
+    trajectory moves all points of a stretch together, and the true interval is wider.
+
+    Examples
+    --------
+    >>> found = trend([5, 10, 15, 20], [6.0, 11.0, 16.0, 21.1])
+    >>> round(found.slope, 2), found.n
+    (1.01, 4)
+    """
+    from scipy.stats import norm
+    from statsmodels.robust.robust_linear_model import RLM
+
+    distance, values = np.asarray(distance, np.float64), np.asarray(values, np.float64)
+    known = np.isfinite(values) & np.isfinite(distance)
+    distance, values = distance[known], values[known]
+    if len(values) < 3 or np.ptp(distance) == 0:
+        raise ValueError(
+            f"Invalid errors: {len(values)} at {len(np.unique(distance))} distances. Must be three "
+            "or more at different distances."
+        )
+    tail = norm.isf((1 - check_number(confidence, "confidence", low=0, high=1)) / 2)
+    design = np.stack([np.ones_like(distance), distance], axis=1)
+    if np.ptp(values - np.poly1d(np.polyfit(distance, values, 1))(distance)) < 1e-12:
+        intercept, slope = np.linalg.lstsq(design, values, rcond=None)[0]
+        return Trend(float(slope), float(intercept), float(slope), float(slope), 0.0, len(values))
+    fit = RLM(values, design).fit()
+    (intercept, slope), std = fit.params, fit.bse[1]
+    low, high = slope - tail * std, slope + tail * std
+    return Trend(
+        float(slope), float(intercept), float(low), float(high), float(fit.pvalues[1]), len(values)
+    )
+
+
+def distance_to_path(points, path):
+    """Return the distance in plan of points from a path.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2 or 3)
+        Metres.
+    path : array_like, shape (m, 2 or 3), or DataFrame
+        Vertices in order, m >= 2, or a table with ``easting_m`` and ``northing_m``.
+
+    Returns
+    -------
+    array, shape (n,)
+
+    Examples
+    --------
+    >>> distance_to_path([[3, 5, 0], [0, 14, 0]], [[0, 0], [0, 10]]).tolist()
+    [3.0, 4.0]
+    """
+    import shapely
+
+    if hasattr(path, "columns"):
+        path = path[["easting_m", "northing_m"]].to_numpy()
+    path = np.asarray(path, dtype=np.float64)[:, :2]
+    path = check_points(path, name="path", columns=2, minimum=2)
+    points = check_points(np.asarray(points, dtype=np.float64)[:, :2], columns=2)
+    origin = path.mean(axis=0).round()
+    line = shapely.LineString(path - origin)
+    shapely.prepare(line)
+    return shapely.distance(shapely.points(points - origin), line)
