@@ -253,13 +253,10 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
 
 def hull_area(xy):
     """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line."""
-    from scipy.spatial import ConvexHull, QhullError
+    import shapely
 
     xy = check_points(xy, name="xy", columns=2)
-    try:
-        return float(ConvexHull(xy).volume)
-    except QhullError:
-        return 0.0
+    return float(shapely.convex_hull(shapely.multipoints(xy)).area)
 
 
 def _directions(plane, axes):
