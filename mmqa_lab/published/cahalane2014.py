@@ -76,10 +76,12 @@ def smallest_spacing(
 ):
     """Return the spacing that no point of a target can fall below, beside what Table 4 prints.
 
-    Two pulses theta_A apart strike a plane p away (measured square to it) at least p theta_A apart,
-    wherever they strike it and however scanner and target are turned. A plane that passes
-    ``range_m`` from the scanner, horizontally and at its height, and is tilted by beta_targ has
-    p = range_m cos(beta_targ) where the horizontal line to it is square to its trace.
+    Two pulses theta_A apart strike a plane p away (measured square to it) at least 2 p
+    tan(theta_A / 2) apart, wherever they strike it and however scanner and target are turned. A
+    plane ``range_m`` away, measured level and square to its trace, and tilted by beta_targ, has
+    p = range_m cos(beta_targ). If instead the spot that is struck is ``range_m`` away across
+    the track (Hr of equation 8), the pulse is that long or longer, and spacing at least
+    range_m sin(theta_A).
 
     Parameters
     ----------
@@ -90,9 +92,9 @@ def smallest_spacing(
     Returns
     -------
     DataFrame
-        The table with ``distance_square_m``, ``smallest_mm``, ``possible`` (whether the printed
-        value, half a millimetre up, reaches it) and ``largest_range_m``, from which the printed
-        value can come at most.
+        The table with ``distance_square_m``, ``smallest_mm`` and ``smallest_at_spot_mm`` (the two
+        bounds), ``possible`` (whether the printed value, half a millimetre up, reaches either) and
+        ``largest_range_m``, from which it can come at most by the lower bound.
 
     Examples
     --------
@@ -105,12 +107,14 @@ def smallest_spacing(
     step = 2 * np.pi * mirror_frequency_hz / check_positive(pulse_rate_hz, "pulse_rate_hz")
     square = range_m * np.cos(np.radians(table["beta_targ_deg"]))
     smallest = 2000 * square * np.tan(step / 2)
+    at_spot = 1000 * range_m * np.sin(step)
     rounded_up = table["point_spacing_mm"] + 0.5
     return table.assign(
         distance_square_m=square,
         smallest_mm=smallest,
-        possible=rounded_up >= smallest,
-        largest_range_m=range_m * rounded_up / smallest,
+        smallest_at_spot_mm=at_spot,
+        possible=rounded_up >= np.minimum(smallest, at_spot),
+        largest_range_m=range_m * rounded_up / np.minimum(smallest, at_spot),
     )
 
 

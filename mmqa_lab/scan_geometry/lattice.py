@@ -227,7 +227,7 @@ def crossing_angle(first, second):
 def lattice_distances(a, b):
     """Return d1..d4 of an endless lattice: the nearest points of the four quadrants, sorted.
 
-    The quadrants are half open, each with the axis on its counter-clockwise side left out. The basis is
+    The quadrants are half open, each without the axis on its counter-clockwise side. The basis is
     reduced (Lagrange); then in each quadrant the nearest point lies on one of three rows, next to
     where the row is closest to the origin or enters the quadrant.
 

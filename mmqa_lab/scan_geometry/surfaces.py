@@ -105,17 +105,7 @@ class Target:
                 f"heading of {setup.scanner_heading_deg}. Must let the horizontal pulse strike the "
                 "front: headings less than 90 degrees apart, tilt less than 90."
             )
-        if (np.abs(upward[..., 2]) < 1e-9).any() and np.any(self.height_difference_m):
-            raise ValueError(
-                f"Invalid height_difference_m {self.height_difference_m} for a scanner tilt of "
-                f"{setup.scanner_tilt_deg}. Must be 0 where the scan plane is level."
-            )
-        lift = np.divide(
-            self.height_difference_m,
-            upward[..., 2],
-            out=np.zeros(np.broadcast(self.height_difference_m, upward[..., 2]).shape),
-            where=np.abs(upward[..., 2]) >= 1e-9,
-        )
+        lift = self.height_difference_m / upward[..., 2]
         along = self.range_m / level[..., 0] - lift * np.sum(normal * upward, axis=-1) / facing
         points = along[..., None] * level + lift[..., None] * upward
         return Patch(points, -normal)

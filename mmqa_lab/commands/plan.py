@@ -1,0 +1,141 @@
+"""Predict what a profile scanner on a moving vehicle lays on a plane: spacings, angle, density, f.
+
+Frame: X across the track to the target's side, Y in the direction of travel, Z up. Angles are
+counter-clockwise positive, tilt is applied before heading. Scanner: all zero is a vertical scan
+plane across the track. Target: all zero is a vertical wall along the track; a positive heading
+turns it towards the vehicle, a positive tilt leans its top away. The range is the X at which the
+horizontal pulse strikes the plane; the figures hold at the height difference above the scanner.
+After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a revolution.
+"""
+
+import argparse
+
+SUMMARY = "profile spacing, point spacing, density and f of a scan before it is driven"
+
+EPILOG = """\
+example:
+  mmqa plan --pulse-rate 300000 --mirror-frequency 100 --speed 10 --scanner-heading 45 \\
+      --scanner-tilt 45 --target-heading 15 --range 5
+  mmqa plan --scanner vq-450 --speed 14 --range 8 --json
+  mmqa plan --scanner zf-9012 --range 5 --largest-speed density_per_m2=3000
+"""
+
+FLAGS = (
+    ("--pulse-rate", "HZ", "pulses per second"),
+    ("--mirror-frequency", "HZ", "revolutions of the mirror per second"),
+    ("--speed", "M/S", "speed of the vehicle"),
+    ("--scanner-heading", "DEG", "scan plane turned about the vertical, default 0 or the preset's"),
+    ("--scanner-tilt", "DEG", "scan plane tilted about X, default 0 or the preset's"),
+)
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    for flag, unit, text in FLAGS:
+        parser.add_argument(flag, type=float, metavar=unit, help=text)
+    number = {"type": float, "default": 0.0}
+    parser.add_argument("--target-heading", metavar="DEG", help="default 0", **number)
+    parser.add_argument("--target-tilt", metavar="DEG", help="default 0", **number)
+    parser.add_argument(
+        "--range", type=float, required=True, metavar="M", help="X of the target at scanner height"
+    )
+    parser.add_argument(
+        "--height-difference", metavar="M", help="above the scanner, default 0", **number
+    )
+    parser.add_argument(
+        "--scanner", metavar="PRESET", help="a profile scanner by name: zf-9012, roamer, vq-450"
+    )
+    parser.add_argument(
+        "--largest-speed",
+        type=_limit,
+        metavar="QUANTITY=LIMIT",
+        help="predict at the largest speed that keeps the limit, and name it",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(options):
+    """Predict and print."""
+    from dataclasses import replace
+
+    from mmqa_lab.commands._output import print_json
+    from mmqa_lab.scan_geometry import QUANTITIES, Target, largest_speed, scan_lattice
+
+    setup = _setup(options)
+    target = Target(
+        heading_deg=options.target_heading,
+        tilt_deg=options.target_tilt,
+        range_m=options.range,
+        height_difference_m=options.height_difference,
+    )
+    answer = {}
+    if options.largest_speed is not None:
+        quantity, limit = options.largest_speed
+        answer["speed_m_s"] = largest_speed(setup, target, quantity=quantity, limit=limit)
+        setup = replace(setup, speed_m_s=answer["speed_m_s"])
+    lattice = scan_lattice(setup, target.patch(setup))
+    answer |= {name: float(lattice.quantity(name)) for name in QUANTITIES}
+    if answer["point_spacing_m"] != answer["point_spacing_m"]:
+        raise ValueError(
+            f"Invalid target: at an incidence of {lattice.incidence_deg:.4f} degrees the next pulse "
+            "or profile passes beside it. Must be struck less obliquely."
+        )
+    if options.json:
+        print_json(answer)
+        return
+    width = max(map(len, answer))
+    for name, value in answer.items():
+        print(f"{name:<{width}}  {value:.6g}")
+
+
+def _setup(options):
+    """The set-up from the preset and from what was given beside it."""
+    from mmqa_lab.scan_geometry import ScanSetup
+
+    given = {name: getattr(options, name) for name in _NAMES}
+    preset = {} if options.scanner is None else _preset(options.scanner)
+    values = {**preset, **{name: value for name, value in given.items() if value is not None}}
+    if options.largest_speed is not None:
+        values.setdefault("speed", 1.0)
+    for name in ("pulse_rate", "mirror_frequency", "speed"):
+        if name not in values:
+            flag = name.replace("_", "-")
+            preset = "" if name == "speed" else ", or a preset with --scanner"
+            raise ValueError(f"Invalid plan without --{flag}. Must have it{preset}.")
+    return ScanSetup(
+        pulse_rate_hz=values["pulse_rate"],
+        mirror_frequency_hz=values["mirror_frequency"],
+        speed_m_s=values["speed"],
+        scanner_heading_deg=values.get("scanner_heading", 0.0),
+        scanner_tilt_deg=values.get("scanner_tilt", 0.0),
+    )
+
+
+_NAMES = tuple(flag[2:].replace("-", "_") for flag, _, _ in FLAGS)
+
+
+def _preset(name):
+    """Pulse rate, mirror frequency and mounting of a simulator's profile scanner."""
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.simulate.presets import PRESETS
+    from mmqa_lab.simulate.scanners import ProfileScanner
+
+    profilers = {key: s for key, s in PRESETS.items() if isinstance(s, ProfileScanner)}
+    scanner = profilers[check_choice(name, "scanner", tuple(profilers))]
+    return {
+        "pulse_rate": scanner.pulse_rate_hz,
+        "mirror_frequency": scanner.mirror_frequency_hz,
+        "scanner_heading": scanner.heading_deg,
+        "scanner_tilt": scanner.tilt_deg,
+    }
+
+
+def _limit(text):
+    """A quantity and its limit from ``quantity=limit``."""
+    quantity, _, limit = text.partition("=")
+    try:
+        return quantity, float(limit)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"Invalid limit {text!r}. Must be a quantity and a number, like density_per_m2=3000."
+        ) from None

@@ -1,0 +1,214 @@
+"""MIMIC's equations against rays cast here, and the paper's tables."""
+
+import numpy as np
+import pytest
+
+from mmqa_lab import mimic
+from mmqa_lab.published import cahalane2014
+from mmqa_lab.scan_geometry import ScanSetup, Target, scan_lattice
+
+THETA_A = 0.12
+
+
+def scanner_axes(alpha, gamma):
+    """Level and upward axis of scan planes at rest, and their normal, from sines and cosines."""
+    a, g = np.radians(alpha), np.radians(gamma)
+    level = np.stack([np.cos(a), np.sin(a), 0 * a], axis=-1)
+    upward = np.stack([np.sin(a) * np.sin(g), -np.cos(a) * np.sin(g), np.cos(g)], axis=-1)
+    return level, upward
+
+
+def target_axes(alpha, beta):
+    """Normal, level line and line of greatest slope of target planes."""
+    a, b = np.radians(alpha), np.radians(beta)
+    normal = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), -np.sin(b)], axis=-1)
+    level = np.stack([-np.sin(a), np.cos(a), 0 * a], axis=-1)
+    slope = np.stack([np.sin(b) * np.cos(a), np.sin(b) * np.sin(a), np.cos(b)], axis=-1)
+    return normal, level, slope
+
+
+def random_angles(rng, n):
+    """Angles at which the horizontal pulse strikes the front at 80 degrees or less."""
+    alpha, gamma = rng.uniform(-60, 60, (2, n))
+    alpha_targ, beta = rng.uniform(-40, 40, (2, n))
+    alpha_targ = np.clip(alpha_targ, alpha - 80, alpha + 80)
+    return alpha, gamma, alpha_targ, beta
+
+
+def strike(origin, direction, point, normal):
+    """Where rays meet planes through points."""
+    reach = np.sum((point - origin) * normal, axis=-1) / np.sum(direction * normal, axis=-1)
+    return origin + reach[:, None] * direction
+
+
+def test_profile_spacings_are_those_of_rays_for_ten_thousand_set_ups(rng):
+    n = 10_000
+    alpha, gamma, alpha_targ, beta = random_angles(rng, n)
+    d, h_r = rng.uniform(0.01, 0.2, n), rng.uniform(3, 30, n)
+    level, upward = scanner_axes(alpha, gamma)
+    normal, along, slope = target_axes(alpha_targ, beta)
+    spot = (h_r / level[:, 0])[:, None] * level
+    # two pulses of a profile, and their twins a revolution later; the scan plane is at rest
+    tip = np.radians(1.0)
+    first, second = level, np.cos(tip) * level + np.sin(tip) * upward
+    here = [strike(np.zeros(3), aim, spot, normal) for aim in (first, second)]
+    later = strike(d[:, None] * [0, 1, 0], first, spot, normal)
+    profile = here[1] - here[0]
+    u, v = np.sum(profile * along, axis=1), np.sum(profile * slope, axis=1)
+    shift = later - here[0]
+    s, t = np.sum(shift * along, axis=1), np.sum(shift * slope, axis=1)
+    horizontal = mimic.profile_spacing_horizontal(d, alpha, alpha_targ)
+    assert np.abs(horizontal - np.abs(s - t * u / v)).max() < 1e-9
+    angle = mimic.profile_angle(alpha, gamma, alpha_targ, beta)
+    assert np.abs(angle - np.degrees(np.arctan2(np.abs(v), np.abs(u)))).max() < 1e-9
+    vertical = mimic.profile_spacing_vertical(horizontal, angle)
+    # it grows without end where profiles are upright: there compare at the size it has
+    assert (np.abs(vertical - np.abs(t - s * v / u)) < 1e-9 * np.maximum(1, vertical)).all()
+
+
+@pytest.mark.parametrize("upwards", [True, False])
+def test_point_spacing_is_that_of_rays_for_ten_thousand_set_ups(rng, upwards):
+    n = 10_000
+    alpha, gamma, alpha_targ, beta = random_angles(rng, n)
+    h_r, dz = rng.uniform(3, 20, n), rng.uniform(-2, 3, n)
+    theta_a = rng.uniform(0.02, 0.3, n)
+    level, upward = scanner_axes(alpha, gamma)
+    normal, *_ = target_axes(alpha_targ, beta)
+    spot = (h_r / level[:, 0])[:, None] * level
+    # the point of the profile at the height of the target, by walking along the profile
+    profile = np.cross(np.cross(upward, level), normal)
+    steep = np.abs(profile[:, 2]) > 0.05 * np.linalg.norm(profile, axis=1)
+    here = spot + (dz / np.where(steep, profile[:, 2], 1.0))[:, None] * profile
+    in_plane = np.arctan2(np.sum(here * upward, axis=1), np.sum(here * level, axis=1))
+    angle = in_plane + np.radians(theta_a) * (1 if upwards else -1)
+    aim = np.cos(angle)[:, None] * level + np.sin(angle)[:, None] * upward
+    there = strike(np.zeros(3), aim, spot, normal)
+    pulse = np.linalg.norm(here, axis=1)
+    ahead = (np.sum(here * level, axis=1) > 0) & (
+        np.abs(np.sum(here * normal, axis=1)) > 0.1 * pulse
+    )
+    usable = steep & ahead
+    assert usable.mean() > 0.7
+    chain = mimic.point_spacing(
+        (alpha, gamma), (alpha_targ, beta),
+        h_r=h_r, height_difference=dz, theta_a=theta_a, upwards=upwards,
+    )  # fmt: skip
+    assert np.abs(chain.r2 - pulse)[usable].max() < 1e-9
+    assert np.abs(chain.d_ps - np.linalg.norm(there - here, axis=1))[usable].max() < 1e-9
+
+
+def test_equation_10_as_printed_is_right_for_the_horizontal_pulse_alone():
+    angles = (45, 45), (15, 10)
+    for height, agree in ((0.0, True), (-2.0, False), (1.5, False)):
+        given = {"h_r": 6.0, "height_difference": height, "theta_a": THETA_A}
+        right = mimic.point_spacing(*angles, **given).d_ps
+        printed = mimic.point_spacing(*angles, **given, literal=True).d_ps
+        assert (abs(printed / right - 1) < 1e-12) == agree
+        assert agree or abs(printed / right - 1) > 0.03
+
+
+def test_the_two_figures_of_the_paper_give_the_same_d2(rng):
+    alpha, gamma, alpha_targ, beta = random_angles(rng, 500)
+    chain = mimic.point_spacing(
+        (alpha, gamma), (alpha_targ, beta), h_r=5.0, height_difference=1.2, theta_a=THETA_A
+    )
+    angle = np.radians(mimic.profile_angle(alpha, gamma, alpha_targ, beta))
+    d2 = 1.2 / (np.cos(np.radians(beta)) * np.sin(angle))
+    assert np.allclose(chain.d2, d2, rtol=1e-9)
+
+
+def test_moving_lattice_tends_to_mimics_as_the_vehicle_slows(rng):
+    for _ in range(20):
+        alpha, gamma, alpha_targ, beta = (angle.item() for angle in random_angles(rng, 1))
+        setup = ScanSetup(pulse_rate_hz=3e6, mirror_frequency_hz=100, speed_m_s=1e-6,
+                          scanner_heading_deg=alpha, scanner_tilt_deg=gamma)  # fmt: skip
+        target = Target(heading_deg=alpha_targ, tilt_deg=beta, range_m=9.0)
+        lattice = scan_lattice(setup, target.patch(setup))
+        horizontal = mimic.profile_spacing_horizontal(1e-8, alpha, alpha_targ)
+        assert lattice.profile_spacing_horizontal_m == pytest.approx(horizontal, rel=1e-4)
+        angle = mimic.profile_angle(alpha, gamma, alpha_targ, beta)
+        assert lattice.profile_angle_deg == pytest.approx(angle, abs=1e-4)
+
+
+def test_scan_plane_in_motion_turns_profiles():
+    setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+                      scanner_heading_deg=45, scanner_tilt_deg=45)  # fmt: skip
+    at_rest = mimic.profile_angle(45, 45, 15, 0)
+    for range_m, shift in ((4.0, 0.08), (8.0, 0.04)):
+        patch = Target(heading_deg=15, range_m=range_m).patch(setup)
+        turned = scan_lattice(setup, patch).profile_angle_deg - at_rest
+        assert turned == pytest.approx(shift, abs=0.002)
+
+
+def test_table_3_to_the_printed_digits_and_its_reading():
+    table = cahalane2014.table_3()
+    found = [mimic.profile_spacing_horizontal(0.1, 45, a) for a in table["alpha_targ_deg"]]
+    assert np.allclose(found, [0.081650, 0.100000, 0.081650, 0.141421, 0.100000], atol=5e-7)
+    assert np.round(found, 3).tolist() == table["profile_spacing_m"].tolist()
+    by_reading = {}
+    for reading in mimic.READINGS:
+        spacing = []
+        for row in table.itertuples():
+            plane = mimic.scanner_normal(45, 45, reading=reading)
+            normal = mimic.target_normal(row.alpha_targ_deg, row.beta_targ_deg, reading=reading)
+            level = np.cross([0, 0, 1], normal)
+            spacing.append(0.1 * abs(plane[1] / (plane @ level)) * np.linalg.norm(level))
+        by_reading[reading] = np.round(spacing, 3) == table["profile_spacing_m"]
+    assert by_reading["tilt_first"].all()
+    assert not by_reading["heading_first"].all()
+
+
+def test_rows_8_and_9_of_table_4_cannot_come_from_4_m(rng):
+    proof = cahalane2014.smallest_spacing().set_index("row")
+    assert proof.index[~proof["possible"]].tolist() == [8, 9]
+    assert proof.loc[8, "smallest_mm"] == pytest.approx(7.255, abs=1e-3)
+    # the bound is a bound: rays of random scanners, through all of the plane, keep to it
+    normal = np.array([np.cos(np.radians(30)), 0, np.sin(np.radians(30))])
+    aim = rng.standard_normal((200_000, 3))
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    side = np.cross(aim, rng.standard_normal((200_000, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    step = 2 * np.pi / 3000
+    ahead = aim @ normal > 0.05
+    first, second = aim[ahead], (np.cos(step) * aim + np.sin(step) * side)[ahead]
+    spot = np.array([4.0, 0, 0])
+    gap = strike(np.zeros(3), second, spot, normal) - strike(np.zeros(3), first, spot, normal)
+    smallest = 1000 * np.linalg.norm(gap, axis=1).min()
+    assert smallest > proof.loc[8, "smallest_mm"] - 1e-9
+    assert smallest < 1.01 * proof.loc[8, "smallest_mm"]
+
+
+def test_tables_5_and_6_say_what_is_missing():
+    assert "not at hand" in cahalane2014.table_5().attrs["missing"]
+    table = cahalane2014.table_6()
+    assert table["d_m"].tolist() == pytest.approx([0.2 / 4, 0.13 / 1.5])
+    for frame in (table, cahalane2014.table_3(), cahalane2014.table_4()):
+        assert "10.3390/s140609471" in frame.attrs["source"]
+        assert (frame["kind"] == "published").all()
+
+
+def test_symbols_and_ambiguities_are_named():
+    names = mimic.symbols()
+    assert {"d_PrSH", "theta_PrA", "d_PS", "r2"} <= set(names["symbol"])
+    for name in names["here"]:
+        holder, _, field = name.partition(".")
+        owner = {"ScanSetup": ScanSetup, "Target": Target}.get(holder)
+        assert owner is None or field in owner.__dataclass_fields__ or hasattr(owner, field)
+    assert mimic.ambiguities()["place"].str.contains("equation 10").sum() == 2
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
+        (lambda: mimic.profile_spacing_horizontal(0.1, np.nan, 0), "Invalid alpha_scan nan"),
+        (lambda: mimic.point_spacing((0, 90), (0, 0), h_r=5, height_difference=0, theta_a=0.1),
+         "Invalid gamma_scan 90"),
+        (lambda: mimic.scanner_normal(0, 0, reading="both"), "Invalid reading 'both'"),
+        (lambda: cahalane2014.smallest_spacing(range_m=0), "Invalid range_m 0"),
+    ],
+)  # fmt: skip
+def test_rejects(call, sentence):
+    with pytest.raises((ValueError, TypeError)) as error:
+        call()
+    assert sentence in str(error.value)

@@ -1,0 +1,123 @@
+"""Planning: sensitivities, uncertainty, the largest speed, and the command ``mmqa plan``."""
+
+import io
+import json
+from contextlib import redirect_stdout
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmqa_lab.__main__ import main
+from mmqa_lab.scan_geometry import (
+    QUANTITIES,
+    ScanSetup,
+    Target,
+    largest_speed,
+    propagate,
+    scan_lattice,
+    sensitivities,
+)
+
+MIMIC = ScanSetup(
+    pulse_rate_hz=300_000,
+    mirror_frequency_hz=100,
+    speed_m_s=10,
+    scanner_heading_deg=45,
+    scanner_tilt_deg=45,
+)
+
+
+def test_yaw_rate_changes_the_spacing_as_much_as_the_radius_turns():
+    slant = 11.8
+    target = Target(heading_deg=15, tilt_deg=10, range_m=slant * np.cos(np.pi / 4))
+    slope = sensitivities(MIMIC, target, inputs=["heading_rate_deg_s"])
+    millimetres = abs(1000 * slope["profile_spacing_horizontal_m"].item())
+    # a degree a second moves a point 11.8 m off by 2.06 mm in a revolution of 0.01 s
+    moved = np.radians(1.0) / 100 * slant * 1000
+    assert millimetres == pytest.approx(moved / np.cos(np.radians(30)), rel=0.01)
+    assert millimetres == pytest.approx(2.4, abs=0.05)
+
+
+def test_first_order_and_monte_carlo_agree():
+    target = Target(heading_deg=15, tilt_deg=10, range_m=11.8)
+    sigmas = {
+        **{"speed_m_s": 0.05, "mirror_frequency_hz": 0.1, "range_m": 0.1},
+        **{"target_heading_deg": 0.5, "scanner_tilt_deg": 0.1, "boresight_heading_deg": 0.1},
+        **{"pitch_deg": 0.05, "heading_rate_deg_s": 0.5, "height_difference_m": 0.1},
+    }
+    first = propagate(MIMIC, target, sigmas=sigmas).set_index("quantity")["std"]
+    drawn = propagate(MIMIC, target, sigmas=sigmas, method="monte_carlo", draws=20_000, seed=3)
+    drawn = drawn.set_index("quantity")["std"]
+    smooth = list(QUANTITIES[:6])
+    # a standard deviation from 20,000 draws is good to 0.5 %; 4 sigma and second order: 3 %
+    assert np.allclose(first[smooth], drawn[smooth], rtol=0.03)
+    assert first[["d1_mm", "f"]].isna().all()
+    assert (drawn[["d1_mm", "d4_mm", "f"]] > 0).all()
+
+
+@pytest.mark.parametrize(("quantity", "limit"), [("density_per_m2", 3000.0), ("f", 6.0),
+    ("profile_spacing_perpendicular_m", 0.04), ("d4_mm", 60.0)])  # fmt: skip
+def test_largest_speed_keeps_the_limit_and_no_larger_one_does(quantity, limit):
+    setup = ScanSetup(pulse_rate_hz=1e6, mirror_frequency_hz=200, speed_m_s=1, scanner_tilt_deg=45)
+    target = Target(range_m=5)
+    speed = largest_speed(setup, target, quantity=quantity, limit=limit)
+    at = replace(setup, speed_m_s=speed * np.array([1.0, 1.0001, 1.05, 1.5, 3.0]))
+    values = scan_lattice(at, target.patch(at)).quantity(quantity)
+    assert values[0] == pytest.approx(limit, rel=1e-6)
+    assert ((values[1:] < limit) if quantity == "density_per_m2" else (values[1:] > limit)).all()
+
+
+def test_largest_speed_has_the_closed_form_of_density():
+    setup = ScanSetup(pulse_rate_hz=1e6, mirror_frequency_hz=200, speed_m_s=1, scanner_tilt_deg=45)
+    speed = largest_speed(setup, Target(range_m=5), quantity="density_per_m2", limit=3000)
+    assert speed == pytest.approx(1e6 / (2 * np.pi * 3000 * 5 * np.cos(np.pi / 4)), rel=1e-9)
+
+
+def plan(*arguments):
+    """Exit status and standard output of ``mmqa plan``."""
+    out = io.StringIO()
+    with redirect_stdout(out):
+        status = main(["plan", *map(str, arguments)])
+    return status, out.getvalue()
+
+
+def test_plan_prints_the_prediction_with_its_keys():
+    arguments = "--pulse-rate 300000 --mirror-frequency 100 --speed 10 --scanner-heading 45 "
+    arguments += "--scanner-tilt 45 --target-heading 15 --target-tilt 0 --range 5 "
+    status, out = plan(*(arguments + "--height-difference 0 --json").split())
+    answer = json.loads(out)
+    assert status == 0
+    assert tuple(answer) == QUANTITIES
+    assert answer["profile_spacing_horizontal_m"] == pytest.approx(0.081650, abs=5e-7)
+    assert answer["f"] == pytest.approx(answer["d4_mm"] / answer["d1_mm"])
+
+
+def test_plan_takes_presets_and_plans_speed():
+    status, out = plan("--scanner", "zf-9012", "--scanner-tilt", 45, "--range", 5,
+                       "--largest-speed", "density_per_m2=3000", "--json")  # fmt: skip
+    answer = json.loads(out)
+    assert status == 0
+    assert answer["speed_m_s"] * 3.6 == pytest.approx(54, abs=0.1)
+    assert answer["density_per_m2"] == pytest.approx(3000)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ("--range 5", "Invalid plan without --pulse-rate."),
+        ("--scanner vq-450 --range 5", "Invalid plan without --speed. Must have it."),
+        ("--scanner vq-450 --speed 9 --range -5", "Invalid range_m -5.0. Must be > 0"),
+        ("--scanner vq-450 --speed 0 --range 5", "Invalid speed_m_s 0.0. Must be > 0"),
+        ("--scanner hdl-32e --speed 9 --range 5", "Invalid scanner 'hdl-32e'."),
+        ("--scanner vq-450 --speed 9 --range 5 --target-heading -60", "strike the front"),
+        ("--scanner zf-9012 --speed 9 --range 5 --scanner-heading 90", "the direction of travel"),
+        ("--scanner zf-9012 --speed 9 --range 5 --target-tilt 89.99999 --height-difference 90",
+         "less obliquely"),
+    ],
+)  # fmt: skip
+def test_plan_rejects_in_one_sentence(arguments, sentence, capsys):
+    assert main(["plan", *arguments.split()]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert len(error.strip().splitlines()) == 1
