@@ -10,6 +10,7 @@ EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogra
 ``block``       one radiometric adjustment of overlapping images: radiometric aerial triangulation
 ``edge``        edge spread function as a sigmoid: FWHM, MTF50
 ``siemens``     Siemens stars: contrast per radius, MTF, point spread function
+``bars``        resolving power from line bars
 ``sharpness``   local sharpness by Haar wavelets; where in the image resolution is lost
 =============== ==============================================================================
 

@@ -2,7 +2,8 @@
 
 EuroSDR 2013, image radiometry, spatial resolution: a sigmoid is fitted to all pixels of a region
 that holds one straight edge; its derivative is the line spread function. Lengths in pixels,
-frequencies in cycles per pixel.
+frequencies in cycles per pixel. For edges that no sigmoid describes (sharpened images) there is
+``chart_image.edges``.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab.chart_image.spread import spread_edge
 
 SHAPES = ("gaussian", "logistic")
 
@@ -63,7 +65,8 @@ class EdgeFit:
         distance = np.asarray(distance, dtype=np.float64)
         if self.shape == "logistic":
             return 1 / (4 * self.width_px * np.cosh(distance / (2 * self.width_px)) ** 2)
-        return _over_pixel(_gaussian_integrals, 1, distance, self.width_px, self.angle_deg)
+        step = 1e-3 * self.width_px
+        return (self.esf(distance + step) - self.esf(distance - step)) / (2 * step)
 
     def mtf(self, frequency):
         """Modulation transfer function across the edge."""
@@ -71,7 +74,7 @@ class EdgeFit:
         if self.shape == "logistic":
             x = 2 * np.pi**2 * self.width_px * np.maximum(np.abs(f), 1e-12)
             return x / np.sinh(x)
-        a, b = _pixel(self.angle_deg)
+        a, b = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         return np.exp(-2 * (np.pi * self.width_px * f) ** 2) * np.sinc(a * f) * np.sinc(b * f)
 
     @property
@@ -258,32 +261,4 @@ def _esf(shape, across, width, angle_deg):
         from scipy.special import expit
 
         return expit(across / width)
-    return _over_pixel(_gaussian_integrals, 2, across, width, angle_deg)
-
-
-def _pixel(angle_deg):
-    """Widths of the two boxes that a square pixel is across an edge, wide one first."""
-    sides = np.abs([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
-    return max(sides), max(min(sides), 1e-3)
-
-
-def _over_pixel(integrals, order, across, sigma, angle_deg):
-    """A function's average over a square pixel, from its ``order``-th integral."""
-    a, b = _pixel(angle_deg)
-    total = np.zeros_like(across)
-    for sign_a in (1, -1):
-        for sign_b in (1, -1):
-            place = across + (sign_a * a + sign_b * b) / 2
-            total = total + sign_a * sign_b * integrals(order, place, sigma)
-    return total / (a * b)
-
-
-def _gaussian_integrals(order, x, sigma):
-    """First and second integral of the Gaussian's integral (2), or of the Gaussian (1)."""
-    from scipy.special import ndtr
-
-    cumulative = ndtr(x / sigma)
-    bell = np.exp(-((x / sigma) ** 2) / 2) / np.sqrt(2 * np.pi)
-    if order == 1:
-        return x * cumulative + sigma * bell
-    return ((x**2 + sigma**2) * cumulative + x * sigma * bell) / 2
+    return spread_edge(across, width, np.radians(angle_deg))

@@ -20,7 +20,7 @@ MARGIN_PX = 12
 
 
 @dataclass(frozen=True)
-class Optics:
+class PointSpread:
     """The point spread function of a camera at one place of its image.
 
     Parameters
@@ -36,8 +36,8 @@ class Optics:
 
     Examples
     --------
-    >>> optics = Optics(0.5)
-    >>> round(float(optics.mtf(0.25, 0.0)), 4), round(optics.mtf50(0), 3)
+    >>> spread = PointSpread(0.5)
+    >>> round(float(spread.mtf(0.25, 0.0)), 4), round(spread.mtf50(0), 3)
     (0.6614, 0.323)
     """
 
@@ -87,19 +87,22 @@ class Optics:
         c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
         f = np.linspace(0, 8, 4001)
         mtf = self.mtf(f * c, f * s)
-        spread = lambda d: np.trapezoid(mtf * np.cos(2 * np.pi * f * d), f)  # noqa: E731
-        half = spread(0) / 2
-        return float(2 * brentq(lambda d: spread(d) - half, 0, 6 * np.sqrt(self.blur.max()) + 2))
+
+        def above_half(d):
+            """Line spread function at a distance, less half of its peak."""
+            return np.trapezoid(mtf * (np.cos(2 * np.pi * f * d) - 0.5), f)
+
+        return float(2 * brentq(above_half, 0, 6 * np.sqrt(self.blur.max()) + 2))
 
 
-def render_edge(shape, optics, *, angle_deg=5.0, position_px=0.0, low=0.1, high=0.6):
+def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=0.6):
     """Return an image of one straight edge.
 
     Parameters
     ----------
     shape : (int, int)
         Rows and columns.
-    optics : Optics
+    spread : PointSpread
     angle_deg : float
         Direction from dark to bright, from x towards y.
     position_px : float
@@ -108,11 +111,11 @@ def render_edge(shape, optics, *, angle_deg=5.0, position_px=0.0, low=0.1, high=
         Levels of the two sides.
     """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return _render(shape, optics, lambda x, y: x * c + y * s - position_px, low, high)
+    return _render(shape, spread, lambda x, y: x * c + y * s - position_px, low, high)
 
 
 def render_star(
-    shape, optics, *, cycles=36, radius_px, centre=(0.0, 0.0), half=False, low=0.1, high=0.6
+    shape, spread, *, cycles=36, radius_px, centre=(0.0, 0.0), half=False, low=0.1, high=0.6
 ):
     """Return an image of a Siemens star on a dark ground.
 
@@ -120,7 +123,7 @@ def render_star(
     ----------
     shape : (int, int)
         Rows and columns.
-    optics : Optics
+    spread : PointSpread
     cycles : int
         Pairs of sectors around the full circle: 36 of 5 degree sectors, 18 of 10 degree sectors.
     radius_px : float
@@ -143,17 +146,17 @@ def render_star(
         inside = np.minimum(r * np.sin(2 * np.pi * to_border / n), radius_px - r)
         return np.minimum(inside, -y) if half else inside
 
-    return _render(shape, optics, distance, low, high)
+    return _render(shape, spread, distance, low, high)
 
 
-def render_bars(shape, optics, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
+def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
     """Return an image of bright line bars on a dark ground, as long as five of their widths.
 
     Parameters
     ----------
     shape : (int, int)
         Rows and columns.
-    optics : Optics
+    spread : PointSpread
     period_px : float
         Width of a bright and a dark bar.
     bars : int
@@ -176,7 +179,7 @@ def render_bars(shape, optics, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
         near = np.clip(np.round(place), 0, count - 1)
         return np.minimum((0.25 - np.abs(place - near)) * period, 1.25 * period - np.abs(v))
 
-    return _render(shape, optics, distance, **{"low": 0.1, "high": 0.6} | levels)
+    return _render(shape, spread, distance, **{"low": 0.1, "high": 0.6} | levels)
 
 
 def texture(shape, *, seed, slope=1.0):
@@ -295,7 +298,7 @@ def atmosphere(name):
     return ATMOSPHERES[check_choice(name, "atmosphere", tuple(ATMOSPHERES))]
 
 
-def _render(shape, optics, distance, low, high):
+def _render(shape, spread, distance, low, high):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
     from scipy.fft import irfft2, next_fast_len, rfft2
 
@@ -309,7 +312,7 @@ def _render(shape, optics, distance, low, high):
     fy, fx = FINE * np.fft.fftfreq(fine[0])[:, None], FINE * np.fft.rfftfreq(fine[1])
     # the drawn edges rise over one fine sample: that much of the blur is there already
     drawn = np.exp(np.pi**2 * (fx**2 + fy**2) / (6 * FINE**2))
-    seen = irfft2(rfft2(bright) * np.minimum(drawn, 4) * optics.mtf(fx, fy), fine)
+    seen = irfft2(rfft2(bright) * np.minimum(drawn, 4) * spread.mtf(fx, fy), fine)
     begin = MARGIN_PX * FINE
     image = seen[begin : begin + rows * FINE : FINE, begin : begin + columns * FINE : FINE]
     return low + (high - low) * image
