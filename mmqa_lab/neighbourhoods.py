@@ -75,7 +75,8 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0):
     Notes
     -----
     Coincident points lie in none of each other's quadrants and count for nothing here. Distances
-    depend on the axes: turn them along the scan lines and one quadrant sees only its own line.
+    depend on the axes: where these run along noisy scan lines, all four quadrants find neighbours
+    on the point's own line, and the gap to the next line goes unseen.
 
     References
     ----------
@@ -89,6 +90,7 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0):
     xy = check_points(xy, name="xy", columns=2)
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
+    _check_width(xy)
     from mmqa_lab._quadrants import nearest_per_quadrant
 
     with _ONE_AT_A_TIME:
@@ -203,6 +205,14 @@ def count_coincident(xy):
 
     xy = check_points(xy, name="xy", columns=2)
     return int(pd.DataFrame(xy).duplicated(keep=False).sum())
+
+
+def _check_width(xy):
+    """Reject coordinates whose differences, squared, would overflow."""
+    with np.errstate(over="ignore"):
+        width = max(np.ptp(xy[:, 0]), np.ptp(xy[:, 1]))
+    if width >= 1e150:
+        raise ValueError(f"Invalid xy, {width:g} m wide. Must be less than 1e+150 m.")
 
 
 def _turned(xy, angle):
