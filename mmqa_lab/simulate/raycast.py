@@ -156,7 +156,7 @@ def _partition(order, start, stop, key, position):
     return i if start < i < stop else (start + stop) // 2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _planar(tree, i, ox, oy, oz, dx, dy, dz):
     """Range to a planar primitive; ``ox`` ... is the ray's start from the centre."""
     s = tree.shape[i]
@@ -237,7 +237,7 @@ def _map(s, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _range_to(tree, i, ox, oy, oz, dx, dy, dz):
     """Range along a unit ray to primitive ``i``, inf where it misses."""
     c = tree.centre[i]

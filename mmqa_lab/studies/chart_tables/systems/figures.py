@@ -4,18 +4,20 @@ import numpy as np
 
 from mmqa_lab.figures import COLOURS, KIND_COLOURS
 
+STEEPEST = 20
+"""Degrees of tilt; nearer to upright, lines run along the crop and the hull misleads."""
+
 SHORT = {"density_per_m2": "density", "d1_mm": "d1", "d4_mm": "d4", "f": "f"}
 
 
-def draw_pattern(cloud, distance, *, ax, side=0.3):
+def draw_pattern(cloud, *, title, ax, side=0.3):
     """Draw the points on the middle of a chart, as one looks at its front.
 
     Parameters
     ----------
     cloud : Cloud
         Of :func:`mmqa_lab.simulate.systems.pass_chart`.
-    distance : float
-        Of the chart, metres.
+    title : str
     side : float
         Of the part drawn, metres.
     """
@@ -25,7 +27,7 @@ def draw_pattern(cloud, distance, *, ax, side=0.3):
     ax.plot(x[near], y[near], ".", ms=1.2, color=COLOURS["blue"], rasterized=True)
     ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
     ax.set(xlabel="along the path (mm)", ylabel="up (mm)")
-    ax.set_title(f"{distance:.0f} m", fontsize=8)
+    ax.set_title(title)
     return ax
 
 
@@ -43,7 +45,7 @@ def draw_cap(sweep, published, *, ax):
     for colour, (frequency, part) in zip(
         colours, sweep.groupby("mirror_frequency_hz"), strict=False
     ):
-        part = part.sort_values("d4_mm")
+        part = part[part["tilt_deg"] >= STEEPEST].sort_values("d4_mm")
         label = f"{frequency:.0f} Hz, d1 = {part['d1_mm'].median():.1f} mm"
         ax.plot(part["d4_mm"], part["density_hull_per_m2"], "-", color=colour, label=label)
         for row in part.iloc[:: max(len(part) // 4, 1)].itertuples():
@@ -86,17 +88,18 @@ def draw_comparison(comparison, *, ax):
     for name, label, mark, colour in (
         ("predicted", "predicted, usual values", "|", "predicted"),
         ("fitted", "fitted, open parameters", "o", "fitted"),
-        ("fitted_released", "fitted, 200 Hz given up", "D", "measured"),
+        ("fitted_released", "fitted, 200 Hz given up", "D", "fitted"),
     ):
         colour = KIND_COLOURS[colour]
         ax.plot(table[name] / printed, places, mark, ms=5, mfc="none", color=colour, label=label)
     ax.axvline(1, color=KIND_COLOURS["published"], lw=0.8)
     names = [f"{r.system}, {r.distance_m:.0f} m: {SHORT[r.quantity]}" for r in table.itertuples()]
     ax.set(yticks=places, yticklabels=names, xlabel="ratio to the published value", xscale="log")
-    ticks = [0.4, 0.5, 0.7, 1, 1.5, 2]
+    ticks = [0.3, 0.5, 0.7, 1, 1.5, 2, 3]
     ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
     ax.minorticks_off()
     ax.set_ylim(len(table) - 0.5, -0.5)
+    ax.set_xlim(0.25, 4)  # bars that leave the axes go on: an upright axis can draw single lines
     ax.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
     return ax
 
