@@ -140,7 +140,9 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
 def draw_residual_histogram(residuals_mm, *, ax, std_mm, sigma_mad_mm):
     """Draw the distances from the plane with the two measures of their dispersion."""
     half = max(4 * sigma_mad_mm, 0.5)
-    ax.hist(np.clip(residuals_mm, -half, half), bins=61, color=COLOURS["sky"])
+    ax.hist(
+        np.clip(residuals_mm, -half, half), bins=61, color=COLOURS["sky"], histtype="stepfilled"
+    )
     for value, name, colour, dash in (
         (std_mm, "std", "vermilion", "-"),
         (sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
@@ -168,7 +170,8 @@ def draw_spacing_histogram(distances_mm, *, ax, d1_mm, d4_mm):
         (nearest, "d1", d1_mm, "blue"),
         (farthest, "d4", d4_mm, "orange"),
     ):
-        ax.hist(values[np.isfinite(values)], bins=bins, color=COLOURS[colour], alpha=0.6)
+        filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
+        ax.hist(values[np.isfinite(values)], bins=bins, **filled)
         label = f"median {name} = {median:.1f} mm"
         ax.axvline(median, color=COLOURS[colour], label=label)
     ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
