@@ -14,17 +14,19 @@ ASPRS Positional Accuracy Standards (edition 2, 2023) speak of the same numbers 
 non-vegetated checkpoints (the RMSE with the shift kept) and RMSE_H (equation 3-1).
 """
 
+from mmqa_lab.testfield.drives import between_drives, split_drives
 from mmqa_lab.testfield.heights import height_accuracy, height_differences
 from mmqa_lab.testfield.planimetry import (
     corner_positions,
     plan_accuracy,
     pole_positions,
 )
-from mmqa_lab.testfield.reference import ground_reference
+from mmqa_lab.testfield.reference import ground_reference, thinned
 from mmqa_lab.testfield.trends import Trend, distance_to_path, trend
 
 __all__ = [
     "Trend",
+    "between_drives",
     "corner_positions",
     "distance_to_path",
     "ground_reference",
@@ -32,5 +34,7 @@ __all__ = [
     "height_differences",
     "plan_accuracy",
     "pole_positions",
+    "split_drives",
+    "thinned",
     "trend",
 ]

@@ -131,10 +131,10 @@ def height_accuracy(table):
         raise ValueError("Invalid table. Must have the columns dz_m and reason.")
     dz = 1000 * table.loc[table["reason"] == "", "dz_m"].to_numpy(dtype=np.float64)
     shift = dz.mean() if len(dz) else np.nan
-    rows = [
-        {"shift": name, **summary(dz - part)} for name, part in (("kept", 0), ("removed", shift))
-    ]
-    return pd.DataFrame(rows)
+    parts = (("kept", 0), ("removed", shift))
+    table = pd.DataFrame([{"shift": name, **summary(dz - part)} for name, part in parts])
+    table["mean_mm"] = table["mean_mm"].round(9)
+    return table
 
 
 def summary(values):

@@ -75,6 +75,26 @@ def ground_reference(
     return pd.DataFrame(rows, columns=["x_m", "y_m", "z_m", "rms_m", "slope_deg", "n"])
 
 
+def thinned(points, side):
+    """Return one point of each square in plan: the one nearest its middle.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+    side : float
+        Of the squares, m.
+
+    Examples
+    --------
+    >>> thinned([[0.1, 0.1, 0], [0.4, 0.5, 1], [1.5, 0.5, 2]], 1.0).tolist()
+    [[0.4, 0.5, 1.0], [1.5, 0.5, 2.0]]
+    """
+    points = check_points(points)
+    side = check_positive(side, "side", unit="m")
+    local = points - np.floor(points.min(axis=0) / side) * side
+    return points[_thinned(local, side)]
+
+
 def _plane(points):
     """The plane of points, or None where they lie on a line."""
     try:

@@ -1,0 +1,150 @@
+"""Compare the heights of a cloud with reference points or a raster of heights.
+
+At each reference point the cloud around it is triangulated; the height differences are summed up
+with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning, chapter 3).
+Reference points without a valid difference are counted by reason. In the words of the ASPRS
+Positional Accuracy Standards (edition 2): rmse_mm with the shift kept is RMSE_V of the check
+points, which should be 30 or more; drive against drive is relative accuracy.
+"""
+
+import sys
+from pathlib import Path
+
+from mmqa_lab.commands._output import add_output_arguments, print_rows
+
+SUMMARY = "height accuracy of a cloud against reference points or a raster"
+
+EPILOG = """\
+example:
+  mmqa accuracy street.laz levelled_points.csv --radius 0.5
+  mmqa accuracy street.laz airborne.tif --thin 1 --drives --trajectory path.csv --json
+"""
+
+CHECKPOINTS = 30
+"""Fewest that the ASPRS standards ask for."""
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "reference",
+        metavar="REFERENCE",
+        help="points (CSV, text, LAS: x, y, z) or raster (GeoTIFF, Esri ASCII grid, npz)",
+    )
+    parser.add_argument(
+        "--trajectory",
+        metavar="FILE",
+        help="CSV of the path: adds the trend of the differences with the distance from it",
+    )
+    parser.add_argument(
+        "--radius",
+        type=float,
+        default=0.2,
+        metavar="M",
+        help="of the triangulated surface, 0.2 m (default) where points are dense, 0.5 m where not",
+    )
+    parser.add_argument(
+        "--slope-limit",
+        type=float,
+        default=20.0,
+        metavar="DEG",
+        help="steeper surfaces do not count, default %(default)s degrees",
+    )
+    parser.add_argument(
+        "--gross-limit",
+        type=float,
+        metavar="M",
+        help="differences farther from the median do not count; default five NMAD",
+    )
+    parser.add_argument(
+        "--thin",
+        type=float,
+        metavar="M",
+        help="take one reference point from each square this wide",
+    )
+    parser.add_argument(
+        "--drives",
+        action="store_true",
+        help="each drive on its own, and against the first",
+    )
+    parser.add_argument(
+        "--gap",
+        type=float,
+        default=3600.0,
+        metavar="S",
+        help="time without points that separates drives, default %(default).0f s",
+    )
+    parser.add_argument(
+        "--differences", type=Path, metavar="FILE", help="also write each difference to this CSV"
+    )
+    add_output_arguments(parser)
+
+
+def run(options):
+    """Compare, then print and write."""
+    import pandas as pd
+
+    from mmqa_lab.height_files import read_heights
+    from mmqa_lab.io import read_cloud, read_trajectory, write_atomically
+    from mmqa_lab.testfield import thinned
+
+    reference = read_heights(options.reference)
+    if options.thin is not None:
+        reference = thinned(reference, options.thin)
+    path = None if options.trajectory is None else read_trajectory(options.trajectory)
+    columns = ("gps_time",) if options.drives else ()
+    tables = _compared(read_cloud(options.cloud, columns=columns), reference, options)
+    rows = [_rows(name, table, path) for name, table in tables.items()]
+    if options.differences is not None:
+        differences = pd.concat([table.assign(drive=name) for name, table in tables.items()])
+        write_atomically(options.differences, lambda file: differences.to_csv(file, index=False))
+    summary = pd.concat(rows, ignore_index=True)
+    if summary["n"].min() < CHECKPOINTS:
+        print(
+            f"mmqa accuracy: {summary['n'].min()} differences in a row; the ASPRS standards ask "
+            f"for {CHECKPOINTS} check points or more.",
+            file=sys.stderr,
+        )
+    print_rows(summary, options)
+
+
+def _compared(cloud, reference, options):
+    """Tables of differences by name: the whole cloud, or each drive and drive against drive."""
+    from mmqa_lab.testfield import between_drives, height_differences, split_drives
+
+    choices = {
+        "radius": options.radius,
+        "slope_limit": options.slope_limit,
+        "gross_limit": options.gross_limit,
+        "progress": sys.stderr.isatty(),
+    }
+    if not options.drives:
+        return {"all": height_differences(cloud.points, reference, **choices)}
+    drive = split_drives(cloud["gps_time"], gap_s=options.gap)
+    tables = {}
+    for number in range(drive.max() + 1):
+        points = cloud.points[drive == number]
+        tables[f"drive {number + 1}"] = height_differences(points, reference, **choices)
+    for number in range(1, drive.max() + 1):
+        name = f"drive {number + 1}"
+        tables[f"drive 1 - {name}"] = between_drives(tables["drive 1"], tables[name])
+    return tables
+
+
+def _rows(name, table, path):
+    """The rows of one table of differences."""
+    from mmqa_lab.testfield import distance_to_path, height_accuracy, trend
+    from mmqa_lab.testfield.heights import REASONS
+
+    rows = height_accuracy(table)
+    rows.insert(0, "drive", name)
+    for reason in REASONS[1:]:
+        rows[reason.replace(" ", "_")] = int((table["reason"] == reason).sum())
+    if path is not None:
+        used = table[table["reason"] == ""]
+        distance = distance_to_path(used[["x_m", "y_m"]].to_numpy(), path)
+        line = trend(distance, 1000 * used["dz_m"])
+        rows["trend_mm_per_m"] = line.slope
+        rows["trend_low_mm_per_m"], rows["trend_high_mm_per_m"] = line.slope_low, line.slope_high
+    return rows
