@@ -41,6 +41,13 @@ STUDIES = (
         question="How good are the point clouds and images of three systems, measured on charts?",
         source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Tables 1 and 2",
     ),
+    Study(
+        number=3,
+        stem="anisotropy",
+        title="Anisotropy",
+        question="What does f = d4/d1 measure, and what should a tender ask for instead?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 3.3",
+    ),
 )
 
 
