@@ -14,18 +14,21 @@ from mmqa_lab.studies.chart_tables.systems.model import (
     QUICK,
     SENSORS,
     cap,
+    chart_points,
     compare,
     fit,
     hull_bias,
     predict,
     pulses_per_revolution,
     sweep_tilt,
+    usual,
 )
 
 __all__ = [
     "QUICK",
     "SENSORS",
     "cap",
+    "chart_points",
     "claims",
     "compare",
     "draw_cap",
@@ -38,4 +41,5 @@ __all__ = [
     "pulses_per_revolution",
     "sweep_tilt",
     "unexplained",
+    "usual",
 ]

@@ -65,7 +65,7 @@ def draw_cap(sweep, published, *, ax):
         *place, xerr=0.5, fmt="s", ms=4, color=KIND_COLOURS["published"], label=label, capsize=2
     )
     ax.set(xlabel="d4 at 5 m (mm)", ylabel="density at 5 m (1/m²)")
-    ax.legend()
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0))
     return ax
 
 
@@ -121,5 +121,5 @@ def draw_hull_bias(bias, *, ax):
         )
     ax.set(xlabel="angle between lines and crop (degrees)", ylabel="excess of hull density (%)")
     ax.set_ylim(0, None)
-    ax.legend()
+    ax.legend(title="chart at")
     return ax

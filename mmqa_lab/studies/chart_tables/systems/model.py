@@ -68,8 +68,19 @@ def evaluate(cloud, distance, *, turn=0.0):
     return evaluate_cloud(cloud, polygon=polygon, thickness=0.2, scale=PAPER_SCALE)
 
 
-def measure(system, parameters, *, seeds, distances=systems.DISTANCES):
-    """Return density, precision, d1, d4 and f of a system at both distances, means over seeds.
+def usual(system):
+    """Return the usual value of each parameter of a system that is not stated, as a dict.
+
+    Examples
+    --------
+    >>> usual("B")
+    {'tilt_deg': 0.0, 'height_m': 1.0}
+    """
+    return {name: values[1] for name, values in OPEN[system].items()}
+
+
+def chart_points(system, parameters, *, distance, seed):
+    """Return the cloud of a chart as a system with these parameters scans it.
 
     Parameters
     ----------
@@ -77,6 +88,26 @@ def measure(system, parameters, *, seeds, distances=systems.DISTANCES):
     parameters : dict
         Values of fields of the sensor, of ``height_m``, and of ``density`` (system C, points per
         square metre at 5 m).
+    distance : float
+        Metres.
+    seed : int
+    """
+    changes = dict(parameters)
+    height = changes.pop("height_m", 0.0)
+    if system == "C":
+        density = changes.pop("density", GUESSED_DENSITY)
+        changes["points_per_px"] = density * (5 / SENSORS["C"].focal_px) ** 2
+    sensor = replace(SENSORS[system], **changes)
+    return systems.pass_chart(sensor, distance, seed=seed, height=height)
+
+
+def measure(system, parameters, *, seeds, distances=systems.DISTANCES):
+    """Return density, precision, d1, d4 and f of a system at both distances, means over seeds.
+
+    Parameters
+    ----------
+    system, parameters
+        As for :func:`chart_points`.
     seeds : sequence of int
     distances : sequence of float
         Metres.
@@ -86,11 +117,9 @@ def measure(system, parameters, *, seeds, distances=systems.DISTANCES):
     DataFrame
         A row a distance: ``system``, ``distance_m``, the quantities.
     """
-    sensor, height = _equipped(system, parameters)
     rows = []
     for distance, seed in product(distances, seeds):
-        cloud = systems.pass_chart(sensor, distance, seed=seed, height=height)
-        q = evaluate(cloud, distance)
+        q = evaluate(chart_points(system, parameters, distance=distance, seed=seed), distance)
         figures = (q.density_hull_per_m2, q.sigma_mad_mm, q.d1_mm, q.d4_mm, q.f)
         rows.append((system, distance, *figures))
     table = pd.DataFrame(rows, columns=["system", "distance_m", *QUANTITIES])
@@ -115,13 +144,12 @@ def predict(*, seed, repeats):
     tables = []
     seeds = seed + np.arange(check_count(repeats, "repeats"))
     for system, bounds in OPEN.items():
-        usual = {name: values[1] for name, values in bounds.items()}
         grid = [dict(zip(bounds, values, strict=True)) for values in product(*_ends(bounds))]
         spread = pd.concat([measure(system, each, seeds=seeds[:1]) for each in grid])
-        usual = _long(measure(system, usual, seeds=seeds), "predicted")
+        table = _long(measure(system, usual(system), seeds=seeds), "predicted")
         spread = spread.groupby(["system", "distance_m"], as_index=False)
         low, high = _long(spread.min(), "predicted_low"), _long(spread.max(), "predicted_high")
-        table = usual.merge(low).merge(high)
+        table = table.merge(low).merge(high)
         # the range spans the usual case too, which repeats may put outside of single passes
         table["predicted_low"] = table[["predicted", "predicted_low"]].min(axis=1)
         table["predicted_high"] = table[["predicted", "predicted_high"]].max(axis=1)
@@ -295,16 +323,6 @@ def hull_bias(*, turns, seed, repeats):
     table = pd.DataFrame(rows, columns=["distance_m", "turn_deg", "bias_percent"])
     groups = table.groupby(["distance_m", "turn_deg"])["bias_percent"]
     return groups.agg(bias_percent="mean", bias_sd_percent="std").reset_index()
-
-
-def _equipped(system, parameters):
-    """The sensor with its parameters, and its height."""
-    changes = dict(parameters)
-    height = changes.pop("height_m", 0.0)
-    if system == "C":
-        density = changes.pop("density", GUESSED_DENSITY)
-        changes["points_per_px"] = density * (5 / SENSORS["C"].focal_px) ** 2
-    return replace(SENSORS[system], **changes), height
 
 
 def _ends(bounds):
