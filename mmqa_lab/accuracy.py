@@ -11,7 +11,7 @@ import numpy as np
 from mmqa_lab._checks import check_count, check_number
 
 NMAD_SCALE = 1.4826022185056018
-"""1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their standard deviation."""
+"""1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their deviation."""
 
 
 @dataclass(frozen=True)

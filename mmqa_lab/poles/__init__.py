@@ -92,8 +92,7 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     elif method == "itc":
         found = module.detect(local, settings, explain=explain)
     else:
-        line = None if lines is None else lines[0]
-        found = module.detect(local, settings, line=line, explain=explain)
+        found = module.detect(local, settings, lines=lines, explain=explain)
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 
@@ -136,7 +135,8 @@ def _settings(module, method, thresholds):
     known = vars(module.Settings())
     for name, value in thresholds.items():
         check_choice(name, f"threshold of {method}", tuple(known))
-        check_positive(value, name)
+        if not isinstance(known[name], bool):
+            check_positive(value, name)
     return module.Settings(**thresholds)
 
 

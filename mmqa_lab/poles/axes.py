@@ -1,52 +1,6 @@
-"""The axis of a pole: principal direction, lean, length; and the diameter from chords."""
-
-from dataclasses import dataclass
+"""The diameter of a pole, from chords of scan lines or from circles."""
 
 import numpy as np
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A straight axis through a group of points.
-
-    Parameters
-    ----------
-    centre : array, shape (3,)
-    direction : array, shape (3,)
-        Unit vector, upwards.
-    length : float
-        Extent of the points along it, metres.
-    ratio : float
-        Largest over second largest eigenvalue of the points' covariance.
-    """
-
-    centre: np.ndarray
-    direction: np.ndarray
-    length: float
-    ratio: float
-
-    @property
-    def tilt_deg(self):
-        """Angle from the vertical, degrees."""
-        return float(np.degrees(np.arccos(np.clip(self.direction[2], -1, 1))))
-
-
-def principal_axis(points):
-    """Return the ``Axis`` of points, (n, 3), n >= 2, by principal components.
-
-    Examples
-    --------
-    >>> axis = principal_axis(np.array([[0, 0, 0], [0, 0.01, 1], [0, 0, 2.0]]))
-    >>> axis.length, round(axis.tilt_deg, 3)
-    (2.0, 0.0)
-    """
-    centre = points.mean(axis=0)
-    _, sizes, directions = np.linalg.svd(points - centre, full_matrices=False)
-    direction = directions[0] * (1.0 if directions[0, 2] >= 0 else -1.0)
-    along = (points - centre) @ direction
-    second = sizes[1] ** 2 if len(sizes) > 1 else 0.0
-    ratio = float(sizes[0] ** 2 / max(second, 1e-12))
-    return Axis(centre, direction, float(np.ptp(along)), ratio)
 
 
 def chord_diameter(points, axis_direction, line, *, minimum_points=2):
@@ -103,12 +57,12 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
     return float(chords[usual].mean() + np.median(spacings))
 
 
-def circle_diameter(points, axis_direction, *, slice_length=0.5, largest=1.0):
+def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
     """Return the median diameter of circles fitted to slices across an axis.
 
     Each slice gets an algebraic circle (Pratt's normalisation is not needed where noise is small
     against the radius); slices with fewer than five points or a circle wider than ``largest``
-    metres are left out.
+    metres are left out; scan lines do not matter.
 
     Returns
     -------

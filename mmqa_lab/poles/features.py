@@ -15,6 +15,9 @@ SHELL_M = 0.25
 CLEAN = 0.15
 """A bin is clean when the shell holds at most this share of what the core holds."""
 
+NARROW = 0.6
+"""The core is the narrowest whose clean run is that share of the longest: boards stay outside."""
+
 SECTORS = 12
 REACH_M = 2.0
 CELL_M = 0.2
@@ -140,14 +143,15 @@ def _describe(x, y, h, x0, y0, out, axis):
     for k in range(n):
         level[k] = min(max(int(h[k] / BIN_M), 0), BINS - 1)
     core, shell = np.zeros(BINS), np.zeros(BINS)
-    best = (0, 0, 0)
+    runs = np.zeros((len(RADII_M), 2), np.int64)
     for r in range(len(RADII_M)):
         _profile(across, level, RADII_M[r], core, shell)
-        low, high = _longest((core > 0) & (shell <= CLEAN * core), 1)
-        out[r] = (high - low) * BIN_M
-        if high - low > best[1] - best[0]:
-            best = (low, high, r)
-    low, high, r = best
+        runs[r] = _longest((core > 0) & (shell <= CLEAN * core), 1)
+        out[r] = (runs[r, 1] - runs[r, 0]) * BIN_M
+    r = 0
+    while out[r] < NARROW * out[: len(RADII_M)].max():
+        r += 1
+    low, high = runs[r]
     radius = RADII_M[r]
     _profile(across, level, radius, core, shell)
     first, last = _longest(core > 0, 1)

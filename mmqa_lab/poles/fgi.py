@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.axes import chord_diameter
+from mmqa_lab.poles.axes import chord_diameter, circle_diameter
 from mmqa_lab.poles.columns import base, near_axis, rows
 from mmqa_lab.poles.profiles import pulse_numbers
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
@@ -64,6 +64,8 @@ class Settings:
         Outer minus inner radius, metres (stated: 0.2 to 0.8).
     mask_share : float
         Least share of the points in both cylinders that the inner one holds.
+    circle_fit : bool
+        Diameters from circles fitted to slices, as the report says, instead of from chords.
     """
 
     segment_distance: float = 0.10
@@ -84,6 +86,7 @@ class Settings:
     maximum_radius: float = 0.35
     shell: float = 0.30
     mask_share: float = 0.85
+    circle_fit: bool = False
 
 
 def detect(points, line, place, settings, *, explain=False):
@@ -310,7 +313,8 @@ def _judged(everything, points, line, member, found, settings, explain):
         else:
             stretch[k] = begin, end
     table = _rows(found, stretch, share, reason)
-    table["diameter_m"] = _diameters(points, line, member, found, stretch, reason)
+    fit = circle_diameter if settings.circle_fit else chord_diameter
+    table["diameter_m"] = _diameters(points, line, member, found, stretch, reason, fit)
     drop_duplicates(table, 2 * settings.merge_distance)
     return pole_table(table, "fgi", explain=explain)
 
@@ -333,8 +337,8 @@ def _rows(found, stretch, share, reason):
     }
 
 
-def _diameters(points, line, member, found, stretch, reason):
-    """Chord diameters of the accepted candidates, NaN for the others."""
+def _diameters(points, line, member, found, stretch, reason, fit):
+    """Diameters of the accepted candidates, NaN for the others."""
     diameter = np.full(len(reason), np.nan)
     wanted = reason[member] == ""
     points, line, member = points[wanted], line[wanted], member[wanted]
@@ -346,5 +350,5 @@ def _diameters(points, line, member, found, stretch, reason):
     for part in np.split(order, cuts):
         if len(part):
             k = member[part[0]]
-            diameter[k] = chord_diameter(points[part], found["direction"][k], line[part])
+            diameter[k] = fit(points[part], found["direction"][k], line[part])
     return diameter

@@ -18,6 +18,12 @@ from mmqa_lab.poles.ground import height_above_ground
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
 from mmqa_lab.poles.trees import read_model
 
+WIDEST_M = 0.45
+"""Radius about the axis in which scan lines are looked at for their chords."""
+
+GROUP_GAP_M = 0.10
+"""Two consecutive points of a line farther apart belong to two things."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -42,7 +48,7 @@ class Settings:
     apart: float = 0.6
 
 
-def detect(points, settings, *, line=None, explain=False, model=None):
+def detect(points, settings, *, lines=None, explain=False, model=None):
     """Return the poles of a cloud.
 
     Parameters
@@ -50,8 +56,8 @@ def detect(points, settings, *, line=None, explain=False, model=None):
     points : array, shape (n, 3)
         Metres from an origin nearby.
     settings : Settings
-    line : array of int, shape (n,), optional
-        Scan lines: where known, diameters come from chords.
+    lines : pair of array, shape (n,), optional
+        Scan line and place along it: where known, diameters come from chords.
     explain : bool
     model : mmqa_lab.poles.trees.Trees, optional
         The one that comes with the package where left out.
@@ -71,7 +77,7 @@ def detect(points, settings, *, line=None, explain=False, model=None):
     )
     table = _rows(axes, ground, probability, reason)
     drop_duplicates(table, settings.apart)
-    table["diameter_m"] = _diameters(points, line, table, axes[:, 7])
+    table["diameter_m"] = _diameters(points, lines, table, axes[:, 7])
     return pole_table(table, "ours", explain=explain)
 
 
@@ -85,7 +91,8 @@ def described(points, settings):
     sorted_thin = rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, base(sorted_thin))
     features, axes = describe(*where, xy)
-    return features, axes, _ground_at(thin, height, axes)
+    # rounded, so that a sum in another order of the points falls on the same side of a threshold
+    return np.round(features, 5), axes, _ground_at(thin, height, axes)
 
 
 def thinned(points, voxel):
@@ -130,28 +137,50 @@ def _rows(axes, ground, probability, reason):
     }
 
 
-def _diameters(points, line, table, radius):
-    """Diameters of the accepted candidates: chords of scan lines, else twice the usual distance."""
+def _diameters(points, lines, table, radius):
+    """Diameters of the accepted candidates, from chords of scan lines or from the width in plan."""
     diameter = np.full(len(radius), np.nan)
     accepted = np.flatnonzero(table["rejected_by"] == "")
-    if not len(accepted):
-        return diameter
-    found = rows(points)
-    low = base(found)
+    found = rows(points) if len(accepted) else None
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
         lean = np.array([table["lean_x"][k], table["lean_y"][k]])
-        slack = np.hypot(*lean) * h / 2
-        near = near_axis(found.points, found.start, low, x, y, radius[k] + slack)
+        reach = (WIDEST_M if lines is not None else radius[k]) + np.hypot(*lean) * h / 2
+        near = near_axis(found.points, found.start, base(found), x, y, reach)
         part = found.points[near]
-        part_height = part[:, 2] - z
-        inside = (part_height >= 0) & (part_height <= h)
-        off = part[:, :2] - [x, y] - lean * (part_height - h / 2)[:, None]
-        inside &= np.hypot(*off.T) <= radius[k]
-        if line is None:
-            diameter[k] = 2 * np.median(np.hypot(*off[inside].T)) if inside.any() else np.nan
+        inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
+        part, number = part[inside], found.order[near[inside]]
+        off = part[:, :2] - [x, y] - lean * (part[:, 2] - z - h / 2)[:, None]
+        if lines is None:
+            diameter[k] = _width(off)
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
-            lines = line[found.order[near[inside]]]
-            diameter[k] = chord_diameter(part[inside], direction, lines)
+            which, line = _shaft(part, off, *(values[number] for values in lines))
+            diameter[k] = chord_diameter(part[which], direction, line)
     return diameter
+
+
+def _shaft(points, off, line, place):
+    """Points of the group nearest to the axis on each scan line, and their lines."""
+    order = np.lexsort([place, line])
+    gap = np.linalg.norm(np.diff(points[order], axis=0), axis=1) > GROUP_GAP_M
+    broken = np.concatenate([[False], gap | (np.diff(line[order]) != 0)])
+    group = np.cumsum(broken)
+    count = np.bincount(group, minlength=1)
+    centre = [np.bincount(group, off[order, k]) / np.maximum(count, 1) for k in range(2)]
+    away = np.hypot(*centre)
+    owner = line[order][np.flatnonzero(np.diff(group, prepend=-1))]
+    ranked = np.lexsort([away, owner])
+    nearest = ranked[np.unique(owner[ranked], return_index=True)[1]]
+    nearest = nearest[away[nearest] <= WIDEST_M / 2]
+    which = order[np.isin(group, nearest)]
+    return which, line[which]
+
+
+def _width(off):
+    """Largest width in plan, 5th to 95th percentile; NaN of fewer than five points."""
+    if len(off) < 5:
+        return np.nan
+    wide = np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0]
+    low, high = np.quantile(off @ wide, [0.05, 0.95])
+    return float((high - low) / 0.9)

@@ -157,17 +157,22 @@ class Score:
         columns = ["class", "k", "n", "value", "low", "high"]
         return pd.DataFrame(rows, columns=columns).rename(columns={"value": "recall"})
 
-    def diameter_errors(self, *, classes=None):
-        """Return the ``Errors`` of the diameters of hits, metres.
+    def diameter_residuals(self, *, classes=None):
+        """Return the errors of the diameters of hits, metres; NaN where not measured.
 
         The truth is ``diameter_m`` of the reference, or its taper between ``diameter_base_m`` and
-        ``diameter_top_m`` at half the height of the detection.
+        ``diameter_top_m`` at half the height of the detection. ``classes`` chooses references.
         """
         hits = self.detections[self.detections["outcome"] == "hit"]
         truth = self.targets.loc[hits["reference"]]
-        chosen = np.ones(len(hits), bool) if classes is None else truth["class"].isin(classes)
-        hits, truth = hits[np.asarray(chosen)], truth[np.asarray(chosen)]
-        return errors(hits["diameter_m"].to_numpy() - _true_diameter(hits, truth))
+        if classes is not None:
+            chosen = truth["class"].isin(classes).to_numpy()
+            hits, truth = hits[chosen], truth[chosen]
+        return hits["diameter_m"].to_numpy() - _true_diameter(hits, truth)
+
+    def diameter_errors(self, *, classes=None):
+        """Return the ``Errors`` of the diameters of hits, metres."""
+        return errors(self.diameter_residuals(classes=classes))
 
     def position_errors(self):
         """Return the ``Errors`` of the horizontal distances of hits from the true axes, metres."""

@@ -85,25 +85,25 @@ def sign(rng, at, side):
     return [post, group(plates, label="board")], truth
 
 
-def tree(rng, at, *, low_crown, low_branches, trunk_radius, crown_density):
-    """A tree: trunk, crown; ``low_crown`` and ``low_branches`` are shares of such trees."""
-    radius, taper = rng.uniform(*trunk_radius), rng.uniform(0.6, 0.9)
-    crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(2.5, 5.0)
-    base = rng.uniform(0.7, 1.5) if rng.random() < low_crown else rng.uniform(2.0, 3.5)
+def tree(rng, at, plan):
+    """A tree: trunk and crown, low or with branches as often as the plan says."""
+    radius, taper = rng.uniform(*plan.trunk_radius_m), rng.uniform(0.6, 0.9)
+    crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(*plan.crown_height_m)
+    base = rng.uniform(0.7, 1.5) if rng.random() < plan.low_crown_share else rng.uniform(2.0, 3.5)
     height = base + 0.5 * crown_height
-    kind = {"radius": radius, "top_radius": radius * taper, "height": height, "lean_deg": 2.5}
-    trunk, truth = shaft(rng, at, "tree", **kind)
+    sizes = {"radius": radius, "top_radius": radius * taper, "height": height}
+    trunk, truth = shaft(rng, at, "tree", **sizes, lean_deg=plan.trunk_lean_deg)
     seeds = rng.integers(2**31, size=8)
     centre = at + np.array([0, 0, base + crown_height / 2])
     radii = (crown_radius, crown_radius, crown_height / 2)
-    leaves = [crown(centre, radii, crown_density, seeds[0])]
-    branched = rng.random() < low_branches
+    leaves = [crown(centre, radii, plan.crown_density, seeds[0])]
+    branched = rng.random() < plan.low_branch_share
     spots = rng.uniform([0.15, 0, 0.6], [0.6, 2 * np.pi, max(base, 1.6)], (5, 3))
     sizes = rng.uniform(0.15, 0.4, (5, 1)) * [1, 1, 0.6]
     if branched:
         for (r, turn, z), size, seed in zip(spots, sizes, seeds[1:6], strict=True):
             spot = at + [r * np.cos(turn), r * np.sin(turn), z]
-            leaves.append(crown(spot, size, 1.5 * crown_density, seed))
+            leaves.append(crown(spot, size, 1.5 * plan.crown_density, seed))
     return [trunk, group(leaves, label="crown")], truth
 
 

@@ -64,6 +64,10 @@ class Plan:
         Share of trees whose crown begins at 0.7-1.5 m; share with branches around the trunk.
     trunk_radius_m : tuple of 2
         Least and largest radius of trunks at the foot.
+    trunk_lean_deg : float
+        Standard deviation of their lean in each of two directions.
+    crown_height_m : tuple of 2
+        Least and largest height of crowns.
     crown_density : float
         Of crowns; 1 is 0.8 leaves a metre of way.
     cars_per_100m, pedestrians_per_100m, billboards_per_100m, hedges_per_100m : float
@@ -90,6 +94,8 @@ class Plan:
     low_crown_share: float = 0.2
     low_branch_share: float = 0.3
     trunk_radius_m: tuple = (0.06, 0.2)
+    trunk_lean_deg: float = 2.5
+    crown_height_m: tuple = (2.5, 5.0)
     crown_density: float = 1.0
     cars_per_100m: float = 4.0
     pedestrians_per_100m: float = 0.6
@@ -327,9 +333,7 @@ def _poles(plan, length, seed, blocks):
 def _made(rng, kind, at, side, plan):
     """Surfaces, the shaft first, and truth of a pole."""
     if kind == "tree":
-        shares = {"low_crown": plan.low_crown_share, "low_branches": plan.low_branch_share}
-        sizes = {"trunk_radius": plan.trunk_radius_m, "crown_density": plan.crown_density}
-        return street_parts.tree(rng, at, **shares, **sizes)
+        return street_parts.tree(rng, at, plan)
     return getattr(street_parts, kind)(rng, at, side)
 
 

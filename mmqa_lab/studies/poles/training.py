@@ -14,7 +14,7 @@ from mmqa_lab.poles.features import NAMES
 from mmqa_lab.poles.trees import Trees
 from mmqa_lab.simulate import streets
 
-EXAMPLES = 60
+EXAMPLES = 64
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
@@ -22,11 +22,19 @@ SETUPS = (
     ("roamer", 100.0, (5.0, 14.0)),
     ("push-broom", 140.0, (3.0, 9.0)),
     ("vq-450", 45.0, (8.0, 14.0)),
+    ("push-broom", 140.0, (3.0, 9.0)),
     ("roamer", 100.0, (5.0, 14.0)),
     ("push-broom", 140.0, (3.0, 9.0)),
     ("dense-profiler", 35.0, (8.0, 14.0)),
+    ("push-broom", 140.0, (3.0, 9.0)),
 )
 """Scanner, length of the street (m) and range of speeds (m/s), by turns."""
+
+BEAMS_MRAD = {"push-broom": (0.0, 5.0, 11.0), "roamer": (0.0, 0.0, 0.16)}
+"""Divergences to draw from, 0 for the others; old industrial profilers have 11 mrad."""
+
+SCATTER_M = (0.0, 0.0, 0.01, 0.03)
+"""Standard deviations of an added error of every coordinate: navigation and old sensors."""
 
 
 def random_plan(rng):
@@ -43,6 +51,8 @@ def random_plan(rng):
         low_crown_share=rng.uniform(0, 0.7),
         low_branch_share=rng.uniform(0, 0.9),
         trunk_radius_m=(0.05, rng.uniform(0.15, 0.4)),
+        trunk_lean_deg=rng.uniform(1.0, 5.0),
+        crown_height_m=(2.5, rng.uniform(4.0, 10.0)),
         crown_density=rng.uniform(0.5, 1.8),
         cars_per_100m=rng.uniform(0, 15),
         pedestrians_per_100m=rng.uniform(0, 5),
@@ -61,21 +71,21 @@ def random_plan(rng):
 def example(number, *, seed=FIRST_SEED):
     """Return the street, the cloud and the targets of a training example.
 
-    The cloud is degraded by thinning, extra noise and rounding, all of it or none.
+    The cloud is degraded by thinning, scatter and rounding.
     """
     rng = np.random.default_rng([seed, number])
     name, length, speeds = SETUPS[number % len(SETUPS)]
     made = streets.street(random_plan(rng), length=length, seed=seed + number)
     scanner = streets.SCANNERS[name]
-    noise = scanner.range_noise_m + rng.choice([0.0, 0.005, 0.015])
-    if rng.random() < 0.7:
-        scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=0.0)
-    scanner = replace(scanner, range_noise_m=noise)
-    rounding = rng.choice([0.0, 0.0, 0.01])
-    cloud = streets.drive(
-        made, scanner, seed=seed + number, speed=rng.uniform(*speeds), rounding_m=rounding
-    )
-    cloud = cloud.select(rng.random(len(cloud)) < rng.choice([1.0, 1.0, 0.6, 0.35]))
+    beam = rng.choice(BEAMS_MRAD.get(name, (0.0,)))
+    scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
+    scatter, rounding, share = rng.choice(SCATTER_M), rng.choice([0, 0, 0.01]), rng.uniform(0.3, 1)
+    cloud = streets.drive(made, scanner, seed=seed + number, speed=rng.uniform(*speeds))
+    cloud = cloud.select(rng.random(len(cloud)) < share)
+    points = cloud.points + scatter * rng.standard_normal((len(cloud), 3))
+    if rounding:
+        points = np.round(points / rounding) * rounding
+    cloud = replace(cloud, points=points)
     # an upright scan plane draws a post in one or two lines
     sweeps = 1 if name == "push-broom" else 5
     return made, cloud, streets.visible_targets(made, cloud, minimum_sweeps=sweeps)

@@ -1,0 +1,128 @@
+"""Detect poles in a cloud, and score them where a reference is given.
+
+Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; needs
+scan_line and gps_time, or gps_time and scan_angle) and itc (components, Pu et al. 2011). A row a
+pole: the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m,
+tilt_deg, score, method. A reference is a CSV file with x_m, y_m and, where known, class, height_m,
+diameter_m; detections and references are matched one to one within --gate.
+"""
+
+from pathlib import Path
+
+from mmqa_lab.commands._output import print_json, print_rows
+
+SUMMARY = "detect poles, and score them against a reference"
+
+EPILOG = """\
+example:
+  mmqa poles street.laz --method fgi --trajectory path.csv --csv poles.csv
+  mmqa poles street.laz --reference poles_field.csv --json
+"""
+
+COLUMNS = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"]
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
+    parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
+    parser.add_argument(
+        "--corridor", type=float, metavar="M", help="half width about the trajectory, default 30 m"
+    )
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="CSV of known poles")
+    parser.add_argument(
+        "--gate", type=float, default=0.5, metavar="M", help="of a match, default %(default)s m"
+    )
+    parser.add_argument(
+        "--explain", action="store_true", help="list every candidate and what rejected it"
+    )
+    parser.add_argument("--csv", type=Path, metavar="OUT", help="also write the poles to this file")
+    parser.add_argument("--geojson", type=Path, metavar="OUT", help="write the poles as GeoJSON")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(options):
+    """Detect, write, score and print."""
+    from mmqa_lab import poles
+    from mmqa_lab.io import read_cloud, read_trajectory
+
+    path = None
+    if options.trajectory is not None:
+        table = read_trajectory(options.trajectory)
+        path = table[["easting_m", "northing_m"]].to_numpy()
+    reference = None if options.reference is None else _read_reference(options.reference)
+    choices = {"method": options.method, "trajectory": path, "corridor": options.corridor}
+    found = poles.detect(read_cloud(options.cloud), explain=options.explain, **choices)
+    columns = [*COLUMNS, "rejected_by"] if options.explain else COLUMNS
+    shown = found[columns]
+    if options.geojson is not None:
+        _write_geojson(options.geojson, shown)
+    if reference is None:
+        print_rows(shown, options)
+        return
+    accepted = found[found["rejected_by"] == ""] if options.explain else found
+    scope = {"corridor": options.corridor, "trajectory": path} if options.corridor else {}
+    scores = poles.score(accepted, reference, gate=options.gate, **scope)
+    if not options.json:
+        print_rows(shown, options)
+        print(
+            f"recall     {scores.recall}\nprecision  {scores.precision}\nF1         {scores.f1:.3f}"
+        )
+        if "class" in reference:
+            print(scores.by_class().to_string(index=False, float_format="%.3f"))
+        return
+    rates = {"recall": vars(scores.recall), "precision": vars(scores.precision), "f1": scores.f1}
+    rates["duplicates"] = scores.duplicates
+    if options.csv is not None:
+        _write_csv(options.csv, shown)
+    print_json({"poles": shown.astype(object).to_dict(orient="records"), "scores": rates})
+
+
+def _read_reference(path):
+    """A reference table, with its columns checked."""
+    import pandas as pd
+
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid reference {path}: no such file. Must exist.")
+    try:
+        table = pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
+        raise ValueError(f"Invalid reference {path}: not a table. Must be a CSV file.") from None
+    if not {"x_m", "y_m"} <= set(table):
+        raise ValueError(
+            f"Invalid reference {path}: columns {', '.join(table)}. Must have x_m and y_m."
+        )
+    return table
+
+
+def _write_csv(path, table):
+    """Write the poles as CSV."""
+    from mmqa_lab.io import write_atomically
+
+    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
+
+
+def _write_geojson(path, table):
+    """Write the poles as GeoJSON points in the coordinates of the cloud."""
+    import json
+
+    import numpy as np
+
+    from mmqa_lab.io import write_atomically
+
+    features = []
+    for row in table.to_dict(orient="records"):
+        place = [round(float(row[name]), 4) for name in ("x_m", "y_m", "z_base_m")]
+        rest = {name: _plain(row[name], np) for name in table if name not in ("x_m", "y_m")}
+        geometry = {"type": "Point", "coordinates": place}
+        features.append({"type": "Feature", "geometry": geometry, "properties": rest})
+    text = json.dumps({"type": "FeatureCollection", "features": features}, indent=1)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _plain(value, np):
+    """A value as JSON knows it: null where not measurable."""
+    if isinstance(value, float):
+        return float(value) if np.isfinite(value) else None
+    return value

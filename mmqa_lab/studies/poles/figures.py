@@ -1,0 +1,161 @@
+"""Figures of the study; nothing is computed here that a reader may want."""
+
+import numpy as np
+
+from mmqa_lab.figures import COLOURS, KIND_COLOURS
+from mmqa_lab.published import eurosdr2013
+
+METHOD_COLOURS = {"ours": COLOURS["blue"], "fgi": COLOURS["vermilion"], "itc": COLOURS["green"]}
+METHOD_NAMES = {"ours": "learned (ours)", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
+
+
+def draw_street(survey, name, *, ax, corridor=30.0):
+    """Draw the plan of a street with hits, misses and false alarms of a method."""
+    points = survey.cloud.points
+    high = (points[:, 2] > 0.5) & (np.abs(points[:, 0]) < corridor)
+    step = max(int(high.sum() / 30_000), 1)
+    plan = points[high][::step]
+    ax.plot(plan[:, 1], plan[:, 0], ",", color="0.75", rasterized=True)
+    result = survey.score(name, corridor=corridor)
+    hits = result.detections[result.detections["outcome"] == "hit"]
+    wrong = result.detections[result.detections["outcome"].isin(["false", "duplicate"])]
+    missed = result.targets[result.targets["target"] & ~result.targets["found"]]
+    for table, colour, marker, label in (
+        (hits, "blue", "o", "hit"),
+        (missed, "orange", "s", "miss"),
+        (wrong, "vermilion", "x", "false alarm"),
+    ):
+        style = {"color": COLOURS[colour], "mfc": "none", "ms": 5, "ls": "none"}
+        ax.plot(table["y_m"], table["x_m"], marker, label=f"{label} ({len(table)})", **style)
+    ax.axhline(0, color=COLOURS["black"], lw=0.6)
+    ax.set(xlabel="along the street (m)", ylabel="right of the path (m)", aspect="equal")
+    ax.legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
+    return ax
+
+
+def draw_operating(curves, rates, *, ax, corridor):
+    """Draw precision over recall of each method, its operating point, and the published points."""
+    for method, name in METHOD_NAMES.items():
+        own = curves[curves["method"] == method]
+        area = curves.attrs["average_precision"][method]
+        colour = METHOD_COLOURS[method]
+        ax.plot(own["recall"], own["precision"], color=colour, label=f"{name}, AP {area:.2f}")
+        point = _point(rates, method, corridor)
+        ax.errorbar(*point[:2], xerr=point[2], yerr=point[3], fmt="o", ms=4, color=colour, lw=0.8)
+    for table, marker, name in (
+        (eurosdr2013.table_4_1(), "*", "FGI, published"),
+        (eurosdr2013.table_4_2(), "D", "ITC, published"),
+    ):
+        own = table[(table["corridor_m"] == corridor) & (table["class"] == "all")]
+        if len(own):
+            value = own.set_index("quantity")["value"]
+            style = {"ls": "none", "ms": 8, "color": KIND_COLOURS["published"]}
+            ax.plot(value["recall"], value["precision"], marker, label=name, **style)
+    ax.set(
+        xlabel=f"recall within {corridor:g} m", ylabel="precision", xlim=(0, 1), ylim=(0.4, 1.01)
+    )
+    ax.legend(loc="lower left")
+    return ax
+
+
+def _point(rates, method, corridor):
+    """Recall, precision and the ends of their intervals as error bars."""
+    own = rates[(rates["method"] == method) & (rates["corridor_m"] == corridor)]
+    own = own[own["class"] == "all"].set_index("quantity")
+    bars = []
+    for quantity in ("recall", "precision"):
+        row = own.loc[quantity]
+        bars.append([[max(row["value"] - row["low"], 0)], [max(row["high"] - row["value"], 0)]])
+    return own.loc["recall", "value"], own.loc["precision", "value"], *bars
+
+
+def draw_beside_published(table, *, ax):
+    """Draw published and measured rates with their intervals, side by side."""
+    places = np.arange(len(table))
+    for shift, kind, value, low, high in (
+        (0.15, "published", "published", "low", "high"),
+        (-0.15, "measured", "measured", "measured_low", "measured_high"),
+    ):
+        bars = np.nan_to_num([table[value] - table[low], table[high] - table[value]])
+        style = {"fmt": "o", "ms": 3.5, "color": KIND_COLOURS[kind], "lw": 0.8, "label": kind}
+        ax.errorbar(table[value], places + shift, xerr=np.maximum(bars, 0), **style)
+    names = [
+        f"{row.method.upper()}, {row.quantity} {row.corridor_m:g} m"
+        + ("" if table.loc[row.Index, "class"] == "all" else f", {table.loc[row.Index, 'class']}")
+        for row in table.itertuples()
+    ]
+    ax.set_yticks(places, names)
+    ax.set(xlabel="rate", xlim=(0, 1.02), ylim=(len(table) - 0.5, -0.5))
+    ax.legend(loc="lower left")
+    return ax
+
+
+def draw_factors(dataset, *, axes):
+    """Draw recall and precision of each method under each change; one axes each."""
+    places = np.arange(dataset.sizes["change"])
+    for ax, quantity in zip(axes, ("recall", "precision"), strict=True):
+        for k, (method, name) in enumerate(METHOD_NAMES.items()):
+            one = dataset.sel({"method": method, "quantity": quantity})
+            bars = [one["value"] - one["low"], one["high"] - one["value"]]
+            style = {"fmt": "o", "ms": 3, "lw": 0.8, "color": METHOD_COLOURS[method]}
+            bars = np.maximum(np.nan_to_num(bars), 0)
+            ax.errorbar(one["value"], places + 0.2 * (k - 1), xerr=bars, label=name, **style)
+            ax.axvline(float(one["value"][0]), color=METHOD_COLOURS[method], lw=0.5, ls=":")
+        ax.set(xlabel=f"{quantity} within 30 m", xlim=(0, 1.02), ylim=(len(places) - 0.5, -0.5))
+    axes[0].set_yticks(places, dataset["change"].values)
+    axes[1].set_yticks(places, [])
+    axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
+    return axes
+
+
+def draw_thresholds(table, *, ax):
+    """Draw recall against precision of the scan-line method, one threshold changed at a time."""
+    own = table[(table["class"] == "all") & table["quantity"].isin(["recall", "precision"])]
+    wide = own.pivot(index="method", columns="quantity", values="value")
+    families = sorted({name.split(" = ")[0] for name in wide.index if name != "default"})
+    colours = [colour for name, colour in COLOURS.items() if name != "black"]
+    for family, colour in zip(families, colours * 3, strict=False):
+        part = wide[[name.startswith(f"{family} = ") for name in wide.index]]
+        ax.plot(part["recall"], part["precision"], "o", ms=4, color=colour, label=family)
+        for label, row in part.iterrows():
+            text = label.split(" = ")[1]
+            at = (row["recall"], row["precision"])
+            ax.annotate(text, at, xytext=(3, 2), textcoords="offset points", fontsize=6)
+    middle = wide.loc["default"]
+    ax.plot(middle["recall"], middle["precision"], "*", ms=9, color=COLOURS["black"])
+    ax.annotate("default", (middle["recall"], middle["precision"]), fontsize=7, va="top")
+    ax.set(xlabel="recall within 30 m", ylabel="precision")
+    ax.margins(0.12)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return ax
+
+
+def draw_range(table, *, axes):
+    """Draw recall and position error over the distance from the vehicle."""
+    for method, part in table.groupby("method", sort=False):
+        part = part[part["n"] > 0]
+        colour, label = METHOD_COLOURS[method], METHOD_NAMES[method]
+        axes[0].plot(part["range_m"], part["recall"], "o-", ms=3, color=colour, label=label)
+        axes[0].fill_between(part["range_m"], part["low"], part["high"], color=colour, alpha=0.15)
+        errors_mm = 1000 * part["position_error_m"]
+        axes[1].plot(part["range_m"], errors_mm, "o-", ms=3, color=colour, label=label)
+    axes[0].set(xlabel="distance from the path (m)", ylabel="recall", ylim=(0, 1.02))
+    axes[1].set(xlabel="distance from the path (m)", ylabel="median position error (mm)")
+    axes[0].legend(loc="lower left")
+    axes[1].set_ylim(bottom=0)
+    return axes
+
+
+def draw_causes(table, *, ax):
+    """Draw the number of false alarms by cause and method."""
+    wide = table.pivot(index="cause", columns="method", values="n").fillna(0)
+    wide = wide.loc[wide.sum(axis=1).sort_values().index]
+    places = np.arange(len(wide))
+    for k, (method, name) in enumerate(METHOD_NAMES.items()):
+        if method in wide:
+            colour = METHOD_COLOURS[method]
+            ax.barh(places + 0.27 * (1 - k), wide[method], 0.25, color=colour, label=name)
+    ax.set_yticks(places, wide.index)
+    ax.set(xlabel="false alarms within 30 m")
+    ax.legend(loc="lower right")
+    return ax

@@ -1,0 +1,92 @@
+"""Real clouds with labels: Oakland part 2, and the poles that its labels define.
+
+The clouds have no trajectory, no time and no scan lines, coordinates are rounded to 1 cm, and
+points are grouped by class in the file, so that they are shuffled before anything looks at them.
+"""
+
+import numpy as np
+import pandas as pd
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from mmqa_lab import io, samples
+from mmqa_lab.cloud import Cloud
+
+PARTS = ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
+FILES = tuple(f"oakland/part2_{part}.laz" for part in PARTS)
+
+TARGETS = {
+    1103: "utility pole",
+    1107: "lamp support",
+    1110: "post",
+    1111: "sign",
+    1116: "traffic light support",
+    1119: "parking meter",
+    1302: "small trunk",
+    1303: "large trunk",
+}
+"""Labels of poles that are asked for."""
+
+UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
+"""Pole-like, not asked for: support pole, hydrant, pylon, lamp, lights, column."""
+
+
+def cloud():
+    """Return all clouds of the folder that MMQA_DATA names as one, shuffled, with ``label``."""
+    parts = [io.read_cloud(samples.real_path(name)) for name in FILES]
+    whole = Cloud.concatenate(parts, name="Oakland part 2")
+    return whole.select(np.random.default_rng(0).permutation(len(whole)))
+
+
+def references(whole, *, link=0.35, minimum_points=8):
+    """Return the poles that the labels define.
+
+    Connected components in plan of the points of ``TARGETS``; of ``UNASKED`` likewise, to be
+    ignored.
+
+    Parameters
+    ----------
+    whole : Cloud
+        With ``label``.
+    link : float
+        Points nearer in plan are connected, metres.
+    minimum_points : int
+        Components with fewer points, or lower than 1 m, are ignored.
+
+    Returns
+    -------
+    DataFrame
+        ``x_m``, ``y_m`` (medians), ``z_base_m``, ``height_m``, ``class``, ``points``, ``ignore``.
+    """
+    tables = []
+    for labels, ignored in ((tuple(TARGETS), False), (UNASKED, True)):
+        chosen = whole.select(np.isin(whole["label"], labels))
+        if len(chosen):
+            tables.append(_components(chosen, link, minimum_points, ignored))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _components(chosen, link, minimum_points, ignored):
+    """One row for each connected component in plan."""
+    points = chosen.points
+    pairs = cKDTree(points[:, :2]).query_pairs(link, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points),) * 2)
+    part = connected_components(graph, directed=False)[1]
+    frame = pd.DataFrame(points, columns=["x", "y", "z"]).assign(label=chosen["label"])
+    rows = []
+    for _, one in frame.groupby(part):
+        height = one["z"].max() - one["z"].min()
+        few = len(one) < minimum_points or height < 1.0
+        rows.append(
+            {
+                "x_m": one["x"].median(),
+                "y_m": one["y"].median(),
+                "z_base_m": one["z"].min(),
+                "height_m": height,
+                "class": TARGETS.get(int(one["label"].mode().iloc[0]), "unasked"),
+                "points": len(one),
+                "ignore": ignored or few,
+            }
+        )
+    return pd.DataFrame(rows)

@@ -1,0 +1,265 @@
+"""The three detectors: hand-made scenes, a simulated street, invariance, speed of growth, input."""
+
+import numpy as np
+import pytest
+
+from mmqa_lab import poles
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles import axes, candidates, columns, fgi, ground, itc, ours, profiles, trees
+from mmqa_lab.simulate import streets
+
+SPACING = 0.02
+
+
+def post(x, y, *, radius=0.05, height=3.0, low=0.0, line=0):
+    """Front half of a post: a scan line every 0.1 m of height, points every 1.5 cm."""
+    rise = np.arange(low, low + height, 0.1)
+    turn = np.linspace(0, np.pi, max(int(np.pi * radius / 0.015), 4))
+    h, t = np.meshgrid(rise, turn, indexing="ij")
+    points = [x + radius * np.cos(t), y - radius * np.sin(t), h]
+    lines = line + np.repeat(np.arange(len(rise)), len(turn))
+    return np.stack(points, axis=-1).reshape(-1, 3), lines
+
+
+def floor(size=12.0, step=0.1):
+    """Level ground."""
+    x, y = np.mgrid[-size / 2 : size / 2 : step, -size / 2 : size / 2 : step]
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+
+
+def scene(*parts, rng=None):
+    """A cloud with scan lines of posts and walls on a floor."""
+    points = np.concatenate([floor(), *(p for p, _ in parts)])
+    line = np.concatenate([np.full(len(floor()), -1000), *(n for _, n in parts)])
+    noise = 0 if rng is None else rng.normal(0, 0.002, points.shape)
+    columns_ = {"scan_line": line, "pulse": np.arange(len(points))}
+    return Cloud(points + noise, columns_)
+
+
+def wall(x0, x1, y, height=4.0, line=0):
+    """A wall along x, a scan line every 0.1 m, points every 5 cm."""
+    rise, along = np.arange(0, height, 0.1), np.arange(x0, x1, 0.05)
+    h, a = np.meshgrid(rise, along, indexing="ij")
+    points = np.stack([a, np.full_like(a, y), h], axis=-1).reshape(-1, 3)
+    return points, line + np.repeat(np.arange(len(rise)), len(along))
+
+
+@pytest.fixture(scope="module")
+def street():
+    """A short street, its cloud and its visible targets."""
+    made = streets.street("quiet", length=45, seed=3)
+    cloud = streets.drive(made, "roamer", seed=3)
+    return made, cloud, streets.visible_targets(made, cloud)
+
+
+@pytest.mark.parametrize("method", poles.METHODS)
+def test_a_post_is_found_and_a_wall_is_not(method, rng):
+    cloud = scene(post(1.0, 2.0), wall(-4, 4, -3, line=100), rng=rng)
+    found = poles.detect(cloud, method=method)
+    assert len(found) == 1
+    one = found.iloc[0]
+    # the centre of the front half lies up to a radius in front of the axis
+    assert np.hypot(one["x_m"] - 1.0, one["y_m"] - 2.0) < 0.06
+    assert 2.0 < one["height_m"] <= 3.1
+    assert one["tilt_deg"] < 3
+    assert one["method"] == method
+
+
+@pytest.mark.parametrize("method", poles.METHODS)
+def test_a_short_post_is_none(method, rng):
+    assert len(poles.detect(scene(post(0, 0, height=0.7), rng=rng), method=method)) == 0
+
+
+def test_fgi_finds_the_same_poles_in_another_order(street):
+    _, cloud, _ = street
+    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    first, second = (poles.detect(c, method="fgi") for c in (cloud, shuffled))
+    assert len(first) > 3
+    numbers = first.columns.drop("method")
+    # sums in another order differ by rounding of float64 at 100 m
+    assert np.allclose(first[numbers], second[numbers], atol=1e-9, equal_nan=True)
+
+
+@pytest.mark.parametrize("method", ["itc", "ours"])
+def test_the_others_need_no_order(street, method):
+    _, cloud, _ = street
+    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    first, second = (poles.detect(c, method=method) for c in (cloud, shuffled))
+    assert len(first) > 3
+    numbers = first.columns.drop("method")
+    assert np.allclose(first[numbers], second[numbers], atol=1e-6, equal_nan=True)
+
+
+@pytest.mark.parametrize("method", poles.METHODS)
+def test_nothing_changes_when_the_cloud_is_moved_far(street, method):
+    _, cloud, _ = street
+    shift = np.array([3e5, 5e6, 128.0])
+    far = Cloud(cloud.points + shift, cloud.columns)
+    near_found, far_found = (poles.detect(c, method=method) for c in (cloud, far))
+    assert len(near_found) == len(far_found)
+    # float64 at 5e6 m keeps 1e-9 m; whole metres of shift keep every cell where it was
+    offset = far_found[["x_m", "y_m", "z_base_m"]] - near_found[["x_m", "y_m", "z_base_m"]]
+    assert np.allclose(offset, shift, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("method", "recall", "precision"), [("fgi", 0.6, 0.5), ("ours", 0.85, 0.8)]
+)
+def test_rates_on_a_street_never_trained_on(street, method, recall, precision):
+    made, cloud, targets = street
+    found = poles.detect(cloud, method=method)
+    path = made.trajectory().position
+    result = poles.score(found, targets, corridor=15, trajectory=path)
+    # about 10 targets: loose on purpose, the study measures
+    assert result.recall.value >= recall
+    assert result.precision.value >= precision
+
+
+def test_explain_names_the_test_that_rejected(rng):
+    cloud = scene(post(1, 2), post(3, 3, height=0.7, line=200), rng=rng)
+    table = poles.detect(cloud, method="fgi", explain=True)
+    near = table[(table["x_m"] - 3).abs() < 0.1]
+    assert near["rejected_by"].tolist() == ["length"]
+    assert (table["rejected_by"] == "").sum() == 1
+    learned = poles.detect(cloud, method="ours", explain=True)
+    assert set(learned["rejected_by"]) <= {"", "probability", "length", "duplicate"}
+
+
+def test_a_shell_that_is_not_empty_rejects(rng):
+    shrub = np.array([0, 0, 1.5]) + rng.uniform(-0.35, 0.35, (4000, 3)) * [1, 1, 4]
+    lines = np.full(len(shrub), 5000)
+    cloud = scene(post(0, 0), (shrub, lines), rng=rng)
+    table = poles.detect(cloud, method="fgi", explain=True)
+    assert "mask" in set(table["rejected_by"])
+    assert not (table["rejected_by"] == "").any()
+
+
+def test_segments_are_cut_at_gaps_and_dropped_by_size():
+    x = np.r_[0, 0.02, 0.04, 1.0, 1.02, 2.0 + 0.05 * np.arange(12)]
+    points = np.column_stack([x, 0 * x, 0 * x])
+    settings = fgi.Settings()
+    group, kept = fgi.segment_lines(points, np.zeros(17), np.arange(17.0), settings)
+    # three points within 10 cm; two are too few; twelve are 0.55 m long
+    assert group.tolist() == [0, 0, 0, -1, -1] + [-1] * 12
+    assert kept["half"].tolist() == [0.02]
+
+
+def test_without_scan_lines_the_component_method_answers(rng):
+    cloud = scene(post(1, 2), rng=rng)
+    with pytest.warns(UserWarning, match="needs scan lines"):
+        found = poles.detect(cloud.points, method="fgi")
+    assert found["method"].tolist() == ["itc"]
+
+
+def test_scan_lines_are_recovered_from_time_and_angle(street):
+    _, cloud, _ = street
+    kept = {name: cloud[name] for name in ("gps_time", "scan_angle")}
+    line, _ = profiles.scan_lines(Cloud(cloud.points, kept))
+    truth, _ = profiles.scan_lines(cloud)
+    # same partition, whatever the numbers
+    assert len(np.unique(np.stack([line, truth]), axis=1)[0]) == len(np.unique(truth))
+    assert len(np.unique(line)) == len(np.unique(truth))
+
+
+def test_lines_of_two_heads_are_no_neighbours():
+    columns_ = {"scan_line": [0, 0, 1, 1], "pulse": [0, 1, 2, 3], "head": [0, 1, 0, 1]}
+    line, _ = profiles.scan_lines(Cloud(np.zeros((4, 3)), columns_))
+    assert abs(line[0] - line[1]) > fgi.Settings().neighbours
+
+
+def test_chord_diameter_is_unbiased_on_the_ray_lattice(rng):
+    # a ray every 8 mm from a random phase meets a flat 60 mm target 7 or 8 times
+    points, line = [], []
+    for k in range(400):
+        x = np.arange(rng.uniform(0, 0.008), 0.06, 0.008)
+        points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
+        line += [k] * len(x)
+    found = axes.chord_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
+    # the standard error of the mean of 400 coin flips of 8 mm is 0.2 mm
+    assert found == pytest.approx(0.06, abs=0.0008)
+
+
+def test_circle_diameter_of_a_whole_circle_is_exact():
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), 0.01 * turn])
+    assert axes.circle_diameter(ring, np.array([0, 0, 1.0])) == pytest.approx(0.2, rel=1e-3)
+
+
+def test_ground_follows_a_slope_and_ignores_what_stands_on_it(rng):
+    plane = rng.uniform(0, 60, (40_000, 2))
+    z = 0.05 * plane[:, 0] - 0.02 * plane[:, 1]
+    on_roof = (np.abs(plane - 30) < 2.5).all(axis=1)
+    points = np.column_stack([plane, z + 5 * on_roof])
+    height = ground.height_above_ground(points)
+    # the lowest point of a 1 m cell lies up to 0.07 m below its middle on this slope
+    assert np.abs(height[~on_roof]).max() < 0.12
+    assert np.abs(height[on_roof] - 5).max() < 0.3
+
+
+def test_near_axis_is_the_brute_force(rng):
+    points = rng.uniform(0, 10, (3000, 3))
+    found = columns.rows(points)
+    for x, y, radius in rng.uniform([0, 0, 0.05], [10, 10, 2], (30, 3)):
+        near = columns.near_axis(found.points, found.start, columns.base(found), x, y, radius)
+        inside = np.hypot(points[:, 0] - x, points[:, 1] - y) <= radius
+        assert set(found.order[near]) == set(np.flatnonzero(inside))
+
+
+def test_candidates_do_not_depend_on_tiles(rng):
+    spots = rng.uniform(0, 200, (60, 2))
+    points = np.concatenate([post(x, y)[0] for x, y in spots])
+    found = candidates.candidates(points, points[:, 2])
+    gap = np.hypot(*(spots[:, None] - found[None]).transpose(2, 0, 1)).min(axis=1)
+    assert gap.max() < 0.2
+
+
+def test_facade_classes(rng):
+    cloud = scene(wall(-4, 4, -3), post(1, 2, line=300), rng=rng)
+    rough = itc.rough_classes(cloud.points, itc.Settings())
+    on_wall = (np.abs(cloud.points[:, 1] + 3) < 0.05) & (cloud.points[:, 2] > 0.5)
+    on_post = np.hypot(cloud.points[:, 0] - 1, cloud.points[:, 1] - 2) < 0.1
+    assert (rough[on_wall] == itc.WALL).mean() > 0.9
+    assert (rough[on_post & (cloud.points[:, 2] > 0.5)] == itc.RAISED).all()
+
+
+def test_the_model_file_is_what_is_used():
+    model = trees.read_model()
+    again = trees.Trees.from_json(model.to_json())
+    values = np.random.default_rng(0).uniform(0, 5, (50, len(model.features)))
+    assert np.allclose(model.probability(values), again.probability(values), atol=1e-9)
+    by_hand = model.base
+    for root in model.roots:
+        node = int(root)
+        while model.nodes[node, 0] >= 0:
+            feature, threshold, left, right, _ = model.nodes[node]
+            node = int(left if values[0, int(feature)] <= threshold else right)
+        by_hand += model.nodes[node, 4]
+    assert model.probability(values)[0] == pytest.approx(1 / (1 + np.exp(-by_hand)))
+
+
+def test_thinning_keeps_one_point_a_cube(rng):
+    points = rng.uniform(0, 1, (5000, 3))
+    thin = ours.thinned(points, 0.1)
+    cells = np.unique(np.floor((points - points.min(axis=0)) / 0.1), axis=0)
+    assert len(thin) == len(cells)
+
+
+@pytest.mark.parametrize("method", poles.METHODS)
+def test_an_empty_cloud_has_no_poles(method):
+    cloud = Cloud(np.empty((0, 3)), {"scan_line": [], "pulse": []})
+    assert len(poles.detect(cloud, method=method)) == 0
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        ({"method": "hough"}, "Invalid method 'hough'. Must be one of ours, fgi, itc."),
+        ({"corridor": 10}, "Invalid trajectory None."),
+        ({"voxel": -0.1}, "Invalid voxel -0.1. Must be > 0."),
+        ({"shell": 0.2}, "Invalid threshold of ours 'shell'."),
+        ({"corridor": -1, "trajectory": [[0, 0], [1, 1]]}, "Invalid corridor -1. Must be > 0 m."),
+    ],
+)
+def test_bad_input_gets_a_sentence(choices, sentence):
+    with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
+        poles.detect(floor(2.0), **choices)
