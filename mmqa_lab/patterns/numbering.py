@@ -108,8 +108,8 @@ def _longest_pause(since, frequency):
 def profiles_from_pattern(xy, *, widest=0.5):
     """Return the number of the profile of each point, found from the pattern alone.
 
-    The structure factor |sum exp(i k.p)|^2 / n has its peaks where points lie on lines 2 pi / |k|
-    apart. The fundamental is the smallest k whose peak reaches 35 % of the highest.
+    The structure factor |sum exp(i k.p)|^2 / n, points faded out to the outline, has its peaks where
+    points lie on lines 2 pi / |k| apart. The fundamental is the smallest k whose peak reaches 35 % of the highest.
 
     Parameters
     ----------
@@ -133,20 +133,28 @@ def profiles_from_pattern(xy, *, widest=0.5):
     profiles from each other, that is not the profile: give time or scan line then.
     """
     xy = np.asarray(xy, dtype=np.float64)
-    wave = _refined(xy, _coarse_peak(xy, widest))
-    power = _power(xy, wave)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    centred = xy - (low + high) / 2
+    # points are faded out towards the outline, which has a pattern of its own
+    inside = 1 - np.sum((2 * centred / (high - low)) ** 2, axis=1)
+    fading = np.maximum(inside, 0.0) ** 2
+    extent = (high - low).max()
+    slowest = 2 * np.pi / min(widest, 0.45 * extent)
+    coarse = _coarse_peak(centred, fading, slowest)
+    wave = _refined(centred, fading, coarse, slowest)
+    power = _power(centred, fading, wave)
     chance = 2 * np.log(len(xy)) + 10
     if power < chance:
         raise ValueError(
             f"Invalid pattern: its strongest lines have power {power:.0f} among {len(xy)} points. "
             f"Must be more than {chance:.0f}, what random points can reach; or give time."
         )
-    turns = xy @ wave / (2 * np.pi)
-    phase = np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi)
+    turns = centred @ wave / (2 * np.pi)
+    phase = np.angle((fading * np.exp(2j * np.pi * turns)).sum()) / (2 * np.pi)
     return np.round(turns - phase).astype(np.int64)
 
 
-def _coarse_peak(xy, widest):
+def _coarse_peak(xy, fading, slowest):
     """The fundamental of the structure factor on the grid of a histogram's transform.
 
     Where rows are denser than they are apart, they are more than 0.9 / sqrt(density) apart; half of
@@ -157,30 +165,33 @@ def _coarse_peak(xy, widest):
     size = int(2 ** np.ceil(np.log2(5 * edge / narrowest)))
     size = min(max(size, 64), 4096)
     cell = np.floor((xy / edge + 1) * size / 2).astype(np.int64)
-    counts = np.bincount(cell @ [size, 1], minlength=size**2).reshape(size, size)
-    power = np.abs(np.fft.rfft2(counts)) ** 2 / len(xy)
+    counts = np.bincount(cell @ [size, 1], weights=fading, minlength=size**2)
+    power = np.abs(np.fft.rfft2(counts.reshape(size, size))) ** 2
     kx = np.fft.fftfreq(size, 1 / size) * np.pi / edge
     ky = np.arange(power.shape[1]) * np.pi / edge
     length = np.hypot(kx[:, None], ky)
-    widest = min(widest, 0.45 * extent.max())
-    power[(length < 2 * np.pi / widest) | (length > 2 * np.pi / narrowest)] = 0
+    power[(length < slowest) | (length > 2 * np.pi / narrowest)] = 0
     high = np.argwhere(power >= SHARE * power.max())
     i, j = high[np.argmin(length[tuple(high.T)])]
     return np.array([kx[i], ky[j]])
 
 
-def _refined(xy, wave):
+def _refined(xy, fading, wave, slowest):
     """The peak of the structure factor near a wave vector."""
     from scipy.optimize import minimize
 
+    def lack(k):
+        """What is to be made small: no power where waves are too long."""
+        return -_power(xy, fading, k) if np.hypot(*k) >= slowest else 0.0
+
     step = 2 * np.pi / np.ptp(xy, axis=0).max()
     around = 0.25 * step * np.array([[i, j] for i in range(-4, 5) for j in range(-4, 5)])
-    start = max(wave + around, key=lambda k: _power(xy, k))
+    start = min(wave + around, key=lack)
     simplex = start + 0.2 * step * np.array([[0, 0], [0.5, 0], [0, 0.5]])
     options = {"xatol": 1e-5 * step, "fatol": 1e-9, "initial_simplex": simplex}
-    return minimize(lambda k: -_power(xy, k), start, method="Nelder-Mead", options=options).x
+    return minimize(lack, start, method="Nelder-Mead", options=options).x
 
 
-def _power(xy, wave):
-    """Structure factor at one wave vector."""
-    return np.abs(np.exp(1j * (xy @ wave)).sum()) ** 2 / len(xy)
+def _power(xy, fading, wave):
+    """Structure factor at one wave vector: about 1 where points are random."""
+    return np.abs((fading * np.exp(1j * (xy @ wave))).sum()) ** 2 / (fading**2).sum()
