@@ -9,7 +9,7 @@ doi:10.1145/2660193.2660195).
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.simulate.raycast import enough_threads
+from mmqa_lab.simulate.tree import enough_threads
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
 FIRST, SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

@@ -6,7 +6,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate import raycast
+from mmqa_lab.simulate.beams import beam_rays, echoes
 from mmqa_lab.simulate.draws import draws
 from mmqa_lab.simulate.scanners import Scanner
 
@@ -129,7 +129,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     normal, uniform = draws(seed, pulse)
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
-    echo = raycast.echoes(
+    echo = echoes(
         scene.tree,
         origin + (trajectory.origin - scene.origin),
         direction,
@@ -172,7 +172,7 @@ def _rays(path, scanner, firing, mounting, jitter, shift=0.0):
     """Origins from the path's origin, and directions; ``shift`` seconds to the path's clock."""
     states = path.states(firing.since_start + shift)
     beams = scanner.beams(np.radians(firing.scan_angle + jitter), np.radians(firing.elevation))
-    return raycast.beam_rays(states, np.asarray(scanner.lever_arm_m, float), mounting, beams)
+    return beam_rays(states, np.asarray(scanner.lever_arm_m, float), mounting, beams)
 
 
 def _detected(scanner, echo, normal, uniform):

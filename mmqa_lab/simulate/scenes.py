@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.simulate import raycast
+from mmqa_lab.simulate.raycast import cast
 from mmqa_lab.simulate.surfaces import flattened, merged
+from mmqa_lab.simulate.tree import build
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class Scene:
     surfaces : list of Surface
     origin : array, shape (3,)
         The coordinates' mean, taken off before anything is multiplied.
-    tree : raycast.Tree
+    tree : simulate.tree.Tree
 
     Examples
     --------
@@ -66,7 +67,7 @@ class Scene:
         self.origin = np.round(centre.mean(axis=0))
         ids = np.repeat(np.arange(len(self.surfaces), dtype=np.int32), [*map(len, self.surfaces)])
         parts = merged(self.surfaces)
-        self.tree = raycast.build(surface=ids, **{**parts, "centre": centre - self.origin})
+        self.tree = build(surface=ids, **{**parts, "centre": centre - self.origin})
 
     def table(self):
         """Return a DataFrame: surface, label, primitives and the box of each surface, metres."""
@@ -103,7 +104,7 @@ class Scene:
             raise ValueError(f"Invalid direction in row {np.argmin(length)}. Must be > 0 m long.")
         unit = directions / length[:, None]
         local = np.ascontiguousarray(np.broadcast_to(origins - self.origin, unit.shape))
-        ranges, surface, normal, reflectance = raycast.cast(self.tree, local, unit)
+        ranges, surface, normal, reflectance = cast(self.tree, local, unit)
         cosine = np.einsum("ij,ij->i", normal, unit)
         normal *= -np.sign(cosine)[:, None]
         ranges[surface < 0] = np.nan

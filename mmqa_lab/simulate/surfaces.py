@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.simulate import raycast
+from mmqa_lab.simulate import tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Surface:
     label : str
         What it is, in words of your choice: ``"wall"``, ``"lamp"``.
     kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
-        Kind of each primitive, its centre in metres, its shape numbers (``raycast.Tree``), the
+        Kind of each primitive, its centre in metres, its shape numbers (``tree.Tree``), the
         half extents of its box.
     edges : array, shape (m, 4)
         Edges of the outline and the holes of a polygon, in its own plane.
@@ -67,7 +67,7 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     u, v = along / 2, up / 2
     shape = _planar_shape(u, v)
     half = np.abs(u) + np.abs(v)
-    return _surface(label, raycast.PARALLELOGRAM, corner + u + v, shape, half, reflectance)
+    return _surface(label, tree.PARALLELOGRAM, corner + u + v, shape, half, reflectance)
 
 
 def ground(
@@ -108,7 +108,7 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
     reach = np.abs(flat[0]).max(axis=0)
     half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
     shape = np.concatenate([u, v, normal])
-    made = _surface(label, raycast.POLYGON, middle, shape, half, reflectance)
+    made = _surface(label, tree.POLYGON, middle, shape, half, reflectance)
     return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
 
 
@@ -118,7 +118,7 @@ def disc(centre, normal, radius, *, label="board", reflectance=0.5):
     radius = check_positive(radius, "radius", unit="m")
     u, v = radius * _perpendicular(normal[None])[0]
     half = radius * np.sqrt(1 - normal**2)
-    return _surface(label, raycast.ELLIPSE, centre, _planar_shape(u, v), half, reflectance)
+    return _surface(label, tree.ELLIPSE, centre, _planar_shape(u, v), half, reflectance)
 
 
 def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflectance=0.8):
@@ -170,7 +170,7 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     axis = (top - base) / length
     shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
     half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
-    return _surface(label, raycast.FRUSTUM, (base + top) / 2, shape, half, reflectance)
+    return _surface(label, tree.FRUSTUM, (base + top) / 2, shape, half, reflectance)
 
 
 def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
@@ -204,7 +204,7 @@ def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
     centre = vector(centre, "centre")
     radii = _radii(radii)
     shape = np.diag(1 / radii).ravel()
-    return _surface(label, raycast.ELLIPSOID, centre, shape, radii, reflectance)
+    return _surface(label, tree.ELLIPSOID, centre, shape, radii, reflectance)
 
 
 def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflectance=0.4):
@@ -234,7 +234,7 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
     half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
     points = vector(centre, "centre") + ball * _radii(radii)
-    return _surface(label, raycast.ELLIPSE, points, shape, half, reflectance)
+    return _surface(label, tree.ELLIPSE, points, shape, half, reflectance)
 
 
 def group(surfaces, *, label):
