@@ -134,7 +134,7 @@ class Echoes(NamedTuple):
         return Echoes(*(values[which] for values in self))
 
 
-def echoes(tree, origins, directions, radius, growth, turn, separation):
+def echoes(tree, origins, directions, *, radius, growth, turn, separation):
     """Return the ``Echoes`` of pulses along unit directions.
 
     A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a

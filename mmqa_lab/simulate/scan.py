@@ -129,13 +129,15 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     normal, uniform = draws(seed, pulse)
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
+    radius, growth = scanner.beam_radius
     echo = echoes(
         scene.tree,
         origin + (trajectory.origin - scene.origin),
         direction,
-        *scanner.beam_radius,
-        uniform[:, 0],
-        scanner.echo_separation_m,
+        radius=radius,
+        growth=growth,
+        turn=uniform[:, 0],
+        separation=scanner.echo_separation_m,
     )
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = firing.select(kept), echo.select(kept), noise[kept]

@@ -55,7 +55,7 @@ def enough_threads(n):
         numba.set_num_threads(before)
 
 
-def build(kind, centre, shape, half, surface, outline, cells, edges, reflectance):
+def build(*, kind, centre, shape, half, surface, outline, cells, edges, reflectance):
     """Return the ``Tree`` of primitives whose boxes are ``centre`` +- ``half``."""
     order, low, high, link, count, axis = _hierarchy(centre - half, centre + half)
     sorted_ = (a[order] for a in (kind, centre, shape, surface, outline, cells))
