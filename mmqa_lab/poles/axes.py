@@ -51,10 +51,12 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
             spacings.append(chords[-1] / (len(part) - 1))
     if not chords:
         return np.nan
-    chords = np.array(chords)
-    spread = 3 * max(median_abs_deviation(chords, scale="normal"), np.median(spacings))
+    chords, spacing = np.array(chords), np.median(spacings)
+    # a board or a branch widens some chords: the narrow quarter says what the shaft may be
+    chords = chords[chords <= 1.5 * np.quantile(chords, 0.25) + 2 * spacing]
+    spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
     usual = np.abs(chords - np.median(chords)) <= spread
-    return float(chords[usual].mean() + np.median(spacings))
+    return float(chords[usual].mean() + spacing)
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):

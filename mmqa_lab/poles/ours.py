@@ -69,7 +69,14 @@ def detect(points, settings, *, lines=None, explain=False, model=None):
     """
     features, axes, ground = described(points, settings)
     model = read_model() if model is None else model
-    probability = model.probability(features) if len(features) else np.empty(0)
+    probability = model.probability(features)
+    where = (features, axes, ground)
+    return judged(points, where, probability, settings, lines=lines, explain=explain)
+
+
+def judged(points, where, probability, settings, *, lines=None, explain=False):
+    """Return the table of candidates with given probabilities; ``where`` is from ``described``."""
+    features, axes, ground = where
     reason = first_reason(
         len(axes),
         probability=probability < settings.threshold,

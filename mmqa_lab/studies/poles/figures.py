@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS
+from mmqa_lab.figures import COLOURS, KIND_COLOURS, subplots
 from mmqa_lab.published import eurosdr2013
+from mmqa_lab.studies.poles.surveys import accepted_at
 
 METHOD_COLOURS = {"ours": COLOURS["blue"], "fgi": COLOURS["vermilion"], "itc": COLOURS["green"]}
 METHOD_NAMES = {"ours": "learned (ours)", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
@@ -159,3 +160,19 @@ def draw_causes(table, *, ax):
     ax.set(xlabel="false alarms within 30 m")
     ax.legend(loc="lower right")
     return ax
+
+
+def figure_of_threshold(survey):
+    """Return a function that draws a street at an operating point of the learned method."""
+    candidates = survey.found["ours"]
+
+    def draw(threshold):
+        """The plan with what a threshold accepts."""
+        survey.found["at threshold"] = accepted_at(candidates, threshold)
+        figure, ax = subplots(width="double", height_mm=95)
+        draw_street(survey, "at threshold", ax=ax)
+        result = survey.score("at threshold", corridor=30.0)
+        ax.set_title(f"recall {result.recall}, precision {result.precision}", loc="right")
+        return figure
+
+    return draw

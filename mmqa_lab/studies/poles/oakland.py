@@ -10,8 +10,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab import io, samples
+from mmqa_lab import io, poles, samples
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles import ours
+from mmqa_lab.studies.poles import training
 
 PARTS = ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
 FILES = tuple(f"oakland/part2_{part}.laz" for part in PARTS)
@@ -90,3 +92,70 @@ def _components(chosen, link, minimum_points, ignored):
             }
         )
     return pd.DataFrame(rows)
+
+
+def at_hand():
+    """Return whether all clouds are in the folder that MMQA_DATA names."""
+    return all(samples.has_real(name) for name in FILES)
+
+
+def rates(whole, truth, *, folds):
+    """Score the methods that need no scan lines, and the learned one trained on the other blocks.
+
+    Parameters
+    ----------
+    whole : Cloud
+    truth : DataFrame
+        Of :func:`references`.
+    folds : int
+        Of the cross-validation; 0 leaves it out.
+
+    Returns
+    -------
+    DataFrame
+        ``method``, ``trained_on``, ``recall``, ``precision`` with intervals, ``f1``, ``kind``.
+    """
+    found = {
+        ("itc", "nothing"): poles.detect(whole, method="itc"),
+        ("ours", "simulated streets"): poles.detect(whole, method="ours"),
+    }
+    if folds:
+        found["ours", f"other blocks, {folds} folds"] = cross_validated(whole, truth, folds=folds)
+    rows = []
+    for (method, trained), table in found.items():
+        score = poles.score(table, truth)
+        row = {"method": method, "trained_on": trained, "f1": score.f1}
+        for quantity in ("recall", "precision"):
+            rate = getattr(score, quantity)
+            row |= {
+                quantity: rate.value,
+                f"{quantity}_low": rate.low,
+                f"{quantity}_high": rate.high,
+            }
+        rows.append(row)
+    return pd.DataFrame(rows).assign(kind="measured", n=int((~truth["ignore"]).sum()))
+
+
+def cross_validated(whole, truth, *, folds, block=40.0):
+    """Return the poles that the learned method finds in each block, trained on the others.
+
+    Blocks of 40 m are dealt out to the folds in turn, so that neighbouring points are never in
+    training and test at once but at the blocks' edges.
+    """
+    origin = np.floor(whole.points.min(axis=0))
+    settings = ours.Settings()
+    where = ours.described(whole.points - origin, settings)
+    features, axes, _ = where
+    targets = truth.assign(visible=~truth["ignore"], lean_x=0.0, lean_y=0.0)
+    moved = axes.copy()
+    moved[:, :2] += origin[:2]
+    label = training.labels(moved, targets, near=0.4)
+    _, number = np.unique(np.floor(axes[:, :2] / block), axis=0, return_inverse=True)
+    fold = number.ravel() % folds
+    probability = np.zeros(len(axes))
+    for k in range(folds):
+        learn = (fold != k) & (label >= 0)
+        model = training.fit(features[learn], label[learn], np.zeros(learn.sum(), int))
+        probability[fold == k] = model.probability(features[fold == k])
+    found = ours.judged(whole.points - origin, where, probability, settings)
+    return found.assign(x_m=found["x_m"] + origin[0], y_m=found["y_m"] + origin[1])

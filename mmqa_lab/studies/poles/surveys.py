@@ -10,6 +10,7 @@ from tqdm.auto import tqdm
 
 from mmqa_lab import accuracy, poles
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles.table import drop_duplicates
 from mmqa_lab.simulate import streets
 
 CLASSES = ("tree", "sign", "lamp", "other")
@@ -140,7 +141,7 @@ def operating_curves(surveys, *, corridor):
     for name in surveys[0].found:
         merged_found, merged_targets = [], []
         for number, survey in enumerate(surveys):
-            candidates = _followed(survey.found[name])
+            candidates = accepted_at(survey.found[name], 0.05)
             shift = 1e4 * number
             merged_found.append(candidates.assign(x_m=candidates["x_m"] + shift))
             targets = survey.targets[survey.targets["distance_m"] <= corridor]
@@ -155,12 +156,14 @@ def operating_curves(surveys, *, corridor):
     return frame
 
 
-def _followed(candidates):
-    """Candidates that a lower threshold would accept, the best of each place."""
-    from mmqa_lab.poles.table import drop_duplicates
+def accepted_at(candidates, threshold):
+    """Return what a threshold of the learned method accepts, the best candidate of each place.
 
+    Candidates of the other methods stay as they were judged.
+    """
     accepted = candidates["rejected_by"].isin(["", "duplicate"])
-    accepted |= (candidates["rejected_by"] == "probability") & (candidates["score"] >= 0.05)
+    accepted |= candidates["rejected_by"] == "probability"
+    accepted &= (candidates["score"] >= threshold) | (candidates["method"] != "ours")
     rows = {name: candidates.loc[accepted, name].to_numpy() for name in candidates}
     rows["rejected_by"] = np.full(accepted.sum(), "", dtype=object)
     drop_duplicates(rows, 0.6)
