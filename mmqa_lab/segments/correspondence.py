@@ -4,7 +4,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mmqa_lab._checks import check_choice
-from mmqa_lab.segments.geometry import check_segments, relative_ends
+from mmqa_lab.segments.geometry import check_segments
+from mmqa_lab.segments.line_pairs import LinePairs
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 FRAGMENT_OVERLAP = 0.3
@@ -54,38 +55,29 @@ def correspond(distances, delta, *, matcher="all", test=None, model=None):
     if matcher == "all" or not near.any():
         return near
     if matcher == "fragments":
-        return _fragments(distances, near, *_checked(distances, test, model))
+        test, model = _checked(distances, test, model)
+        rows, columns = np.nonzero(near)
+        stretches = LinePairs(test, model, rows, columns).stretches(np.zeros(3))
+        return by_stretches(near.shape, rows, columns, distances[near], stretches)
     if matcher == "hungarian":
         return _hungarian(distances, near)
     nearest = near & _is_argmin(distances, 1)
     return nearest if matcher == "nearest" else nearest & _is_argmin(distances, 0)
 
 
-def stretches(test, model):
-    """The stretch of each test segment that each model segment covers, shape (p, q, 2), m.
+def by_stretches(shape, rows, columns, costs, stretches):
+    """Accept cells in the order of their costs while stretches stay apart; bool, of that shape.
 
-    From the test segment's midpoint along it, cut off at its ends; reversed (low > high) where the
-    model segment lies beyond an end.
+    ``stretches`` are those of :meth:`LinePairs.stretches`: on the test and on the model segments.
     """
-    test_ends, model_ends = relative_ends(test, model)
-    along = np.einsum("qkd,pd->pqk", model_ends, test.directions)
-    along -= np.einsum("pd,pd->p", test_ends.mean(axis=1), test.directions)[:, None, None]
-    half = test.lengths[:, None] / 2
-    low = np.maximum(along.min(axis=2), -half)
-    return np.stack([low, np.minimum(along.max(axis=2), half)], axis=2)
-
-
-def by_stretches(costs, allowed, on_test, on_model):
-    """Accept allowed cells in the order of their costs while stretches stay apart, bool (p, q)."""
-    pairs = np.zeros(costs.shape, dtype=bool)
-    rows, columns = np.nonzero(allowed)
-    taken = [[] for _ in range(costs.shape[0])], [[] for _ in range(costs.shape[1])]
-    for k in np.argsort(costs[rows, columns], kind="stable"):
-        i, j = rows[k], columns[k]
-        if _free(on_test[i, j], taken[0][i]) and _free(on_model[j, i], taken[1][j]):
-            pairs[i, j] = True
-            taken[0][i].append(on_test[i, j])
-            taken[1][j].append(on_model[j, i])
+    pairs = np.zeros(shape, dtype=bool)
+    taken = [[] for _ in range(shape[0])], [[] for _ in range(shape[1])]
+    for k in np.argsort(costs, kind="stable"):
+        on_test, on_model = taken[0][rows[k]], taken[1][columns[k]]
+        if _free(stretches[0][k], on_test) and _free(stretches[1][k], on_model):
+            pairs[rows[k], columns[k]] = True
+            on_test.append(stretches[0][k])
+            on_model.append(stretches[1][k])
     return pairs
 
 
@@ -99,10 +91,6 @@ def _checked(distances, test, model):
             f"Invalid distances of shape {distances.shape}. Must be ({len(test)}, {len(model)})."
         )
     return test, model
-
-
-def _fragments(distances, near, test, model):
-    return by_stretches(distances, near, stretches(test, model), stretches(model, test))
 
 
 def _free(stretch, taken):
