@@ -45,8 +45,11 @@ def nearest_per_quadrant(xy, radius):
     xy = np.ascontiguousarray(xy)
     threads = min(numba.get_num_threads(), 1 + len(xy) // 10_000)
     grid = _grid(xy)
-    points, starts = _fill(xy, grid, threads)
-    leaves = _leaves(points, starts, _first_leaves(starts), threads)
+    points = Points(np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy), np.int32))
+    starts = _fill(xy, grid, points, threads)
+    first = _first_leaves(starts)
+    leaves = np.full(first[-1] + 1, len(xy), np.int32)
+    _part(points, starts, first, leaves, threads)
     bottom = 1 << (len(leaves) - 2).bit_length()
     tree = Tree(leaves, np.tile([np.inf, -np.inf, np.inf, -np.inf], (2 * bottom, 1)))
     _draw_boxes(points, leaves, tree.boxes)
@@ -82,9 +85,9 @@ def _cell(grid, x, y):
 
 
 @njit(parallel=True, cache=True)
-def _fill(xy, grid, threads):
-    """Points sorted by cell, in each cell in input order, and the first point of each cell."""
-    n = len(xy)
+def _fill(xy, grid, points, threads):
+    """Sort points by cell, in each cell in input order; return the first of each cell."""
+    n, x, y, rows = len(xy), points.x, points.y, points.rows
     free = np.zeros((threads, grid.column[-1] + grid.row[-1] + 1), np.int32)
     for t in prange(threads):
         for i in range(n * t // threads, n * (t + 1) // threads):
@@ -98,14 +101,13 @@ def _fill(xy, grid, threads):
             free[t, c] = total
             total += count
     starts[-1] = total
-    x, y, rows = np.empty(n), np.empty(n), np.empty(n, np.int32)
     for t in prange(threads):
         for i in range(n * t // threads, n * (t + 1) // threads):
             c = _cell(grid, xy[i, 0], xy[i, 1])
             place = free[t, c]
             free[t, c] += 1
             x[place], y[place], rows[place] = xy[i, 0], xy[i, 1], i
-    return Points(x, y, rows), starts
+    return starts
 
 
 @njit(cache=True)
@@ -122,10 +124,8 @@ def _first_leaves(starts):
 
 
 @njit(parallel=True, cache=True)
-def _leaves(points, starts, first, threads):
-    """Order the points of crowded cells into leaves; return the first point of each leaf."""
-    leaves = np.empty(first[-1] + 1, np.int32)
-    leaves[-1] = starts[-1]
+def _part(points, starts, first, leaves, threads):
+    """Order the points of each cell into its leaves; note the first point of each leaf."""
     for t in prange(threads):
         stack = np.empty((64, 3), np.int64)
         for task in range(t * TASK, len(first) - 1, threads * TASK):
@@ -134,7 +134,6 @@ def _leaves(points, starts, first, threads):
                     stack[0, 0], stack[0, 1] = starts[c], starts[c + 1]
                     stack[0, 2] = first[c + 1] - first[c]
                     _halve(points, stack, leaves, first[c])
-    return leaves
 
 
 @njit(cache=True)
