@@ -48,6 +48,7 @@ LAYERS = {
     "io": 3,
     "samples": 3,
     "results": 3,
+    "height_files": 3,
     "imagery": 3,
     "segment_files": 3,
     "figures": 4,

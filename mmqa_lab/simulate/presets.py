@@ -29,9 +29,9 @@ HDL_32E = MultiBeamScanner(
     range_noise_m=0.02,
     min_range_m=1.0,
     max_range_m=100,
-    source="Velodyne HDL-32E user manual: 32 beams from -30.67 to +10.67 degrees, firing cycle "
-    "46.08 us (0.69 MHz; 1.39 MHz of two returns), accuracy 2 cm at 25 m (one sigma); firing order "
-    "as in the packets; beam width not stated",
+    source="32 beams from -30.67 to +10.67 degrees, 46.08 us a firing cycle (0.69 MHz; 1.39 MHz "
+    "of two returns), noise 2 cm: as usually quoted from the maker's manual, which was not at "
+    "hand; firing order as in a real sweep; beam width not stated",
 )
 
 ROAMER = ProfileScanner(
@@ -45,7 +45,7 @@ ROAMER = ProfileScanner(
     max_range_m=76,
     min_range_m=0.6,
     source="EuroSDR 2013, mobile laser scanning, FGI: 48 Hz, 120 kHz, plane tilted backwards by 45 "
-    "degrees; FARO Photon: beam 3.3 mm + 0.16 mrad, noise 2 mm at 25 m",
+    "degrees; beam 3.3 mm + 0.16 mrad and noise 2 mm of a FARO Photon, assumed",
 )
 
 VQ_450 = ProfileScanner(
