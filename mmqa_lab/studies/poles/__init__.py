@@ -13,11 +13,13 @@ from mmqa_lab.studies.poles import surveys
 
 QUICK = {
     "length": 60.0,
+    "speed": 14.0,
     "seeds": (5001,),
     "factor_seeds": (5002,),
-    "factor_length": 30.0,
-    "factor_names": ("no shrubs", "no buildings"),
+    "factor_length": 20.0,
+    "factor_names": ("no shrubs",),
     "fgi_changes": {"maximum_width": (0.70,)},
+    "folds": 0,
 }
 """Small parameters for the tests."""
 

@@ -142,7 +142,7 @@ def draw_range(table, *, axes):
         axes[1].plot(part["range_m"], errors_mm, "o-", ms=3, color=colour, label=label)
     axes[0].set(xlabel="distance from the path (m)", ylabel="recall", ylim=(0, 1.02))
     axes[1].set(xlabel="distance from the path (m)", ylabel="median position error (mm)")
-    axes[0].legend(loc="lower left")
+    axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
     axes[1].set_ylim(bottom=0)
     return axes
 
@@ -158,6 +158,7 @@ def draw_causes(table, *, ax):
             ax.barh(places + 0.27 * (1 - k), wide[method], 0.25, color=colour, label=name)
     ax.set_yticks(places, wide.index)
     ax.set(xlabel="false alarms within 30 m")
+    ax.xaxis.get_major_locator().set_params(integer=True)
     ax.legend(loc="lower right")
     return ax
 

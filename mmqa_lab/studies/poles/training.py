@@ -14,7 +14,7 @@ from mmqa_lab.poles.features import NAMES
 from mmqa_lab.poles.trees import Trees
 from mmqa_lab.simulate import streets
 
-EXAMPLES = 64
+EXAMPLES = 112
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
