@@ -14,7 +14,7 @@ QUICK = {
     "angles": (0, 30),
     "counts": (600,),
     "noises_mm": (0.5,),
-    "seeds": (1000, 1001, 1002),
+    "seeds": (1000, 1001),
     "repeats": 6,
     "step": 15.0,
 }

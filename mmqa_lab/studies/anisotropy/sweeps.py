@@ -24,6 +24,7 @@ from mmqa_lab.simulate.point_patterns import (
     point_pattern,
     true_ratio,
 )
+from mmqa_lab.views import is_headless
 
 TURN = tuple(range(0, 90, 15))
 """Turns of the axes for the smallest, mean and largest f."""
@@ -78,7 +79,7 @@ def compute(*, ratios, angles, counts, noises_mm, seeds, density):
     }
     index = pd.MultiIndex.from_product(axes.values(), names=axes.keys())
     rows = []
-    for kind, ratio, angle, n, noise, seed in tqdm(index, desc="patterns"):
+    for kind, ratio, angle, n, noise, seed in tqdm(index, desc="patterns", disable=is_headless()):
         size = np.sqrt(n / density)
         choices = {"ratio": ratio, "angle": angle, "noise": noise / 1000}
         xy = point_pattern(kind, density=density, size=size, seed=seed, **choices)

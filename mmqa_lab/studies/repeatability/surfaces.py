@@ -10,6 +10,7 @@ from mmqa_lab.chart_cloud import CHART_MARGIN_M, chart_polygon
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.simulate import systems
 from mmqa_lab.simulate.objects import chart_corners
+from mmqa_lab.views import is_headless
 
 SENSORS = {
     "A": systems.SYSTEM_A,
@@ -79,7 +80,7 @@ def charts(*, names, distances, scans, seed, margin=CHART_MARGIN_M):
     list of Surface
     """
     found = []
-    for name in tqdm(names, desc="systems"):
+    for name in tqdm(names, desc="systems", disable=is_headless()):
         for distance in distances:
             corners = chart_corners((distance, 0, 0), heading=systems.FACING_THE_ROAD)
             outline = chart_polygon(corners, margins=margin)
