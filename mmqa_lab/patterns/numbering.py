@@ -7,7 +7,7 @@ from mmqa_lab._checks import check_positive
 PAUSE = 20
 """Of the typical step of time: longer ones separate runs of points."""
 
-FEW = 40
+FEW = 16
 """Runs whose beginnings are compared for the period."""
 
 SHARE = 0.35
@@ -108,8 +108,9 @@ def _longest_pause(since, frequency):
 def profiles_from_pattern(xy, *, widest=0.5):
     """Return the number of the profile of each point, found from the pattern alone.
 
-    The structure factor |sum exp(i k.p)|^2 / n, points faded out to the outline, has its peaks where
-    points lie on lines 2 pi / |k| apart. The fundamental is the smallest k whose peak reaches 35 % of the highest.
+    The structure factor |sum exp(i k.p)|^2 / n, points faded out to the outline, has its peaks
+    where points lie on lines 2 pi / |k| apart. The fundamental is the smallest k whose peak reaches
+    35 % of the highest.
 
     Parameters
     ----------
