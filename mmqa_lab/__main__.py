@@ -119,7 +119,7 @@ def _with_uv(python):
         uv = str(Path(folder) / "bin" / "uv")
         if not python.exists():
             subprocess.check_call([uv, "venv", "--quiet", "--python", sys.executable, str(VENV)])
-        install = [uv, "pip", "install", "--quiet", "--python", str(python)]
+        install = [uv, "pip", "install", "--quiet", "--compile-bytecode", "--python", str(python)]
         subprocess.check_call([*install, "--requirement", str(ENVIRONMENT)], cwd=ROOT)
 
 
