@@ -250,6 +250,12 @@ def test_an_empty_cloud_has_no_poles(method):
     assert len(poles.detect(cloud, method=method)) == 0
 
 
+@pytest.mark.parametrize("method", poles.METHODS)
+def test_points_too_sparse_for_any_group_have_no_poles(method, rng):
+    columns_ = {"scan_line": np.arange(50), "pulse": np.arange(50)}
+    assert len(poles.detect(Cloud(rng.uniform(0, 30, (50, 3)), columns_), method=method)) == 0
+
+
 @pytest.mark.parametrize(
     ("choices", "sentence"),
     [

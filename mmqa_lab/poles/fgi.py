@@ -110,8 +110,8 @@ def detect(points, line, place, settings, *, explain=False):
     order = np.lexsort([place, line])
     points, line = points[order], line[order]
     group, groups = segment_lines(points, line, pulse_numbers(line, place[order]), settings)
-    cluster = _clusters(groups, settings)
-    member = np.where(group >= 0, cluster[group], -1)
+    cluster = np.append(_clusters(groups, settings), -1)
+    member = cluster[group]  # -1, no group, takes the last: no cluster
     member = _merged(points, member, settings)
     kept = member >= 0
     found = _features(points[kept], line[kept], member[kept])

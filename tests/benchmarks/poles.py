@@ -49,18 +49,16 @@ def main():
     one = piece()
     for method in poles.METHODS:
         poles.detect(one.select(np.arange(0, len(one), 20)), method=method)  # compiles
-    print(f"{'method':<8}{'points':>12}{'poles':>8}{'s':>9}{'s/1e6':>9}{'peak GB':>9}")
+    print(f"{'method':<8}{'points':>12}{'poles':>8}{'s':>9}{'CPU s':>9}{'s/1e6':>9}{'peak GB':>9}")
     for times in options.copies:
         cloud = repeated(one, times)
         for method in poles.METHODS:
-            began = time.perf_counter()
+            began, cpu = time.perf_counter(), time.process_time()
             found = poles.detect(cloud, method=method)
-            seconds = time.perf_counter() - began
+            seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             rate = 1e6 * seconds / len(cloud)
-            row = (
-                f"{method:<8}{len(cloud):>12}{len(found):>8}{seconds:>9.1f}{rate:>9.2f}{peak:>9.1f}"
-            )
+            row = f"{method:<8}{len(cloud):>12}{len(found):>8}{seconds:>9.1f}{cpu:>9.1f}{rate:>9.2f}{peak:>9.1f}"
             print(row, flush=True)
 
 

@@ -1,0 +1,141 @@
+"""The study's tables: what it changes, what it counts, what it sets side by side."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import io, poles
+from mmqa_lab.__main__ import main
+from mmqa_lab.simulate import streets
+from mmqa_lab.studies import poles as study
+from mmqa_lab.studies.poles import factors, oakland, surveys, training
+
+
+@pytest.fixture(scope="module")
+def surveyed():
+    """One short street, surveyed by all methods."""
+    choices = {"plan": "table-4-1", "scanner": "roamer", "speed": 14.0}
+    return study.compute(seeds=(5001,), length=60.0, **choices)
+
+
+def test_a_change_leaves_everything_else_where_it_was():
+    plain = streets.street("table-4-1", length=100, seed=7).targets
+    changed = factors.CHANGES["5 people per 100 m"]
+    plan = factors.replace(streets.PLANS["table-4-1"], **changed)
+    other = streets.street(plan, length=100, seed=7).targets
+    columns = ["x_m", "y_m", "height_m", "diameter_base_m"]
+    assert plain[columns].equals(other[columns])
+    bare = factors.replace(streets.PLANS["table-4-1"], **factors.CHANGES["no shrubs"])
+    assert plain[columns].equals(streets.street(bare, length=100, seed=7).targets[columns])
+
+
+def test_a_street_has_the_poles_that_its_plan_asks_for():
+    plan = factors.replace(streets.PLANS["quiet"], building_share=0.0, trees_per_100m=0.0)
+    made = [streets.street(plan, length=300, seed=seed).targets for seed in range(3)]
+    counts = sum(targets["class"].value_counts() for targets in made)
+    expected = 9 * plan.lamps_per_100m
+    # Poisson within four standard deviations; a few are too near to another pole
+    assert abs(counts["lamp"] - expected) < 4 * np.sqrt(expected)
+
+
+def test_every_target_is_a_surface_of_its_class():
+    made = streets.street("green", length=60, seed=2)
+    assert (made.labels[made.targets["surface"]] == made.targets["class"]).all()
+
+
+def test_visible_targets_count_the_points_of_the_shaft(surveyed):
+    survey = surveyed[0][0]
+    shaft = survey.targets["surface"].iloc[0]
+    assert survey.targets["points"].iloc[0] == (survey.cloud["surface"] == shaft).sum()
+
+
+def test_rates_are_those_of_the_scores(surveyed):
+    (survey,), rates = surveyed
+    one = rates.query("method == 'fgi' and corridor_m == 30 and quantity == 'precision'").iloc[0]
+    score = survey.score("fgi", corridor=30.0)
+    assert (one["k"], one["n"]) == (score.precision.k, score.precision.n)
+    f1 = rates.query("method == 'fgi' and corridor_m == 30 and quantity == 'f1'")["value"].item()
+    assert f1 == pytest.approx(score.f1)
+
+
+def test_claims_hold(surveyed):
+    assert all(claim.holds for claim in study.claims(surveyed[1]))
+
+
+def test_published_and_measured_stand_side_by_side(surveyed):
+    table = study.beside_published(surveyed[1])
+    assert table["published"].round(3).tolist()[:2] == [0.697, 0.716]
+    assert np.allclose(table["measured"] - table["published"], table["difference"])
+
+
+def test_the_curve_passes_through_the_operating_point(surveyed):
+    made, rates = surveyed
+    curve = surveys.operating_curves(made, corridor=30.0)
+    own = curve[(curve["method"] == "ours") & (curve["threshold"] >= 0.4)].iloc[-1]
+    point = rates.query("method == 'ours' and corridor_m == 30 and `class` == 'all'")
+    recall = point.set_index("quantity")["value"]["recall"]
+    # one detection at the edge of the corridor may be counted on either side
+    assert own["recall"] == pytest.approx(recall, abs=0.08)
+
+
+def test_training_labels_are_near_far_and_between():
+    axes = np.zeros((3, 8))
+    axes[:, 0], axes[:, 6] = [0.1, 0.45, 3.0], 2.0
+    targets = pd.DataFrame(
+        {"x_m": [0.0], "y_m": 0.0, "lean_x": 0.0, "lean_y": 0.0, "height_m": 2.0, "visible": True}
+    )
+    assert training.labels(axes, targets).tolist() == [1, -1, 0]
+    assert training.labels(axes, targets.assign(visible=False)).tolist() == [-1, -1, 0]
+
+
+def test_a_fitted_model_is_that_of_scikit_learn_and_reproducible():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(200, 46))
+    label = (features[:, 3] > 0).astype(int)
+    group = np.repeat([0, 1], 100)
+    model = training.fit(features, label, group, rounds=3)
+    assert model.to_json() == training.fit(features, label, group, rounds=3).to_json()
+    right = (model.probability(features) > 0.5) == label
+    assert right.mean() > 0.95  # one feature decides: three small trees suffice
+
+
+@pytest.mark.real
+def test_real_references(real):
+    real(oakland.FILES[0])
+    whole = oakland.cloud()
+    truth = oakland.references(whole)
+    targets = truth[~truth["ignore"]]
+    assert len(whole) == pytest.approx(1e6, rel=0.001)
+    assert (targets["height_m"] >= 1).all()
+    assert 120 < len(targets) < 220
+
+
+def test_command(surveyed, tmp_path, capsys):
+    survey = surveyed[0][0]
+    cloud = survey.cloud.select(survey.cloud["surface"] >= 0)
+    io.write_cloud(tmp_path / "street.laz", cloud)
+    truth = survey.targets[survey.targets["visible"]]
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    words = ["poles", str(tmp_path / "street.laz"), "--method", "fgi", "--json"]
+    words += ["--reference", str(tmp_path / "truth.csv"), "--csv", str(tmp_path / "out.csv")]
+    words += ["--geojson", str(tmp_path / "out.geojson")]
+    assert main(words) in (0, None)
+    printed = json.loads(capsys.readouterr().out)
+    table = pd.read_csv(tmp_path / "out.csv")
+    assert list(table) == [
+        *("x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"),
+    ]
+    assert len(table) == len(printed["poles"]) == len(poles.detect(cloud, method="fgi"))
+    assert 0 < printed["scores"]["recall"]["value"] <= 1
+    places = json.loads((tmp_path / "out.geojson").read_text())["features"]
+    assert places[0]["geometry"]["coordinates"][0] == pytest.approx(table["x_m"][0], abs=1e-4)
+
+
+def test_command_says_what_is_wrong(tmp_path, capsys):
+    (tmp_path / "cloud.csv").write_text("x,y,z\n0,0,0\n1,1,1\n")
+    (tmp_path / "truth.csv").write_text("a,b\n1,2\n")
+    words = ["poles", str(tmp_path / "cloud.csv"), "--reference", str(tmp_path / "truth.csv")]
+    assert main(words) == 2
+    assert "Must have x_m and y_m." in capsys.readouterr().err
