@@ -2,8 +2,8 @@
 
 It stands in for the unpublished edges of Poreba & Goulette 2013 (hal-00846334): facades along
 three streets give straight edges; each course sees a part of them, displaced by its positioning
-error, turned, cut short, split and mixed with clutter. Which segments belong together is known, and
-so is every displacement. :func:`canyon_cloud` covers the same facades with points.
+error, turned, cut short, split and mixed with clutter. Which segments belong together is known,
+and so is every displacement. :mod:`~mmqa_lab.simulate.canyon_cloud` covers the facades with points.
 """
 
 from dataclasses import dataclass, field
@@ -282,11 +282,11 @@ def _placed(row, line):
     """Scene coordinates (2, 3) of a line on a building's facade."""
     station, height = np.array(line).T
     offset = row.side * (STREETS["width_m"][row.street] / 2 + row.setback_m)
-    return _located(row.street, station, np.full(2, offset), height)
+    return located(row.street, station, np.full(2, offset), height)
 
 
-def _located(street, station, offset, height):
-    """Points (n, 3) from station along a street, offset from its axis and height, m."""
+def located(street, station, offset, height):
+    """Point(s) (..., 3) from station along a street, offset from its axis and height, m."""
     frame = STREETS.loc[street]
     if frame["axis"] == "x":
         return np.stack([frame["x_m"] + station, frame["y_m"] + offset, height], axis=-1)
