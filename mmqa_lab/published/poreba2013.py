@@ -1,8 +1,7 @@
 """Poreba & Goulette 2013: repeatability (Table 1) and absolute accuracy (Table 2) of a laser van.
 
-M. Poreba, F. Goulette: *Line segment-based approach for accuracy assessment of MLS point clouds in
-urban areas*, 2013, hal-00846334. Edges of three courses are compared with each other and with those
-of a static scanner. Oriented distances that were not at hand when this module was written are NaN;
+hal-00846334. Edges of three courses are compared with each other and with those of a static
+scanner. Oriented distances that were not at hand when this module was written are NaN;
 ``attrs["missing"]`` says so. Nothing is filled in by calculation.
 """
 
