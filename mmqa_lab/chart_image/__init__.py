@@ -1,1 +1,73 @@
-"""imaging chart"""
+"""The imaging chart in photographs: pixel size, resolved line pairs, MTF and legibility.
+
+::
+
+    from mmqa_lab import chart_image, charts
+
+    layout = charts.imaging_chart()
+    there = chart_image.locate_markers(image, layout)          # or locate_corners(corners, layout)
+    quality = chart_image.evaluate_image(image, layout, there)
+    quality.to_frame(), quality.pairs, quality.edges
+
+Images are arrays of linear light with full scale 1; :mod:`mmqa_lab.imagery` reads them.
+"""
+
+from mmqa_lab.chart_image.edges import EdgeResponse, edge_response
+from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
+from mmqa_lab.chart_image.legibility import (
+    Crop,
+    agreement,
+    character_error,
+    quality_index,
+    read_crops,
+    reader,
+    text_crops,
+)
+from mmqa_lab.chart_image.levels import Tones, tones
+from mmqa_lab.chart_image.line_pairs import (
+    PairReading,
+    Resolution,
+    read_pairs,
+    read_pattern,
+    resolution,
+)
+from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
+from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
+from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images, view_name
+
+__all__ = [
+    "ChartMap",
+    "Crop",
+    "EdgeResponse",
+    "FrameCamera",
+    "ImageQuality",
+    "Limits",
+    "PairReading",
+    "PanoramaCamera",
+    "Pose",
+    "Resolution",
+    "Tones",
+    "agreement",
+    "align",
+    "bar_edges",
+    "character_error",
+    "chart_site",
+    "check_drive",
+    "choose_images",
+    "edge_response",
+    "evaluate_image",
+    "locate_corners",
+    "locate_markers",
+    "pixel_size",
+    "pixel_sizes",
+    "quality_index",
+    "read_crops",
+    "read_pairs",
+    "read_pattern",
+    "reader",
+    "resolution",
+    "text_crops",
+    "tones",
+    "view_name",
+]

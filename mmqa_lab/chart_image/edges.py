@@ -136,7 +136,7 @@ def edge_response(image, *, order=1):
     return response(distance.ravel(), along.ravel(), image.ravel(), angle, order=order)
 
 
-def response(distance, along, values, angle, *, order=1, width=np.inf):
+def response(distance, along, values, angle, *, order=1, width=np.inf, terms=3):
     """Measure the MTF from pixels at known distances from an edge, or from a bar's two edges.
 
     Parameters
@@ -154,6 +154,8 @@ def response(distance, along, values, angle, *, order=1, width=np.inf):
         Degree of the correction.
     width : float
         Distance to a second, opposite edge, pixels; infinite for a single edge.
+    terms : {1, 3}
+        Gaussians in the fit.
 
     Returns
     -------
@@ -169,7 +171,8 @@ def response(distance, along, values, angle, *, order=1, width=np.inf):
     reach = 12 * np.hypot(sigma, PIXEL_SIGMA) + 6
     near = np.abs(distance - np.clip(distance, 0, 0 if single else width)) <= reach
     distance, along, values = distance[near], along[near], values[near]
-    fit = _Fit(sigma * WIDTH_RATIO ** np.array([-1.0, 0.0, 1.0]), angle, order, width)
+    powers = np.arange(terms) - (terms - 1) / 2
+    fit = _Fit(sigma * WIDTH_RATIO**powers, angle, order, width)
     for _ in range(4):
         moved = distance - np.polyval(shift, along)
         step = fit.improve(moved, along, values)
@@ -184,7 +187,7 @@ def response(distance, along, values, angle, *, order=1, width=np.inf):
             f"Invalid edge: a step of {contrast:.3g} at a noise of {noise:.3g}. Must stand out."
         )
     extra, binned = None, np.full(len(FREQUENCIES), np.nan)
-    if single:
+    if single and terms > 1:
         extra = deviation(moved, residuals, contrast, np.hypot(sigma, PIXEL_SIGMA), reach)
         noise = float(np.sqrt(bin_means(moved, residuals, reach)[2]))
         binned = _binned_mtf(moved, values, reach)
@@ -204,7 +207,7 @@ def response(distance, along, values, angle, *, order=1, width=np.inf):
         frequencies=FREQUENCIES,
         mtf=mtf,
         mtf_binned=binned,
-        remark=_remark(mtf50, binned50, angle, mtf),
+        remark=_remark(mtf50, binned50, angle, mtf, terms),
     )
 
 
@@ -254,7 +257,7 @@ def _profile(distance, sigma, angle, width):
 
 
 def _single_gaussian(distance, along, values, angle, order, width):
-    """Polynomial correction of the distances and the width of the best single Gaussian."""
+    """Correction of the distances along the edge, and the width of the best single Gaussian."""
     from scipy.optimize import least_squares
 
     def residuals(parameters):
@@ -275,13 +278,13 @@ def _single_gaussian(distance, along, values, angle, order, width):
 
 
 class _Fit:
-    """Three Gaussians of free weights behind a square pixel, and the place of the edge."""
+    """Concentric Gaussians of free weights behind a square pixel, and the place of the edge."""
 
     def __init__(self, sigmas, angle, order, width):
         self.sigmas, self.angle, self.order, self.width = sigmas, angle, order, width
 
     def _shapes(self, distance):
-        """Profiles of the three Gaussians."""
+        """Profiles of the Gaussians."""
         profiles = [_profile(distance, sigma, self.angle, self.width) for sigma in self.sigmas]
         return np.stack(profiles, axis=1)
 
@@ -293,12 +296,18 @@ class _Fit:
         slope = (self._shapes(distance + step) - self._shapes(distance - step)) @ weights
         powers = along[:, None] ** np.arange(self.order, -1, -1)
         joint = np.hstack([design, -slope[:, None] / (2 * step) * powers])
+        if len(self.sigmas) == 1:
+            wider = _profile(distance, self.sigmas[0] * (1 + step), self.angle, self.width)
+            joint = np.column_stack([joint, (wider - design[:, 1]) * weights[0] / step])
         fit = np.linalg.lstsq(joint, values, rcond=None)[0]
         residuals = values - joint @ fit
         variance = residuals @ residuals / max(len(values) - len(fit), 1)
-        self.weights = fit[1:4]
-        self.covariance = (np.linalg.pinv(joint.T @ joint) * variance)[1:4, 1:4]
-        return fit[4:]
+        terms = slice(1, 1 + len(self.sigmas))
+        self.weights = fit[terms]
+        covariance = np.linalg.pinv(joint.T @ joint) * variance
+        self.covariance, self.log_sigma_variance = covariance[terms, terms], covariance[-1, -1]
+        place = slice(terms.stop, terms.stop + self.order + 1)
+        return fit[place]
 
     def residuals(self, distance, values):
         """What is left after weights are fitted at these distances."""
@@ -324,6 +333,10 @@ def _mtf50_sigma(mtf50, fit, extra):
     """Standard deviation of MTF50, to first order in weights and deviation."""
     if not np.isfinite(mtf50):
         return np.nan
+    if len(fit.sigmas) == 1:
+        # in frequencies relative to the Gaussian's width; the pixel itself does not vary
+        pixel = np.hypot(1, PIXEL_SIGMA / fit.sigmas[0])
+        return float(mtf50 * np.sqrt(fit.log_sigma_variance) / pixel**2)
     at = np.array([0.0, mtf50, mtf50 + 1e-4])
     zero, here, next_one = _transfer(fit, extra, at)
     slope = (abs(next_one) - abs(here)) / abs(zero) / 1e-4
@@ -357,7 +370,7 @@ def _binned_mtf(distance, values, reach):
     return transfer / transfer[0]
 
 
-def _remark(mtf50, binned50, angle, mtf):
+def _remark(mtf50, binned50, angle, mtf, terms):
     """What speaks against a value."""
     remarks = []
     if not np.isfinite(mtf50):
@@ -366,6 +379,8 @@ def _remark(mtf50, binned50, angle, mtf):
         remarks.append(f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid")
     if np.isfinite(binned50) and abs(binned50 / mtf50 - 1) > LARGEST_DISAGREEMENT:
         remarks.append("fit and binning differ")
+    if terms == 1:
+        remarks.append("taken for Gaussian")
     if mtf.max() > 1.05:
         remarks.append("sharpened")
     return "; ".join(remarks)

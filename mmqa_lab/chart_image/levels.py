@@ -10,8 +10,11 @@ import numpy as np
 
 from mmqa_lab.charts import reflectance
 
-CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0)
+CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
 """A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
+
+TYPICAL_SIGMA_PX = 0.65
+"""Point spread, pixel included, that tells how much white spills into black where bars are thin."""
 
 PLAIN_PIXELS = 30
 """So many black and white pixels each are enough for a level."""
@@ -33,7 +36,7 @@ class Tones:
     black, white : float
         Levels in the middle of the chart, in the image's unit.
     clipped_share : float
-        Share of the plain pixels at the lowest or highest value that the image has.
+        Share of the plain pixels at zero or full scale.
     n_black, n_white : int
         Plain pixels the levels come from.
     """
@@ -55,7 +58,7 @@ def tones(image, layout, chart_map):
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Linear light.
+        Linear light, full scale 1.
     layout : Layout
     chart_map : ChartMap
 
@@ -69,39 +72,34 @@ def tones(image, layout, chart_map):
         If the image is no grey image, or black and white cannot be told apart at these places.
     """
     image = check_image(image)
-    expected, to_white, to_black = _printed(layout, chart_map, image.shape)
-    for clearance in CLEARANCES_PX:
-        white, black = to_white >= clearance, to_black >= clearance
-        if min(white.sum(), black.sum()) >= PLAIN_PIXELS:
-            break
+    inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)
+    white, black = _plainest(to_white), _plainest(to_black)
     if min(white.sum(), black.sum()) < 3:
         raise ValueError(
-            f"Invalid chart of {int(np.isfinite(expected).sum())} pixels: too small for a plain "
-            "black and a plain white area. Must be imaged larger."
+            f"Invalid chart of {int(inside.sum())} pixels: too small for a plain black and a plain "
+            "white area. Must be imaged larger."
         )
-    rows, columns = np.nonzero(white)
-    design = np.column_stack([columns - columns.mean(), rows - rows.mean(), np.ones(len(rows))])
-    if len(rows) < 100:
-        design = design[:, 2:]
-    fit = np.linalg.lstsq(design, image[white], rcond=None)[0]
-    all_rows, all_columns = np.indices(image.shape)
-    field = np.full(image.shape, fit[-1])
-    if len(fit) == 3:
-        field += fit[0] * (all_columns - columns.mean()) + fit[1] * (all_rows - rows.mean())
-    dark = float(np.median(image[black]))
-    spread = max(_spread(image[white] - field[white]), _spread(image[black] - dark))
-    contrast = float(fit[-1]) - dark
-    if not contrast > SMALLEST_CONTRAST * spread or not (field > dark)[white].all():
+    field = _plane(image, white)
+    spill = spilt[black].mean()
+    dark = float((image[black].mean() - spill * field[black].mean()) / (1 - spill))
+    printed = dark + (field - dark) * spilt
+    noise = max(_spread((image - printed)[mask]) for mask in (white, black))
+    light = float(field[white].mean())
+    if not light - dark > SMALLEST_CONTRAST * noise or not (field > dark)[inside].all():
         raise ValueError(
-            f"Invalid chart: white exceeds black by {contrast:.3g} at a noise of {spread:.3g}. "
+            f"Invalid chart: white exceeds black by {light - dark:.3g} at a noise of {noise:.3g}. "
             f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
         )
-    values = np.where(np.isfinite(expected), (image - dark) / (field - dark), np.nan)
     plain = image[white | black]
-    clipped = (plain >= image.max()) & (image.max() > fit[-1]) | (plain <= image.min())
-    share = float(clipped.mean()) if spread > 0 else 0.0
-    counts = int(black.sum()), int(white.sum())
-    return Tones(values, spread / contrast, dark, float(fit[-1]), share, *counts)
+    return Tones(
+        values=np.where(inside, (image - dark) / np.where(inside, field - dark, 1), np.nan),
+        noise=noise / (light - dark),
+        black=dark,
+        white=light,
+        clipped_share=float(((plain >= 1) | (plain <= 0)).mean()),
+        n_black=int(black.sum()),
+        n_white=int(white.sum()),
+    )
 
 
 def check_image(image):
@@ -123,33 +121,54 @@ def check_image(image):
 
 
 def _printed(layout, chart_map, shape):
-    """The tone printed at each pixel, NaN off the chart, and how many pixels deep it lies in white
-    and in black."""
+    """Per pixel: whether it lies on the chart, the tone it would see there, and how many pixels
+    deep it lies in white and in black."""
     import cv2
 
     rows, columns = np.indices(shape)
     places = chart_map.chart(np.column_stack([columns.ravel(), rows.ravel()]))
-    middle = np.array([[layout.width / 2, layout.height / 2]])
-    sizes = chart_map.pixel_sizes_mm(middle)
+    sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
     cell = max(sizes.min() / 4, layout.width / 4000)
     printed = reflectance(layout, cell=cell)
-    masks = [(np.abs(printed - tone) < 1e-3).astype(np.uint8) for tone in (1.0, 0.0)]
-    depths = [cv2.distanceTransform(mask, cv2.DIST_L2, 5) * (cell / sizes.max()) for mask in masks]
+    seen = cv2.GaussianBlur(printed, (0, 0), TYPICAL_SIGMA_PX * sizes.max() / cell)
+    depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
     places = (places / cell - 0.5).astype(np.float32).reshape(*shape, 2)
-    outside = (float("nan"), 0.0, 0.0)
-    return [
-        cv2.remap(
-            one,
-            places,
-            None,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=border,
-        )
-        for one, border in zip((printed, *depths), outside, strict=True)
+    constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
+    at_pixels = [
+        cv2.remap(one, places, None, **constant, borderValue=-1.0) for one in (seen, *depths)
     ]
+    return (at_pixels[0] >= 0, *at_pixels)
+
+
+def _depth(mask):
+    """Distance of each cell from the nearest one outside of the mask or of the chart, cells."""
+    import cv2
+
+    framed = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
+
+
+def _plainest(depth):
+    """The pixels that lie deepest in a tone, enough of them if possible."""
+    for clearance in CLEARANCES_PX:
+        plain = depth >= clearance
+        if plain.sum() >= PLAIN_PIXELS:
+            break
+    return plain
+
+
+def _plane(image, white):
+    """The level of white at every pixel: a plane where there is enough of it, else one level."""
+    rows, columns = np.nonzero(white)
+    middle = rows.mean(), columns.mean()
+    design = np.column_stack([rows - middle[0], columns - middle[1], np.ones(len(rows))])
+    if len(rows) < 100:
+        return np.full(image.shape, image[white].mean())
+    fit = np.linalg.lstsq(design, image[white], rcond=None)[0]
+    all_rows, all_columns = np.indices(image.shape)
+    return fit[0] * (all_rows - middle[0]) + fit[1] * (all_columns - middle[1]) + fit[2]
 
 
 def _spread(residuals):
-    """Standard deviation by the median absolute deviation, at least that of rounding."""
+    """Standard deviation by the median absolute deviation."""
     return float(1.4826 * np.median(np.abs(residuals - np.median(residuals))))

@@ -1,4 +1,4 @@
-"""Finding a chart in an image: by its coded targets, from four corners, and to a part of a pixel."""
+"""Finding a chart in an image: by coded targets, from four corners, and to a part of a pixel."""
 
 import numpy as np
 
@@ -57,8 +57,9 @@ def locate_markers(image, layout, *, camera=None, offset=(0.0, 0.0)):
 
     Notes
     -----
-    A target of 100 mm is found while its six modules have about 1.5 pixels each: up to pixels of
-    about 10 mm.
+    Targets of 90 mm are found in all of nine oblique views of ten at pixels of 5.4 mm, in half of
+    them at 8 mm, hardly beyond: their six modules need about 2.5 pixels each. Two targets alone
+    extrapolate badly; :func:`align` then says that the chart is not there.
     """
     image = check_image(image)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}

@@ -1,8 +1,8 @@
 """From millimetres on the chart to pixels of the image and back.
 
 Pixels are (column, row), the centre of the first one at (0, 0). The camera looks along its z axis,
-x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends
-rays into pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
+x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends rays into
+pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
 """
 
 from dataclasses import dataclass, field, replace
@@ -169,6 +169,22 @@ class Pose:
         angle = np.radians(check_number(roll_deg, "roll_deg"))
         turned = np.cos(angle) * right + np.sin(angle) * down
         return cls(position, np.stack([turned, np.cross(view, turned), view]))
+
+    @classmethod
+    def of_angles(cls, position, heading_deg, pitch_deg, roll_deg):
+        """Return the pose with this heading (clockwise from north), pitch (up) and roll (right).
+
+        Examples
+        --------
+        >>> Pose.of_angles((0, 0, 0), 90, 0, 0).rotation.round(12).tolist()[2]
+        [1.0, 0.0, 0.0]
+        """
+        heading = np.radians(check_number(heading_deg, "heading_deg"))
+        pitch = np.radians(check_number(pitch_deg, "pitch_deg", low=-89, high=89))
+        level = np.cos(pitch)
+        view = np.array([level * np.sin(heading), level * np.cos(heading), np.sin(pitch)])
+        position = check_points([position], name="position")[0]
+        return cls.looking(position, position + view, roll_deg=roll_deg)
 
     def to_camera(self, points):
         """Return world points in the camera's axes, metres; differences are taken first."""

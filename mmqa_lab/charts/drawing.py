@@ -1,6 +1,7 @@
 """A layout as PDF and SVG at true size."""
 
 from io import BytesIO
+from itertools import pairwise
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -96,7 +97,7 @@ def _rectangles(element):
     x, y, tones = element.grid()
     for row, values in enumerate(tones):
         starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
-        for first, last in zip(starts[:-1], starts[1:], strict=True):
+        for first, last in pairwise(starts):
             if values[first] != WHITE or element.ground != WHITE:
                 size = x[last] - x[first], y[row + 1] - y[row]
                 yield (x[first], y[row], *size, float(values[first]))

@@ -101,7 +101,7 @@ class Marker:
         return self.x + edges, self.y + edges, bits[::-1]
 
     def corners(self):
-        """Return the corners in the order of OpenCV's detector, from the upper left, shape (4, 2)."""
+        """Return the corners as OpenCV's detector orders them, from the upper left, (4, 2)."""
         low, right = np.array([self.x, self.y]), np.array([self.size, 0.0])
         up = right[::-1]
         return np.stack([low + up, low + up + right, low + right, low])
@@ -213,6 +213,25 @@ class Layout:
     def of_kind(self, kind):
         """Return the elements of one class, in order."""
         return [element for element in self.elements if isinstance(element, kind)]
+
+    def clearance(self, element, reach):
+        """Return the plain ground around an element, mm, shape (2, 2): [x or y, below or above].
+
+        It ends at the chart's edge or at the next element that overlaps this one or its
+        surroundings within ``reach`` (in x, in y; mm). Elements on top of it do not count.
+        """
+        low = np.array([element.x, element.y])
+        high = low + [element.width, element.height]
+        clear = np.stack([low, np.array([self.width, self.height]) - high], axis=1)
+        for other in self.elements:
+            there = np.array([other.x, other.y])
+            gaps = np.stack([low - there - [other.width, other.height], there - high], axis=1)
+            apart = gaps.max(axis=1)
+            for k in (0, 1):
+                if 0 <= apart[k] and apart[1 - k] < reach[1 - k]:
+                    side = int(gaps[k].argmax())
+                    clear[k, side] = min(clear[k, side], apart[k])
+        return clear
 
     def corners(self):
         """Return the chart's corners from the lower left, counterclockwise, mm, shape (4, 2)."""

@@ -1,5 +1,7 @@
 """The two charts of Pfeifer et al. 2021, 1 m x 1 m, from one description."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
@@ -37,12 +39,12 @@ FAINT_TEXT = (40.0, "Stillleben", 0.35, 0.6)
 
 REPEATS, LENGTH_MM = 8, 80.0
 
-BAR_MM, MARKER_MM, GAP_MM = 40.0, 100.0, 15.0
+BAR_MM, MARKER_MM, GAP_MM = 40.0, 90.0, 15.0
 
-COLUMN = (20.0, 120.0, 80.0, 760.0)
+COLUMN = (16.0, 120.0, 80.0, 760.0)
 """x, y, width and height of the column for lying bars, left of the long bar, mm."""
 
-FIELD = (190.0, 90.0, 620.0, 890.0)
+FIELD = (212.0, 90.0, 585.0, 890.0)
 """x, y, width and height of the field between the long bars, mm."""
 
 
@@ -100,8 +102,8 @@ def imaging_chart(
     check_choice(horizontal_bar, "horizontal_bar", ("grey", "black"))
     tone = GREY if horizontal_bar == "grey" else BLACK
     bars = [
-        Bar("bar_left", 130.0, 100.0, BAR_MM, 800.0),
-        Bar("bar_right", 830.0, 100.0, BAR_MM, 800.0),
+        Bar("bar_left", 134.0, 100.0, BAR_MM, 800.0),
+        Bar("bar_right", 836.0, 100.0, BAR_MM, 800.0),
         Bar("bar_horizontal", 200.0, 30.0, 600.0, BAR_MM, tone),
     ]
     pairs, top = _place_pairs(_ladder(widths_h, "widths_h"), _ladder(widths_v, "widths_v"))
@@ -149,7 +151,7 @@ def point_chart(*, seed=0, cells=100, square=200.0):
 def _ladder(widths, name):
     """Widths of line pairs, checked and decreasing."""
     widths = [check_positive(width, name, unit="mm") for width in widths]
-    if any(fine >= coarse for coarse, fine in zip(widths[:-1], widths[1:], strict=True)):
+    if any(fine >= coarse for coarse, fine in pairwise(widths)):
         raise ValueError(f"Invalid {name} {widths}. Must decrease from each to the next.")
     return widths
 

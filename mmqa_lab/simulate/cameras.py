@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.chart_image.light import GAMMAS, encode
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.charts import reflectance
 
@@ -29,15 +30,11 @@ __all__ = [
     "Pose",
     "Sensor",
     "chart_view",
-    "decode",
-    "encode",
     "photograph",
 ]
 
 SUPERSAMPLING = 6
 """Samples along each side of a pixel."""
-
-SRGB_KNEE = 0.0031308
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Sensor:
         check_number(self.noise, "noise", low=0)
         check_number(self.shot_share, "shot_share", low=0, high=1)
         check_number(self.sharpening, "sharpening", low=0)
-        check_choice(self.gamma, "gamma", ("linear", "srgb"))
+        check_choice(self.gamma, "gamma", GAMMAS)
         check_choice(self.bits, "bits", (8, 16, None))
         if self.jpeg_quality is not None:
             check_number(self.jpeg_quality, "jpeg_quality", low=1, high=100)
@@ -236,29 +233,6 @@ def photograph(
     return Photo(_recorded(signal, sensor, np.random.default_rng(seed)), inside, origin)
 
 
-def encode(values, gamma):
-    """Return values 0..1 of linear light as the file's: unchanged, or by sRGB's curve."""
-    if check_choice(gamma, "gamma", ("linear", "srgb")) == "linear":
-        return values
-    values = np.clip(values, 0, 1)
-    curve = 1.055 * np.maximum(values, SRGB_KNEE) ** (1 / 2.4) - 0.055
-    return np.where(values <= SRGB_KNEE, 12.92 * values, curve).astype(values.dtype)
-
-
-def decode(values, gamma):
-    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
-
-    Examples
-    --------
-    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
-    True
-    """
-    if check_choice(gamma, "gamma", ("linear", "srgb")) == "linear":
-        return values
-    curve = ((np.maximum(values, 12.92 * SRGB_KNEE) + 0.055) / 1.055) ** 2.4
-    return np.where(values <= 12.92 * SRGB_KNEE, values / 12.92, curve).astype(values.dtype)
-
-
 def _window(layout, chart_map, margin):
     """First column and row, and columns and rows, of the chart's surroundings."""
     edge = np.linspace(0, 1, 9)[:, None]
@@ -307,8 +281,8 @@ def _exposed(layout, chart_map, size, optics, fine, surround):
 def _sampling_variance(fine):
     """Variance that the samples themselves add along each axis, pixels².
 
-    A cell (1/12) read bilinearly (1/6), in units of fine steps; ``fine`` samples spread over a pixel
-    have (1 - 1/fine²)/12, short of the full pixel's 1/12 by 1/12 fine steps.
+    A cell (1/12) read bilinearly (1/6), in fine steps squared; ``fine`` samples over a pixel have
+    1/12 fine step squared less than the full pixel.
     """
     return (1 / 12 + 1 / 6 - 1 / 12) / fine**2
 

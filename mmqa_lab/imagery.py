@@ -1,0 +1,229 @@
+"""Images from files, and the evaluation of a chart in one of them.
+
+Only the chart's window is evaluated, so that panoramas of 250 megapixels cost little more than
+their decoding: a byte per pixel while the file is read, then the window alone.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice
+from mmqa_lab.chart_image import (
+    ChartMap,
+    FrameCamera,
+    PanoramaCamera,
+    Pose,
+    evaluate_image,
+    locate_corners,
+    locate_markers,
+)
+from mmqa_lab.chart_image.light import GAMMAS, decode
+from mmqa_lab.charts import from_json, imaging_chart
+
+LAYOUTS = ("grey", "black")
+"""Names of the layouts as built: the imaging chart with its lying bar in grey or black."""
+
+MARGIN_PX = 16
+"""Around the chart's corners in its window."""
+
+CAMERAS = ("plain", "panorama")
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of an image.
+
+    Parameters
+    ----------
+    values : array of float32, shape (rows, columns)
+        Linear light, full scale 1.
+    origin : (int, int)
+        Column and row of its first pixel in the whole image.
+    size : (int, int)
+        Columns and rows of the whole image.
+    """
+
+    values: np.ndarray
+    origin: tuple
+    size: tuple
+
+
+def read_grey(path):
+    """Read an image file as grey values, in the type of the file.
+
+    Parameters
+    ----------
+    path : path
+        JPEG, PNG, TIFF or another format that OpenCV decodes, 8 or 16 bits.
+
+    Returns
+    -------
+    array of uint8 or uint16, shape (rows, columns)
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no image or damaged.
+    """
+    import cv2
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid image {path}: no such file. Must exist.")
+    # OpenCV prints what it dislikes of a file; the sentence below says it
+    level = cv2.setLogLevel(0)
+    try:
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    except cv2.error:
+        grey = None
+    finally:
+        cv2.setLogLevel(level)
+    if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
+        raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits.")
+    return grey
+
+
+def cut(grey, chart_map, layout, *, gamma="srgb"):
+    """Return the window of a chart in an image, as linear light, with the map counted from there.
+
+    Parameters
+    ----------
+    grey : array of uint8 or uint16
+        From :func:`read_grey`.
+    chart_map : ChartMap
+        For the whole image.
+    layout : Layout
+    gamma : {"srgb", "linear"}
+        How the file's values follow light.
+
+    Returns
+    -------
+    (Window, ChartMap)
+
+    Raises
+    ------
+    ValueError
+        If the chart is not within the image.
+    """
+    check_choice(gamma, "gamma", GAMMAS)
+    corners = chart_map.pixels(layout.corners())
+    size = np.array(grey.shape[::-1])
+    if not np.isfinite(corners).all() or (corners < -0.5).any() or (corners > size - 0.5).any():
+        raise ValueError(
+            f"Invalid place of the chart: corners at {corners.round().tolist()}. "
+            f"Must lie within {size[0]} x {size[1]} pixels."
+        )
+    first = np.maximum(np.floor(corners.min(axis=0)).astype(int) - MARGIN_PX, 0)
+    last = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + MARGIN_PX + 1, size)
+    part = grey[first[1] : last[1], first[0] : last[0]]
+    values = decode(part.astype(np.float32) / np.iinfo(grey.dtype).max, gamma)
+    origin = int(first[0]), int(first[1])
+    return Window(values, origin, tuple(size.tolist())), chart_map.within(*origin)
+
+
+def evaluate_file(path, layout, *, corners=None, orientation=None, camera="plain", gamma="srgb"):
+    """Evaluate a chart in an image file.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout
+    corners : array_like, shape (4, 2), optional
+        Column and row of the chart's corners from the lower left counterclockwise.
+    orientation : (camera, Pose, array (4, 3)), optional
+        From :func:`read_orientation`. Without it and without corners, the coded targets are looked
+        for.
+    camera : {"plain", "panorama"}
+        Whether straight lines stay straight, or the image is a whole equirectangular panorama.
+    gamma : {"srgb", "linear"}
+
+    Returns
+    -------
+    (ImageQuality, Window)
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        Also when the chart is not found: by its targets, at the corners, or within the image.
+    """
+    grey = read_grey(path)
+    check_choice(camera, "camera", CAMERAS)
+    bends = None if camera == "plain" else panorama_of(grey)
+    if orientation is not None:
+        there = ChartMap.from_orientation(*orientation, layout)
+    elif corners is not None:
+        there = locate_corners(corners, layout, camera=bends)
+    else:
+        there = locate_markers(grey, layout, camera=bends)
+    window, there = cut(grey, there, layout, gamma=gamma)
+    del grey
+    return evaluate_image(window.values, layout, there), window
+
+
+def panorama_of(grey):
+    """Return the panorama camera of a whole equirectangular image."""
+    rows, columns = grey.shape
+    if columns != 2 * rows:
+        raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
+    return PanoramaCamera(columns)
+
+
+def read_layout(source):
+    """Return the layout of a chart by its name or from a JSON file that ``mmqa chart`` wrote.
+
+    Parameters
+    ----------
+    source : str or path
+        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; else a file.
+
+    Examples
+    --------
+    >>> read_layout("black").name
+    'imaging chart, black bar'
+    """
+    if str(source) in LAYOUTS:
+        return imaging_chart(horizontal_bar=str(source))
+    path = Path(source)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"Invalid chart {source}: no such file. Must exist, or be one of {', '.join(LAYOUTS)}."
+        )
+    return from_json(path.read_text(encoding="utf-8"))
+
+
+def read_orientation(path):
+    """Read the exterior and interior orientation of an image and the chart's corners.
+
+    Parameters
+    ----------
+    path : path
+        JSON with ``position`` [east, north, height] in metres; ``heading_deg`` (clockwise from
+        north), ``pitch_deg`` (up) and ``roll_deg`` (to the right) of the view; ``corners``, four
+        [east, north, height] from the chart's lower left counterclockwise; ``camera``, with
+        ``width`` alone for a panorama, else ``width``, ``height``, ``focal_px`` and, optionally,
+        ``principal`` and ``distortion``.
+
+    Returns
+    -------
+    (FrameCamera or PanoramaCamera, Pose, array (4, 3))
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid orientation {path}: no such file. Must exist.")
+    try:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        angles = [whole[f"{name}_deg"] for name in ("heading", "pitch", "roll")]
+        pose = Pose.of_angles(whole["position"], *angles)
+        kind = FrameCamera if "focal_px" in whole["camera"] else PanoramaCamera
+        return kind(**whole["camera"]), pose, np.array(whole["corners"], dtype=float)
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"Invalid orientation {path}: {error}. Must have all fields.") from None
