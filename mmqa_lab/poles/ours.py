@@ -170,6 +170,8 @@ def _diameters(points, lines, table, radius):
 
 def _shaft(points, off, line, place):
     """Points of the group nearest to the axis on each scan line, and their lines."""
+    if not len(points):
+        return np.empty(0, np.int64), line
     order = np.lexsort([place, line])
     gap = np.linalg.norm(np.diff(points[order], axis=0), axis=1) > GROUP_GAP_M
     broken = np.concatenate([[False], gap | (np.diff(line[order]) != 0)])

@@ -141,7 +141,7 @@ def examples(numbers, *, seed=FIRST_SEED, progress=True):
     return features[kept], label[kept], group[kept]
 
 
-def fit(features, label, group, *, rounds=120, leaves=12, rate=0.1, notes=None):
+def fit(features, label, group, *, rounds=250, leaves=16, rate=0.08, notes=None):
     """Return the ``Trees`` of a gradient boosting of the log loss; each street weighs the same.
 
     Parameters
