@@ -42,11 +42,32 @@ STUDIES = (
         source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Tables 1 and 2",
     ),
     Study(
+        number=2,
+        stem="repeatability",
+        title="Repeatability",
+        question="How much do density, sigma_MAD and f vary when the same chart is selected again?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 4.2",
+    ),
+    Study(
         number=3,
         stem="anisotropy",
         title="Anisotropy",
         question="What does f = d4/d1 measure, and what should a tender ask for instead?",
         source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 3.3",
+    ),
+    Study(
+        number=5,
+        stem="mimic",
+        title="MIMIC",
+        question="Do closed forms of scan geometry predict profile spacing, profile angle and point spacing?",
+        source="Cahalane et al. 2014, doi:10.3390/s140609471",
+    ),
+    Study(
+        number=6,
+        stem="poles",
+        title="Poles",
+        question="What do recall and precision of pole detectors depend on, and can they be raised?",
+        source="EuroSDR 2013, mobile laser scanning, Tables 4-1 and 4-2",
     ),
 )
 
