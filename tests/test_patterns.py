@@ -226,6 +226,16 @@ def test_mean_gap_of_white_noise_is_that_of_least_squares():
     assert slope_sigma < np.median(sigma) < 2 * slope_sigma
 
 
+def test_mean_gap_of_many_profiles_is_fast_and_right():
+    rng, n = np.random.default_rng(5), 20_000
+    gaps = 0.05 + 1e-5 * np.cumsum(rng.standard_normal(n))
+    offsets = np.concatenate([[0], np.cumsum(gaps)])[:n] + 1e-4 * rng.standard_normal(n)
+    gap, variance, functional = mean_gap(np.arange(n), offsets, np.full(n, 1e-8), np.ones(n))
+    assert gap == pytest.approx(gaps.mean(), abs=4 * np.sqrt(variance))
+    assert functional @ np.arange(n) == pytest.approx(1)
+    assert functional.sum() == pytest.approx(0, abs=1e-6)  # inverses of ill-conditioned matrices
+
+
 def test_revolutions_are_counted_over_gaps(rng):
     pulses = np.arange(60) * 2e-6
     number = np.array([0, 1, 2, 5, 6, 9])

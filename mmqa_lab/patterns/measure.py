@@ -46,7 +46,7 @@ class PatternMeasurement:
     *_std : float
         Their standard deviations.
     covariance : float
-        Of the error of the angle (rad) and the share of error of the gap it goes with.
+        Of the errors of gap (m) and angle (rad).
     """
 
     plane: Plane
@@ -217,9 +217,7 @@ def _measurement(plane, flat, near, fit, numbering, pulse):
     """The figures and their uncertainty from the fit of all profiles."""
     c, s = np.cos(fit.turn), np.sin(fit.turn)
     along, across = c * flat.axes[0] + s * flat.axes[1], c * flat.axes[1] - s * flat.axes[0]
-    spacing, noise, slide = np.nan, np.nan, 0.0
-    if np.isfinite(pulse).all():
-        spacing, noise, slide = point_spacing(fit.x, fit.y, fit.off, fit.profile, pulse)
+    spacing, noise, slide = _spacing(fit, pulse)
     tilt = _tilt_covariance(fit)
     bias = _tilt_bias(fit, slide)
     gap, variance, functional = mean_gap(fit.numbers, fit.offsets, fit.variances, fit.counts)
@@ -231,13 +229,11 @@ def _measurement(plane, flat, near, fit, numbering, pulse):
     mixed = turn_by_tilt @ tilt @ by_tilt - fit.covariance[0] @ lever
     gap, angle = gap - by_tilt @ bias, angle - turn_by_tilt @ bias
     spacing_variance = noise + (slide * spacing) ** 2 * tilt[0, 0]
-    profile = np.full(plane.n, -1)
-    profile[np.flatnonzero(near)[fit.used]] = fit.numbers[fit.profile]
     return PatternMeasurement(
         plane=plane,
         direction=along,
         numbering=numbering,
-        profile=profile,
+        profile=_profile_of_points(near, fit),
         profiles=len(fit.numbers),
         points=len(fit.x),
         profile_spacing_perpendicular_m=float(abs(gap)),
@@ -248,6 +244,20 @@ def _measurement(plane, flat, near, fit, numbering, pulse):
         point_spacing_std=float(np.sqrt(spacing_variance)),
         covariance=float(np.sign(np.tan(angle) * gap) * mixed),
     )
+
+
+def _spacing(fit, pulse):
+    """Point spacing, its variance, the slide along profiles; NaN where pulses were not counted."""
+    if not np.isfinite(pulse).all():
+        return np.nan, np.nan, 0.0
+    return point_spacing(fit.x, fit.y, fit.off, fit.profile, pulse)
+
+
+def _profile_of_points(near, fit):
+    """Profile of each point given, -1 for those left out."""
+    profile = np.full(len(near), -1)
+    profile[np.flatnonzero(near)[fit.used]] = fit.numbers[fit.profile]
+    return profile
 
 
 def _tilt_covariance(fit):

@@ -5,6 +5,9 @@ import numpy as np
 GRID = 9
 """Nodes for each of the two unknown variances."""
 
+MOST = 300
+"""More profiles than that are averaged in so many blocks: matrices are this large at most."""
+
 
 def mean_gap(numbers, offsets, variances, weights):
     """Return the mean gap between profiles over a patch, and its variance.
@@ -46,6 +49,12 @@ def mean_gap(numbers, offsets, variances, weights):
     numbers, offsets, variances, weights = (
         np.asarray(values, dtype=np.float64) for values in (numbers, offsets, variances, weights)
     )
+    if len(numbers) > MOST:
+        blocks = np.arange(len(numbers)) * MOST // len(numbers)
+        share = weights / np.bincount(blocks, weights)[blocks]
+        parts = (numbers * share, offsets * share, variances * share**2, weights)
+        gap, variance, functional = mean_gap(*(np.bincount(blocks, part) for part in parts))
+        return gap, variance, functional[blocks] * share
     length = numbers[-1] - numbers[0]
     x = (numbers - numbers[0]) / length
     if len(numbers) == 2:
@@ -53,16 +62,17 @@ def mean_gap(numbers, offsets, variances, weights):
         return float(functional @ offsets), float(functional**2 @ variances), functional
     line = np.stack([np.ones_like(x), x], axis=1)
     walk = _Walk(x, weights / weights.sum(), line)
-    residual = offsets - line @ np.linalg.lstsq(line, offsets, rcond=None)[0]
+    fitted = np.linalg.lstsq(line, offsets, rcond=None)[0]
+    residual = offsets - line @ fitted
     answers = [
-        walk.predict(offsets, variances + shared**2, speed**2)
+        walk.predict(residual, variances + shared**2, speed**2)
         for shared, speed in _grid(residual, variances)
     ]
     likelihood, gaps, spread = np.array([answer[:3] for answer in answers]).T
     share = np.exp(likelihood - likelihood.max())
     share /= share.sum()
-    gap = share @ gaps
-    variance = share @ spread + share @ (gaps - gap) ** 2
+    gap = fitted[1] + share @ gaps
+    variance = share @ spread + share @ (fitted[1] + gaps - gap) ** 2
     functional = share @ np.array([answer[3] for answer in answers])
     return float(gap / length), float(variance / length**2), functional / length
 
@@ -82,20 +92,23 @@ class _Walk:
         self.slope_offsets = scale * share @ slope_first
         self.slope = scale * share @ low @ share
 
-    def predict(self, offsets, errors, speed):
-        """Restricted log-likelihood, mean slope, its variance and what each offset adds to it."""
+    def predict(self, residual, errors, speed):
+        """Restricted log-likelihood, what residuals add to the mean slope, its variance, and how.
+
+        The last is the derivative of the mean slope by each offset.
+        """
         inverse = np.linalg.inv(np.diag(errors) + speed * self.offsets)
         weighted = inverse @ self.line
         normal = np.linalg.inv(self.line.T @ weighted)
         project = inverse - weighted @ normal @ weighted.T
         _, log_inverse = np.linalg.slogdet(inverse)
         _, log_normal = np.linalg.slogdet(normal)
-        likelihood = 0.5 * (log_inverse + log_normal - offsets @ project @ offsets)
+        likelihood = 0.5 * (log_inverse + log_normal - residual @ project @ residual)
         cross = speed * self.slope_offsets
         gap = np.array([0.0, 1.0]) - weighted.T @ cross
         functional = project @ cross + weighted @ normal @ [0.0, 1.0]
         variance = speed * self.slope - cross @ inverse @ cross + gap @ normal @ gap
-        return likelihood, functional @ offsets, variance, functional
+        return likelihood, functional @ residual, variance, functional
 
 
 def _grid(residual, variances):

@@ -160,7 +160,7 @@ def _claims_on_measuring(table, naive_mm, road):
     rms = table.groupby(["quantity", "case"])["error"].agg(lambda e: np.sqrt((e**2).mean()))
     gap = 1000 * rms["profile_spacing_perpendicular_m"].max()
     angle = rms["profile_angle_deg"].max()
-    z = table.dropna(subset="z").groupby("quantity")["z"]
+    z = table.dropna(subset="z").groupby(["quantity", "numbering"])["z"]
     covered, n = z.agg(lambda v: (v.abs() < 1.959964).mean()), int(z.count().min())
     slack = 2 * np.sqrt(0.95 * 0.05 / n)
     rates = road.heads["mirror_frequency_hz"]
