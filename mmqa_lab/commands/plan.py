@@ -77,8 +77,8 @@ def run(options):
     answer |= {name: float(lattice.quantity(name)) for name in QUANTITIES}
     if answer["point_spacing_m"] != answer["point_spacing_m"]:
         raise ValueError(
-            f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse or "
-            "profile passes beside it. Must be struck less obliquely."
+            f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
+            "or profile passes beside it. Must be struck less obliquely."
         )
     if options.json:
         print_json(answer)
