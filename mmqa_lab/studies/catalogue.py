@@ -59,7 +59,7 @@ STUDIES = (
         number=5,
         stem="mimic",
         title="MIMIC",
-        question="Do closed forms of scan geometry predict profile spacing, profile angle and point spacing?",
+        question="Which points will a profile scanner lay on a wall: predicted beforehand, measured afterwards?",
         source="Cahalane et al. 2014, doi:10.3390/s140609471",
     ),
     Study(
