@@ -19,7 +19,7 @@ from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
 from mmqa_lab.poles.trees import read_model
 
 WIDEST_M = 0.45
-"""Radius about the axis in which scan lines are looked at for their chords."""
+"""Radius about the axis in which scan lines are looked at for their chords, and longest chord."""
 
 GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
@@ -179,10 +179,12 @@ def _shaft(points, off, line, place):
     count = np.bincount(group, minlength=1)
     centre = [np.bincount(group, off[order, k]) / np.maximum(count, 1) for k in range(2)]
     away = np.hypot(*centre)
-    owner = line[order][np.flatnonzero(np.diff(group, prepend=-1))]
+    first = np.flatnonzero(np.diff(group, prepend=-1))
+    owner = line[order[first]]
     ranked = np.lexsort([away, owner])
     nearest = ranked[np.unique(owner[ranked], return_index=True)[1]]
-    nearest = nearest[away[nearest] <= WIDEST_M / 2]
+    chord = np.linalg.norm(off[order[first]] - off[order[first + count - 1]], axis=1)
+    nearest = nearest[(away[nearest] <= WIDEST_M / 2) & (chord[nearest] <= WIDEST_M)]
     which = order[np.isin(group, nearest)]
     return which, line[which]
 

@@ -58,8 +58,8 @@ def main():
             seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             rate = 1e6 * seconds / len(cloud)
-            row = f"{method:<8}{len(cloud):>12}{len(found):>8}{seconds:>9.1f}{cpu:>9.1f}{rate:>9.2f}{peak:>9.1f}"
-            print(row, flush=True)
+            row = f"{method:<8}{len(cloud):>12}{len(found):>8}{seconds:>9.1f}"
+            print(f"{row}{cpu:>9.1f}{rate:>9.2f}{peak:>9.1f}", flush=True)
 
 
 if __name__ == "__main__":
