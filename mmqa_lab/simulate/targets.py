@@ -261,28 +261,39 @@ class Atmosphere:
         On the ground under a black ground, W m-2 um-1.
     path_radiance : float
         Added by the air, W m-2 sr-1 um-1.
-    transmittance : float
-        From ground to camera.
+    path_std : float
+        Standard deviation of it from place to place, as a share.
+    direct, diffuse : float
+        Transmittance from the target to the camera, and of light from its surroundings that the
+        air turns into the same direction (adjacency).
     spherical_albedo : float
-        Share of the light leaving the ground that the air sends back: bright surroundings light
-        up a target, which bends the line of DN over reflectance.
+        Share of the light leaving the ground that the air sends back.
     """
 
     irradiance: float
     path_radiance: float
-    transmittance: float
+    path_std: float
+    direct: float
+    diffuse: float
     spherical_albedo: float
 
-    def radiance(self, reflectance):
-        """Radiance at the camera over wide ground of a reflectance."""
+    def radiance(self, reflectance, *, surroundings=0.15, seed=None):
+        """Radiance at the camera over targets of a reflectance in surroundings of another.
+
+        Without a seed the path radiance is the same everywhere.
+        """
         rho = np.asarray(reflectance, dtype=np.float64)
-        light = self.irradiance / (np.pi * (1 - self.spherical_albedo * rho))
-        return self.path_radiance + self.transmittance * light * rho
+        lit = self.irradiance / (np.pi * (1 - self.spherical_albedo * surroundings))
+        path = np.full(rho.shape, self.path_radiance)
+        if seed is not None:
+            rng = np.random.default_rng(seed)
+            path = path * (1 + self.path_std * rng.standard_normal(rho.shape))
+        return path + lit * (self.direct * rho + self.diffuse * surroundings)
 
 
 ATMOSPHERES = {
-    "clean": Atmosphere(1200.0, 6.0, 0.95, 0.05),
-    "hazy": Atmosphere(950.0, 38.0, 0.72, 0.25),
+    "clean": Atmosphere(1200.0, 6.0, 0.002, 0.93, 0.03, 0.05),
+    "hazy": Atmosphere(950.0, 38.0, 0.005, 0.62, 0.15, 0.20),
 }
 """Assumed values in the red, flying at 1-2 km: visibility above 40 km, and of a few kilometres."""
 

@@ -180,7 +180,7 @@ def make_testfield(*, length_m=120.0, origin=(380_000.0, 6_672_000.0, 20.0), see
     return SimulatedField(Scene(_moved(surfaces, origin)), origin, length, poles, corners)
 
 
-def drive_testfield(street, system, *, speed=10.0, seed, rate=1.0, progress=False):
+def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, progress=False):
     """Return what a system delivers of both drives.
 
     Parameters
@@ -190,9 +190,9 @@ def drive_testfield(street, system, *, speed=10.0, seed, rate=1.0, progress=Fals
     speed : float
         m/s.
     seed : int
-    rate : float
-        Share of the pulse rate that is simulated, the mirror's frequency stays: 0.5 halves the
-        points along the profiles.
+    pulses_per_s : float
+        Most pulses a second that are simulated, of all heads together. Faster systems get points
+        farther apart along their profiles; the mirror's frequency stays.
     progress : bool
 
     Returns
@@ -201,7 +201,8 @@ def drive_testfield(street, system, *, speed=10.0, seed, rate=1.0, progress=Fals
         Of each drive: the georeferenced cloud with ``head`` and ``drive``, and the path that the
         system reports.
     """
-    heads = [replace(head, pulse_rate_hz=rate * head.pulse_rate_hz) for head in system.heads]
+    share = min(1.0, pulses_per_s / sum(head.pulse_rate_hz for head in system.heads))
+    heads = [replace(head, pulse_rate_hz=share * head.pulse_rate_hz) for head in system.heads]
     drives = []
     for number, path in enumerate(street.drives(speed)):
         known = measured(path, system.navigation, seed=[seed, number])

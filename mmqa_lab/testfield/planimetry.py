@@ -72,7 +72,7 @@ def pole_positions(points, poles, *, heights=POLE_HEIGHTS, search=0.4):
     return pd.DataFrame(rows)
 
 
-def corner_positions(points, corners, *, search=2.0, tolerance=0.03, seed=0):
+def corner_positions(points, corners, *, search=2.0, gate=0.5, tolerance=0.03, seed=0):
     """Measure corners of buildings and curbs in a cloud, as intersections of two lines in plan.
 
     Points of the faces near the reference get two lines: the one with the most points within the
@@ -87,6 +87,8 @@ def corner_positions(points, corners, *, search=2.0, tolerance=0.03, seed=0):
         ``x_m``, ``y_m``, ``z_m`` of the foot; ``kind`` (building or curb); ``corner`` (its name).
     search : float
         Points up to this far from the reference in plan are taken, m.
+    gate : float
+        A corner farther from the reference is another one, m.
     tolerance : float
         Points up to this far from a line belong to it, m.
     seed : int
@@ -100,6 +102,7 @@ def corner_positions(points, corners, *, search=2.0, tolerance=0.03, seed=0):
     """
     points = check_points(points)
     check_positive(tolerance, "tolerance", unit="m")
+    check_positive(gate, "gate", unit="m")
     tree, origin = _plan_tree(points)
     rng = np.random.default_rng(seed)
     rows = []
@@ -109,7 +112,7 @@ def corner_positions(points, corners, *, search=2.0, tolerance=0.03, seed=0):
         near = points[tree.query_ball_point(place, search)]
         above = near[:, 2] - corner["z_m"]
         xy = near[(above >= low) & (above <= high), :2] - origin - place
-        crossing, n, angle, reason = _corner(xy, tolerance, search, rng)
+        crossing, n, angle, reason = _corner(xy, tolerance, gate, rng)
         found = {"corner": corner.get("corner", number), "kind": corner["kind"], "n": n}
         found |= {"x_m": corner["x_m"], "y_m": corner["y_m"]}
         found |= {"dx_m": crossing[0], "dy_m": crossing[1], "angle_deg": angle, "reason": reason}
@@ -200,7 +203,7 @@ def _circle(xy, diameter, search):
     return best.x[:2], float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)), ""
 
 
-def _corner(xy, tolerance, search, rng):
+def _corner(xy, tolerance, gate, rng):
     """Intersection of the two lines, their points, the angle between them, the reason of none."""
     nothing = np.full(2, np.nan), 0, np.nan
     if len(xy) < 4 * FEWEST:
@@ -219,7 +222,7 @@ def _corner(xy, tolerance, search, rng):
             return *nothing, "too few points"
         first, second = (_fitted(xy[mask]) for mask in masks)
     crossing, angle = _crossing(first, second)
-    if np.hypot(*crossing) > search / 2:
+    if np.hypot(*crossing) > gate:
         return *nothing, "no corner near"
     return crossing, int(sum(mask.sum() for mask in masks)), angle, ""
 
