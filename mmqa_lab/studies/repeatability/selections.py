@@ -36,6 +36,9 @@ FIGURES = {
 INFLUENCE = {"density_polygon_per_m2": 1.0, "std_mm": np.sqrt(0.5), "sigma_mad_mm": 1.1664}
 """Standard deviation of one point's influence over the value, normal residuals (asymptotic)."""
 
+LEVEL = ", level axes"
+"""Behind a system's name: evaluated with horizontal axes."""
+
 GROUP = 5
 """Selections of one group, as in the paper."""
 
@@ -60,8 +63,8 @@ def compute(surfaces, *, repeats, click, seed, vertices=4, axes="principal"):
     vertices : int
         4 for quadrilaterals, 8 or more for free polygons.
     axes : {"principal", "horizontal"}
-        Horizontal ones stay where they are when the selection changes; they are named with the
-        system.
+        Horizontal ones stay where they are when the selection changes; ``LEVEL`` then stands
+        behind the system's name.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def compute(surfaces, *, repeats, click, seed, vertices=4, axes="principal"):
         A row per selection: ``system``, ``distance_m``, ``scan``, ``kind``, ``selection`` and the
         figures of ``CloudQuality``.
     """
-    suffix = "" if axes == "principal" else f", {axes} axes"
+    suffix = LEVEL if axes == "horizontal" else ""
     tables = []
     for number, surface in enumerate(tqdm(surfaces, desc="selections", disable=is_headless())):
         choices = {"click": click, "seed": [seed, number], "vertices": vertices}
