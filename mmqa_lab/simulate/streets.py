@@ -191,7 +191,7 @@ def street(plan, *, length, seed):
 
     Examples
     --------
-    >>> made = street("quiet", length=60, seed=1)
+    >>> made = street("quiet", length=120, seed=1)
     >>> sorted(made.targets["class"].unique())
     ['lamp', 'other', 'sign', 'tree']
     """
