@@ -105,8 +105,14 @@ def draw_factors(dataset, *, axes):
         ax.set(xlabel=f"{quantity} within 30 m", xlim=(0, 1.02), ylim=(len(places) - 0.5, -0.5))
     axes[0].set_yticks(places, dataset["change"].values)
     axes[1].set_yticks(places, [])
-    axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
+    _legend_above(axes)
     return axes
+
+
+def _legend_above(axes):
+    """One legend over both axes."""
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=3)
 
 
 def draw_thresholds(table, *, ax):
@@ -123,8 +129,8 @@ def draw_thresholds(table, *, ax):
             at = (row["recall"], row["precision"])
             ax.annotate(text, at, xytext=(3, 2), textcoords="offset points", fontsize=6)
     middle = wide.loc["default"]
-    ax.plot(middle["recall"], middle["precision"], "*", ms=9, color=COLOURS["black"])
-    ax.annotate("default", (middle["recall"], middle["precision"]), fontsize=7, va="top")
+    star = {"ms": 9, "ls": "none", "color": COLOURS["black"], "label": "default"}
+    ax.plot(middle["recall"], middle["precision"], "*", **star)
     ax.set(xlabel="recall within 30 m", ylabel="precision")
     ax.margins(0.12)
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -142,7 +148,7 @@ def draw_range(table, *, axes):
         axes[1].plot(part["range_m"], errors_mm, "o-", ms=3, color=colour, label=label)
     axes[0].set(xlabel="distance from the path (m)", ylabel="recall", ylim=(0, 1.02))
     axes[1].set(xlabel="distance from the path (m)", ylabel="median position error (mm)")
-    axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
+    _legend_above(axes)
     axes[1].set_ylim(bottom=0)
     return axes
 
