@@ -98,20 +98,22 @@ def draw_turn(turned, *, ax):
     return ax
 
 
-def draw_map(dataset, measure, *, ax, angle):
-    """Draw a measure over pattern and ratio for one angle: mean over sizes, noises and seeds."""
-    rest = [dim for dim in ("n", "noise", "seed") if dim in dataset.dims]
-    values = dataset[measure].sel(angle=angle).mean(rest).transpose("pattern", "ratio")
-    image = ax.imshow(np.log(values), cmap=MAP, vmin=0, vmax=np.log(20), aspect="auto")
+def draw_map(dataset, measure, *, ax, angle, noise):
+    """Draw a measure over pattern and ratio for one angle and noise: mean over sizes and seeds."""
+    chosen = dataset[measure].sel(angle=angle, noise=noise)
+    values = chosen.mean(["n", "seed"]).transpose("pattern", "ratio")
+    ax.imshow(np.log(values), cmap=MAP, vmin=0, vmax=np.log(20), aspect="auto")
     for (row, column), value in np.ndenumerate(values.to_numpy()):
         colour = "black" if value > 4 else "white"
         ax.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=6, color=colour)
     ax.set_xticks(range(values.sizes["ratio"]), [f"{r:g}" for r in values["ratio"].to_numpy()])
     ax.set_yticks(range(values.sizes["pattern"]), [named(p) for p in values["pattern"].to_numpy()])
-    ax.set(xlabel="stretched by", title=f"{measure}, axes off the lines by {angle:g}°")
+    ax.set(
+        xlabel="stretched by", title=f"{measure}, lines {angle:g}° off the axes, {noise:g} mm noise"
+    )
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
-    return image
+    return ax
 
 
 def draw_ranks(dataset, measure, correlations, *, ax):
@@ -124,6 +126,9 @@ def draw_ranks(dataset, measure, correlations, *, ax):
             x, rows[measure], ".", ms=2, alpha=0.5, color=COLOURS[SHADES[kind]], rasterized=True
         )
         ax.plot([], [], "o", ms=4, color=COLOURS[SHADES[kind]], label=named(kind))
+    for colour in dict.fromkeys(SHADES.values()):
+        kinds = ", ".join(named(kind) for kind, shade in SHADES.items() if shade == colour)
+        ax.plot([], [], "o", ms=4, color=COLOURS[colour], label=kinds)
     found = correlations.set_index("name").loc[measure]
     ax.set_title(f"rank correlation {found.rank_correlation:.2f}")
     ax.set(xscale="log", yscale="log", xlabel="true ratio across / along", ylabel=measure)
@@ -143,7 +148,7 @@ def draw_correlations(correlations, *, ax):
         ax.plot(row.rank_correlation, place, "o", ms=4, color=colour)
     ax.axvline(0, color=COLOURS["black"], lw=0.5)
     ax.set_yticks(places, rows["measure"])
-    ax.set(xlabel="rank correlation with the true ratio", xlim=(-1, 1))
+    ax.set(xlabel="rank correlation", xlim=(-1, 1))
     return ax
 
 
@@ -223,6 +228,6 @@ def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
 
 def _mark_threshold(ax):
     """Draw the threshold of the tender and the value of a random pattern."""
-    for value, name in ((F0, "f0"), (expected_f("poisson", 1), "random")):
-        ax.axhline(value, color=COLOURS["grey"], lw=0.6, ls=":")
-        ax.annotate(name, (0, value), xytext=(2, 1), textcoords="offset points", fontsize=6)
+    look = {"color": COLOURS["grey"], "lw": 0.8}
+    ax.axhline(expected_f("poisson", 1), ls="--", label="random pattern", **look)
+    ax.axhline(F0, ls=":", label="threshold f0", **look)
