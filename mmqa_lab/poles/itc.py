@@ -91,7 +91,7 @@ def detect(points, settings, *, explain=False):
     Returns
     -------
     DataFrame
-        See :func:`mmqa_lab.poles.detect`; with ``is_tree``.
+        See :func:`mmqa_lab.poles.detect`; with ``is_tree``: a wide crown above the stack.
     """
     rough = rough_classes(points, settings)
     component = components(points, rough == RAISED, settings.link_distance)
@@ -106,8 +106,7 @@ def detect(points, settings, *, explain=False):
     table |= {"height_m": stacks["length"], "diameter_m": stacks["diameter"]}
     table |= {"score": stacks["regularity"], "rejected_by": reason}
     drop_duplicates(table, 2 * settings.shift)
-    frame = pole_table(table | {"is_tree": stacks["is_tree"]}, "itc", explain=explain)
-    return frame
+    return pole_table(table | {"is_tree": stacks["is_tree"]}, "itc", explain=explain)
 
 
 def rough_classes(points, settings):

@@ -16,7 +16,8 @@ def pole_table(rows, method, *, explain=False):
     ----------
     rows : dict of str to array
         ``x_m``, ``y_m`` (the axis at half height), ``z_base_m``, ``height_m``, ``diameter_m``,
-        ``lean_x``, ``lean_y`` (m/m), ``score``, ``rejected_by`` (empty for accepted).
+        ``lean_x``, ``lean_y`` (m/m), ``score``, ``rejected_by`` (empty for accepted); of the
+        component method also ``is_tree``.
     method : str
     explain : bool
 
@@ -30,7 +31,7 @@ def pole_table(rows, method, *, explain=False):
     frame["method"] = method
     if not explain:
         frame = frame[frame["rejected_by"] == ""]
-    columns = [*COLUMNS, "rejected_by"] if explain else list(COLUMNS)
+    columns = [*COLUMNS, *frame.columns.intersection(["is_tree"]), *["rejected_by"] * explain]
     return frame.sort_values(["y_m", "x_m"], ignore_index=True)[columns]
 
 
