@@ -154,7 +154,7 @@ def calibrate(
     poles=None,
     control=None,
     cell=1.0,
-    patches=300,
+    patches=500,
     roughness=0.03,
     seed=0,
     rounds=2,
@@ -505,7 +505,7 @@ def _planes_by_cube(placed, groups, cell, fewest=20):
     return table[table["n"] >= fewest]
 
 
-def _inliers(run, plane, rng, share=60):
+def _inliers(run, plane, rng, share=100):
     """Some of a group's points, those off their own plane left out."""
     keep = np.abs(plane.residuals) <= OUTLIER * max(sigma_mad(plane.residuals), 1e-6)
     run = run[keep]

@@ -15,7 +15,7 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
 
-MARGIN_PX = 12
+MARGIN_PX, MARGIN_SIGMAS = 8, 6
 """Drawn around the image, so that what the filter wraps around stays outside."""
 
 
@@ -314,9 +314,10 @@ def _render(shape, spread, distance, low, high):
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
-    fine = [next_fast_len((size + 2 * MARGIN_PX) * FINE, real=True) for size in (rows, columns)]
+    margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * np.sqrt(spread.blur.max())))
+    fine = [next_fast_len((size + 2 * margin) * FINE, real=True) for size in (rows, columns)]
     y, x = (
-        np.arange(count)[:, None] / FINE - MARGIN_PX - (size - 1) / 2
+        np.arange(count)[:, None] / FINE - margin - (size - 1) / 2
         for count, size in zip(fine, (rows, columns), strict=True)
     )
     bright = np.clip(0.5 + FINE * distance(x.T, y), 0, 1)
@@ -324,6 +325,6 @@ def _render(shape, spread, distance, low, high):
     # the drawn edges rise over one fine sample: that much of the blur is there already
     drawn = np.exp(np.pi**2 * (fx**2 + fy**2) / (6 * FINE**2))
     seen = irfft2(rfft2(bright) * np.minimum(drawn, 4) * spread.mtf(fx, fy), fine)
-    begin = MARGIN_PX * FINE
+    begin = margin * FINE
     image = seen[begin : begin + rows * FINE : FINE, begin : begin + columns * FINE : FINE]
     return low + (high - low) * image

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, DIVERGING_MAP, MAP
+from mmqa_lab.figures import COLOURS, DIVERGING_MAP, MAP, subplots
 from mmqa_lab.radiometry.brdf import WalthallFit
 from mmqa_lab.radiometry.edge import fit_edge
-from mmqa_lab.simulate.blocks import SURFACES
+from mmqa_lab.simulate.targets import PointSpread, render_edge
 
 METHOD_COLOURS = {
     "sigmoid: Gaussian": COLOURS["blue"],
@@ -28,7 +28,7 @@ def draw_edge(image, spread, angle_deg, *, ax):
     ax.plot(place[near], level[near], ".", ms=1, color=COLOURS["grey"], alpha=0.4)
     x = np.linspace(-3, 3, 401)
     for (name, fit), dash in zip(fits.items(), ("-", "--"), strict=True):
-        colour = METHOD_COLOURS[f"sigmoid: {name.replace('g', 'G', 1)}"]
+        colour = METHOD_COLOURS["sigmoid: Gaussian" if name == "gaussian" else "sigmoid: logistic"]
         label = f"{name}: FWHM {fit.fwhm_px:.2f} px"
         ax.plot(x, fit.esf(x), dash, color=colour)
         ax.plot(x, fit.lsf(x), dash, color=colour, label=label)
@@ -218,6 +218,14 @@ def draw_gains(adjustment, stations, *, ax):
     return ax
 
 
-def surface_table():
-    """Return the surfaces of the simulated ground with their true anisotropy."""
-    return SURFACES.copy()
+def figure_of_blur():
+    """Return a function that draws an edge and its sigmoids for a blur."""
+
+    def draw(sigma_px):
+        """The edge of that blur."""
+        spread = PointSpread(sigma_px)
+        figure, ax = subplots(height_mm=65)
+        draw_edge(render_edge((60, 60), spread, angle_deg=6.0), spread, 6.0, ax=ax)
+        return figure
+
+    return draw

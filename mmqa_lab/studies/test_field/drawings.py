@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS
-from mmqa_lab.testfield import trend
+from mmqa_lab.figures import COLOURS, KIND_COLOURS, subplots
+from mmqa_lab.testfield import height_accuracy, height_differences, trend
 
 SYSTEM_COLOURS = dict(
     zip(
@@ -157,3 +157,19 @@ def draw_real(tables, *, ax):
     ax.set(xlabel="height difference (mm)", ylabel="density (1/mm)")
     ax.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.36))
     return ax
+
+
+def figure_of_radius(points, reference):
+    """Return a function that draws height differences for a search radius."""
+
+    def draw(radius_mm):
+        """The differences as a histogram."""
+        table = height_differences(points, reference, radius=radius_mm / 1000)
+        row = height_accuracy(table).iloc[0]
+        figure, ax = subplots(height_mm=55)
+        ax.hist(1000 * table.loc[table["reason"] == "", "dz_m"], bins=40, color=COLOURS["sky"])
+        ax.set(xlabel="height difference (mm)", ylabel="reference points")
+        ax.set_title(f"{row['n']:.0f} of {len(table)} points, std {row['std_mm']:.1f} mm")
+        return figure
+
+    return draw

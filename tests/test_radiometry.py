@@ -1,0 +1,196 @@
+"""Sensor calibration, reflectance, anisotropy and block adjustment against known truth."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import least_squares
+
+from mmqa_lab.radiometry.block import FREE, Priors, adjust_block, tie_spread
+from mmqa_lab.radiometry.brdf import fit_walthall, walthall_terms
+from mmqa_lab.radiometry.reflectance import (
+    empirical_line,
+    ndvi,
+    reflectance_errors,
+    reflectance_factor,
+)
+from mmqa_lab.radiometry.sensor import (
+    fit_sensor,
+    patch_statistics,
+    relative_exposure,
+    saturation_level,
+    stability,
+)
+
+
+def test_sensor_fit_is_ordinary_least_squares_where_weights_are_equal(rng):
+    radiance = rng.uniform(5, 200, 40)
+    dn = 60 + 28 * radiance + rng.normal(0, 3, 40)
+    fit = fit_sensor(radiance, dn)
+    gain, offset = np.polyfit(radiance, dn, 1)
+    assert fit.gain == pytest.approx(gain, rel=1e-9)
+    assert fit.offset == pytest.approx(offset, rel=1e-9)
+    assert np.allclose(fit.radiance(dn), radiance + fit.residuals / fit.gain)
+    assert fit.p_values[0] < 1e-10
+
+
+def test_two_standard_errors_hold_95_percent(rng):
+    radiance = np.linspace(5, 250, 120)
+    inside = 0
+    for _ in range(400):
+        noise = np.sqrt(4 + radiance / 5)
+        dn = 60 + 28 * radiance + noise * rng.standard_normal(120)
+        fit = fit_sensor(radiance, dn, std_dn=noise)
+        inside += np.all(np.abs([fit.gain - 28, fit.offset - 60] / fit.std) < [2, np.inf])
+    # a share of 0.95 from 400 seeds scatters by 0.011
+    assert 0.95 - 0.035 < inside / 400 < 0.95 + 0.035
+
+
+def test_saturated_targets_are_left_out():
+    radiance = np.array([10.0, 50, 100, 150, 200, 250])
+    dn = np.minimum(50 + 20 * radiance, 4095)
+    fit = fit_sensor(radiance, dn, std_dn=2.0, full_scale=4095)
+    assert (fit.saturated, fit.n) == (1, 5)
+    assert fit.gain == pytest.approx(20, abs=1e-9)
+    image = np.tile(dn, (4, 1))
+    patches = [[0, 4, k, k + 1] for k in range(6)]
+    share = patch_statistics(image, patches, full_scale=4095)["saturated_share"]
+    assert share.tolist() == [0, 0, 0, 0, 0, 1]
+    assert np.isnan(saturation_level(np.arange(1000)))
+
+
+def test_exposure_labels_that_lie_show_as_instability():
+    radiance = np.array([10.0, 50, 100, 150])
+    exposure = relative_exposure(0.005, 4.0)
+    honest = fit_sensor(radiance, 60 + 28 * radiance + [0.1, -0.1, 0.1, -0.1])
+    lying = fit_sensor(
+        radiance,
+        60 + 28 * 1.03 * exposure * radiance + [0.1, -0.1, 0.1, -0.1],
+        exposure=exposure,
+    )
+    table = stability({"a": honest, "b": lying})
+    assert table["gain"][1] / table["gain"][0] == pytest.approx(1.03, abs=1e-3)
+    assert (table["p"] < 1e-6).all()
+
+
+def test_reflectance_factor_inverts_a_lambertian_target():
+    radiance = 7 + 0.9 * 1100 * 0.23 / np.pi
+    found = reflectance_factor(radiance, 1100, path_radiance=7, transmittance=0.9)
+    assert found == pytest.approx(0.23, rel=1e-12)
+
+
+def test_empirical_line_passes_two_targets_and_allows_for_their_anisotropy():
+    line = empirical_line([300.0, 1500.0], [0.05, 0.40], anisotropy=[1.1, 1.05])
+    assert line.reflectance(300.0) == pytest.approx(0.055, abs=1e-12)
+    assert line.reflectance(1500.0, anisotropy=1.05) == pytest.approx(0.40, abs=1e-12)
+    assert np.isnan(line.covariance).all()
+
+
+def test_propagated_deviation_of_reflectance_and_ndvi_agrees_with_monte_carlo(rng):
+    dn, known = np.array([200.0, 900.0, 1700.0]), np.array([0.05, 0.22, 0.42])
+    noisy = dn + rng.normal(0, 3, (4000, 3))
+    lines = [empirical_line(row, known, std_dn=3.0) for row in noisy]
+    measured = np.std([line.reflectance(1200.0) for line in lines])
+    assert lines[0].std(1200.0) == pytest.approx(measured, rel=0.1)
+    n, r = 0.4 + rng.normal(0, 0.01, 20000), 0.06 + rng.normal(0, 0.004, 20000)
+    _, std = ndvi(0.4, 0.06, std_near_infrared=0.01, std_red=0.004)
+    assert std == pytest.approx(np.std((n - r) / (n + r)), rel=0.03)
+
+
+def test_errors_by_group():
+    table = pd.DataFrame(
+        {"band": ["a", "a", "b"], "reflectance": [0.11, 0.09, 0.3], "reference": [0.1, 0.1, 0.2]}
+    )
+    found = reflectance_errors(table, by=["band"]).set_index("band")
+    assert found["rmse_percent"].round(6).tolist() == [10.0, 50.0]
+    assert found.loc["a", "mean_error"] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("form", ["walthall", "nilson-kuusk"])
+def test_walthall_recovers_its_coefficients(form, rng):
+    sun, view, azimuth = rng.uniform(20, 60, 200), rng.uniform(0, 50, 200), rng.uniform(0, 180, 200)
+    true = np.array([0.05, 0.03, 0.2]) if form == "walthall" else np.array([0.05, 0.03, 0.04, 0.2])
+    seen = walthall_terms(sun, view, azimuth, form=form) @ true
+    fit = fit_walthall(seen, sun, view, azimuth, form=form)
+    assert np.allclose(fit.coefficients, true, atol=1e-9)
+    assert fit.anisotropy(40, 0, 77) == pytest.approx(1)
+    with pytest.raises(ValueError, match="cannot tell"):
+        fit_walthall(seen[:10], 40, 0, 0, form=form)
+
+
+def block(rng, noise=0.005, images=8, ties=120):
+    """Observations of a block whose parameters are known."""
+    rows = [
+        (i, k, rng.uniform(0, 1), rng.uniform(0, 180))
+        for k in range(ties)
+        for i in rng.choice(images, 4, replace=False)
+    ]
+    table = pd.DataFrame(rows, columns=["image", "tie", "radius", "azimuth_deg"])
+    table["sun_zenith_deg"] = 40 + table["image"]
+    table["view_zenith_deg"] = np.degrees(np.arctan(0.7 * table["radius"]))
+    ground, gain = rng.uniform(0.05, 0.5, ties), np.exp(rng.normal(0, 0.05, images))
+    v, a = np.radians(table["view_zenith_deg"]), np.radians(table["azimuth_deg"])
+    light = np.cos(np.radians(table["sun_zenith_deg"])) * ground[table["tie"]]
+    light = light * (1 + 0.2 * v**2 + 0.3 * v * np.cos(a)) + 0.02
+    table["radiance"] = gain[table["image"]] * light * (1 - 0.1 * table["radius"] ** 2)
+    table["radiance"] *= 1 + noise * rng.standard_normal(len(table))
+    return table, ground, gain
+
+
+PRIORS = Priors(radial=(0.1, 0.0), haze=(0.0, FREE))
+
+
+def test_block_recovers_the_truth_without_noise(rng):
+    table, ground, gain = block(rng, noise=0.0)
+    control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 1e-6})
+    found = adjust_block(table, control=control, priors=PRIORS)
+    assert np.allclose(found.gains["gain"], gain, rtol=1e-6)
+    assert np.allclose(found.ties["reflectance"], ground, rtol=1e-5)
+    assert found.anisotropy[["b1", "b2"]].to_numpy().ravel() == pytest.approx([0.2, 0.3], abs=1e-5)
+    assert found.haze[0] == pytest.approx(0.02, abs=1e-6)
+    assert found.ties["cv_after_percent"].max() < 1e-3
+    assert np.allclose(found.correct(table), ground[table["tie"]], rtol=1e-5)
+
+
+def test_block_agrees_with_a_dense_solution(rng):
+    table, ground, _ = block(rng, images=4, ties=12, noise=0.002)
+    control = pd.DataFrame({"tie": range(6), "reflectance": ground[:6], "std": 0.002})
+    found = adjust_block(table, control=control, priors=PRIORS, relative_std=0.02)
+    v, a = np.radians(table["view_zenith_deg"]), np.radians(table["azimuth_deg"])
+    sun = np.cos(np.radians(table["sun_zenith_deg"]))
+
+    def misfit(p):
+        """All residuals over their deviations, all parameters at once."""
+        light = sun * p[7:][table["tie"]] * (1 + p[4] * v**2 + p[5] * v * np.cos(a)) + p[6]
+        model = np.exp(p[:4])[table["image"]] * light * (1 - 0.1 * table["radius"] ** 2)
+        of_ties = (p[7:13] - ground[:6]) / 0.002
+        return np.append((table["radiance"] - model) / (0.02 * table["radiance"]), of_ties)
+
+    start = np.concatenate([np.zeros(7), ground])
+    dense = least_squares(misfit, start, xtol=1e-12, ftol=1e-12)
+    # the block's Huber weights differ from 1 for few of these observations
+    assert np.allclose(np.log(found.gains["gain"]), dense.x[:4], atol=2e-3)
+    assert np.allclose(found.ties["reflectance"], dense.x[7:], atol=2e-3)
+
+
+def test_relative_adjustment_does_not_depend_on_the_unit(rng):
+    table, _, _ = block(rng)
+    one = adjust_block(table)
+    other = adjust_block(table.assign(radiance=1000 * table["radiance"]))
+    assert np.allclose(one.gains["gain"], other.gains["gain"], rtol=1e-6)
+    ratio = other.ties["reflectance"] / one.ties["reflectance"]
+    assert np.allclose(ratio, 1000, rtol=1e-6)
+
+
+def test_block_rejects(rng):
+    table, _, _ = block(rng)
+    with pytest.raises(ValueError, match="no column 'radius'"):
+        adjust_block(table.drop(columns="radius"))
+    with pytest.raises(ValueError, match="no tie point in two images"):
+        adjust_block(table.drop_duplicates("tie"))
+    with pytest.raises(ValueError, match="Invalid radiance"):
+        adjust_block(table.assign(radiance=-1.0))
+    with pytest.raises(ValueError, match="Invalid targets"):
+        fit_sensor([1, 1, 1], [2, 2, 2])
+    with pytest.raises(ValueError, match="Invalid reference"):
+        reflectance_errors(pd.DataFrame({"reflectance": [0.1], "reference": [0.0]}))
+    assert np.isnan(tie_spread([1.0], ["a"]).iloc[0])
