@@ -295,13 +295,14 @@ def _cars(length):
 
 
 def _poles(length, rng):
-    """Lamps of 8 m and signs of 3 m along the curbs: the table and the cylinders."""
+    """Lamps of 8 m and signs of 3 m on the pavements: the table and the cylinders."""
     rows, shafts = [], []
     for sign in (-1, 1):
         for y in np.arange(6.0, length - 4, 12.0):
             lamp = rng.random() < 0.6
             diameter, top = (0.14, 8.0) if lamp else (0.06, 3.0)
-            x = sign * (ROAD_HALF_M + 0.8)
+            # anywhere on the pavement: multiples of the golden section spread evenly
+            x = sign * (ROAD_HALF_M + 0.6 + 2.6 * (len(rows) * 0.618 % 1))
             place = np.array([x, y + rng.uniform(-1.5, 1.5), CURB_M])
             label = "lamp" if lamp else "sign"
             shafts.append(

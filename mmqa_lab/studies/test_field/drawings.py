@@ -71,7 +71,7 @@ def draw_height_std(heights, bound_mm, *, ax):
         xlabel="std of heights, shift removed (mm)",
         xlim=(0, None),
     )
-    ax.legend(loc="upper left", bbox_to_anchor=(-0.35, 1.38), ncols=3, columnspacing=0.8)
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.35, 1.5), columnspacing=0.8)
     return ax
 
 
