@@ -169,7 +169,7 @@ def draw_reflectance_errors(summary, *, ax, anisotropy="allowed for"):
         ax.axhline(limit, ls=":", lw=0.8, color=COLOURS["grey"])
     ax.set(yscale="log", ylabel="RMSE of reflectance (%)")
     ax.set_xticks(np.arange(len(names)), names)
-    ax.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.28), ncols=3, columnspacing=0.8)
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.4), ncols=2, columnspacing=0.8)
     return ax
 
 
