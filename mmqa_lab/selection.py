@@ -125,7 +125,7 @@ class SelectionTool:
         self.canvas.header_visible = False
         _, self._panels = _panels(figure, self.view.to_plane(self.points))
         look = {"color": figures.COLOURS["vermilion"], "linewidth": 1.5}
-        self._selector = PolygonSelector(self._panels[0], self._moved, props=look, useblit=True)
+        self._selector = PolygonSelector(self._panels[0], self._moved, props=look)
         self._selector.verts = self.view.to_plane(self.vertices).tolist()
         self._moved(self._selector.verts)
         self.box = ipywidgets.VBox([self.canvas, self.text, self._save_row()])
@@ -206,8 +206,9 @@ def _panels(figure, xy):
         figure.add_axes(place)
         for place in ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
     ]
-    step = max(1, len(xy) // SHOWN)
-    panels[0].plot(*xy[::step].T, ",", color=figures.COLOURS["blue"])
+    shown = xy[:: max(1, len(xy) // SHOWN)]
+    mark = "," if len(shown) > SHOWN // 3 else "."  # one pixel each where there are many
+    panels[0].plot(*shown.T, mark, ms=2, color=figures.COLOURS["blue"])
     panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
     return figure, panels
 

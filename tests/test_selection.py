@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from mmqa_lab import selection
+from mmqa_lab import figures, selection
 from mmqa_lab.__main__ import main
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
@@ -52,6 +53,16 @@ def test_tool_shows_what_evaluate_cloud_finds(tool, wall):
     assert tool.quality.n == quality.n
     assert tool.quality.f == quality.f
     assert selection.summary(quality) in tool.text.value
+
+
+def test_the_polygon_is_in_the_picture(tool):
+    tool.canvas.draw()
+    image = np.asarray(tool.canvas.buffer_rgba())[:, :, :3].astype(int)
+    vermilion = 255 * np.array(to_rgb(figures.COLOURS["vermilion"]))
+    painted = np.abs(image - vermilion).max(axis=2) < 20
+    assert (
+        painted[:, : int(0.6 * painted.shape[1])].sum() > 1000
+    )  # the histograms are farther right
 
 
 def test_moving_a_vertex_changes_numbers_and_picture(tool):

@@ -218,6 +218,7 @@ def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
     axes[1].plot(turns, turned, color=KIND_COLOURS["measured"])
     _mark_threshold(axes[1])
     axes[1].set(xlabel="axes turned by (degrees)", ylabel="f", ylim=(0, 1.1 * max(turned.max(), 5)))
+    axes[1].legend(loc="lower right")
     axes[1].set_title(f"f = {turned.min():.2f} to {turned.max():.2f}")
     axes[2].plot(found.directions_deg, 1000 * found.spacing, color=KIND_COLOURS["measured"])
     axes[2].axvline(found.direction_deg, color=COLOURS["green"], ls=":")

@@ -1,0 +1,167 @@
+"""JupyterLab on copies of the study notebooks, driven by Chromium."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+
+import nbformat
+import pytest
+
+from mmqa_lab.headless import _insert_quick
+from mmqa_lab.studies.catalogue import notebooks_folder
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+ARGUMENTS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+)
+"""Runs as root, calls nobody, draws WebGL in software."""
+
+SETTINGS = {
+    "notebook-extension/tracker": {"windowingMode": "none"},
+    "apputils-extension/notification": {"fetchNews": "false"},
+}
+"""All cells stay in the page; no news pop up."""
+
+NOTEBOOKS = ("02_repeatability", "03_anisotropy")
+
+
+def pytest_collection_modifyitems(items):
+    """Mark the tests of this folder, and skip them with the reason where they cannot run."""
+    reason = _missing()
+    for item in items:
+        if "tests/browser" in item.path.as_posix():
+            item.add_marker(pytest.mark.browser)
+            item.add_marker(pytest.mark.timeout(600))
+            if reason:
+                item.add_marker(pytest.mark.skip(reason=reason))
+
+
+def _missing():
+    """What a browser test needs and does not find, empty when nothing is missing."""
+    if executable() is None:
+        return f"needs Chromium: none of {', '.join(BROWSERS)} is installed"
+    try:
+        import playwright  # noqa: F401
+    except ImportError:
+        return "needs the Python package playwright"
+    return ""
+
+
+def executable():
+    """Path of the browser, or None."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium without a screen."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=executable(), args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory):
+    """JupyterLab that serves quick copies of the notebooks; its address."""
+    folder = tmp_path_factory.mktemp("lab")
+    copies = folder / "notebooks"
+    copies.mkdir()
+    for name in NOTEBOOKS:
+        notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
+        _insert_quick(notebook, name.lstrip("0123456789_"))
+        nbformat.write(notebook, copies / f"{name}.ipynb")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    options = (
+        *("--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}"),
+        *("--IdentityProvider.token=", f"--ServerApp.root_dir={copies}"),
+    )
+    log = folder / "server.log"
+    with log.open("w") as said:
+        server = subprocess.Popen(
+            [sys.executable, "-m", "jupyterlab", *options],
+            env=_environment(folder),
+            stdout=said,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            _wait(server, f"http://127.0.0.1:{port}/api/status", log)
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            server.terminate()
+            server.wait(30)
+
+
+def _environment(folder):
+    """The variables of a person at a screen, with settings and results in a folder of their own."""
+    environment = {**os.environ, "MMQA_RESULTS": str(folder / "results")}
+    for name in ("JUPYTER_CONFIG_DIR", "JUPYTERLAB_SETTINGS_DIR", "JUPYTERLAB_WORKSPACES_DIR"):
+        environment[name] = str(folder / name.lower())
+    environment["JUPYTER_RUNTIME_DIR"] = str(folder / "runtime")
+    for name, settings in SETTINGS.items():
+        file = folder / "jupyterlab_settings_dir" / "@jupyterlab" / f"{name}.jupyterlab-settings"
+        file.parent.mkdir(parents=True)
+        file.write_text(json.dumps(settings))
+    for name in ("MMQA_HEADLESS", "MPLBACKEND", "MMQA_DATA", "DISPLAY"):
+        environment.pop(name, None)
+    return environment
+
+
+def _wait(server, address, log, seconds=90):
+    """Return when the server answers."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if server.poll() is not None:
+            break
+        try:
+            urllib.request.urlopen(address, timeout=2)
+            return
+        except (urllib.error.URLError, TimeoutError, ConnectionError):
+            time.sleep(0.25)
+    raise RuntimeError(f"JupyterLab did not start: {log.read_text()[-2000:]}")
+
+
+@pytest.fixture
+def ran(browser, lab, tmp_path):
+    """Open a notebook, run it to the end; returns the page. A failing test leaves a screenshot."""
+    page = browser.new_page(viewport={"width": 1400, "height": 1000})
+
+    def run(name):
+        """The page of a notebook whose cells have all run."""
+        from playwright.sync_api import expect
+
+        asked = page.locator(".jp-Dialog", has_text="Select Kernel")  # when it is not ready to run
+        select = page.locator(".jp-Dialog button", has_text=re.compile("^Select$"))
+        page.add_locator_handler(asked, lambda: select.click())
+        page.goto(f"{lab}/lab/tree/{name}.ipynb?reset")
+        page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=90_000)
+        idle = "document.querySelector('.jp-Notebook-ExecutionIndicator')?.dataset.status==='idle'"
+        page.wait_for_function(f"() => {idle}", timeout=90_000)
+        first = page.locator(".jp-CodeCell .jp-InputPrompt").first
+        for _ in range(5):  # the command is lost while the kernel is still connecting
+            page.locator(".lm-MenuBar-itemLabel", has_text=re.compile("^Run$")).click()
+            page.locator(".lm-Menu-itemLabel", has_text="Run All Cells").first.click()
+            try:
+                expect(first).to_have_text(re.compile(r"\[(\*|\d+)\]"), timeout=10_000)
+                break
+            except AssertionError:
+                continue
+        return page
+
+    yield run
+    page.screenshot(path=tmp_path / "last.png")
+    page.close()

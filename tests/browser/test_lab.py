@@ -1,0 +1,70 @@
+"""A person in JupyterLab: runs a study, moves a slider, drags a vertex of a polygon."""
+
+import io
+import re
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from PIL import Image
+from playwright.sync_api import expect
+
+from mmqa_lab.figures import COLOURS
+
+RUN_MS = 400_000
+"""Studies run with small parameters, but the machine may be busy."""
+
+
+def points_selected(text):
+    """The number that the tool's line begins with."""
+    return int(re.match(r"(\d+) points", text).group(1))
+
+
+def outline_corner(picture):
+    """Pixel (x, y) of the upper right corner of the polygon's line, and its picture."""
+    image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=float)
+    colour = 255 * np.array(to_rgb(COLOURS["vermilion"]))
+    rows, columns = np.nonzero(np.abs(image - colour).max(axis=2) < 40)
+    inside = columns < 0.6 * image.shape[1]  # the cloud's panel; histograms stand to the right
+    rows, columns = rows[inside], columns[inside]
+    best = np.argmax(columns - rows)
+    return int(columns[best]), int(rows[best])
+
+
+def test_dragging_a_vertex_changes_numbers_and_picture(ran):
+    page = ran("02_repeatability")
+    line = page.locator(".widget-html", has_text="points/m²").first
+    expect(line).to_be_visible(timeout=RUN_MS)
+    canvas = page.locator(".jupyter-matplotlib-canvas-div").first
+    canvas.scroll_into_view_if_needed()
+    page.wait_for_timeout(3000)
+    text, picture = line.inner_text(), canvas.screenshot()
+    x, y = outline_corner(picture)
+    box = canvas.bounding_box()
+    page.mouse.move(box["x"] + x - 2, box["y"] + y + 2, steps=4)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    page.wait_for_timeout(100)
+    page.mouse.move(box["x"] + x - 60, box["y"] + y + 60, steps=8)
+    page.wait_for_timeout(200)
+    page.mouse.up()
+    expect(line).not_to_have_text(text, timeout=20_000)
+    page.wait_for_timeout(1000)
+    smaller = points_selected(line.inner_text())
+    assert 0.5 * points_selected(text) < smaller < 0.98 * points_selected(text)
+    assert outline_corner(canvas.screenshot()) != (x, y)
+
+
+def test_moving_a_slider_changes_numbers_and_picture(ran):
+    page = ran("03_anisotropy")
+    handle = page.locator(".jupyter-widgets .noUi-handle").first
+    expect(handle).to_be_visible(timeout=RUN_MS)
+    explorer = page.locator(".jp-OutputArea-output", has=page.locator(".noUi-handle")).first
+    picture = explorer.locator("img").last
+    expect(picture).to_be_visible(timeout=RUN_MS)
+    before = picture.get_attribute("src")
+    readout = explorer.locator(".widget-readout").first
+    expect(readout).to_have_text("5")
+    handle.focus()
+    page.keyboard.press("ArrowRight")
+    expect(readout).to_have_text("6")
+    expect(picture).not_to_have_attribute("src", before, timeout=20_000)
