@@ -228,7 +228,7 @@ class Layout:
             gaps = np.stack([low - there - [other.width, other.height], there - high], axis=1)
             apart = gaps.max(axis=1)
             for k in (0, 1):
-                if 0 <= apart[k] and apart[1 - k] < reach[1 - k]:
+                if apart[k] >= 0 and apart[1 - k] < reach[1 - k]:
                     side = int(gaps[k].argmax())
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear

@@ -101,9 +101,10 @@ class ImageBlock:
         """
         station = self.stations.iloc[np.asarray(image)].reset_index(drop=True)
         view = _view(station, np.asarray(row), np.asarray(column), self.flight)
-        cell = (view["y_m"] / self.flight.gsd_m).astype(int), (
-            view["x_m"] / self.flight.gsd_m
-        ).astype(int)
+        cell = (
+            (view["y_m"] / self.flight.gsd_m).astype(int),
+            (view["x_m"] / self.flight.gsd_m).astype(int),
+        )
         names = SURFACES["surface"].to_numpy()[self.surface[cell]]
         sun = station[["image", "sun_zenith_deg"]]
         return pd.concat([sun, pd.DataFrame(view)], axis=1).assign(surface=names)

@@ -19,7 +19,7 @@ QUICK = {
 }
 
 
-def claims(limits, answers, rounded, exponents, laws, strays, components):
+def claims(*, limits, answers, rounded, exponents, laws, strays, components):
     """Test what the notebook says; the arguments are tables of ``selections``."""
     return [
         *_claims_on_the_remark(answers),
