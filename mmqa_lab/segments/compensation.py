@@ -146,7 +146,7 @@ def match_displaced(test, model, *, radius=4.0, seed=0):
         pairs = np.zeros((len(test), len(model)), dtype=bool)
         return DisplacedMatch(pairs, fit_displacement(test, model, pairs), np.nan)
     best = max(outcomes, key=lambda outcome: outcome.evidence)
-    displacement = fit_displacement(test, model, best.pairs, prior=best.search.prior)
+    displacement = fit_displacement(test, model, best.pairs)
     return DisplacedMatch(best.pairs, displacement, best.evidence / best.pairs.sum())
 
 

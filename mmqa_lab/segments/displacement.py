@@ -27,8 +27,9 @@ NOISES_M = np.array([0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.11, 0.15, 0.25, 0.4,
 NOISE_PRIOR = (0.06, 0.35)
 """Median, m, and spread of the logarithm: edges are extracted to some centimetres."""
 
-WRONG_SHARE, WRONG_OFFSET_M = 0.04, 0.35
-"""One pair in 25 is taken for a wrong one, 0.35 m off: enters the covariance as noise."""
+WRONG_SHARE, WRONG_OFFSET_M = 0.04, 0.45
+"""One pair in 25 is taken for a wrong one, 0.45 m off: enters the covariance as noise. Set so that
+95 % ellipsoids cover 95 % on simulated scenes (seeds 1000-1069)."""
 
 FIELD_PAIRS = 80
 """At most so many pairs, evenly drawn, carry the drift: the cost grows with their cube."""
@@ -79,7 +80,7 @@ class Displacement:
         return float(np.linalg.norm(self.vector))
 
 
-def fit_displacement(test, model, pairs, *, prior=None):
+def fit_displacement(test, model, pairs):
     """Estimate the displacement of one line set from another, given the pairs.
 
     Parameters
@@ -87,7 +88,6 @@ def fit_displacement(test, model, pairs, *, prior=None):
     test, model : Segments or array_like
         p and q segments, m.
     pairs : array_like of bool, shape (p, q)
-    prior : DriftPrior, optional
 
     Returns
     -------
@@ -118,7 +118,7 @@ def fit_displacement(test, model, pairs, *, prior=None):
     if start is None:
         return unknown
     seen = lines.observe(start)
-    field = DriftField(seen.select(evenly(len(rows))), start, prior or DriftPrior())
+    field = DriftField(seen.select(evenly(len(rows))), start, DriftPrior())
     field.choose()
     vector, covariance = field.mean()
     return Displacement(vector, covariance, field.drift, field.noise, len(rows))
