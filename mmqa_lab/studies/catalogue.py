@@ -56,18 +56,39 @@ STUDIES = (
         source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 3.3",
     ),
     Study(
+        number=4,
+        stem="lhd_weight",
+        title="Line-segment Hausdorff distance",
+        question="Is W = 10 the right weight, and does the distance show the displacement?",
+        source="Poreba and Goulette 2013, hal-00846334",
+    ),
+    Study(
         number=5,
         stem="mimic",
         title="MIMIC",
-        question="Which points will a profile scanner lay on a wall: predicted beforehand, measured afterwards?",
+        question="Which points will a scanner lay on a wall: predicted beforehand, measured after?",
         source="Cahalane et al. 2014, doi:10.3390/s140609471",
     ),
     Study(
         number=6,
         stem="poles",
         title="Poles",
-        question="What do recall and precision of pole detectors depend on, and can they be raised?",
+        question="How many poles along a street does a method find, and how many finds are poles?",
         source="EuroSDR 2013, mobile laser scanning, Tables 4-1 and 4-2",
+    ),
+    Study(
+        number=7,
+        stem="test_field",
+        title="Test-field accuracy",
+        question="How accurate are heights and positions on a test field, and after calibration?",
+        source="EuroSDR 2013, mobile laser scanning, chapter 3",
+    ),
+    Study(
+        number=8,
+        stem="image_radiometry",
+        title="Image radiometry",
+        question="What do a camera's numbers say of resolution and reflectance, and how surely?",
+        source="EuroSDR 2013, image radiometry",
     ),
 )
 
