@@ -27,6 +27,7 @@ from mmqa_lab.chart_image.levels import Tones, tones
 from mmqa_lab.chart_image.line_pairs import (
     PairReading,
     Resolution,
+    expected_contrast,
     read_pairs,
     read_pattern,
     resolution,
@@ -57,6 +58,7 @@ __all__ = [
     "choose_images",
     "edge_response",
     "evaluate_image",
+    "expected_contrast",
     "locate_corners",
     "locate_markers",
     "pixel_size",

@@ -23,8 +23,11 @@ X_HEIGHT_SHARE = 0.75
 CROP_MARGIN = 0.6
 """Margin around a line, in heights of its capitals."""
 
-READING_SCALES = (2.0, 3.0, 4.0, 6.0)
-"""Enlargements an automatic reader tries; engines read some sizes better than sharper ones."""
+READING_CAPS_PX = (20.0, 30.0)
+"""Heights of the capitals that lines are enlarged to for an automatic reader, which tries both."""
+
+DASHES = str.maketrans("–—‐‑", "----")
+"""Dashes count as one letter: their length is typography."""
 
 LEGIBLE_ERROR = 0.2
 """Share of wrong letters up to which a line counts as read: mark b."""
@@ -223,7 +226,8 @@ def read_crops(crops, read):
     """
     rows = []
     for crop in crops:
-        tried = [read(_prepared(crop.image, scale)) for scale in READING_SCALES]
+        scales = [cap / crop.cap_px for cap in READING_CAPS_PX]
+        tried = [read(_prepared(crop.image, scale)) for scale in scales]
         best = min(tried, key=lambda text: character_error(text, crop.text))
         error = character_error(best, crop.text)
         mark = "a" if error == 0 else "b" if error <= LEGIBLE_ERROR else "c"
@@ -233,14 +237,16 @@ def read_crops(crops, read):
 
 
 def character_error(read, text):
-    """Return the edits that turn what was read into the text, per letter, spaces left out.
+    """Return the edits that turn what was read into the text, per letter.
+
+    Spaces are left out, and all dashes are one letter.
 
     Examples
     --------
     >>> round(character_error("Mullsammelfzge", "Müllsammelfzge."), 2)
     0.13
     """
-    read, text = ("".join(part.split()) for part in (read, text))
+    read, text = ("".join(part.split()).translate(DASHES) for part in (read, text))
     row = np.arange(len(text) + 1)
     for k, letter in enumerate(read):
         change = row[:-1] + (np.array(list(text)) != letter)
@@ -260,7 +266,7 @@ def _prepared(image, scale):
 
     low, high = np.percentile(image, [1, 99])
     grey = encode(np.clip((image - low) / max(high - low, 1e-9), 0, 1), "srgb")
-    size = np.ceil(np.array(image.shape[::-1]) * scale).astype(int)
+    size = np.maximum(np.round(np.array(image.shape[::-1]) * scale), 1).astype(int)
     enlarged = cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
     return np.clip(np.round(enlarged * 255), 0, 255).astype(np.uint8)
 
@@ -272,11 +278,10 @@ def _rapidocr():
     engine = RapidOCR(params={"Global.log_level": "critical"})
 
     def read(image):
-        found = engine(np.repeat(image[:, :, None], 3, axis=2))
-        if found.txts is None:
-            return ""
-        left = [np.min(box, axis=0)[0] for box in found.boxes]
-        return " ".join(found.txts[k] for k in np.argsort(left))
+        # lines are cut out already: recognition alone
+        colour = np.repeat(image[:, :, None], 3, axis=2)
+        found = engine(colour, use_det=False, use_cls=False, use_rec=True)
+        return " ".join(found.txts or ())
 
     return read
 

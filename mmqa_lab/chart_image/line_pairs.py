@@ -52,8 +52,11 @@ class PairReading:
     width_px : float
         Width of a pair in the image, at the pattern's narrowest place.
     contrast : float
-        Mean difference of white and black bars as share of that of plain areas; negative when
-        reversed. The contrast transfer function at this width.
+        Mean difference of the middles of white and black bars as share of that of plain areas;
+        negative when reversed. The contrast transfer function at this width.
+    modulation : float
+        Amplitude of the printed wave in the image as share of that on paper; negative when
+        reversed. An estimate of the MTF at one cycle per w.
     worst_gap : float
         Smallest difference between a gap and the brighter of its bars, median over the strips.
     phase_deg : float
@@ -72,6 +75,7 @@ class PairReading:
     width_mm: float
     width_px: float
     contrast: float
+    modulation: float
     worst_gap: float
     phase_deg: float
     bars: float
@@ -157,13 +161,13 @@ def read_pattern(tones, pairs, chart_map):
     }
     if len(values) < 4 * pairs.repeats:
         return _unread(known, "too few pixels")
-    contrast, phase, bars = _wave(across, values, pairs, width_px)
-    seen = {"contrast": contrast, "phase_deg": phase, "bars": bars}
+    modulation, phase, bars = _wave(across, values, pairs, width_px)
+    seen = {"modulation": modulation, "phase_deg": phase, "bars": bars}
     shift = np.clip(phase / 360, -1 / 8, 1 / 8) * pairs.pair
     limit = 0.6 / width_px * pairs.pair
     shifted = across - np.clip(shift, -limit, limit)
     strips = int(np.clip(length_px / STRIP_PX, 1, STRIPS))
-    gaps, limits = _gaps(shifted, along, values, pairs, strips, tones.noise)
+    gaps, limits, contrast = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst = gaps.min(axis=1)
     share = float(passed.mean())
@@ -171,6 +175,7 @@ def read_pattern(tones, pairs, chart_map):
     return PairReading(
         **known,
         **seen,
+        contrast=contrast,
         worst_gap=float(np.median(worst)),
         strip_share=share,
         resolved=not reason,
@@ -202,6 +207,39 @@ def resolution(readings, direction):
     )
 
 
+def expected_contrast(width_px, sigma_px, blur_px=0.0):
+    """Return the contrast that :func:`read_pattern` finds without noise, closed form.
+
+    A square wave behind a Gaussian, a square pixel and a motion blur, averaged over the phases of
+    the pixels and over the middles of the bars; its first four harmonics.
+
+    Parameters
+    ----------
+    width_px : float or array_like
+        Width of a pair, pixels.
+    sigma_px : float
+        Standard deviation of the point spread, pixels, without the pixel itself.
+    blur_px : float
+        Length of the motion blur, pixels.
+
+    Examples
+    --------
+    >>> round(float(expected_contrast(100.0, 0.5)), 2), round(float(expected_contrast(2.5, 0.5)), 2)
+    (1.0, 0.37)
+    """
+    total = 0.0
+    for order in (1, 3, 5, 7):
+        rate = order / np.asarray(width_px, dtype=float)
+        transfer = np.exp(-2 * (np.pi * rate * sigma_px) ** 2) * np.sinc(rate)
+        # mean of the harmonic over a bar's middle, weighted by the same raised cosine
+        ends = np.sin(np.pi / 2 * np.array([order, order + 2, order - 2]))
+        parts = ends / (np.pi * np.array([order, order + 2, order - 2]))
+        middle = 2 * parts[0] + parts[1] + parts[2]
+        sign = 1 if order % 4 == 1 else -1
+        total = total + sign * 4 / (np.pi * order) * middle * transfer * np.sinc(rate * blur_px)
+    return total
+
+
 def _pixels(tones, pairs, chart_map):
     """Place across and along the bars in mm and value of the pixels inside a pattern."""
     low = np.array([pairs.x, pairs.y])
@@ -227,7 +265,7 @@ def _pixels(tones, pairs, chart_map):
 
 
 def _wave(across, values, pairs, width_px):
-    """Contrast and phase of the printed wave, and the bars of the strongest one."""
+    """Modulation and phase of the printed wave, and the bars of the strongest one."""
     turns = across / pairs.pair - 0.25
     level, slope = np.ones_like(turns), turns - turns.mean()
     design = np.column_stack([level, slope, np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)])
@@ -241,12 +279,12 @@ def _wave(across, values, pairs, width_px):
     rates = np.arange(0.3, max(highest, 0.4), 0.01)
     waves = np.exp(-2j * np.pi * rates[:, None] * turns[::step])
     power = np.abs(waves @ rest) ** 2
-    # a wave between black and white has 4/pi of a bar's contrast on each side of its mean
-    return float(2 * in_phase / (4 / np.pi)), phase, float(rates[power.argmax()] * pairs.repeats)
+    # printed bars from 0 to 1 have a first harmonic of 2/pi
+    return float(in_phase * np.pi / 2), phase, float(rates[power.argmax()] * pairs.repeats)
 
 
 def _gaps(across, along, values, pairs, strips, noise):
-    """How far each gap stands out from both its bars in each strip, and how far it must."""
+    """How far each gap stands out in each strip, how far it must, and the mean contrast."""
     strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
     half = across / (pairs.pair / 2) - 0.5
     centre = np.round(half).astype(int)
@@ -264,7 +302,9 @@ def _gaps(across, along, values, pairs, strips, noise):
     gaps = white - np.maximum(black[:, :-1], black[:, 1:])
     around = np.maximum(variance[:, 0:-1:2], variance[:, 2::2])
     limits = np.maximum(SMALLEST_GAP, GAP_SIGMAS * np.sqrt(variance[:, 1::2] + around))
-    return np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
+    known = np.isfinite(black).any() and np.isfinite(white).any()
+    contrast = float(np.nanmean(white) - np.nanmean(black)) if known else np.nan
+    return np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf), contrast
 
 
 def _refusal(width_px, phase, bars, repeats, share):
@@ -297,5 +337,5 @@ def _limit(widths, contrast, width_px):
 
 def _unread(known, reason):
     """A pattern that could not be read."""
-    nothing = dict.fromkeys(("contrast", "worst_gap", "phase_deg", "bars"), np.nan)
+    nothing = dict.fromkeys(("contrast", "modulation", "worst_gap", "phase_deg", "bars"), np.nan)
     return PairReading(**known, **nothing, strip_share=0.0, resolved=False, reason=reason)

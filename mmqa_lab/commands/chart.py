@@ -1,0 +1,90 @@
+"""Write a test chart to print, 1 m x 1 m at true size, as PDF or SVG.
+
+The imaging chart has long bars for the pixel size, line pairs for the resolution, texts for the
+legibility and coded targets for its place; the point chart has random cells and two plain squares
+(Pfeifer et al. 2021, doi 10.3390/rs13020237). Print without scaling. With an ending .json the
+layout itself is written, for mmqa image --chart.
+"""
+
+from pathlib import Path
+
+SUMMARY = "write a test chart to print, as PDF or SVG"
+
+EPILOG = """\
+example:
+  mmqa chart --out chart.pdf
+  mmqa chart --out fine.svg --widths-h 30,24,20,16,12,10 --layout fine.json
+  mmqa chart --points --seed 4 --out points.pdf
+"""
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help=".pdf, .svg or .json"
+    )
+    parser.add_argument("--points", action="store_true", help="the point-distribution chart")
+    parser.add_argument(
+        "--bar", choices=("grey", "black"), default="grey", help="tone of the lying bar"
+    )
+    for direction, words in (("h", "standing"), ("v", "lying")):
+        parser.add_argument(
+            f"--widths-{direction}",
+            metavar="MM,MM,...",
+            help=f"widths of the line pairs with {words} bars, from coarse to fine",
+        )
+    parser.add_argument("--no-targets", action="store_true", help="without coded targets")
+    parser.add_argument(
+        "--first-target",
+        type=int,
+        default=0,
+        metavar="N",
+        help="number of the lower left target, so that charts differ",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the point chart's cells")
+    parser.add_argument("--layout", type=Path, metavar="FILE", help="also write the layout as JSON")
+
+
+def run(options):
+    """Write the chart and, where asked for, its layout."""
+    from mmqa_lab import charts
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.io import write_atomically
+
+    writers = {
+        ".pdf": charts.to_pdf,
+        ".svg": lambda layout: charts.to_svg(layout).encode(),
+        ".json": lambda layout: charts.to_json(layout).encode(),
+    }
+    ending = check_choice(options.out.suffix.lower(), "ending", tuple(writers))
+    if options.layout is not None:
+        check_choice(options.layout.suffix.lower(), "layout's ending", (".json",))
+    layout = _layout(options)
+    for file, write in ((options.out, writers[ending]), (options.layout, writers[".json"])):
+        if file is not None:
+            text = write(layout)
+            write_atomically(file, lambda path, text=text: path.write_bytes(text))
+    print(f"{options.out}: {layout.name}, {layout.width:g} mm x {layout.height:g} mm")
+
+
+def _layout(options):
+    """The layout that the options ask for."""
+    from mmqa_lab import charts
+
+    if options.points:
+        return charts.point_chart(seed=options.seed)
+    choices = {"horizontal_bar": options.bar, "first_marker": options.first_target}
+    for name in ("widths_h", "widths_v"):
+        if getattr(options, name) is not None:
+            choices[name] = _numbers(getattr(options, name), name)
+    if options.no_targets:
+        choices["dictionary"] = None
+    return charts.imaging_chart(**choices)
+
+
+def _numbers(text, name):
+    """Numbers between commas."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"Invalid {name} {text!r}. Must be numbers between commas.") from None

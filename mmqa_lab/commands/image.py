@@ -1,0 +1,113 @@
+"""Measure a photograph of the imaging chart: pixel size, resolved line pairs, MTF.
+
+One row per image: how the chart was located, the pixel size in both directions with standard
+deviations, the finest resolved line pairs w with the next finer ones and the interpolated limit,
+MTF50 from the long bars, noise and clipping as shares of the chart's contrast (Pfeifer et al. 2021,
+doi 10.3390/rs13020237). What cannot be measured is empty. The chart is found by its coded targets,
+at --corners, or from --orientation.
+
+Corners are column and row of the printed chart's lower left, lower right, upper right and upper
+left corner. An orientation is a JSON file: position [east, north, height], heading_deg, pitch_deg,
+roll_deg, camera {width, height, focal_px, principal, distortion} or {width} for a panorama, and
+corners, four [east, north, height].
+"""
+
+from pathlib import Path
+
+from mmqa_lab.commands._output import add_output_arguments, print_rows
+
+SUMMARY = "pixel size, resolved line pairs and MTF of a photographed chart"
+
+EPILOG = """\
+example:
+  mmqa chart --out chart.pdf --layout chart.json
+  mmqa image IMG_0001.jpg --chart chart.json --figure reading.png
+  mmqa image pano.jpg --chart grey --panorama --json \\
+      --corners "2010,1390; 2350,1392; 2352,1050; 2008,1049"
+"""
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("image", nargs="+", metavar="IMAGE", help="JPEG, PNG or TIFF")
+    parser.add_argument(
+        "--chart",
+        default="grey",
+        metavar="LAYOUT",
+        help="grey (default), black, or a JSON file that mmqa chart wrote",
+    )
+    parser.add_argument("--corners", metavar="'X,Y; ...'", help="the chart's corners, pixels")
+    parser.add_argument("--orientation", type=Path, metavar="FILE", help="JSON, see above")
+    parser.add_argument("--panorama", action="store_true", help="equirectangular, 2 : 1")
+    parser.add_argument("--linear", action="store_true", help="grey values are linear in light")
+    parser.add_argument("--text", action="store_true", help="read the texts automatically, too")
+    parser.add_argument(
+        "--patterns", type=Path, metavar="FILE", help="write every pattern's reading as CSV"
+    )
+    parser.add_argument(
+        "--figure", type=Path, metavar="FILE", help="draw the last image: .pdf, .svg or .png"
+    )
+    add_output_arguments(parser)
+
+
+def run(options):
+    """Evaluate every image, then print, write and draw."""
+    import pandas as pd
+
+    from mmqa_lab import chart_image, imagery
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.io import write_atomically
+
+    if options.figure is not None:
+        check_choice(options.figure.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
+    layout = imagery.read_layout(options.chart)
+    read = chart_image.reader() if options.text else None
+    choices = {
+        "corners": None if options.corners is None else _corners(options.corners),
+        "camera": "panorama" if options.panorama else "plain",
+        "gamma": "linear" if options.linear else "srgb",
+    }
+    if options.orientation is not None:
+        choices["orientation"] = imagery.read_orientation(options.orientation)
+    rows, patterns = [], []
+    for file in options.image:
+        quality, window = imagery.evaluate_file(file, layout, **choices)
+        row = quality.to_frame().assign(file=str(file))
+        if read is not None:
+            crops = chart_image.text_crops(window.values, layout, quality.chart_map)
+            lines = chart_image.read_crops(crops, read)
+            row["ocr_error"] = lines["error"].median()
+            row["ocr_marks"] = "".join(lines["ocr_mark"])
+        rows.append(row)
+        patterns.append(quality.pairs.assign(file=str(file)))
+    if options.patterns is not None:
+        table = pd.concat(patterns)
+        write_atomically(options.patterns, lambda path: table.to_csv(path, index=False))
+    if options.figure is not None:
+        _draw(window, quality, layout, options.figure)
+    table = pd.concat(rows)
+    if not options.json:
+        # one figure per line reads better than twenty columns
+        table = table.set_index("file").T.rename_axis("figure").reset_index()
+    print_rows(table, options)
+
+
+def _draw(window, quality, layout, file):
+    """Write the figure of one evaluated photograph."""
+    from mmqa_lab import figures
+    from mmqa_lab.io import write_atomically
+    from mmqa_lab.studies.chart_tables import images
+
+    figures.use_style()
+    figure, axes = figures.subplots(1, 2, width="double", height_mm=85)
+    images.draw_photo(window.values, quality.chart_map, layout, quality.pairs, ax=axes[0])
+    images.draw_contrast(quality.pairs, ax=axes[1])
+    write_atomically(file, figure.savefig)
+
+
+def _corners(text):
+    """Four corners from 'x,y; x,y; x,y; x,y'."""
+    try:
+        return [[float(part) for part in corner.split(",")] for corner in text.split(";")]
+    except ValueError:
+        raise ValueError(f"Invalid corners {text!r}. Must be four times x,y between ;.") from None

@@ -1,0 +1,139 @@
+"""A form for a jury that marks how well texts can be read.
+
+Each juror sees the same crops in the same order, without knowing where they come from, and gives a
+mark a (every letter), b (the text) or c (not legible). Every mark is on disk before the next crop
+is shown; a form on the same file goes on where it was left.
+"""
+
+from pathlib import Path
+
+import ipywidgets
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice
+from mmqa_lab.chart_image.legibility import MARKS, check_marks
+from mmqa_lab.chart_image.light import encode
+from mmqa_lab.io import write_atomically
+
+MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
+
+ENLARGEMENT = 4
+"""Screen pixels per image pixel; nothing is interpolated."""
+
+
+class JuryForm:
+    """The form of one juror.
+
+    Parameters
+    ----------
+    crops : dict of str to array, shape (rows, columns)
+        Linear light by name of the element, such as ``"photo 3, text_1"``.
+    juror : str
+        Who marks.
+    file : path
+        CSV with ``juror``, ``element``, ``mark``; shared by all jurors, made when missing.
+    order : sequence of str, optional
+        Names of the crops in the order shown; the order of ``crops`` when not given.
+
+    Attributes
+    ----------
+    box : ipywidgets.Widget
+        What a notebook displays.
+
+    Raises
+    ------
+    ValueError
+        If a name in ``order`` is no crop or repeats, or the file holds no marks.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "marks.csv"
+    >>> form = JuryForm({"sign": np.ones((4, 9))}, juror="first", file=file)
+    >>> form.mark("a")
+    >>> pd.read_csv(file)["mark"].tolist(), form.element is None
+    (['a'], True)
+    """
+
+    def __init__(self, crops, *, juror, file, order=None):
+        self._crops = dict(crops)
+        self._order = list(self._crops if order is None else order)
+        for name in self._order:
+            check_choice(name, "crop in order", tuple(self._crops))
+        if len(set(self._order)) < len(self._order):
+            raise ValueError("Invalid order: a crop repeats. Must show each once.")
+        if not str(juror).strip():
+            raise ValueError(f"Invalid juror {juror!r}. Must have a name.")
+        self._juror, self._file = str(juror).strip(), Path(file)
+        self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
+        self._line = ipywidgets.Label()
+        self._buttons = {
+            mark: ipywidgets.Button(description=text) for mark, text in MEANINGS.items()
+        }
+        for mark, button in self._buttons.items():
+            button.on_click(lambda _, mark=mark: self.mark(mark))
+        self._back = ipywidgets.Button(description="back", icon="arrow-left")
+        self._back.on_click(lambda _: self.back())
+        row = ipywidgets.HBox([*self._buttons.values(), self._back])
+        self.box = ipywidgets.VBox([self._line, self._picture, row])
+        self._show()
+
+    @property
+    def marks(self):
+        """All marks in the file so far, of every juror."""
+        if not self._file.is_file():
+            return pd.DataFrame(columns=["juror", "element", "mark"])
+        return check_marks(pd.read_csv(self._file, dtype=str))
+
+    @property
+    def element(self):
+        """Name of the crop shown; None when all are marked."""
+        marks = self.marks
+        done = set(marks.loc[marks["juror"] == self._juror, "element"])
+        return next((name for name in self._order if name not in done), None)
+
+    def mark(self, mark):
+        """Give the crop shown a mark, write it down and show the next one."""
+        check_choice(mark, "mark", MARKS)
+        element = self.element
+        if element is None:
+            return
+        row = {"juror": self._juror, "element": element, "mark": mark}
+        self._write(pd.concat([self.marks, pd.DataFrame([row])]))
+
+    def back(self):
+        """Take this juror's last mark back and show its crop again."""
+        marks = self.marks
+        own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._order)]
+        if len(own):
+            self._write(marks.drop(own[-1]))
+
+    def _write(self, marks):
+        """Replace the file by these marks, then show what is next."""
+        write_atomically(self._file, lambda path: marks.to_csv(path, index=False))
+        self._show()
+
+    def _show(self):
+        """Bring the form up to date."""
+        element, total = self.element, len(self._order)
+        place = total if element is None else self._order.index(element)
+        for button in self._buttons.values():
+            button.disabled = element is None
+        self._back.disabled = place == 0
+        if element is None:
+            self._line.value = f"{self._juror}: all {total} are marked, thank you."
+            self._picture.value = b""
+        else:
+            self._line.value = f"{self._juror}: {place + 1} of {total}"
+            self._picture.value = _png(self._crops[element])
+
+
+def _png(crop):
+    """A crop as PNG, each pixel a square."""
+    import cv2
+
+    low, high = np.percentile(crop, [0.5, 99.5])
+    shown = encode(np.clip((crop - low) / max(high - low, 1e-9), 0, 1), "srgb")
+    pixels = np.kron(np.round(shown * 255).astype(np.uint8), np.ones((ENLARGEMENT,) * 2, np.uint8))
+    return cv2.imencode(".png", pixels)[1].tobytes()
