@@ -23,7 +23,8 @@ def correspond(distances, delta, *, matcher="all", test=None, model=None):
         Threshold, m; NaN pairs nothing.
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments"}
         ``all``: every cell (equation 6 of the paper). ``nearest``: the nearest model of each test.
-        ``mutual``: nearest both ways. ``hungarian``: one-to-one of least total distance.
+        ``mutual``: nearest both ways. ``hungarian``: one-to-one, with the largest sum of
+        ``delta - d``.
         ``fragments``: nearest first; a segment takes several partners only where they cover
         different stretches of it, as the pieces of a split edge do.
     test, model : Segments or array_like
@@ -60,7 +61,7 @@ def correspond(distances, delta, *, matcher="all", test=None, model=None):
         stretches = LinePairs(test, model, rows, columns).stretches(np.zeros(3))
         return by_stretches(near.shape, rows, columns, distances[near], stretches)
     if matcher == "hungarian":
-        return _hungarian(distances, near)
+        return _hungarian(distances, near, delta)
     nearest = near & _is_argmin(distances, 1)
     return nearest if matcher == "nearest" else nearest & _is_argmin(distances, 0)
 
@@ -102,11 +103,10 @@ def _free(stretch, taken):
     return length > 0 and shared <= FRAGMENT_OVERLAP * length
 
 
-def _hungarian(distances, near):
+def _hungarian(distances, near, delta):
     """One-to-one assignment of the near cells; a cell at the very threshold still counts."""
-    most = distances[near].max()
-    gain = np.where(near, distances - most * (1 + 1e-9) - 1e-12, 0.0)
-    rows, columns = linear_sum_assignment(gain)
+    cost = np.where(near, distances - delta * (1 + 1e-9) - 1e-12, 0.0)
+    rows, columns = linear_sum_assignment(cost)
     pairs = np.zeros_like(near)
     pairs[rows, columns] = True
     return pairs & near
