@@ -3,7 +3,7 @@
 from mmqa_lab.segments.compensation import DisplacedMatch, match_displaced
 from mmqa_lab.segments.correspondence import MATCHERS, correspond
 from mmqa_lab.segments.displacement import Displacement, DriftPrior, fit_displacement
-from mmqa_lab.segments.distance import Components, components, distance_matrix, overlaps
+from mmqa_lab.segments.distance import Components, components, distance_matrix
 from mmqa_lab.segments.geometry import Segments, check_segments
 from mmqa_lab.segments.hausdorff import LHD, Directed, lhd, olhd
 from mmqa_lab.segments.scores import PairingScores, pairing_scores, scores_from_counts
@@ -39,7 +39,6 @@ __all__ = [
     "mixture_threshold",
     "olhd",
     "otsu_threshold",
-    "overlaps",
     "pairing_scores",
     "peak_threshold",
     "scores_from_counts",

@@ -243,9 +243,8 @@ def _starts(lines, rows, columns, radius, rng):
 
 def _scores(shifts, normal, right, lines, rows):
     """How many test lines each shift brings to a model line, long ones counting more."""
-    unknowns = np.concatenate(
-        [np.ones((len(shifts), 1)), -2 * shifts, _outer(shifts).reshape(-1, 9)], axis=1
-    )
+    products = np.einsum("nd,ne->nde", shifts, shifts).reshape(-1, 9)
+    unknowns = np.concatenate([np.ones((len(shifts), 1)), -2 * shifts, products], axis=1)
     knowns = np.concatenate([(right**2).sum(axis=1)[:, None], right, normal.reshape(-1, 9)], axis=1)
     weight = np.minimum(1, 2 * np.minimum(lines.test_half, lines.model_half) / 3)
     first = np.flatnonzero(np.r_[True, np.diff(rows) > 0])
@@ -255,10 +254,6 @@ def _scores(shifts, normal, right, lines, rows):
         near = np.maximum(0, 1 - squares / SCORE_WIDTH_M**2) * weight
         scores[at : at + 200] = np.maximum.reduceat(near, first, axis=1).sum(axis=1)
     return scores
-
-
-def _outer(vectors):
-    return vectors[:, :, None] * vectors[:, None]
 
 
 def _refined(starts, lines, rows, columns, shape, search):

@@ -126,21 +126,6 @@ def distance_matrix(test, model, *, weight=10.0, rotate="test", within="containm
     return distances
 
 
-def overlaps(test, model):
-    """Length that each test segment shares with each model segment's range, shape (p, q), m.
-
-    The ends of the test segments are projected on the model's line; the share of the projected
-    interval within the model counts.
-    """
-    test, model = check_segments(test, name="test"), check_segments(model, name="model")
-    test_ends, model_ends = relative_ends(test, model)
-    middle = model_ends.mean(axis=1)
-    along = np.einsum("pkd,qd->pqk", test_ends, model.directions)
-    along -= np.einsum("qd,qd->q", middle, model.directions)[None, :, None]
-    half = model.lengths / 2
-    return np.minimum(along.max(axis=2), half) - np.maximum(along.min(axis=2), -half)
-
-
 def _arguments(test, model, rotate, within):
     """Shape of the matrix and the arrays that the compiled blocks read."""
     check_choice(rotate, "rotate", ROTATE)

@@ -281,8 +281,12 @@ def _building_edges(row, conditions, rng):
 def _placed(row, line):
     """Scene coordinates (2, 3) of a line on a building's facade."""
     station, height = np.array(line).T
-    offset = row.side * (STREETS["width_m"][row.street] / 2 + row.setback_m)
-    return located(row.street, station, np.full(2, offset), height)
+    return located(row.street, station, np.full(2, facade_offset(row)), height)
+
+
+def facade_offset(house):
+    """Distance of a facade from the axis of its street, signed, m."""
+    return house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
 
 
 def located(street, station, offset, height):
@@ -346,11 +350,13 @@ def _gauss_markov(nodes, rng):
 
 def _survey(name, ends, street, rows, positioning, conditions, rng):
     """What a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    vectors = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(vectors, axis=1)
     pieces = [(row, *cut) for row in rows for cut in _pieces(lengths[row], conditions, rng)]
     edge = np.array([piece[0] for piece in pieces], dtype=int)
     interval = np.array([piece[1:] for piece in pieces], dtype=float).reshape(-1, 2)
-    found = _along(ends[edge], lengths[edge], interval)
+    share = (interval / lengths[edge, None])[..., None]
+    found = ends[edge, :1] + share * vectors[edge, None]
     found = np.concatenate([found, _clutter(rng.binomial(len(edge), conditions.clutter), rng)])
     strays = len(found) - len(edge)
     streets = np.concatenate([street[edge], rng.integers(len(STREETS), size=strays)])
@@ -378,12 +384,6 @@ def _pieces(length, conditions, rng):
     middle = low + (high - low) * rng.uniform(0.3, 0.7)
     gap = rng.uniform(0.1, 0.5)
     return [(low, middle - gap), (middle + gap, high)]
-
-
-def _along(ends, lengths, interval):
-    """Sub-segments (n, 2, 3) of the given edges."""
-    unit = (ends[:, 1] - ends[:, 0]) / lengths[:, None]
-    return ends[:, :1] + interval[:, :, None] * unit[:, None]
 
 
 def _clutter(n, rng):

@@ -8,7 +8,7 @@ import pandas as pd
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.segments import Segments
-from mmqa_lab.simulate.canyon import STREETS, SURVEYS, located
+from mmqa_lab.simulate.canyon import SURVEYS, facade_offset, located
 
 EAVE_M = 0.6
 """Width of the soffit under each eave; a facade meets it along a level edge."""
@@ -51,7 +51,7 @@ def canyon_edges(scene):
     ends = []
     for house in scene.buildings.itertuples():
         left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
-        offset = _offset(house)
+        offset = facade_offset(house)
         for line in (
             ((left, 0), (right, 0)),
             ((left, top), (right, top)),
@@ -114,15 +114,10 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     return Cloud(points, {"face": face, "street": street}, f"canyon {survey}")
 
 
-def _offset(house):
-    """Distance of a facade from the street's axis, signed, m."""
-    return house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
-
-
 def _house_faces(house):
     """Front, pavement and eave of a house."""
     left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
-    offset = _offset(house)
+    offset = facade_offset(house)
     eave = offset - house.side * EAVE_M
     return [
         _face("front", house.street, (left, offset, 0), (right, offset, 0), (left, offset, top)),
@@ -136,12 +131,12 @@ def _side_face(a, b):
     if a is None or b is None:
         house = b if a is None else a
         station = house.start_m if a is None else house.start_m + house.width_m
-        near, top = _offset(house), house.height_m
+        near, top = facade_offset(house), house.height_m
         far = near + house.side * GABLE_M
     else:
         house, station = b, b.start_m
-        near, far = sorted((_offset(a), _offset(b)), key=abs)
-        top = a.height_m if near == _offset(a) else b.height_m
+        near, far = sorted((facade_offset(a), facade_offset(b)), key=abs)
+        top = a.height_m if near == facade_offset(a) else b.height_m
     return _face("side", house.street, (station, near, 0), (station, far, 0), (station, near, top))
 
 

@@ -1,0 +1,107 @@
+"""Speed and memory of the similarity matrix, the matchers and the edges, beside plain numpy.
+
+``python tests/benchmarks/lhd.py`` compares in one process and prints ratios; ``--points`` sets the
+size of the simulated facade cloud.
+"""
+
+import argparse
+import time
+import tracemalloc
+
+import numpy as np
+
+from mmqa_lab import segments
+from mmqa_lab.edges import detect_planes, intersect_patches
+from mmqa_lab.simulate.canyon import canyon
+from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+
+
+def broadcast(test, model, weight=10.0):
+    """The definition written down with numpy arrays of p x q x 3."""
+    apart = test.midpoints[:, None] - model.midpoints[None]
+    axis, own = model.directions[None], test.directions[:, None]
+    sine = np.linalg.norm(np.cross(own, axis), axis=2)
+    lengths = test.lengths[:, None], model.lengths[None]
+    s = (apart * axis).sum(axis=2)
+    angle = np.minimum(*lengths) * sine
+    parallel = np.maximum(0, np.abs(s) - np.abs(lengths[0] - lengths[1]) / 2)
+    across = np.linalg.norm(apart - s[..., None] * axis, axis=2)
+    return np.sqrt(weight * angle**2 + parallel**2 + across**2)
+
+
+def at_random(rng, n):
+    """Segments of some 14 m in a cube of 200 m."""
+    first = rng.uniform(0, 200, (n, 3))
+    return segments.Segments(np.stack([first, first + rng.normal(0, 8, (n, 3))], axis=1))
+
+
+def seconds(function, *arguments, repeats):
+    """Least time of several calls, the first not counted."""
+    function(*arguments)
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        function(*arguments)
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def peak_mb(function, *arguments):
+    """Peak of the memory that numpy allocates in a call, MB."""
+    tracemalloc.start()
+    function(*arguments)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
+
+
+def matrix(rng):
+    """The similarity matrix at both sizes of the comparison."""
+    print(f"{'p x q':>14}{'numpy ms':>11}{'ours ms':>10}{'ratio':>8}{'numpy MB':>10}{'ours MB':>9}")
+    for p, q, repeats in ((37, 68, 200), (2000, 2000, 7)):
+        test, model = at_random(rng, p), at_random(rng, q)
+        plain = seconds(broadcast, test, model, repeats=max(3, repeats // 10))
+        ours = seconds(segments.distance_matrix, test, model, repeats=repeats)
+        worst = np.abs(broadcast(test, model) - segments.distance_matrix(test, model)).max()
+        assert worst < 1e-9, worst
+        memory = [peak_mb(f, test, model) for f in (broadcast, segments.distance_matrix)]
+        times = f"{1e3 * plain:>11.2f}{1e3 * ours:>10.3f}{plain / ours:>8.0f}"
+        print(f"{p:>7} x {q:<4}{times}{memory[0]:>10.1f}{memory[1]:>9.1f}")
+
+
+def matchers():
+    """The whole distance by matcher on one comparison of the canyon."""
+    surveys = canyon(1).surveys
+    test, model = surveys["C1"].segments, surveys["TLS"].segments
+    for matcher in (*segments.MATCHERS, "displaced"):
+        once = seconds(lambda m=matcher: segments.lhd(test, model, matcher=m), repeats=5)
+        print(f"lhd, {len(test)} x {len(model)}, matcher {matcher:<10}{1e3 * once:>8.1f} ms")
+
+
+def edges(points):
+    """Planes and edges of a facade cloud."""
+    scene = canyon(1)
+    cloud = canyon_cloud(scene, "TLS", density=points / 14_770)
+    began = time.perf_counter()
+    patches = detect_planes(cloud.points, tolerance=0.04, minimum=150)
+    middle = time.perf_counter()
+    found = intersect_patches(cloud.points, patches)
+    end = time.perf_counter()
+    print(
+        f"{len(cloud)} points: {len(patches)} planes in {middle - began:.1f} s, "
+        f"{len(found)} edges in {end - middle:.1f} s"
+    )
+
+
+def main():
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=float, default=1e6)
+    options = parser.parse_args()
+    matrix(np.random.default_rng(1))
+    matchers()
+    edges(options.points)
+
+
+if __name__ == "__main__":
+    main()
