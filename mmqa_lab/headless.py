@@ -14,8 +14,8 @@ from pathlib import Path
 
 from mmqa_lab.io import write_atomically
 
-CELL_SECONDS = 600
-STUDY_SECONDS = 1800
+CELL_SECONDS = 1200
+STUDY_SECONDS = 3600
 OUTCOME = "outcome.json"
 
 ENVIRONMENT = {
