@@ -20,6 +20,7 @@ OUTCOME = "outcome.json"
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
+    "MPLBACKEND": "module://matplotlib_inline.backend_inline",
     "PYDEVD_DISABLE_FILE_VALIDATION": "1",
     "TQDM_DISABLE": "1",
 }
