@@ -6,6 +6,7 @@ their decoding: a byte per pixel while the file is read, then the window alone.
 
 import json
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 import numpy as np
@@ -75,17 +76,38 @@ def read_grey(path):
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"Invalid image {path}: no such file. Must exist.")
+    if not _is_complete(path):
+        raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
     # OpenCV prints what it dislikes of a file; the sentence below says it
-    level = cv2.setLogLevel(0)
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     except cv2.error:
         grey = None
     finally:
-        cv2.setLogLevel(level)
+        cv2.utils.logging.setLogLevel(level)
     if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
         raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits.")
     return grey
+
+
+def _is_complete(path):
+    """Whether a JPEG or PNG file has its end; decoders fill up what is missing."""
+    with path.open("rb") as file:
+        if not file.read(1):
+            return False
+        with mmap(file.fileno(), 0, access=ACCESS_READ) as whole:
+            if whole[:2] == b"\xff\xd8":
+                return whole.find(b"\xff\xd9", _scan_of_jpeg(whole)) > 0
+            return whole[1:4] != b"PNG" or whole.rfind(b"IEND") > 0
+
+
+def _scan_of_jpeg(whole):
+    """Where a JPEG's coded pixels begin, behind the previews that its first segments may hold."""
+    place = 2
+    while place < len(whole) and whole[place : place + 2] != b"\xff\xda":
+        place += 2 + int.from_bytes(whole[place + 2 : place + 4], "big")
+    return place
 
 
 def cut(grey, chart_map, layout, *, gamma="srgb"):
