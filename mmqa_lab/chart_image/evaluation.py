@@ -69,7 +69,8 @@ class ImageQuality:
 
     def to_frame(self):
         """Return one row with every figure in the field's units; NaN where not measurable."""
-        row = {"located_by": self.chart_map.source, "residual_px": self.chart_map.rms_px}
+        residual = float(np.sqrt((self.sizes["offset_px"] ** 2).mean()))
+        row = {"located_by": self.chart_map.source, "residual_px": residual}
         for direction in "hv":
             size, sigma = pixel_size(self.sizes, direction)
             found = self.resolution(direction)

@@ -102,8 +102,8 @@ def tones(image, layout, chart_map):
     )
 
 
-def check_image(image):
-    """Return a grey image as float64.
+def check_image(image, *, convert=True):
+    """Return a grey image as float64, or in its own type without ``convert``.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def check_image(image):
         raise ValueError(f"Invalid image of shape {values.shape}. Must be grey, 3 x 3 or larger.")
     if not np.isfinite(values).all():
         raise ValueError("Invalid image: values that are not finite. Must be finite.")
-    return values.astype(np.float64)
+    return values.astype(np.float64) if convert else values
 
 
 def _printed(layout, chart_map, shape):

@@ -13,8 +13,11 @@ ENLARGEMENTS = (1, 2, 4)
 ENLARGED_PIXELS = 4e6
 """Larger images than this are not enlarged."""
 
-SEARCHED_PIXELS = 40e6
-"""Larger images than this are searched in strips that overlap."""
+SEARCHED_PIXELS = 12e6
+"""Larger images than this are searched in strips."""
+
+OVERLAP_ROWS = 512
+"""Of the strips: larger than any target in images that large."""
 
 FINEST_PAIR_PX = 3.0
 """Line pairs narrower than this take no part in the alignment: aliased, they would mislead it."""
@@ -61,18 +64,18 @@ def locate_markers(image, layout, *, camera=None, offset=(0.0, 0.0)):
     them at 8 mm, hardly beyond: their six modules need about 2.5 pixels each. Two targets alone
     extrapolate badly; :func:`align` then says that the chart is not there.
     """
-    image = check_image(image)
+    image = check_image(image, convert=False)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     if not markers:
         raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
     dictionary = next(iter(markers.values())).dictionary
-    low, high = np.percentile(image[:: 1 + len(image) // 500], [0.5, 99.5])
-    grey = np.clip((image - low) / max(high - low, 1e-12) * 255, 0, 255).astype(np.uint8)
+    step = 1 + int(np.sqrt(image.size / 1e6))
+    limits = np.percentile(image[::step, ::step], [0.5, 99.5])
     found = {}
     for enlargement in ENLARGEMENTS:
-        if enlargement > 1 and grey.size > ENLARGED_PIXELS:
+        if enlargement > 1 and image.size > ENLARGED_PIXELS:
             break
-        seen = _detected(grey, dictionary, enlargement)
+        seen = _detected(image, limits, dictionary, enlargement)
         seen = {key: corners for key, corners in seen.items() if key in markers}
         found = seen if len(seen) > len(found) else found
         if len(found) == len(markers):
@@ -135,7 +138,8 @@ def align(image, layout, chart_map):
     Returns
     -------
     ChartMap
-        ``residuals_px`` are those of the long bars' edges, measured one by one.
+        Without residuals: :func:`mmqa_lab.chart_image.pixel_sizes` measures how far the ends of
+        the long bars lie from where it puts them.
 
     Raises
     ------
@@ -172,7 +176,7 @@ def align(image, layout, chart_map):
         )
     to_cells = np.array([[1 / cell, 0, -0.5], [0, 1 / cell, -0.5], [0, 0, 1]])
     change = np.linalg.inv(to_cells) @ change.astype(float) @ to_cells
-    aligned = chart_map.corrected(change / change[2, 2], source=f"{chart_map.source}, aligned")
+    aligned = chart_map.corrected(change / change[2, 2])
     moved = np.linalg.norm(
         aligned.pixels(layout.corners()) - chart_map.pixels(layout.corners()), axis=1
     ).max()
@@ -185,18 +189,19 @@ def align(image, layout, chart_map):
     return aligned
 
 
-def _detected(grey, dictionary, enlargement):
+def _detected(image, limits, dictionary, enlargement):
     """Corners of the coded targets by number, in pixels of the image."""
     import cv2
 
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     settings.minMarkerPerimeterRate = 0.001
-    settings.cornerRefinementWinSize = 3 * enlargement
     detector = cv2.aruco.ArucoDetector(book, settings)
     found = {}
-    for first, strip in _strips(grey):
+    for first, strip in _strips(image):
+        stretched = (strip - limits[0]) * (255 / max(limits[1] - limits[0], 1e-12))
+        strip = np.clip(stretched, 0, 255).astype(np.uint8)
         if enlargement > 1:
             size = (strip.shape[1] * enlargement, strip.shape[0] * enlargement)
             strip = cv2.resize(strip, size, interpolation=cv2.INTER_CUBIC)
@@ -207,14 +212,11 @@ def _detected(grey, dictionary, enlargement):
     return found
 
 
-def _strips(grey):
-    """An image as strips of rows that overlap by half, with their first rows."""
-    rows = max(int(SEARCHED_PIXELS / grey.shape[1]), 512)
-    if rows >= len(grey):
-        yield 0, grey
-        return
-    for first in range(0, len(grey) - rows // 2, rows // 2):
-        yield first, grey[first : first + rows]
+def _strips(image):
+    """An image as strips of rows that overlap, with their first rows."""
+    rows = max(int(SEARCHED_PIXELS / image.shape[1]), 2 * OVERLAP_ROWS)
+    for first in range(0, max(len(image) - OVERLAP_ROWS, 1), rows - OVERLAP_ROWS):
+        yield first, image[first : first + rows]
 
 
 def _rectified(image, layout, chart_map, cell, shape):

@@ -325,9 +325,10 @@ class ChartMap:
         offset = np.asarray(self.offset) + [column, row]
         return replace(self, offset=tuple(offset))
 
-    def corrected(self, change, *, source):
-        """Return the map after a 3 x 3 change of places on the chart."""
-        return replace(self, matrix=self.matrix @ change, source=source)
+    def corrected(self, change):
+        """Return the map after a 3 x 3 change of places on the chart; nothing is left over."""
+        source = f"{self.source}, aligned"
+        return replace(self, matrix=self.matrix @ change, source=source, residuals_px=np.empty(0))
 
     def scale(self, xy):
         """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""

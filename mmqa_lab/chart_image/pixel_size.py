@@ -29,7 +29,7 @@ FEWEST_PIXELS = 12
 
 COLUMNS = (
     *("name", "direction", "length_mm", "length_px", "length_sigma_px", "repeats_std_px", "n"),
-    *("pixel_mm", "pixel_sigma_mm", "expected_mm"),
+    *("pixel_mm", "pixel_sigma_mm", "expected_mm", "offset_px"),
 )
 
 
@@ -53,8 +53,9 @@ def pixel_sizes(tones, layout, chart_map):
         A row per bar: ``name``, ``direction`` (h: along x, v: along y), ``length_mm`` as printed,
         ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
         ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
-        ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, and ``expected_mm``, what
-        ``chart_map`` says. NaN where an end is not seen.
+        ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, ``expected_mm``, what
+        ``chart_map`` says, and ``offset_px``, how far along the bar its ends lie from there (root
+        mean square). NaN where an end is not seen.
 
     References
     ----------
@@ -111,6 +112,7 @@ def _measured(tones, layout, bar, chart_map):
     if found is None:
         return row
     offsets, sigmas, repeats = found
+    row["offset_px"] = float(np.sqrt(np.mean(offsets**2)))
     ends[:, axis] += offsets / [end.scale for end in around]
     pixels = chart_map.pixels(ends)
     length_px = float(np.linalg.norm(pixels[1] - pixels[0]))
