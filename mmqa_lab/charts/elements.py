@@ -277,6 +277,8 @@ def from_json(text):
 def _check_element(element):
     """Every number of an element, named."""
     name = f"of element {element.name!r}"
+    if isinstance(element, Marker):
+        _marker_bits(element.dictionary, element.identifier)
     for field in dataclasses.fields(element):
         value = getattr(element, field.name)
         if field.name in ("x", "y", "tone", "ground"):

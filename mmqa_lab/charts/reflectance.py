@@ -5,8 +5,8 @@ import numpy as np
 from mmqa_lab._checks import check_count, check_positive
 from mmqa_lab.charts.elements import WHITE, Text
 
-LETTER_STEPS = 8
-"""Letters are filled on a grid so many times finer than the cells and then averaged."""
+LETTER_ROWS = 8
+"""Lines through each row of cells on which letters are measured, exactly along the line."""
 
 
 def reflectance(layout, *, cell):
@@ -72,21 +72,27 @@ def _overlaps(edges, cell, count):
 
 def _add_text(image, element, cell):
     """Add the difference of letters' tone to what lies below them."""
-    import cv2
-
-    rings = element.outlines()
+    rings = [ring / cell for ring in element.outlines()]
     if not rings:
         return
     points = np.concatenate(rings)
-    first = np.maximum(np.floor(points.min(axis=0) / cell).astype(int) - 1, 0)
-    last = np.ceil(points.max(axis=0) / cell).astype(int) + 1
-    size = np.minimum(last, image.shape[::-1]) - first
-    fine = np.zeros(size[::-1] * LETTER_STEPS, dtype=np.uint8)
-    # fillPoly counts pixel centres as whole numbers and takes 8 bits of fractions
-    scaled = [(ring / cell - first) * LETTER_STEPS - 0.5 for ring in rings]
-    rounded = [np.round(ring * 256).astype(np.int32) for ring in scaled]
-    cv2.fillPoly(fine, rounded, 1, shift=8)
-    shape = (size[1], LETTER_STEPS, size[0], LETTER_STEPS)
-    covered = fine.reshape(shape).mean(axis=(1, 3), dtype=np.float32)
-    target = image[first[1] : first[1] + size[1], first[0] : first[0] + size[0]]
-    target += covered * np.float32(element.tone - element.ground)
+    first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
+    last = np.minimum(np.ceil(points.max(axis=0)).astype(int) + 1, image.shape[::-1])
+    starts = np.concatenate([ring - first for ring in rings])
+    ends = np.concatenate([np.roll(ring, -1, axis=0) - first for ring in rings])
+    columns, rows = last - first
+    covered = np.zeros((rows, columns + 2))
+    for line in range(rows * LETTER_ROWS):
+        y = (line + 0.5) / LETTER_ROWS
+        crossing = (starts[:, 1] <= y) != (ends[:, 1] <= y)
+        low, high = starts[crossing], ends[crossing]
+        x = np.sort(low[:, 0] + (y - low[:, 1]) / (high[:, 1] - low[:, 1]) * (high - low)[:, 0])
+        # from each crossing on the line is inside or outside in turn; summed up below
+        x = np.clip(x, 0, columns)
+        sign = np.where(np.arange(len(x)) % 2 == 0, 1.0, -1.0)
+        place = np.floor(x).astype(int)
+        np.add.at(covered[line // LETTER_ROWS], place, sign * (place + 1 - x))
+        np.add.at(covered[line // LETTER_ROWS], place + 1, sign * (x - place))
+    share = np.cumsum(covered, axis=1)[:, :columns] / LETTER_ROWS
+    target = image[first[1] : last[1], first[0] : last[0]]
+    target += (share * (element.tone - element.ground)).astype(np.float32)

@@ -1,0 +1,257 @@
+"""How good the image measurements are, against known truth: run it, it prints.
+
+python tests/benchmarks/images.py [pairs] [steps] [edges] [sizes] [panorama]
+"""
+
+import resource
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from rendered import grey, pattern_case, slanted_edge, true_mtf50
+
+from mmqa_lab import chart_image, charts, imagery
+from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
+from mmqa_lab.simulate import cameras
+
+CAMERA_CHAINS = {
+    "plain": {},
+    "Bayer": {"bayer": True},
+    "Bayer, sharpened, sRGB, JPEG 85": {
+        "bayer": True,
+        "sharpening": 0.5,
+        "gamma": "srgb",
+        "bits": 8,
+        "jpeg_quality": 85,
+    },
+}
+
+SIZE_CASES = ((1.3, 0), (1.3, 45), (2.7, 30), (5.4, 0), (5.4, 45), (11, 0), (13, 0))
+"""Pixel size at the middle of an orthogonal view, mm, and view, degrees."""
+
+
+def pairs(count=60):
+    """Spurious and true line pairs accepted, by class and by camera chain."""
+    kinds = {
+        "true 3.2-8 px, sigma .5": (True, lambda r, c: pattern_case(r.uniform(3.2, 8), r, **c)),
+        "true 4-8 px, sigma .7, noise 5 %": (
+            True,
+            lambda r, c: pattern_case(r.uniform(4, 8), r, sigma=0.7, noise=0.032, **c),
+        ),
+        "below Nyquist 1.1-2 px": (
+            False,
+            lambda r, c: pattern_case(r.uniform(1.1, 2), r, sigma=0.4, **c),
+        ),
+        "beats 2.0-2.3 px": (
+            False,
+            lambda r, c: pattern_case(r.uniform(2, 2.3), r, sigma=0.4, **c),
+        ),
+        "defocus, reversed": (False, _defocused),
+        "motion 1.25-1.7 pairs, reversed": (
+            False,
+            lambda r, c: pattern_case(
+                r.uniform(2.6, 8), r, sigma=0.4, travel=r.uniform(1.25, 1.7), **c
+            ),
+        ),
+        "blurred away, noise 5 %": (
+            False,
+            lambda r, c: pattern_case(r.uniform(2.5, 4), r, sigma=2.0, noise=0.032, **c),
+        ),
+        "6, 7, 9 or 12 printed": (
+            False,
+            lambda r, c: pattern_case(r.uniform(4, 8), r, seen=int(r.choice([6, 7, 9, 12])), **c),
+        ),
+    }
+    wrong = right = n_wrong = n_right = 0
+    for chain, settings in CAMERA_CHAINS.items():
+        for name, (true, case) in kinds.items():
+            rng = np.random.default_rng(5)
+            readings = [case(rng, settings) for _ in range(count)]
+            accepted = sum(reading.resolved for reading in readings)
+            print(f"{chain:34} {name:34} {accepted:4d} of {count} accepted", flush=True)
+            if true:
+                right, n_right = right + accepted, n_right + count
+            else:
+                wrong, n_wrong = wrong + accepted, n_wrong + count
+    print(f"spurious accepted {wrong} of {n_wrong}, true accepted {right} of {n_right}")
+
+
+def _defocused(rng, settings):
+    """A pattern beyond the first zero of a defocused transfer."""
+    width = rng.uniform(3, 8)
+    return pattern_case(width, rng, sigma=0.3, defocus=rng.uniform(0.7, 1.0) * width, **settings)
+
+
+def steps(count=100):
+    """Stepwise width on whole charts against the noise-free limit of the closed form."""
+    layout = charts.imaging_chart()
+    for chain, settings in CAMERA_CHAINS.items():
+        within, missing = Counter(), 0
+        rng = np.random.default_rng(7)
+        for seed in range(count):
+            pixel, sigma = rng.uniform(2.5, 11), rng.uniform(0.4, 1.0)
+            camera = cameras.PanoramaCamera(2 * round(5000 * np.pi / pixel))
+            view = cameras.chart_view(
+                camera,
+                distance=5,
+                layout=layout,
+                roll_deg=rng.uniform(-2, 2),
+                heading_deg=rng.uniform(-30, 30),
+                aim_deg=rng.uniform(0, 3),
+            )
+            photo = cameras.photograph(
+                layout,
+                view,
+                optics=cameras.Optics(sigma),
+                sensor=cameras.Sensor(noise=0.02, **settings),
+                seed=seed,
+                supersampling=4,
+            )
+            image = grey(photo.image, settings.get("gamma", "linear"))
+            corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
+            there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
+            try:
+                quality = chart_image.evaluate_image(image, layout, there)
+            except ValueError:
+                missing += 1
+                continue
+            for direction in "hv":
+                readings = quality.pairs[quality.pairs["direction"] == direction]
+                widths = readings["width_mm"].to_numpy()
+                good = chart_image.expected_contrast(readings["width_px"], sigma) >= SMALLEST_GAP
+                good &= readings["width_px"].to_numpy() >= SMALLEST_PAIR_PX
+                limit = int(np.argmin(good)) if not good.all() else len(widths)
+                found = quality.resolution(direction).width_mm
+                place = -1 if np.isnan(found) else list(widths).index(found)
+                within[place - (limit - 1)] += 1
+        total = sum(within.values())
+        near = sum(within[step] for step in (-1, 0, 1))
+        print(
+            f"{chain:34} {near} of {total} within one step; {dict(sorted(within.items()))} "
+            f"(positive: finer); {missing} charts not found",
+            flush=True,
+        )
+
+
+def edges(count=100):
+    """MTF50 against truth: median error and 95th percentile, per cent."""
+    for sigma in (0.5, 0.7, 1.0, 1.5, 2.0):
+        for noise in (0.0, 0.01, 0.03):
+            rng = np.random.default_rng(3)
+            errors, binned, scores, began = [], [], [], time.perf_counter()
+            for _ in range(count if noise else 10):
+                angle = np.radians(rng.uniform(3, 11.5))
+                image = slanted_edge(sigma, angle, rng.uniform(-0.5, 0.5), noise=noise, rng=rng)
+                found, truth = chart_image.edge_response(image), true_mtf50(sigma, angle)
+                errors.append(found.mtf50 / truth - 1)
+                binned.append(found.mtf50_binned / truth - 1)
+                scores.append((found.mtf50 - truth) / max(found.mtf50_sigma, 1e-9))
+            seconds = (time.perf_counter() - began) / len(errors)
+            words = [
+                f"{100 * np.median(one):+.2f} / {100 * np.percentile(np.abs(one), 95):.2f}"
+                for one in (errors, binned)
+            ]
+            print(
+                f"sigma {sigma} noise {noise}: value {words[0]}, binned {words[1]}, "
+                f"error over sigma {np.std(scores) if noise else np.nan:.2f}, {seconds:.2f} s",
+                flush=True,
+            )
+
+
+def sizes(count=15):
+    """Pixel size: bias in per cent and standard deviation in pixels of a bar's length."""
+    for bar in ("grey", "black"):
+        layout = charts.imaging_chart(horizontal_bar=bar)
+        for pixel, heading in (
+            (1.3, 0),
+            (1.3, 45),
+            (2.7, 30),
+            (5.4, 0),
+            (5.4, 45),
+            (11, 0),
+            (13, 0),
+        ):
+            for noise in (0.05, 0.10):
+                _sizes_of(layout, bar, pixel, heading, noise, count if pixel > 2 else 4)
+
+
+def _sizes_of(layout, bar, pixel, heading, noise, count):
+    """One line of the table of pixel sizes."""
+    camera = cameras.PanoramaCamera(2 * round(5000 * np.pi / pixel))
+    errors = {"h": [], "v": []}
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        view = cameras.chart_view(
+            camera,
+            distance=5,
+            layout=layout,
+            heading_deg=heading,
+            roll_deg=rng.uniform(-1, 1),
+            aim_deg=rng.uniform(0, 1),
+        )
+        photo = cameras.photograph(
+            layout,
+            view,
+            optics=cameras.Optics(0.6),
+            # noise is a share of the chart's contrast, 0.64 of full scale
+            sensor=cameras.Sensor(noise=0.64 * noise, shot_share=0.0),
+            seed=seed,
+            supersampling=4,
+        )
+        corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
+        there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
+        there = chart_image.align(photo.image, layout, there)
+        levels = chart_image.tones(photo.image, layout, there)
+        found = chart_image.pixel_sizes(levels, layout, there)
+        truth = chart_image.pixel_sizes(levels, layout, photo.chart_map)["expected_mm"]
+        for row, expected in zip(found.itertuples(), truth, strict=True):
+            errors[row.direction].append(row.length_px - row.length_mm / expected)
+    words = []
+    for direction, values in errors.items():
+        length_px = (600 if direction == "h" else 800) / pixel
+        words.append(
+            f"{direction} bias {-100 * np.nanmean(values) / length_px:+.3f} % "
+            f"sd {np.nanstd(values):.3f} px, {np.isnan(values).sum()} not measured"
+        )
+    print(f"{bar:5} bar, {pixel:4} mm, {heading:2d} deg, noise {noise}: {'; '.join(words)}")
+
+
+def panorama():
+    """Seconds and memory for a panorama of 250 megapixels, from the file to the figures."""
+    import cv2
+
+    layout = charts.imaging_chart()
+    camera = cameras.PanoramaCamera.of_megapixels(250)
+    view = cameras.chart_view(camera, distance=10, layout=layout, heading_deg=20, aim_deg=30)
+    sensor = cameras.Sensor(noise=0.02, gamma="srgb", bits=8)
+    photo = cameras.photograph(layout, view, sensor=sensor, seed=1)
+    rng = np.random.default_rng(1)
+    coarse = cv2.GaussianBlur(rng.random((camera.height // 8, camera.width // 8)), (0, 0), 2)
+    coarse = np.uint8(255 * (coarse - coarse.min()) / np.ptp(coarse))
+    whole = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    (column, row), (rows, columns) = photo.origin, photo.image.shape
+    whole[row : row + rows, column : column + columns] = photo.image
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "panorama.jpg"
+        cv2.imwrite(str(file), whole, [cv2.IMWRITE_JPEG_QUALITY, 92])
+        del whole
+        for name, corners in (("corners", view.pixels(layout.corners())), ("targets", None)):
+            began = time.perf_counter(), time.process_time()
+            quality, _ = imagery.evaluate_file(file, layout, corners=corners, camera="panorama")
+            wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+            size = quality.to_frame()["pixel_h_mm"].iloc[0]
+            print(f"{name}: {wall:.1f} s ({cpu:.1f} s of CPU), peak {peak:.2f} GB, {size:.3f} mm")
+
+
+if __name__ == "__main__":
+    known = {"pairs": pairs, "steps": steps, "edges": edges, "sizes": sizes, "panorama": panorama}
+    for chosen in sys.argv[1:] or known:
+        print(f"== {chosen}")
+        known[chosen]()
