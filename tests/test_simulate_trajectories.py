@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab import simulate
+from mmqa_lab.scan_geometry.setups import rotations
 from mmqa_lab.simulate import NavigationErrors, Trajectory
-from mmqa_lab.simulate.trajectories import gauss_markov, rotations
+from mmqa_lab.simulate.trajectories import gauss_markov
 
 ANGLES = st.floats(-180, 180)
 

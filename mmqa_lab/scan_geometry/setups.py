@@ -197,7 +197,25 @@ NUMBERS = tuple(
 
 def attitude(roll, pitch, heading):
     """Rotation (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), degrees."""
-    return turned("z", np.negative(heading)) @ turned("x", pitch) @ turned("y", roll)
+    return rotations(*(np.radians(angle) for angle in (roll, pitch, heading)))
+
+
+def rotations(roll, pitch, heading):
+    """Rotations (..., 3, 3) as of ``attitude``, of angles in radians that broadcast.
+
+    Examples
+    --------
+    >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
+    [1.0, 0.0, 0.0]
+    """
+    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
+    (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
+    rows = [
+        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
+        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
+        [-cp * sr, sp, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def turned(axis, degrees):

@@ -11,8 +11,8 @@ import numpy as np
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.scan_geometry.setups import rotations
 from mmqa_lab.simulate.scan import FULL_SCALE
-from mmqa_lab.simulate.trajectories import rotations
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab.scan_geometry.setups import rotations
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,20 +260,6 @@ def gauss_markov(n, interval, correlation, rng):
     white = rng.standard_normal(n)
     white[1:] *= np.sqrt(1 - keep**2)
     return lfilter([1.0], [1.0, -keep], white)
-
-
-def rotations(roll, pitch, heading):
-    """Return vehicle-to-world rotations, shape (n, 3, 3), of angles in radians."""
-    (sr, sp, sh), (cr, cp, ch) = (
-        np.sin([roll, pitch, heading]),
-        np.cos([roll, pitch, heading]),
-    )
-    rows = [
-        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
-        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
-        [-cp * sr, sp, cp * cr],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _errors(bias, drift, white, since, errors, rng):
