@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from mmqa_lab import calibration
 from mmqa_lab.calibration import calibrate
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
-from mmqa_lab.simulate.trajectories import rotations
 from mmqa_lab.studies.test_field.mounting import BORESIGHT_DEG, LEVER_ARM_ERROR_M, two_heads
 
 
@@ -25,11 +23,6 @@ def found(street, drives):
     control = street.ground(spacing_m=4.0, seed=2)
     lever = two_heads().assumed_lever_arms
     return calibrate(drives, lever_arms_m=lever, poles=street.poles, control=control)
-
-
-def test_rotation_is_the_simulators():
-    angles = np.radians([[0.3, 0.5, -0.7]])
-    assert np.allclose(calibration._rotations(angles), rotations(*angles.T), atol=1e-15)
 
 
 def test_mounting_is_recovered(found):
