@@ -50,9 +50,9 @@ def test_edge_fit_knows_its_own_shapes():
     assert turned.width_px == pytest.approx(fit.width_px, rel=1e-4)
 
 
-@pytest.mark.parametrize("half", [False, True])
-def test_star_within_two_hundredths(half, rng):
-    spread = PointSpread(0.7)
+@pytest.mark.parametrize(("half", "sigma"), [(False, 0.7), (True, 0.7), (False, 1.5)])
+def test_star_within_two_hundredths(half, sigma, rng):
+    spread = PointSpread(sigma)
     image = render_star((190, 190), spread, cycles=24, radius_px=88, centre=(0.3, -0.2), half=half)
     image = image + 0.005 * rng.standard_normal(image.shape)
     part = (-180, 0) if half else (0, 360)
@@ -62,6 +62,8 @@ def test_star_within_two_hundredths(half, rng):
     assert np.hypot(star.centre[0] - 94.8, star.centre[1] - 94.3) < 0.15
     assert star.mtf10 > star.mtf50
     assert star.fwhm_px == pytest.approx(spread.fwhm(0), rel=0.05)
+    # rendered levels; the middle of the sectors does not reach them under the wider blur
+    assert star.levels == pytest.approx((0.1, 0.6), abs=0.002)
 
 
 def test_bars_are_resolved_down_to_a_width_and_no_further():
