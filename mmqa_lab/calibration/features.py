@@ -4,33 +4,83 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab.planes import fit_plane
-
 OWN_PARAMETERS = {"plane": 3, "pole": 5, "control": 2}
 """Of a feature itself; they are eliminated from the adjustment."""
 
 
 @dataclass(eq=False)
 class Feature:
-    """What some points lie on: their numbers, and how they are measured against it."""
+    """What some points lie on: its kind, their numbers, and where its own search begins."""
 
     kind: str
     index: np.ndarray
     start: np.ndarray = None
 
-    def misfit(self, points):
-        """Distances of points from the fitted feature, normals, derivatives by its parameters."""
-        return {"plane": _plane_misfit, "pole": pole_misfit, "control": _control_misfit}[self.kind](
-            points, self.start
-        )
+    def __len__(self):
+        return len(self.index)
 
 
-def _plane_misfit(points, _):
-    """Distances from the regression plane, its normal, derivatives by offset and two tilts."""
-    plane = fit_plane(points)
-    flat = plane.project(points)
-    derivative = np.column_stack([np.ones(len(points)), flat])
-    return plane.residuals, np.broadcast_to(plane.normal, points.shape), derivative
+def measured(features, points):
+    """Distances of points from the features fitted to them.
+
+    Parameters
+    ----------
+    features : list of Feature
+        Planes first.
+    points : array, shape (n, 3)
+        Those of the first feature, of the second, ..., m.
+
+    Returns
+    -------
+    misfit, normal, basis : arrays, shapes (n,), (n, 3), (n, 5)
+        Distances, their directions, and an orthonormal basis of what the feature's own parameters
+        change in them; columns that a feature does not need are 0.
+    """
+    counts = np.array([len(feature) for feature in features])
+    planes = np.array([feature.kind == "plane" for feature in features])
+    misfit, normal, basis = (
+        np.empty(len(points)),
+        np.empty((len(points), 3)),
+        np.zeros((len(points), max(OWN_PARAMETERS.values()))),
+    )
+    flat = counts[planes].sum()
+    misfit[:flat], normal[:flat], basis[:flat, :3] = _plane_misfits(points[:flat], counts[planes])
+    first = flat
+    for feature in np.array(features, dtype=object)[~planes]:
+        part = slice(first, first + len(feature))
+        distances = pole_misfit if feature.kind == "pole" else _control_misfit
+        misfit[part], normal[part], derivative = distances(points[part], feature.start)
+        basis[part, : derivative.shape[1]] = np.linalg.qr(derivative)[0]
+        first += len(feature)
+    return misfit, normal, basis
+
+
+def group_planes(points, counts):
+    """Regression planes of groups of points that follow each other.
+
+    Returns
+    -------
+    centre, variance, axes, off : arrays, shapes (k, 3), (k, 3), (k, 3, 3), (n, 3)
+        Variances along the axes (columns), rising: the first is the normal; points less centre.
+    """
+    starts = np.cumsum(counts) - counts
+    centre = np.add.reduceat(points, starts) / counts[:, None]
+    off = points - np.repeat(centre, counts, axis=0)
+    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / counts[:, None, None]
+    variance, axes = np.linalg.eigh(scatter)
+    return centre, np.maximum(variance, 0), axes, off
+
+
+def _plane_misfits(points, counts):
+    """Distances from the regression plane of each group, normals, basis of offset and two tilts."""
+    _, variance, axes, off = group_planes(points, counts)
+    axes = np.repeat(axes, counts, axis=0)
+    along = np.einsum("ni,nij->nj", off, axes)
+    # principal axes from the centre are orthogonal to each other and to the constant
+    size = np.sqrt(counts[:, None] * np.maximum(variance[:, 1:], 1e-12))
+    basis = np.column_stack([np.ones(len(points)), along[:, 1:]])
+    basis /= np.repeat(np.column_stack([np.sqrt(counts), size]), counts, axis=0)
+    return along[:, 0], axes[:, :, 0], basis
 
 
 def pole_misfit(points, start, steps=12):

@@ -181,7 +181,7 @@ def _calibration(adjustment, found, values, lever):
         table=table,
         covariance=covariance,
         sigma0_m=float(sigma0),
-        n=sum(len(feature.index) for feature in adjustment.features),
+        n=int(adjustment.counts.sum()),
         planes=kinds.count("plane"),
         poles=kinds.count("pole"),
         control=kinds.count("control"),

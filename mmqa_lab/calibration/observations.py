@@ -19,6 +19,10 @@ POINT_COLUMNS = ("points", "time", "head", "drive")
 """What is known of each point of the drives."""
 
 
+ARRAYS = ("points", "time", "head", "offset", "rotation", "vector")
+"""Of a sample, one row a point."""
+
+
 @dataclass(eq=False)
 class Sample:
     """Points with what places them: time, head, pose of the vehicle, vector from the head."""
@@ -39,9 +43,13 @@ class Sample:
     @classmethod
     def joined(cls, samples):
         """Samples of several drives as one; all have the same origin."""
-        names = ("points", "time", "head", "offset", "rotation", "vector")
-        arrays = {name: np.concatenate([getattr(s, name) for s in samples]) for name in names}
+        arrays = {name: np.concatenate([getattr(s, name) for s in samples]) for name in ARRAYS}
         return cls(**arrays, origin=samples[0].origin, lever=samples[0].lever)
+
+    def select(self, which):
+        """The sample of some of the points; a mask or their numbers."""
+        arrays = {name: getattr(self, name)[which] for name in ARRAYS}
+        return Sample(**arrays, origin=self.origin, lever=self.lever)
 
     def locate(self, trajectory, lever_arms, origin):
         """Find the vector from the head to each point, in the vehicle's frame."""

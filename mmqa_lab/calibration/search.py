@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.calibration.features import Feature, pole_misfit
+from mmqa_lab.calibration.features import Feature, group_planes, pole_misfit
 from mmqa_lab.planes import fit_plane, sigma_mad
 
 PATCH_GAP_M = 0.3
@@ -130,14 +130,10 @@ def _planes_by_cube(placed, groups, cell, fewest=20):
     key = number[order] * (groups.max() + 1) + groups[order]
     starts = np.append(0, np.flatnonzero(np.diff(key)) + 1)
     n = np.diff(np.append(starts, len(order)))
-    p = placed[order]
-    centre = np.add.reduceat(p, starts) / n[:, None]
-    off = p - np.repeat(centre, n, axis=0)
-    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / n[:, None, None]
-    values, vectors = np.linalg.eigh(scatter)
+    centre, variance, axes, _ = group_planes(placed[order], n)
     table = pd.DataFrame(centre, columns=["x", "y", "z"])
-    table[["nx", "ny", "nz"]] = vectors[:, :, 0]
-    table["rms"], table["narrow"] = np.sqrt(np.maximum(values[:, :2], 0)).T
+    table[["nx", "ny", "nz"]] = axes[:, :, 0]
+    table["rms"], table["narrow"] = np.sqrt(variance[:, :2]).T
     table["cube"], table["n"] = number[order][starts], n
     return table[table["n"] >= fewest]
 
