@@ -20,8 +20,10 @@ LASZIP_CHUNK = 50_000
 """Points in a chunk where the writer does not choose."""
 
 
-def las_tables(path, chunk):
+def las_tables(path, chunk, *, bare=False):
     """Yield points (n, 3) and attributes of a LAS or LAZ file, at most ``chunk`` points at a time.
+
+    ``bare`` leaves the attributes out, and compressed where the file's format allows it.
 
     Raises
     ------
@@ -31,11 +33,14 @@ def las_tables(path, chunk):
     import laspy
 
     _check_header(path)
-    with laspy.open(path) as reader:
+    kinds = laspy.DecompressionSelection
+    wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z if bare else kinds.all()
+    with laspy.open(path, decompression_selection=wanted) as reader:
         header = reader.header
         if header.are_points_compressed:
             _check_compression(path, header)
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
+        names = [] if bare else names
         read = 0
         for part in reader.chunk_iterator(chunk):
             read += len(part)

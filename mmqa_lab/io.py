@@ -85,7 +85,8 @@ def iterate_cloud(path, *, columns=None, chunk=1_000_000):
         listed = ", ".join(CLOUD_ENDINGS)
         raise ValueError(f"Invalid cloud {path} with ending {ending!r}. Must be one of {listed}.")
     if ending in LAS_ENDINGS:
-        tables = _sound(las_tables(path, chunk), path, "a complete LAS or LAZ file")
+        bare = columns is not None and not len(columns)
+        tables = _sound(las_tables(path, chunk, bare=bare), path, "a complete LAS or LAZ file")
     elif ending == ".ply":
         tables = _ply_tables(path)
     else:

@@ -1,0 +1,77 @@
+"""Points sorted into cubes, and the cubes around a cube."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Cubes:
+    """Points in the order of their cubes: by column, in each column from below.
+
+    Parameters
+    ----------
+    xyz : array, shape (3, n)
+        Coordinates, m; within a cube in the order they came in.
+    starts : array of int, shape (m + 1,)
+        First point of each cube.
+    index : array of int, shape (m, 3)
+        Place of each cube, in cells from the origin.
+    cell : float
+        Their side, m.
+    """
+
+    xyz: np.ndarray
+    starts: np.ndarray
+    index: np.ndarray
+    cell: float
+
+    @property
+    def counts(self):
+        """Points in each cube."""
+        return np.diff(self.starts)
+
+
+def sort_into_cubes(points, cell, *, columns=False):
+    """Sort points (n, 3) into cubes of side ``cell``, or into columns of that width.
+
+    Examples
+    --------
+    >>> cubes = sort_into_cubes(np.array([[0.9, 0, 0], [0.1, 0, 0], [0.2, 0, 0.7]]), 0.5)
+    >>> cubes.index.tolist(), cubes.counts.tolist()
+    ([[0, 0, 0], [0, 0, 1], [1, 0, 0]], [1, 1, 1])
+    """
+    xyz = np.ascontiguousarray(points.T)
+    index = np.floor(xyz / cell).astype(np.int64)
+    if columns:
+        index[2] = 0
+    first = index.min(axis=1)
+    wide = index.max(axis=1) - first + 1
+    key = _key(index - first[:, None], wide)
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.append(True, np.diff(key[order]) > 0))
+    return Cubes(
+        xyz[:, order], np.append(starts, len(order)), index[:, order[starts]].T.copy(), cell
+    )
+
+
+def ranges_around(cubes, chosen, reach):
+    """Ranges of points in the cubes up to ``reach`` cubes away, shape (m, (2 reach + 1)^2, 2).
+
+    Columns are sorted from below, so each column around a cube holds one range.
+    """
+    first = cubes.index.min(axis=0) - reach
+    wide = (cubes.index.max(axis=0) - first + 1 + reach).astype(np.int64)
+    keys = _key((cubes.index - first).T, wide)
+    places = cubes.index[chosen] - first
+    steps = np.arange(-reach, reach + 1)
+    dx, dy = (step.ravel() for step in np.meshgrid(steps, steps, indexing="ij"))
+    column = (places[:, :1] + dx) * wide[1] + places[:, 1:2] + dy
+    ends = [np.searchsorted(keys, column * wide[2] + places[:, 2:] - reach)]
+    ends.append(np.searchsorted(keys, column * wide[2] + places[:, 2:] + reach, side="right"))
+    return cubes.starts[np.stack(ends, axis=2)]
+
+
+def _key(index, wide):
+    """One number per place, shape (3, n) -> (n,): columns in turn, each from below."""
+    return (index[0] * wide[1] + index[1]) * wide[2] + index[2]
