@@ -3,6 +3,8 @@
 Import it where figures are drawn: the rooms that compute never need it.
 """
 
+from dataclasses import dataclass
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,8 +12,38 @@ from cycler import cycler
 
 from mmqa_lab._checks import check_choice
 
-WIDTHS_MM = {"single": 85.0, "double": 178.0}
-"""Figure widths of a single and a double column."""
+WIDTHS = ("single", "double", "full")
+"""One column, two columns, the whole width of the page's text."""
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What a publisher asks of a figure."""
+
+    widths_mm: tuple
+    """Of one column, two columns and the whole text."""
+    fonts: tuple
+    lettering_pt: float
+    source: str
+
+
+JOURNALS = {
+    "house": Journal((85.0, 178.0, 178.0), ("DejaVu Sans",), 8.0, "this project's own choice"),
+    "elsevier": Journal(
+        (90.0, 190.0, 190.0),
+        ("Arial", "Helvetica"),
+        7.0,
+        "elsevier.com, artwork and media instructions: artwork sizing, artwork types",
+    ),
+    "ieee": Journal(
+        (88.9, 182.0, 182.0),
+        ("Arial", "Helvetica"),
+        8.0,
+        "ieeeauthorcenter.ieee.org, size requirements for graphics; callouts of 8 points: "
+        "IEEE guidelines for author supplied electronic text and graphics",
+    ),
+}
+"""Widths, fonts and lettering by publisher; other publishers join with their source."""
 
 COLOURS = {
     "blue": "#0072B2",
@@ -42,13 +74,6 @@ STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "mmqa_lab",
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
     "legend.frameon": False,
     "lines.linewidth": 1.0,
     "axes.linewidth": 0.6,
@@ -61,24 +86,55 @@ STYLE = {
     "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"]),
 }
 
+_in_use = {"single": 85.0, "double": 178.0, "full": 178.0, "default": 85.0}
 
-def use_style():
+
+def use_style(*, width="single", journal="house"):
     """Set the style for all figures drawn from here on.
 
     Fonts are embedded as TrueType (Type 42), text in SVG stays text, and files are equal to the
-    byte from run to run.
+    byte from run to run. A publisher's font that is not installed is replaced by DejaVu Sans.
+
+    Parameters
+    ----------
+    width : {"single", "double", "full"}
+        Of figures that do not say their own.
+    journal : {"house", "elsevier", "ieee"}
+        A key of ``JOURNALS``, which names the source of each publisher's widths and fonts.
+
+    Raises
+    ------
+    ValueError
+        If the width or the journal is not known.
+
+    Examples
+    --------
+    >>> use_style(width="double", journal="elsevier")
+    >>> figure, ax = subplots()
+    >>> round(figure.get_size_inches()[0] * 25.4)
+    190
+    >>> plt.close(figure)
+    >>> use_style()
     """
-    mpl.rcParams.update(STYLE)
+    chosen = JOURNALS[check_choice(journal, "journal", tuple(JOURNALS))]
+    widths = dict(zip(WIDTHS, chosen.widths_mm, strict=True))
+    check_choice(width, "width", WIDTHS)
+    _in_use.update(widths, default=widths[width])
+    size = chosen.lettering_pt
+    lettering = {"font.size": size, "axes.labelsize": size, "axes.titlesize": size}
+    small = dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), min(size, 7))
+    fonts = {"font.sans-serif": [*chosen.fonts, "DejaVu Sans"]}
+    mpl.rcParams.update(STYLE | lettering | small | fonts)
 
 
-def subplots(rows=1, columns=1, *, width="single", height_mm=60.0, **choices):
+def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
     """Return a figure of a journal's width and its axes.
 
     Parameters
     ----------
     rows, columns : int
-    width : {"single", "double"}
-        Column width, 85 mm or 178 mm.
+    width : {"default", "single", "double", "full"}
+        Of the journal that :func:`use_style` was given; "default" is the width given there.
     height_mm : float
     **choices
         Handed to ``matplotlib.pyplot.subplots``.
@@ -95,8 +151,8 @@ def subplots(rows=1, columns=1, *, width="single", height_mm=60.0, **choices):
     85
     >>> plt.close(figure)
     """
-    check_choice(width, "width", tuple(WIDTHS_MM))
-    size = (WIDTHS_MM[width] / 25.4, height_mm / 25.4)
+    check_choice(width, "width", ("default", *WIDTHS))
+    size = (_in_use[width] / 25.4, height_mm / 25.4)
     return plt.subplots(rows, columns, figsize=size, **choices)
 
 

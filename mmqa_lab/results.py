@@ -16,6 +16,10 @@ from mmqa_lab.io import write_atomically
 
 ROOT_VARIABLE = "MMQA_RESULTS"
 FORMATS = ("pdf", "svg", "png")
+
+TOUCHING_PX = 1.5
+"""Boxes of texts include the room of letters that are not there; so much of it may be shared."""
+
 LIBRARIES = ("numpy", "scipy", "pandas", "laspy", "matplotlib", "pyvista", "xarray", "statsmodels")
 
 
@@ -77,19 +81,25 @@ class Run:
         self._values = []
         self._claims = []
         self._files = []
+        self._overlaps = {}
 
     def save_table(self, frame, name):
         """Write a DataFrame as ``<name>.csv``."""
         self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False))
 
     def save_figure(self, figure, name):
-        """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run."""
+        """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
+
+        Texts that overlap or leave the figure are named in the run record.
+        """
         dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
         for form in FORMATS:
             self._write(
                 f"{name}.{form}",
                 lambda path, form=form: figure.savefig(path, metadata=dates[form]),
             )
+        if found := overlapping_texts(figure):
+            self._overlaps[name] = found
 
     def save_value(self, name, value, unit):
         """Keep a named number; all of them are written as ``values.csv`` by :meth:`finish`."""
@@ -121,6 +131,7 @@ class Run:
             "seconds": round(time.time() - self._began, 1),
             "claims": len(self._claims),
             "claims_that_hold": sum(bool(claim.holds) for claim in self._claims),
+            "overlapping_texts": self._overlaps,
             "files": self._files,
             "python": platform.python_version(),
             "versions": {name: metadata.version(name) for name in LIBRARIES},
@@ -134,6 +145,58 @@ class Run:
         write_atomically(self.folder / name, write)
         if name not in self._files:
             self._files.append(name)
+
+
+def overlapping_texts(figure):
+    """Return the texts of a matplotlib figure that overlap one another or leave the figure.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Drawn before, so that its layout is final.
+
+    Returns
+    -------
+    list of str
+        A sentence for each pair, and for each text that reaches beyond the figure's edge.
+    """
+    hidden = _ticks_out_of_view(figure)
+    texts = [text for text in figure.findobj(_is_shown_text) if text not in hidden]
+    shown = [(text, text.get_window_extent()) for text in texts if text.get_text().strip()]
+    edge = figure.bbox.padded(1.0)
+    found = [
+        f"{text.get_text()!r} leaves the figure"
+        for text, box in shown
+        if not (edge.contains(box.x0, box.y0) and edge.contains(box.x1, box.y1))
+    ]
+    for k, (text, box) in enumerate(shown):
+        for other, there in shown[:k]:
+            width = min(box.x1, there.x1) - max(box.x0, there.x0)
+            height = min(box.y1, there.y1) - max(box.y0, there.y0)
+            if width > TOUCHING_PX and height > TOUCHING_PX:
+                found.append(f"{other.get_text()!r} and {text.get_text()!r} overlap")
+    return found
+
+
+def _is_shown_text(artist):
+    """Whether an artist is a text that one can read, in axes that are shown."""
+    if not hasattr(artist, "get_fontsize") or not artist.get_visible():
+        return False
+    axes = artist.axes
+    return axes is None or (axes.get_visible() and (axes.axison or artist in axes.texts))
+
+
+def _ticks_out_of_view(figure):
+    """Labels of ticks beyond the limits of their axis: they exist but are not drawn."""
+    hidden = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            slack = 1e-9 * (high - low)
+            for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]:
+                if not low - slack <= tick.get_loc() <= high + slack:
+                    hidden |= {tick.label1, tick.label2}
+    return hidden
 
 
 def _plain(value):

@@ -1,13 +1,14 @@
 """What a study leaves behind."""
 
 import json
+import re
 
 import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
 
 from mmqa_lab import figures
-from mmqa_lab.results import Claim, Run
+from mmqa_lab.results import Claim, Run, overlapping_texts
 
 
 @pytest.fixture
@@ -59,3 +60,51 @@ def test_fonts_are_embedded_as_truetype(run):
     pdf = (run.folder / "font.pdf").read_bytes()
     assert b"/Type3" not in pdf
     assert b"/FontFile2" in pdf
+
+
+def drawn(height_mm=40, **choices):
+    """A figure with a legend and a title, drawn."""
+    figures.use_style(**choices)
+    figure, ax = figures.subplots(height_mm=height_mm)
+    ax.plot([0.1, 1], [0, 1], label="a line")
+    ax.set(xlabel="range (m)", ylabel="error (mm)", title="plain")
+    ax.legend()
+    figure.canvas.draw()
+    return figure, ax
+
+
+def test_texts_on_each_other_or_outside_are_named(run):
+    figure, ax = drawn()
+    assert overlapping_texts(figure) == []
+    ax.text(0.2, 0.5, "first")
+    ax.text(0.22, 0.5, "second")
+    ax.text(1.0, 0.2, "a text that runs over the edge", in_layout=False)
+    run.save_figure(figure, "crowded")
+    run.finish()
+    plt.close(figure)
+    found = json.loads((run.folder / "run.json").read_text())["overlapping_texts"]["crowded"]
+    assert sorted(found) == [
+        "'a text that runs over the edge' leaves the figure",
+        "'first' and 'second' overlap",
+    ]
+
+
+@pytest.mark.parametrize("journal", figures.JOURNALS)
+@pytest.mark.parametrize("width", figures.WIDTHS)
+def test_files_have_the_width_that_the_journal_asks_for(journal, width, run):
+    figure, _ = drawn(journal=journal, width=width)
+    run.save_figure(figure, "page")
+    plt.close(figure)
+    figures.use_style()
+    box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (run.folder / "page.pdf").read_bytes())
+    points = float(box.group(1).split()[2])
+    wanted = figures.JOURNALS[journal].widths_mm[figures.WIDTHS.index(width)]
+    assert points / 72 * 25.4 == pytest.approx(wanted, abs=0.1)  # a third of a point
+    assert figures.JOURNALS[journal].source
+
+
+def test_an_unknown_journal_or_width_is_refused():
+    with pytest.raises(ValueError, match=r"Invalid journal 'Nature'. Must be one of"):
+        figures.use_style(journal="Nature")
+    with pytest.raises(ValueError, match=r"Invalid width 'triple'. Must be one of"):
+        figures.use_style(width="triple")

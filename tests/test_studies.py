@@ -7,34 +7,56 @@ import pytest
 
 from mmqa_lab import gallery, headless
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
+from mmqa_lab.teaching import student_cell
 
 
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
-def test_notebook_runs_with_small_parameters(study, tmp_path):
-    outcome = headless.run_study(study, tmp_path, quick=True)
-    assert outcome.verdict == "ok"
-    folder = tmp_path / study.stem
-    record = json.loads((folder / "run.json").read_text())
-    assert record["claims"] == record["claims_that_hold"] > 0
-    assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
-    page = (folder / f"{study.stem}.html").read_text()
-    assert "<img" in page
-    assert 'src="http' not in page  # nothing comes from the network
-    gallery.write_index(tmp_path)
-    index = (tmp_path / "index.html").read_text()
-    assert study.title in index
-    assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
-
-
-class Broken(Study):
-    """A study whose notebook lies elsewhere."""
+class Elsewhere(Study):
+    """A study whose notebook lies in another folder."""
 
     folder = None
 
     @property
     def path(self):
         return self.folder / f"{self.notebook}.ipynb"
+
+
+def before_the_answers(study, folder):
+    """The study with each exercise as a student gets it, untouched, before its answer."""
+    notebook = nbformat.read(study.path, as_version=4)
+    cells, exercises = [], 0
+    for cell in notebook.cells:
+        if "solution" in cell.metadata.get("tags", []):
+            exercise = nbformat.v4.new_code_cell(student_cell(cell.source))
+            exercise.metadata["tags"] = ["raises-exception"]
+            cells.append(exercise)
+            exercises += 1
+        cells.append(cell)
+    notebook.cells = cells
+    here = Elsewhere(study.number, study.stem, study.title, study.question, study.source)
+    object.__setattr__(here, "folder", folder)
+    nbformat.write(notebook, here.path)
+    return here, exercises
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_notebook_runs_with_small_parameters(study, tmp_path):
+    study, exercises = before_the_answers(study, tmp_path)
+    outcome = headless.run_study(study, tmp_path, quick=True)
+    assert outcome.verdict == "ok"
+    folder = tmp_path / study.stem
+    record = json.loads((folder / "run.json").read_text())
+    assert record["claims"] == record["claims_that_hold"] > 0
+    assert record["overlapping_texts"] == {}
+    assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
+    page = (folder / f"{study.stem}.html").read_text()
+    assert "<img" in page
+    assert page.count("Traceback (most recent call last)") == exercises  # checks fail unworked
+    assert 'src="http' not in page  # nothing comes from the network
+    gallery.write_index(tmp_path)
+    index = (tmp_path / "index.html").read_text()
+    assert study.title in index
+    assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
 
 
 @pytest.fixture
@@ -44,7 +66,7 @@ def broken(tmp_path):
     def run(*sources, tags=()):
         cells = [nbformat.v4.new_code_cell(source) for source in sources]
         cells[0].metadata["tags"] = list(tags)
-        study = Broken(99, "broken", "Broken", "What happens?", "nowhere")
+        study = Elsewhere(99, "broken", "Broken", "What happens?", "nowhere")
         object.__setattr__(study, "folder", tmp_path)
         nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
         return headless.run_study(study, tmp_path / "results")

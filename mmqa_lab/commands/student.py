@@ -1,0 +1,30 @@
+"""Write copies of the notebooks for a class: without the answers, with their checks.
+
+Each exercise keeps the assertions of its answer; they fail until the work is done. The teacher's
+lesson plan stays in the original notebook. A folder that holds such notebooks already is refused.
+"""
+
+from pathlib import Path
+
+SUMMARY = "write notebooks without the answers, for students"
+
+EPILOG = """\
+example:
+  mmqa student course
+  mmqa student course anisotropy mimic
+"""
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
+    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
+
+
+def run(options):
+    """Write the copies and name them."""
+    from mmqa_lab.studies.catalogue import chosen
+    from mmqa_lab.teaching import write_student_notebooks
+
+    for path in write_student_notebooks(chosen(options.name), options.out):
+        print(path)
