@@ -18,8 +18,8 @@ from mmqa_lab.io import write_atomically
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
-ENLARGEMENT = 4
-"""Screen pixels per image pixel; nothing is interpolated."""
+WIDEST_PX, LARGEST_ZOOM = 800, 12
+"""A crop is enlarged by whole numbers up to this width on the screen; nothing is interpolated."""
 
 
 class JuryForm:
@@ -84,7 +84,7 @@ class JuryForm:
         """All marks in the file so far, of every juror."""
         if not self._file.is_file():
             return pd.DataFrame(columns=["juror", "element", "mark"])
-        return check_marks(pd.read_csv(self._file, dtype=str))
+        return check_marks(pd.read_csv(self._file, dtype=str, keep_default_na=False))
 
     @property
     def element(self):
@@ -135,5 +135,6 @@ def _png(crop):
 
     low, high = np.percentile(crop, [0.5, 99.5])
     shown = encode(np.clip((crop - low) / max(high - low, 1e-9), 0, 1), "srgb")
-    pixels = np.kron(np.round(shown * 255).astype(np.uint8), np.ones((ENLARGEMENT,) * 2, np.uint8))
+    zoom = int(np.clip(WIDEST_PX // crop.shape[1], 1, LARGEST_ZOOM))
+    pixels = np.kron(np.round(shown * 255).astype(np.uint8), np.ones((zoom, zoom), np.uint8))
     return cv2.imencode(".png", pixels)[1].tobytes()

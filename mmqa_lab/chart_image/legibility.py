@@ -6,7 +6,9 @@ are stand-ins: they come in columns of their own and are never merged with the m
 
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
 
 import numpy as np
 import pandas as pd
@@ -20,8 +22,8 @@ MARKS = ("a", "b", "c")
 X_HEIGHT_SHARE = 0.75
 """Height of lower-case letters in capitals of the chart's font."""
 
-CROP_MARGIN = 0.6
-"""Margin around a line, in heights of its capitals."""
+CROP_MARGIN = 0.35
+"""Margin around a line, in heights of its capitals: with tails, without the next line."""
 
 READING_CAPS_PX = (20.0, 30.0)
 """Heights of the capitals that lines are enlarged to for an automatic reader, which tries both."""
@@ -53,6 +55,24 @@ class Crop:
     text: str
     image: np.ndarray
     cap_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """An automatic reader; called with the grey image of one line, uint8, it returns the text.
+
+    Parameters
+    ----------
+    name : str
+        Engine and version.
+    read : callable
+    """
+
+    name: str
+    read: Callable
+
+    def __call__(self, image):
+        return self.read(image)
 
 
 def text_crops(image, layout, chart_map):
@@ -177,7 +197,7 @@ def quality_index(cap_mm, width_mm):
 
 
 def reader(engine="auto"):
-    """Return an automatic reader: a function from a grey image of one line, 0..1, to its text.
+    """Return an automatic reader of single lines that works offline.
 
     Parameters
     ----------
@@ -185,27 +205,27 @@ def reader(engine="auto"):
         The Python package rapidocr, whose models are in its wheel, or the program tesseract with
         its German data; the first one present.
 
+    Returns
+    -------
+    Reader
+
     Raises
     ------
     ImportError
         If the engine is not installed.
     """
     check_choice(engine, "engine", ("auto", *ENGINES))
-    if engine in ("auto", "rapidocr"):
+    engines = {"rapidocr": _rapidocr, "tesseract": _tesseract}
+    missing = []
+    for name in ENGINES if engine == "auto" else (engine,):
         try:
-            return _rapidocr()
-        except ImportError:
-            if engine == "rapidocr":
-                raise ImportError(
-                    "rapidocr is not installed. Must be, for automatic reading: "
-                    "pip install rapidocr onnxruntime."
-                ) from None
-    if shutil.which("tesseract") is None:
-        raise ImportError(
-            "No automatic reader is installed. Must be rapidocr (pip install rapidocr onnxruntime) "
-            "or tesseract (apt install tesseract-ocr tesseract-ocr-deu)."
-        )
-    return _tesseract
+            return engines[name]()
+        except ImportError as error:
+            missing.append(str(error))
+    raise ImportError(
+        f"No automatic reader: {', '.join(missing)}. Must be rapidocr (pip install rapidocr "
+        "onnxruntime) or tesseract (apt install tesseract-ocr tesseract-ocr-deu)."
+    )
 
 
 def read_crops(crops, read):
@@ -273,27 +293,43 @@ def _prepared(image, scale):
 
 def _rapidocr():
     """The reader of the package rapidocr."""
-    from rapidocr import RapidOCR
+    try:
+        from rapidocr import RapidOCR
 
-    engine = RapidOCR(params={"Global.log_level": "critical"})
+        engine = RapidOCR(params={"Global.log_level": "critical"})
+    except ImportError:
+        raise ImportError("rapidocr with onnxruntime is not installed") from None
 
     def read(image):
-        # lines are cut out already: recognition alone
+        """Lines are cut out already: recognition alone."""
         colour = np.repeat(image[:, :, None], 3, axis=2)
         found = engine(colour, use_det=False, use_cls=False, use_rec=True)
         return " ".join(found.txts or ())
 
-    return read
+    return Reader(f"rapidocr {metadata.version('rapidocr')}", read)
 
 
-def _tesseract(image):
-    """What the program tesseract reads in one line."""
-    import cv2
+def _tesseract():
+    """The reader of the program tesseract."""
+    if shutil.which("tesseract") is None:
+        raise ImportError("tesseract is not installed")
+    if "deu" not in _run_tesseract("--list-langs").split():
+        raise ImportError("tesseract has no German data")
 
-    _, png = cv2.imencode(".png", image)
-    command = ["tesseract", "stdin", "stdout", "-l", "deu", "--psm", "7"]
-    done = subprocess.run(command, input=png.tobytes(), capture_output=True, check=False)
+    def read(image):
+        """One line of text."""
+        import cv2
+
+        png = cv2.imencode(".png", image)[1].tobytes()
+        return _run_tesseract("stdin", "stdout", "-l", "deu", "--psm", "7", data=png).strip()
+
+    return Reader(" ".join(_run_tesseract("--version").split()[:2]), read)
+
+
+def _run_tesseract(*arguments, data=b""):
+    """What the program tesseract prints."""
+    done = subprocess.run(["tesseract", *arguments], input=data, capture_output=True, check=False)
     if done.returncode:
-        sentence = done.stderr.decode(errors="replace").strip().splitlines()[-1]
-        raise ImportError(f"tesseract does not run: {sentence} Must have its German data.")
-    return done.stdout.decode(errors="replace").strip()
+        said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+        raise ImportError(f"tesseract does not run ({said[-1]})")
+    return done.stdout.decode(errors="replace")

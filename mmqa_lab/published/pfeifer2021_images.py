@@ -14,6 +14,9 @@ SOURCE = "Pfeifer et al. 2021, Table 1, doi:10.3390/rs13020237"
 LADDER_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
 """Widths of the line pairs: ends as printed (40 or 30 mm to 2 mm), rungs between them assumed."""
 
+LADDERS_MM = {"h": LADDER_MM, "v": LADDER_MM[1:]}
+"""Of the standing and of the lying bars."""
+
 VIEWS = ("orthogonal", "forward", "backward")
 
 CELLS = ("pixel_h_mm", "pixel_v_mm", "w_h_mm", "w_v_mm")
@@ -114,8 +117,7 @@ def widths():
             own = getattr(row, f"pixel_{direction}_mm")
             pixel = own if np.isfinite(own) else getattr(row, f"pixel_{other}_mm")
             if np.isfinite(w):
-                step = LADDER_MM.index(w) + 1
-                finer = LADDER_MM[step] if step < len(LADDER_MM) else 0.0
+                finer = next((width for width in LADDER_MM if width < w), 0.0)
                 source = direction if np.isfinite(own) else other
                 known = row.system, row.distance_m, row.view, direction
                 rows.append((*known, w, finer, pixel, source, finer / pixel, w / pixel))

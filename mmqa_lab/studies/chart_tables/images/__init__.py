@@ -1,0 +1,100 @@
+"""Table 1 from images: systems A, B and C predicted, fitted, photographed and compared.
+
+``predicted`` has the specifications and the limit of line pairs, ``fitted`` point spreads and
+motion, ``photographs`` renders and reads the chart, ``comparisons`` sets everything side by side,
+``legible`` holds legibility, ``drawings`` draws and ``findings`` says what holds.
+"""
+
+from mmqa_lab.studies.chart_tables.images.comparisons import (
+    compare,
+    photographed,
+    pixel_sizes,
+    scenarios,
+    side_by_side,
+    widths,
+)
+from mmqa_lab.studies.chart_tables.images.drawings import (
+    draw_contrast,
+    draw_crops,
+    draw_finer,
+    draw_photo,
+    draw_pixel_sizes,
+    draw_spread_trials,
+    draw_widths,
+)
+from mmqa_lab.studies.chart_tables.images.findings import claims
+from mmqa_lab.studies.chart_tables.images.fitted import best_spread, fit_systems, one_spread
+from mmqa_lab.studies.chart_tables.images.legible import (
+    IndexFit,
+    fit_index,
+    jury_crops,
+    jury_of,
+    legibility,
+    readable,
+    text_crops,
+)
+from mmqa_lab.studies.chart_tables.images.photographs import (
+    evaluate,
+    finer_chart,
+    photograph,
+    photographs,
+    readings,
+    specified,
+)
+from mmqa_lab.studies.chart_tables.images.predicted import (
+    geometry,
+    ladder_widths,
+    limits_mm,
+    pair_limit,
+    pair_limits,
+    steps_between,
+    width_cells,
+)
+
+QUICK = {
+    "photographed_systems": ["C"],
+    "photos_per_row": 1,
+    "spreads_px": [0.4, 0.6, 0.8, 1.0],
+    "motions_px": [0, 1, 2, 4],
+}
+
+__all__ = [
+    "QUICK",
+    "IndexFit",
+    "best_spread",
+    "claims",
+    "compare",
+    "draw_contrast",
+    "draw_crops",
+    "draw_finer",
+    "draw_photo",
+    "draw_pixel_sizes",
+    "draw_spread_trials",
+    "draw_widths",
+    "evaluate",
+    "finer_chart",
+    "fit_index",
+    "fit_systems",
+    "geometry",
+    "jury_crops",
+    "jury_of",
+    "ladder_widths",
+    "legibility",
+    "limits_mm",
+    "one_spread",
+    "pair_limit",
+    "pair_limits",
+    "photograph",
+    "photographed",
+    "photographs",
+    "pixel_sizes",
+    "readable",
+    "readings",
+    "scenarios",
+    "side_by_side",
+    "specified",
+    "steps_between",
+    "text_crops",
+    "width_cells",
+    "widths",
+]
