@@ -43,7 +43,17 @@ Tree = namedtuple("Tree", "leaves boxes")
 def nearest_per_quadrant(xy, radius):
     """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last."""
     xy = np.ascontiguousarray(xy)
-    threads = min(numba.get_num_threads(), 1 + len(xy) // 10_000)
+    allowed = numba.get_num_threads()
+    threads = min(allowed, 1 + len(xy) // 10_000)
+    numba.set_num_threads(threads)  # waking threads for a small cloud costs more than searching it
+    try:
+        return _nearest(xy, radius, threads)
+    finally:
+        numba.set_num_threads(allowed)
+
+
+def _nearest(xy, radius, threads):
+    """The steps of the search: cells, leaves, boxes, distances."""
     grid = _grid(xy)
     points = Points(np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy), np.int32))
     starts = _fill(xy, grid, points, threads)
