@@ -153,13 +153,13 @@ def overlapping_texts(figure):
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        Drawn before, so that its layout is final.
 
     Returns
     -------
     list of str
         A sentence for each pair, and for each text that reaches beyond the figure's edge.
     """
+    figure.draw_without_rendering()
     hidden = _ticks_out_of_view(figure)
     texts = [text for text in figure.findobj(_is_shown_text) if text not in hidden]
     shown = [(text, text.get_window_extent()) for text in texts if text.get_text().strip()]

@@ -78,7 +78,7 @@ def test_texts_on_each_other_or_outside_are_named(run):
     assert overlapping_texts(figure) == []
     ax.text(0.2, 0.5, "first")
     ax.text(0.22, 0.5, "second")
-    ax.text(1.0, 0.2, "a text that runs over the edge", in_layout=False)
+    figure.text(0.9, 0.6, "a text that runs over the edge", in_layout=False)
     run.save_figure(figure, "crowded")
     run.finish()
     plt.close(figure)
