@@ -34,6 +34,11 @@ def slanted_edge(sigma, angle, offset, *, shape=(100, 64), levels=(0.1, 0.6), no
     return image if rng is None else image + noise * rng.standard_normal(shape)
 
 
+def step_seen_by_pixel(x, sigma):
+    """A step from 0 to 1 at distance x behind a Gaussian, averaged over one pixel."""
+    return _integral(x + 0.5, sigma) - _integral(x - 0.5, sigma)
+
+
 def true_mtf50(sigma, angle):
     """MTF50 of a Gaussian and a square pixel along the normal of an edge."""
 

@@ -1,0 +1,255 @@
+"""Photographs against closed forms of what pixels see."""
+
+import numpy as np
+import pytest
+from rendered import slanted_edge, step_seen_by_pixel
+from scipy.special import j1
+
+from mmqa_lab import charts
+from mmqa_lab.chart_image.light import decode
+from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.simulate.cameras import (
+    ChartMap,
+    FrameCamera,
+    Optics,
+    PanoramaCamera,
+    Pose,
+    Sensor,
+    chart_view,
+    photograph,
+)
+
+IDEAL = Sensor(black=0.0, white=1.0, noise=0.0)
+
+CHART = charts.imaging_chart()
+
+
+def flat_map(scale, place, angle=0.0):
+    """An orthogonal view: pixels per mm, pixel of the lower left corner, turn in radians."""
+    c, s = scale * np.cos(angle), scale * np.sin(angle)
+    return ChartMap(np.array([[c, s, place[0]], [s, -c, place[1]], [0, 0, 1.0]]))
+
+
+def seen_bar(bar, scale, place, shape, sigma, shift=0.0):
+    """A black bar on white behind a Gaussian and square pixels, closed form, moved to the right."""
+    columns, rows = np.arange(shape[1]), np.arange(shape[0])
+    x = place[0] + shift + scale * np.array([bar.x, bar.x + bar.width])
+    y = place[1] - scale * np.array([bar.y + bar.height, bar.y])
+    across, upright = (
+        step_seen_by_pixel(pixels - ends[0], sigma) - step_seen_by_pixel(pixels - ends[1], sigma)
+        for pixels, ends in ((columns, x), (rows, y))
+    )
+    return 1 - upright[:, None] * across
+
+
+@pytest.mark.parametrize(("sigma", "scale"), [(0.4, 0.37), (0.8, 0.19), (1.5, 0.74)])
+def test_a_bar_is_the_closed_form(sigma, scale):
+    bar = Bar("a", 41.7, 33.2, 60.0, 25.0)
+    layout = Layout("a bar", 150, 100, (bar,))
+    there = flat_map(scale, (10.3, 70.6))
+    photo = photograph(layout, there, optics=Optics(sigma), sensor=IDEAL, surround=1.0)
+    place = photo.chart_map.pixels([[0, 0]])[0]
+    expected = seen_bar(bar, scale, place, photo.image.shape, sigma)
+    # six samples along each side of a pixel, weighted as if evenly spread
+    assert np.abs(photo.image - expected).max() < 0.01
+
+
+def test_motion_averages_the_closed_form_along_the_way():
+    bar = Bar("a", 41.7, 33.2, 60.0, 25.0)
+    layout = Layout("a bar", 150, 100, (bar,))
+    optics = Optics(0.6, travel=(5.0, 0.0, 0.0))
+    photo = photograph(
+        layout, flat_map(0.3, (9.1, 60.2)), optics=optics, sensor=IDEAL, surround=1.0
+    )
+    place = photo.chart_map.pixels([[0, 0]])[0]
+    shifts = 5.0 * ((np.arange(400) + 0.5) / 400 - 0.5)
+    expected = np.mean(
+        [seen_bar(bar, 0.3, place, photo.image.shape, 0.6, shift) for shift in shifts], axis=0
+    )
+    assert np.abs(photo.image - expected).max() < 0.01
+
+
+def test_motion_in_metres_blurs_by_distance_over_pixel_size():
+    layout = Layout("edge", 400, 400, (Bar("a", 0, 0, 200, 400),))
+    camera = FrameCamera(4000, 3000, focal_px=4000.0)
+    view = chart_view(camera, distance=10, layout=layout)
+    photo = photograph(
+        layout, view, optics=Optics(0.0, travel=(0.02, 0, 0)), sensor=IDEAL, margin=0
+    )
+    # 20 mm at 10 m and 4000 px are 8 px: the edge rises by 1/8 a pixel
+    row = photo.image[len(photo.image) // 2]
+    assert np.diff(row[60:-10]).max() == pytest.approx(1 / 8, rel=0.03)
+
+
+def test_a_slanted_edge_is_the_numerical_integral():
+    layout = Layout("edge", 400, 400, (Bar("a", 0, 0, 200, 400),))
+    angle = np.radians(7.0)
+    photo = photograph(
+        layout, flat_map(0.5, (40.0, 230.0), angle), optics=Optics(0.7), sensor=IDEAL
+    )
+    middle = np.round(photo.chart_map.pixels([[200, 200]])[0]).astype(int)
+    part = photo.image[middle[1] - 20 : middle[1] + 21, middle[0] - 15 : middle[0] + 16]
+    rest = photo.chart_map.pixels([[200, 200]])[0] - middle
+    # where the leaning edge crosses the middle row
+    offset = rest[0] + rest[1] * np.tan(angle)
+    expected = slanted_edge(0.7, angle, offset, shape=part.shape, levels=(0, 1))
+    assert np.abs(part - expected).max() < 0.01
+
+
+@pytest.mark.parametrize("radius", [1.5, 3.0])
+def test_defocus_is_the_transfer_of_a_disc(radius):
+    width = 7.0
+    pairs = LinePairs("p", 40, 40, width / 0.5, "h", repeats=12, length=60)
+    layout = Layout("p", 300, 140, (pairs,))
+
+    def amplitude(defocus):
+        photo = photograph(
+            layout, flat_map(0.5, (20.2, 90.0)), optics=Optics(0.4, defocus), sensor=IDEAL
+        )
+        first, last = photo.chart_map.pixels([[40, 70], [40 + 12 * 14, 70]])
+        columns = np.arange(int(first[0]) + 14, int(last[0]) - 21)
+        wave = np.exp(2j * np.pi * (columns - first[0]) / width)
+        row = photo.image[int(first[1]), columns]
+        count = len(columns) // 7 * 7
+        return (wave * (row - row.mean()))[:count].sum()
+
+    x = 2 * np.pi * radius / width
+    ratio = amplitude(radius) / amplitude(0.0)
+    assert ratio.real == pytest.approx(2 * j1(x) / x, abs=0.02)
+    assert abs(ratio.imag) < 0.02
+
+
+def test_panorama_columns_are_azimuths_and_rows_elevations():
+    camera = PanoramaCamera.of_megapixels(30)
+    view = chart_view(camera, distance=5, layout=CHART, heading_deg=40)
+    x, y = 130.0, 870.0
+    # the camera stands 5 m before the chart, 5 tan 40 to the right, level with its middle
+    east, north = (x - 500) / 1000 - 5 * np.tan(np.radians(40)), 5.0
+    azimuth = np.arctan2(east, north) - np.arctan2(-5 * np.tan(np.radians(40)), 5.0)
+    elevation = np.arctan2((y - 500) / 1000, np.hypot(east, north))
+    step = 2 * np.pi / camera.width
+    expected = [
+        camera.width / 2 + azimuth / step - 0.5,
+        camera.height / 2 - elevation / step - 0.5,
+    ]
+    assert view.pixels([[x, y]])[0] == pytest.approx(expected, abs=1e-6)
+    assert view.chart([expected])[0] == pytest.approx([x, y], abs=1e-6)
+
+
+def test_panorama_pixels_are_nearly_the_published_ones():
+    # Table 1, orthogonal at 10 m: C 8.2 and 7.9 mm, B 2.7 mm; megapixels are printed in round figures
+    for megapixels, published in ((30, 8.05), (250, 2.7)):
+        size = PanoramaCamera.of_megapixels(megapixels).pixel_size_mm(10)
+        assert size == pytest.approx(published, rel=0.05)
+
+
+def test_distortion_is_browns_and_is_undone():
+    k1, k2, p1, p2, k3 = distortion = (-0.12, 0.03, 0.001, -0.0015, 0.002)
+    camera = FrameCamera(2000, 1500, 1800.0, principal=(1010.0, 740.0), distortion=distortion)
+    x, y = 0.31, -0.22
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    bent = [
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    ]
+    expected = np.array(bent) * 1800 + [1010, 740]
+    assert camera.pixels([[x, y, 1.0]])[0] == pytest.approx(expected, abs=1e-9)
+    assert camera.rays([expected])[0] == pytest.approx([x, y, 1], abs=1e-9)
+
+
+def test_views_are_the_same_ten_thousand_kilometres_away():
+    camera = FrameCamera(4000, 3000, focal_px=3000.0)
+    corners = np.array([[0, 8, 1], [1, 8, 1], [1, 8, 2], [0, 8, 2.0]])
+    found = []
+    for away in (np.zeros(3), np.array([1e7, -1e7, 0])):
+        pose = Pose.of_angles(away + [0.2, 0.1, 1.4], 5.0, 1.0, 0.5)
+        view = ChartMap.from_orientation(camera, pose, corners + away, CHART)
+        found.append(view.pixels(CHART.corners()))
+    # 2e-9 m are the steps of float64 there, 1e-6 px here
+    assert found[1] == pytest.approx(found[0], abs=1e-5)
+
+
+def test_noise_is_the_one_asked_for_and_follows_its_seed():
+    layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
+    sensor = Sensor(black=0.1, white=0.9, noise=0.04, shot_share=0.5)
+    there = flat_map(0.5, (0, 200))
+    photo, same, other = (
+        photograph(layout, there, sensor=sensor, seed=seed).image for seed in (1, 1, 2)
+    )
+    assert (photo == same).all()
+    assert (photo != other).any()
+    for level, part in ((0.1, photo[40:-40, 20:90]), (0.9, photo[40:-40, 130:190])):
+        expected = 0.04 * np.sqrt(0.5 * level + 0.5)
+        assert part.mean() == pytest.approx(level, abs=4 * expected / np.sqrt(part.size))
+        # a standard deviation of n values is known to its own over root 2n
+        assert part.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * part.size))
+
+
+def test_files_hold_the_light_within_half_a_step():
+    view = chart_view(PanoramaCamera.of_megapixels(30), distance=10, layout=CHART)
+    truth = photograph(CHART, view, sensor=Sensor(noise=0.0)).image
+    for bits in (8, 16):
+        sensor = Sensor(noise=0.0, gamma="srgb", bits=bits)
+        image = photograph(CHART, view, sensor=sensor).image
+        full = 2**bits - 1
+        assert image.dtype == (np.uint8 if bits == 8 else np.uint16)
+        # the steepest part of sRGB's inverse rises by 2.3 here
+        assert np.abs(decode(image / full, "srgb") - truth).max() < 0.5 * 2.3 / full + 1e-6
+    jpeg = photograph(CHART, view, sensor=Sensor(noise=0.0, bits=8, jpeg_quality=95)).image
+    assert 0 < np.abs(jpeg / 255 - truth).mean() < 0.02
+
+
+def test_mosaics_keep_plain_areas_and_their_mean():
+    layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
+    photo = photograph(layout, flat_map(0.5, (0, 200)), sensor=Sensor(noise=0.0, bayer=True))
+    assert photo.image.shape[2] == 3
+    assert photo.image[60:-60, 40:80] == pytest.approx(0.06, abs=1e-4)
+    assert photo.image[60:-60, 140:180] == pytest.approx(0.7, abs=1e-4)
+
+
+def test_sharpening_overshoots_at_edges_only():
+    layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
+    sensor = Sensor(noise=0.0, sharpening=0.5)
+    row = photograph(layout, flat_map(0.5, (0, 200)), sensor=sensor).image[100]
+    assert row.max() > 0.72
+    assert row[170] == pytest.approx(0.7, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: Optics(sigma_px=-1), "Invalid sigma_px -1"),
+        (lambda: Optics(defocus_px=-1), "Invalid defocus_px -1"),
+        (lambda: Sensor(white=0.01), "Invalid white"),
+        (lambda: Sensor(bits=12), "Invalid bits 12"),
+        (lambda: Sensor(jpeg_quality=90), "Must be 8 for JPEG"),
+        (lambda: Sensor(gamma="log"), "Invalid gamma"),
+        (lambda: FrameCamera(0, 10, 5.0), "Invalid width 0"),
+        (lambda: FrameCamera(10, 10, 5.0, distortion=(1, 2)), "Must be k1, k2, p1, p2, k3"),
+        (lambda: PanoramaCamera.of_megapixels(0), "Invalid megapixels"),
+        (
+            lambda: chart_view(PanoramaCamera(2000), distance=0, layout=CHART),
+            "Invalid distance 0",
+        ),
+        (
+            lambda: chart_view(PanoramaCamera(2000), distance=5, layout=CHART, heading_deg=90),
+            "Invalid heading_deg 90",
+        ),
+        (lambda: Pose.looking((0, 0, 0), (0, 0, 5)), "Must not lie plumb"),
+        (
+            lambda: chart_view(FrameCamera(100, 100, 90.0), distance=5, layout=CHART, aim_deg=180),
+            "Must lie before it",
+        ),
+        (
+            lambda: photograph(
+                CHART,
+                chart_view(FrameCamera(100, 100, 90.0), distance=5, layout=CHART, aim_deg=60),
+            ),
+            "Must be in view",
+        ),
+    ],
+)
+def test_rejects(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
