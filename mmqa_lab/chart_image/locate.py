@@ -65,12 +65,14 @@ def locate_markers(image, layout, *, camera=None, offset=(0.0, 0.0)):
     extrapolate badly; :func:`align` then says that the chart is not there.
     """
     image = check_image(image, convert=False)
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     if not markers:
         raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
     dictionary = next(iter(markers.values())).dictionary
     step = 1 + int(np.sqrt(image.size / 1e6))
-    limits = np.percentile(image[::step, ::step], [0.5, 99.5])
+    limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)
     found = {}
     for enlargement in ENLARGEMENTS:
         if enlargement > 1 and image.size > ENLARGED_PIXELS:
@@ -200,8 +202,9 @@ def _detected(image, limits, dictionary, enlargement):
     detector = cv2.aruco.ArucoDetector(book, settings)
     found = {}
     for first, strip in _strips(image):
-        stretched = (strip - limits[0]) * (255 / max(limits[1] - limits[0], 1e-12))
-        strip = np.clip(stretched, 0, 255).astype(np.uint8)
+        low, high = (float(limit) for limit in limits)
+        scale = 255 / max(high - low, 1e-12)
+        strip = cv2.convertScaleAbs(np.clip(strip, *limits), alpha=scale, beta=-low * scale)
         if enlargement > 1:
             size = (strip.shape[1] * enlargement, strip.shape[0] * enlargement)
             strip = cv2.resize(strip, size, interpolation=cv2.INTER_CUBIC)
@@ -214,7 +217,7 @@ def _detected(image, limits, dictionary, enlargement):
 
 def _strips(image):
     """An image as strips of rows that overlap, with their first rows."""
-    rows = max(int(SEARCHED_PIXELS / image.shape[1]), 2 * OVERLAP_ROWS)
+    rows = max(int(SEARCHED_PIXELS / image.shape[1]), 4 * OVERLAP_ROWS)
     for first in range(0, max(len(image) - OVERLAP_ROWS, 1), rows - OVERLAP_ROWS):
         yield first, image[first : first + rows]
 
