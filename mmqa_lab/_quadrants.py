@@ -17,6 +17,8 @@ import numba
 import numpy as np
 from numba import njit, prange
 
+from mmqa_lab._threads import enough_threads
+
 POINTS_PER_CELL = 12
 CROWDED = 20 * POINTS_PER_CELL
 """Points in 3 x 3 cells above which the tree is quicker; an even pattern has 9 x 12."""
@@ -26,6 +28,8 @@ LANES = 16
 
 X, Y, BEST = 0, LANES, 2 * LANES
 """Where a group keeps its coordinates and, quadrant by quadrant, the least squared distances."""
+
+POINTS_A_THREAD = 10_000
 
 TASK = 256
 """Leaves or cells that a thread takes in a row: neighbours in the cloud, still warm in cache."""
@@ -43,13 +47,8 @@ Tree = namedtuple("Tree", "leaves boxes")
 def nearest_per_quadrant(xy, radius):
     """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last."""
     xy = np.ascontiguousarray(xy)
-    allowed = numba.get_num_threads()
-    threads = min(allowed, 1 + len(xy) // 10_000)
-    numba.set_num_threads(threads)  # waking threads for a small cloud costs more than searching it
-    try:
-        return _nearest(xy, radius, threads)
-    finally:
-        numba.set_num_threads(allowed)
+    with enough_threads(len(xy), POINTS_A_THREAD):
+        return _nearest(xy, radius, numba.get_num_threads())
 
 
 def _nearest(xy, radius, threads):

@@ -21,6 +21,7 @@ PACKAGE = ROOT / "mmqa_lab"
 
 LAYERS = {
     "_checks": 0,
+    "_threads": 0,
     "cloud": 0,
     "published": 0,
     "_quadrants": 1,

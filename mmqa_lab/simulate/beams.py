@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.simulate.raycast import TASK, describe, mapped, nearest
-from mmqa_lab.simulate.tree import STACK, enough_threads
+from mmqa_lab._threads import enough_threads
+from mmqa_lab.simulate.raycast import RAYS_A_THREAD, TASK, describe, mapped, nearest
+from mmqa_lab.simulate.tree import STACK
 
 FOOTPRINT = 7  # rays a beam: its axis and a ring
 RING = 0.651  # radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam
@@ -28,7 +29,7 @@ def beam_rays(states, lever_arm, mounting, beams):
 
     ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
     """
-    with enough_threads(len(beams)):
+    with enough_threads(len(beams), RAYS_A_THREAD):
         return _beam_rays(states, lever_arm, mounting, beams)
 
 
@@ -143,7 +144,7 @@ def echoes(tree, origins, directions, *, radius, growth, turn, separation):
     signal, its signal their sum, its surface and cosine those of its strongest part; it is mixed
     where they belong to several surfaces.
     """
-    with enough_threads(len(directions)):
+    with enough_threads(len(directions), RAYS_A_THREAD):
         return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation))
 
 

@@ -9,7 +9,8 @@ doi:10.1145/2660193.2660195).
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.simulate.tree import enough_threads
+from mmqa_lab._threads import enough_threads
+from mmqa_lab.simulate.raycast import RAYS_A_THREAD
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
 FIRST, SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -32,7 +33,7 @@ def draws(seed, pulse):
     True
     """
     key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
-    with enough_threads(len(pulse)):
+    with enough_threads(len(pulse), RAYS_A_THREAD):
         return _draws(key, pulse.astype(np.uint64))
 
 

@@ -8,15 +8,16 @@ so that a post of 3 cm at 100 m keeps its digits.
 import numpy as np
 from numba import njit, prange
 
+from mmqa_lab._threads import enough_threads
 from mmqa_lab.simulate.tree import (
     ELLIPSE,
     ELLIPSOID,
     FRUSTUM,
     PARALLELOGRAM,
     STACK,
-    enough_threads,
 )
 
+RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
 TASK = 512  # rays a task works through with one stack
 
 
@@ -192,7 +193,7 @@ def _cell(tree, i, x, y, z):
 
 def cast(tree, origins, directions):
     """Range, surface, normal and reflectance where unit rays first meet a primitive."""
-    with enough_threads(len(directions)):
+    with enough_threads(len(directions), RAYS_A_THREAD):
         return _cast(tree, origins, directions)
 
 

@@ -3,10 +3,8 @@
 Nodes are cut where a binned surface-area heuristic says; the left child lies next to its parent.
 """
 
-from contextlib import contextmanager
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numba import njit
 
@@ -17,7 +15,6 @@ BINS = 16
 LEAF_SIZE = 4
 DEEPEST = 60  # levels cut where the heuristic says; below, halves, so that STACK suffices
 STACK = 128
-RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
 
 
 class Tree(NamedTuple):
@@ -42,17 +39,6 @@ class Tree(NamedTuple):
     cells: np.ndarray  # (n, 3) first reflectance, rows, columns
     edges: np.ndarray  # (m, 4) s, t of the start and the end of each polygon edge
     reflectance: np.ndarray  # (k,) of the cells
-
-
-@contextmanager
-def enough_threads(n):
-    """Let compiled code use no more threads than ``n`` rays keep busy."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(before, 1 + n // RAYS_A_THREAD))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 def build(*, kind, centre, shape, half, surface, outline, cells, edges, reflectance):
