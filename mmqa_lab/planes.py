@@ -135,6 +135,57 @@ def fit_plane(points, *, robust=False):
     return Plane(origin + centre, normal, axes, (local - centre) @ normal)
 
 
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A fitted straight line in plan and the points' distances from it.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        A point of the line: the (weighted) mean of the points, m.
+    direction : array, shape (2,)
+        Unit vector along the line.
+    """
+
+    centre: np.ndarray
+    direction: np.ndarray
+
+    def distances(self, points):
+        """Signed orthogonal distances of any points, shape (n,), left of the direction positive."""
+        normal = np.array([-self.direction[1], self.direction[0]])
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
+
+
+def fit_line(points, *, robust=False):
+    """Fit the orthogonal regression line to points in plan, as ``fit_plane`` fits planes.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 2, not on one spot.
+    robust : bool
+        Weigh down points off the line (Tukey).
+
+    Returns
+    -------
+    Line
+
+    Examples
+    --------
+    >>> line = fit_line([[0, 0], [3, 4], [6, 8]])
+    >>> line.direction.round(9).tolist(), line.distances([[-4, 3]]).round(9).tolist()
+    ([0.6, 0.8], [5.0])
+    """
+    points = check_points(points, columns=2, minimum=2)
+    origin = points.mean(axis=0)
+    local = points - origin
+    centre, vectors = _principal(local, np.ones(len(local)))
+    if robust:
+        centre, vectors = _reweighted(local, centre, vectors)
+    direction = vectors[-1] * np.sign(vectors[-1][np.argmax(np.abs(vectors[-1]))])
+    return Line(origin + centre, direction)
+
+
 def sigma_mad(residuals, scale=CONSISTENT_SCALE):
     """Robust standard deviation: scale x median(|r - median r|).
 
@@ -187,10 +238,9 @@ def _principal(local, weights):
     centred = local - centre
     scatter = (centred * weights[:, None]).T @ centred
     values, vectors = np.linalg.eigh(scatter)
-    if values[1] <= 1e-12 * values[2] or values[2] <= 0:
-        raise ValueError(
-            f"Invalid points: {len(local)} of them on one line or spot. Must span a plane."
-        )
+    if values[1] <= 1e-12 * values[-1] or values[-1] <= 0:
+        shape = "line or spot. Must span a plane" if len(values) == 3 else "spot. Must span a line"
+        raise ValueError(f"Invalid points: {len(local)} of them on one {shape}.")
     return centre, vectors.T
 
 

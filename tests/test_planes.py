@@ -9,6 +9,7 @@ from scipy import optimize, stats
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     PAPER_SCALE,
+    fit_line,
     fit_plane,
     sigma_mad,
     turned_axes,
@@ -83,6 +84,28 @@ def test_robust_fit_withstands_points_behind_the_chart(rng):
     }
     assert tilt[True] < 0.05
     assert tilt[True] < tilt[False] / 3
+
+
+def test_line_has_the_closed_form_of_orthogonal_regression(rng):
+    points = rng.normal(0, 1, (200, 2)) @ [[2.0, 0.7], [0.0, 0.3]] + [1e7, -1e7]
+    line = fit_line(points)
+    (xx, xy), (_, yy) = np.cov((points - points.mean(axis=0)).T)
+    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+    across = abs(line.direction @ [-np.sin(angle), np.cos(angle)])
+    assert across < 1e-8  # float64 at 1e7 m carries 2e-9 m
+    assert line.distances(points).std() == pytest.approx(
+        np.sqrt((xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)) * np.sqrt(199 / 200), rel=1e-6
+    )
+
+
+def test_robust_line_withstands_points_beside_the_wall(rng):
+    x = rng.uniform(0, 5, 300)
+    y = 0.5 * x + rng.normal(0, 0.005, 300)
+    y[:60] += 0.3
+    line = fit_line(np.stack([x, y], axis=1), robust=True)
+    assert line.direction[1] / line.direction[0] == pytest.approx(0.5, abs=0.002)
+    with pytest.raises(ValueError, match="Must span a line"):
+        fit_line([[1, 1], [1, 1]])
 
 
 def test_sigma_mad_is_consistent_for_normal_residuals():

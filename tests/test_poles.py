@@ -186,6 +186,22 @@ def test_circle_diameter_of_a_whole_circle_is_exact():
     assert axes.circle_diameter(ring, np.array([0, 0, 1.0])) == pytest.approx(0.2, rel=1e-3)
 
 
+def test_circle_of_a_third_of_a_pole_lies_within_its_standard_deviation(rng):
+    centres, stds = [], []
+    for _ in range(60):
+        turn = rng.uniform(-1, 1, 40)
+        arc = 0.07 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        arc += rng.normal(0, 0.003, arc.shape)
+        arc[:3] += 0.1  # a board
+        found = axes.fit_circle(arc + [1e6, 2e6], diameter=0.14)
+        centres.append(found.centre - [1e6, 2e6])
+        stds.append(found.std)
+    scatter = np.sqrt(np.mean(np.square(centres)))
+    # 120 coordinates: their scatter is known to 1 / sqrt(240); the robust loss adds some
+    assert scatter == pytest.approx(np.mean(stds), rel=0.35)
+    assert scatter < 0.002
+
+
 def test_ground_follows_a_slope_and_ignores_what_stands_on_it(rng):
     plane = rng.uniform(0, 60, (40_000, 2))
     z = 0.05 * plane[:, 0] - 0.02 * plane[:, 1]

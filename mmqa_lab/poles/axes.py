@@ -1,6 +1,11 @@
-"""The diameter of a pole, from chords of scan lines or from circles."""
+"""The diameter and the place of a pole, from chords of scan lines or from circles."""
+
+from dataclasses import dataclass
 
 import numpy as np
+
+from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab.planes import sigma_mad
 
 
 def chord_diameter(points, axis_direction, line, *, minimum_points=2):
@@ -52,11 +57,20 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
     if not chords:
         return np.nan
     chords, spacing = np.array(chords), np.median(spacings)
-    # a board or a branch widens some chords: the narrow quarter says what the shaft may be
-    chords = chords[chords <= 1.5 * np.quantile(chords, 0.25) + 2 * spacing]
+    # a board or a branch widens chords, be they the most: the narrowest that agree are the shaft's
+    chords = chords[chords <= 1.5 * _narrowest(chords, 2 * spacing) + 2 * spacing]
     spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
     usual = np.abs(chords - np.median(chords)) <= spread
     return float(chords[usual].mean() + spacing)
+
+
+def _narrowest(chords, window):
+    """Median of the narrowest chords of which a fifth, and at least four, agree within a window."""
+    chords = np.sort(chords)
+    least = min(max(4, round(0.2 * len(chords))), len(chords))
+    agree = np.searchsorted(chords, chords + window, side="right") - np.arange(len(chords))
+    first = np.argmax(agree >= least) if (agree >= least).any() else 0
+    return np.median(chords[first : first + max(agree[first], 1)])
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
@@ -87,13 +101,85 @@ def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, larg
     for number in np.unique(np.floor(along / slice_length)):
         part = plan[np.floor(along / slice_length) == number]
         if len(part) >= 5:
-            found.append(_kasa(part))
+            found.append(2 * _kasa(part)[2])
     found = np.array([d for d in found if np.isfinite(d) and d <= largest])
     return float(np.median(found)) if len(found) else np.nan
 
 
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A circle fitted to points in plan.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        m.
+    radius : float
+        m; as given where it was.
+    std : float
+        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open.
+    """
+
+    centre: np.ndarray
+    radius: float
+    std: float
+
+
+def fit_circle(points, *, diameter=None, scale=0.01):
+    """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 3.
+    diameter : float, optional
+        Where it is known, m. Points of a pole cover less than half of the circle: with a free
+        diameter centre and radius trade off along the line of sight.
+    scale : float
+        Distances beyond this weigh less, m.
+
+    Returns
+    -------
+    Circle
+        The best one from seven starts: the algebraic circle, and circles beside the points.
+
+    Examples
+    --------
+    >>> turn = np.linspace(0, 2, 20)
+    >>> arc = 5 + 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
+    ([5.0, 5.0], 0.1)
+    """
+    from scipy.optimize import least_squares
+
+    points = check_points(points, columns=2, minimum=3)
+    origin = np.median(points, axis=0)
+    xy = points - origin
+    x, y, algebraic = _kasa(xy)
+    free = diameter is None
+    radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
+    turn = np.arange(0, 2 * np.pi, np.pi / 3)
+    around = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    def misfit(p):
+        """Distances from the circle."""
+        return np.hypot(*(xy - p[:2]).T) - (np.exp(p[2]) if free else radius)
+
+    fits = [
+        least_squares(misfit, [*start, np.log(radius)][: 2 + free], loss="cauchy", f_scale=scale)
+        for start in [(x, y), *around]
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    normal = best.jac.T @ best.jac
+    std = np.nan
+    if np.linalg.cond(normal) < 1e10:
+        covariance = sigma_mad(misfit(best.x)) ** 2 * np.linalg.inv(normal)
+        std = float(np.sqrt(np.trace(covariance[:2, :2]) / 2))
+    return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), std)
+
+
 def _kasa(xy):
-    """Diameter of the circle with the least algebraic distance."""
+    """Centre and radius of the circle with the least algebraic distance."""
     design = np.column_stack([xy, np.ones(len(xy))])
     (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
-    return 2 * np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
+    return a / 2, b / 2, np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))

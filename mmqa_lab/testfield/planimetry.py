@@ -9,7 +9,8 @@ import pandas as pd
 
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.accuracy import errors
-from mmqa_lab.planes import sigma_mad
+from mmqa_lab.planes import fit_line
+from mmqa_lab.poles.axes import fit_circle
 
 POLE_HEIGHTS = ((0.5, 1.5), (4.5, 5.5))
 """Metres above the foot between which points of a pole are taken: near the ground, and 5 m up."""
@@ -23,13 +24,11 @@ FEWEST = 5
 SMALLEST_ANGLE = 30.0
 """Degrees between the two lines of a corner."""
 
-TUKEY = 4.685
-
 
 def pole_positions(points, poles, *, heights=POLE_HEIGHTS, search=0.4):
     """Measure the centres of poles in a cloud.
 
-    At each height the points near the reference axis get a circle, robustly (soft L1 of the
+    At each height the points near the reference axis get a circle, robustly (Cauchy loss of the
     distances from it), of the reference diameter where one is given, else of a free one.
 
     Parameters
@@ -173,34 +172,14 @@ def _plan_tree(points):
 
 def _circle(xy, diameter, search):
     """Centre, its standard deviation and the reason there is none."""
-    from scipy.optimize import least_squares
-
     nothing = np.full(2, np.nan), np.nan
     if len(xy) < FEWEST:
         return *nothing, "too few points"
-    fixed = np.isfinite(diameter)
-    radius = diameter / 2 if fixed else 0.08
-
-    def misfit(p):
-        """Distances from the circle."""
-        return np.hypot(*(xy - p[:2]).T) - (radius if fixed else np.exp(p[2]))
-
-    middle = np.median(xy, axis=0)
-    best = None
-    for turn in np.arange(0, 2 * np.pi, np.pi / 3):
-        start = middle + radius * np.array([np.cos(turn), np.sin(turn)])
-        begin = start if fixed else [*start, np.log(radius)]
-        found = least_squares(misfit, begin, loss="soft_l1", f_scale=0.01)
-        if best is None or found.cost < best.cost:
-            best = found
-    if np.hypot(*best.x[:2]) > search or (not fixed and np.exp(best.x[2]) > search):
+    circle = fit_circle(xy, diameter=diameter if np.isfinite(diameter) else None)
+    far = np.hypot(*circle.centre) > search or circle.radius > search
+    if far or np.isnan(circle.std):
         return *nothing, "no circle near"
-    sigma = sigma_mad(misfit(best.x))
-    normal = best.jac.T @ best.jac
-    if np.linalg.cond(normal) > 1e10:
-        return *nothing, "no circle near"
-    covariance = sigma**2 * np.linalg.inv(normal)
-    return best.x[:2], float(np.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)), ""
+    return circle.centre, circle.std, ""
 
 
 def _corner(xy, tolerance, gate, rng):
@@ -209,7 +188,7 @@ def _corner(xy, tolerance, gate, rng):
     if len(xy) < 4 * FEWEST:
         return *nothing, "too few points"
     first = _line(xy, tolerance, rng)
-    rest = xy[np.abs(_off(xy, first)) > 2 * tolerance]
+    rest = xy[np.abs(first.distances(xy)) > 2 * tolerance]
     if len(rest) < 2 * FEWEST:
         return *nothing, "one line"
     second = _line(rest, tolerance, rng)
@@ -220,7 +199,7 @@ def _corner(xy, tolerance, gate, rng):
         masks = _sides(xy, first, second, crossing, tolerance)
         if min(mask.sum() for mask in masks) < 2 * FEWEST:
             return *nothing, "too few points"
-        first, second = (_fitted(xy[mask]) for mask in masks)
+        first, second = (fit_line(xy[mask], robust=True) for mask in masks)
     crossing, angle = _crossing(first, second)
     if np.hypot(*crossing) > gate:
         return *nothing, "no corner near"
@@ -228,58 +207,38 @@ def _corner(xy, tolerance, gate, rng):
 
 
 def _line(xy, tolerance, rng, tries=300):
-    """Line (a point and a direction) with the most points within the tolerance."""
+    """Line with the most points within the tolerance, of those through pairs of points."""
     pairs = rng.integers(len(xy), size=(tries, 2))
     start, way = xy[pairs[:, 0]], xy[pairs[:, 1]] - xy[pairs[:, 0]]
     length = np.hypot(*way.T)
     long = length > 10 * tolerance
     if not long.any():
-        return _fitted(xy)
+        return fit_line(xy, robust=True)
     normal = np.stack([-way[long, 1], way[long, 0]], axis=1) / length[long, None]
     off = xy @ normal.T - (start[long] * normal).sum(axis=1)
     inside = np.abs(off) < tolerance
     best = np.argmax(inside.sum(axis=0))
-    return _fitted(xy[inside[:, best]])
-
-
-def _fitted(xy, rounds=10):
-    """Orthogonal regression line of points, Tukey-weighted: a point and a direction."""
-    weight = np.ones(len(xy))
-    for _ in range(rounds):
-        centre = weight @ xy / weight.sum()
-        centred = xy - centre
-        _, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)
-        off = centred @ vectors[:, 0]
-        scale = TUKEY * max(sigma_mad(off), 1e-6)
-        weight = np.where(np.abs(off) < scale, (1 - (off / scale) ** 2) ** 2, 0)
-        if not weight.any():
-            break
-    return centre, vectors[:, 1]
-
-
-def _off(xy, line):
-    """Signed distances of points from a line."""
-    centre, way = line
-    return (xy - centre) @ np.array([-way[1], way[0]])
+    return fit_line(xy[inside[:, best]], robust=True)
 
 
 def _crossing(first, second):
     """Where two lines meet, and the angle between them in degrees."""
-    turn = abs(first[1][0] * second[1][1] - first[1][1] * second[1][0])
+    ways = np.stack([first.direction, -second.direction], axis=1)
+    turn = abs(np.linalg.det(ways))
     angle = float(np.degrees(np.arcsin(min(turn, 1.0))))
     if turn < 1e-6:
         return np.full(2, np.nan), angle
-    along = np.linalg.solve(np.stack([first[1], -second[1]], axis=1), second[0] - first[0])
-    return first[0] + along[0] * first[1], angle
+    along = np.linalg.solve(ways, second.centre - first.centre)
+    return first.centre + along[0] * first.direction, angle
 
 
 def _sides(xy, first, second, crossing, tolerance):
     """Points of each line on its side of the corner, and clear of the other line."""
     masks = []
     for line, other in ((first, second), (second, first)):
-        near = np.abs(_off(xy, line)) < tolerance
-        clear = np.abs(_off(xy, other)) > 2 * tolerance
-        along = (xy - crossing) @ line[1]
+        near = np.abs(line.distances(xy)) < tolerance
+        clear = np.abs(other.distances(xy)) > 2 * tolerance
+        along = (xy - crossing) @ line.direction
         side = np.sign(np.median(along[near & clear])) if (near & clear).any() else 1
         masks.append(near & clear & (along * side > 0))
     return masks
