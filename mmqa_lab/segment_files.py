@@ -24,7 +24,7 @@ def read_segments(path):
     Returns
     -------
     Segments
-        Named after the file; none for a file without rows.
+        Named after the file; none for a file with a header alone.
 
     Raises
     ------
@@ -48,13 +48,18 @@ def read_segments(path):
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"Invalid segments {path}: no text. Must be lines of numbers.") from error
-    rows, numbers = [], []
+    rows, numbers, header = [], [], False
     for number, line in enumerate(lines, start=1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words or (not rows and _is_header(words)):
+        if not words:
+            continue
+        if not rows and not header and _is_header(words):
+            header = True
             continue
         rows.append(_row(path, number, words))
         numbers.append(number)
+    if not rows and not header:
+        raise ValueError(f"Invalid segments {path}: empty. Must have a header or lines of numbers.")
     ends = np.array(rows, dtype=np.float64).reshape(-1, 2, 3)
     short = np.flatnonzero((ends[:, 0] == ends[:, 1]).all(axis=1))
     if len(short):

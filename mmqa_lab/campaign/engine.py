@@ -38,7 +38,7 @@ def workers(count=None, *, scheduler=None):
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=check_count(count or os.cpu_count(), "workers"),
+                n_workers=check_count(os.cpu_count() if count is None else count, "workers"),
                 threads_per_worker=1,
                 memory_limit=0,
                 dashboard_address=None,
