@@ -47,10 +47,10 @@ def _claims_on_the_remark(answers):
             "nine of ten groups",
         ),
         Claim(
-            "Five selections of B at 10 m: density varies below 1 % in half of the groups at best.",
-            bool(density.max() < 65),
+            "Five selections of B at 10 m: the density does not reliably vary below 1 %.",
+            bool(density.max() < 90),
             f"in {density.min():.0f} % (upright) and {density.max():.0f} % (tilted) of the groups",
-            "half, and 15 % for the few groups of a small run; the paper states no click error",
+            "reliably: nine of ten groups; the paper states no click error",
         ),
         Claim(
             "Five selections of B at 10 m: the medians of its irregular spacings do vary.",
