@@ -8,7 +8,12 @@ import pandas as pd
 
 from mmqa_lab.headless import read_outcome
 from mmqa_lab.io import write_atomically
+from mmqa_lab.results import FORMATS
 from mmqa_lab.studies.catalogue import STUDIES
+
+
+NO_ANSWER = {"sentence": "", "figure": ""}
+"""Of a run that ended before its answer."""
 
 
 def write_index(folder):
@@ -28,8 +33,9 @@ def _card(study, folder):
     if outcome is None:
         return ""
     record = _record(folder)
-    files = record.get("files", [])
+    files, answer = record.get("files", []), record.get("answer", NO_ANSWER)
     pictures = [name for name in files if name.endswith(".png")]
+    tables = [name for name in files if name.endswith(".csv")]
     return CARD.format(
         kind="ok" if outcome.ok else "failed",
         page=f"{study.stem}/{study.stem}.html",
@@ -37,15 +43,39 @@ def _card(study, folder):
         title=escape(study.title),
         question=escape(study.question),
         source=escape(study.source),
+        answer=escape(answer["sentence"]),
         verdict=escape(outcome.verdict),
         seconds=outcome.seconds,
         mode="quick run, small parameters" if outcome.quick else "full run",
-        picture=_picture(study, pictures[0]) if pictures else "",
+        picture=_picture(study, f"{answer['figure']}.png") if answer["figure"] else "",
         claims=_claims(folder),
-        links=" ".join(f'<a href="{study.stem}/{n}">{escape(n)}</a>' for n in files),
-        record=escape(json.dumps(record.get("parameters", {}))),
-        versions=escape(", ".join(f"{k} {v}" for k, v in record.get("versions", {}).items())),
+        figures=" · ".join(_figure_links(study, name) for name in pictures),
+        tables=" · ".join(_link(study, name, name) for name in tables),
+        record=_rows(record.get("parameters", {})),
+        versions=_rows({"python": record.get("python", "")} | record.get("versions", {})),
+        samples=_rows(record.get("samples", {})),
     )
+
+
+def _link(study, file, text):
+    """A link to a file of a study."""
+    return f'<a href="{study.stem}/{escape(file)}">{escape(text)}</a>'
+
+
+def _figure_links(study, name):
+    """A figure's name with links to its formats."""
+    stem = name.removesuffix(".png")
+    links = " ".join(_link(study, f"{stem}.{form}", form.upper()) for form in FORMATS)
+    return f"{escape(stem)} {links}"
+
+
+def _rows(values):
+    """Names and values as the rows of a table."""
+    rows = (
+        f"<tr><td>{escape(name)}<td>{escape(json.dumps(value).strip(chr(34)))}"
+        for name, value in values.items()
+    )
+    return f"<table>{''.join(rows)}</table>"
 
 
 def _record(folder):
@@ -55,7 +85,7 @@ def _record(folder):
 
 
 def _picture(study, name):
-    """The key figure: the first that the study saved."""
+    """The figure that shows the answer."""
     return f'<img src="{study.stem}/{name}" alt="{escape(study.title)}" loading="lazy">'
 
 
@@ -81,6 +111,8 @@ section {{ border-top: 3px solid #009E73; margin: 2em 0; padding-top: .5em }}
 section.failed {{ border-color: #D55E00 }} img {{ max-width: 100%; border: 1px solid #eee }}
 li.ok::marker {{ content: "✓ " }} li.failed::marker {{ content: "✗ "; color: #D55E00 }}
 small, details {{ color: #555; font-size: 13px; overflow-wrap: anywhere }}
+td {{ padding: 0 .8em .2em 0; vertical-align: top; overflow-wrap: anywhere }}
+.answer {{ font-weight: bold }}
 </style></head><body><h1>mmqa_lab: results</h1>
 <p>What each study asked and what this run found. Tables say of every number whether it is
 published, predicted from specifications, fitted or measured.</p>
@@ -88,7 +120,8 @@ published, predicted from specifications, fitted or measured.</p>
 """
 
 CARD = """<section class="{kind}"><h2><a href="{page}">{notebook}</a> {title}</h2>
-<p>{question}<br><small>{source}</small></p>{picture}
-<p><b>{verdict}</b> <small>{seconds} s, {mode}</small></p>{claims}
-<details><summary>Files and run record</summary><p>{links}</p><p>{record}</p><p>{versions}</p>
+<p>{question}<br><small>{source}</small></p><p class="answer">{answer}</p>{picture}
+<p>{verdict} <small>{seconds} s, {mode}</small></p>{claims}
+<details><summary>Figures and tables</summary><p>{figures}</p><p>{tables}</p></details>
+<details><summary>Run record: parameters, versions, samples</summary>{record}{versions}{samples}
 </details></section>"""

@@ -82,6 +82,7 @@ class Run:
         self._claims = []
         self._files = []
         self._overlaps = {}
+        self._answer = {"sentence": "", "figure": ""}
 
     def save_table(self, frame, name):
         """Write a DataFrame as ``<name>.csv``."""
@@ -105,6 +106,13 @@ class Run:
         """Keep a named number; all of them are written as ``values.csv`` by :meth:`finish`."""
         self._values.append({"name": name, "value": float(value), "unit": unit})
 
+    def save_answer(self, sentence, *, figure):
+        """Keep the study's answer with its numbers, and the figure that shows it.
+
+        The gallery and the README take them from the run record.
+        """
+        self._answer = {"sentence": sentence, "figure": figure}
+
     def save_claims(self, claims):
         """Write the claims as ``claims.csv``.
 
@@ -127,6 +135,7 @@ class Run:
             self.save_table(pd.DataFrame(self._values), "values")
         record = {
             "study": self.stem,
+            "answer": self._answer,
             "parameters": self._parameters,
             "seconds": round(time.time() - self._began, 1),
             "claims": len(self._claims),

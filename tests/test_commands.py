@@ -138,3 +138,16 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(tmp_path, capsys, case):
 def test_unknown_study_is_named(capsys):
     assert main(["studies", "nowhere"]) == 2
     assert "Invalid study 'nowhere'. Must be one of chart_tables" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("word", ["ev", "evaluate --po", "lhd --mat"])
+def test_shell_completes_commands_and_options(word, capsys, tmp_path):
+    assert main(["completion", "bash"]) == 0
+    script = tmp_path / "mmqa.bash"
+    script.write_text(capsys.readouterr().out)
+    words = ["mmqa", *word.split()]
+    ask = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}"
+    code = f'source {script}; {ask}; _shtab_mmqa; echo "${{COMPREPLY[@]}}"'
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True)
+    assert done.stdout.split()[0] in ("evaluate", "--polygon", "--matcher")
+    assert done.stdout.split()[0].startswith(words[-1])

@@ -63,6 +63,7 @@ LAYERS = {
     "headless": 6,
     "gallery": 6,
     "teaching": 6,
+    "readme": 6,
     "commands": 6,
     "__main__": 6,
 }

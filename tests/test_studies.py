@@ -6,6 +6,7 @@ import nbformat
 import pytest
 
 from mmqa_lab import gallery, headless
+from mmqa_lab.readme import masked
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
 from mmqa_lab.teaching import student_cell
 
@@ -48,6 +49,10 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     record = json.loads((folder / "run.json").read_text())
     assert record["claims"] == record["claims_that_hold"] > 0
     assert record["overlapping_texts"] == {}
+    answer = record["answer"]
+    assert f"{answer['figure']}.png" in record["files"]
+    readme = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
+    assert f"| {masked(answer['sentence'])} |" in masked(readme)  # written by mmqa readme
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
     page = (folder / f"{study.stem}.html").read_text()
     assert "<img" in page

@@ -1,0 +1,51 @@
+"""The README's numbers come from results, and from full ones only."""
+
+import json
+
+import pytest
+
+from mmqa_lab import readme
+from mmqa_lab.__main__ import main
+from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
+
+
+@pytest.fixture
+def results(tmp_path):
+    """Results of a full run of every study, with answers of their own."""
+    for study in STUDIES:
+        folder = tmp_path / study.stem
+        folder.mkdir()
+        outcome = {"study": study.stem, "seconds": 1.0, "quick": False, "failure": ""}
+        (folder / "outcome.json").write_text(json.dumps(outcome))
+        answer = {"sentence": f"It is {study.number}.5 mm.", "figure": "key"}
+        (folder / "run.json").write_text(json.dumps({"answer": answer}))
+    return tmp_path
+
+
+def test_table_has_a_row_for_each_study_with_its_answer(results):
+    rows = readme.studies_table(results).splitlines()[2:]
+    assert len(rows) == len(STUDIES)
+    for study, row in zip(STUDIES, rows, strict=True):
+        assert f"notebooks/{study.notebook}.ipynb" in row
+        assert f"| It is {study.number}.5 mm. |" in row
+    assert "[doi:10.3390/s140609471](https://doi.org/10.3390/s140609471)" in rows[4]
+
+
+@pytest.mark.parametrize("change", [{"quick": True}, {"failure": "does not hold"}])
+def test_a_quick_or_failed_run_is_refused(results, change):
+    file = results / "mimic" / "outcome.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(ValueError, match=r"Invalid results of mimic\. Must be of a full run"):
+        readme.studies_table(results)
+
+
+def test_check_tells_another_readme_and_writes_nothing(results):
+    path = notebooks_folder().parent / "README.md"
+    before = path.read_bytes()
+    assert main(["readme", "--check", "--results", str(results)]) == 1
+    assert path.read_bytes() == before
+
+
+def test_missing_marks_are_named():
+    with pytest.raises(ValueError, match="no marks <!-- x --> and <!-- end x -->"):
+        readme.replaced("nothing here", "x", "new")
