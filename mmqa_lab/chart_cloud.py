@@ -4,7 +4,7 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix 
 """
 
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -42,6 +42,10 @@ class CloudQuality:
     axes : str
         The axes of the quadrants.
     plane : Plane
+    xy : array, shape (n, 2)
+        The points in the plane along those axes, from its centre, m.
+    distances_mm : array, shape (n, 4)
+        Their sorted quadrant distances, NaN where a quadrant is empty.
     """
 
     n: int
@@ -57,6 +61,8 @@ class CloudQuality:
     coincident: int
     axes: str
     plane: Plane
+    xy: np.ndarray = field(repr=False)
+    distances_mm: np.ndarray = field(repr=False)
 
     @property
     def density_polygon_per_m2(self):
@@ -164,6 +170,8 @@ def evaluate_cloud(
         coincident=gaps.coincident,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         plane=plane,
+        xy=xy,
+        distances_mm=1000 * gaps.distances,
     )
 
 
@@ -256,7 +264,8 @@ def hull_area(xy):
     import shapely
 
     xy = check_points(xy, name="xy", columns=2)
-    return float(shapely.convex_hull(shapely.multipoints(xy)).area)
+    outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
+    return float(shapely.convex_hull(shapely.linestrings(outline)).area)
 
 
 def _directions(plane, axes):

@@ -5,7 +5,7 @@ point in each of four quadrants, sorted, show whether points lie evenly or in li
 """
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class Spacing:
         Points that share their place with another one.
     n : int
         Points in all.
+    distances : array, shape (n, 4)
+        The sorted quadrant distances of each point, NaN where a quadrant is empty.
     """
 
     d: np.ndarray
@@ -39,6 +41,7 @@ class Spacing:
     incomplete_share: float
     coincident: int
     n: int
+    distances: np.ndarray = field(repr=False)
 
     @property
     def f(self):
@@ -150,6 +153,7 @@ def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
         incomplete_share=float(1 - full.mean()),
         coincident=count_coincident(xy),
         n=len(xy),
+        distances=distances,
     )
 
 

@@ -10,15 +10,17 @@ from matplotlib.figure import Figure
 
 from mmqa_lab import figures
 from mmqa_lab._checks import check_points
-from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_polygon
-from mmqa_lab.neighbourhoods import quadrant_distances
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.views import is_headless
 
 SHOWN = 10_000
 """Points drawn; all of them are evaluated."""
+
+FEW_TICKS = 4
+"""On each axis: most of the time of drawing goes into ticks."""
 
 SIZE_INCHES = (9.0, 4.6)
 
@@ -83,8 +85,8 @@ def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radi
     figure, panels = _panels(Figure(figsize=SIZE_INCHES), view.to_plane(points))
     outline = view.to_plane(np.concatenate([polygon, polygon[:1]]))
     panels[0].plot(*outline.T, color=figures.COLOURS["vermilion"])
-    quality, gaps_mm = evaluated(points, polygon, **choices)
-    _draw_histograms(panels, quality, gaps_mm)
+    quality = evaluate_cloud(points, polygon=polygon, **choices)
+    _draw_histograms(panels, quality)
     panels[0].set_title(summary(quality), fontsize=7)
     return figure
 
@@ -149,12 +151,12 @@ class SelectionTool:
         """Evaluate and draw again after a vertex was dragged."""
         self.vertices = self.view.to_space(vertices)
         try:
-            self.quality, gaps_mm = evaluated(self.points, self.vertices, **self.choices)
+            self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
         except ValueError as error:
             self.quality, self.text.value = None, f"<b>{error}</b>"
             return
         self.text.value = f"<b>{summary(self.quality)}</b>"
-        _draw_histograms(self._panels, self.quality, gaps_mm)
+        _draw_histograms(self._panels, self.quality)
         self.canvas.draw_idle()
 
     def _save_row(self):
@@ -172,14 +174,6 @@ class SelectionTool:
 
         button.on_click(save)
         return ipywidgets.HBox([name, button, said])
-
-
-def evaluated(points, polygon, *, thickness, axes, radius):
-    """Return the quality of what a polygon selects, and its quadrant distances in mm, (n, 4)."""
-    choices = {"thickness": thickness, "axes": axes, "radius": radius}
-    quality = evaluate_cloud(points, polygon=polygon, **choices)
-    inside = points[inside_polygon(points, polygon, thickness=thickness)]
-    return quality, 1000 * quadrant_distances(quality.plane.project(inside), radius=radius)
 
 
 def summary(quality):
@@ -210,10 +204,11 @@ def _panels(figure, xy):
     mark = "," if len(shown) > SHOWN // 3 else "."  # one pixel each where there are many
     panels[0].plot(*shown.T, mark, ms=2, color=figures.COLOURS["blue"])
     panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+    panels[0].locator_params(nbins=FEW_TICKS)
     return figure, panels
 
 
-def _draw_histograms(panels, quality, gaps_mm):
+def _draw_histograms(panels, quality):
     """Distances from the plane, and nearest and farthest quadrant distances."""
     _, residuals, spacings = panels
     residuals.clear()
@@ -221,4 +216,6 @@ def _draw_histograms(panels, quality, gaps_mm):
     measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
     figures.draw_residual_histogram(1000 * quality.plane.residuals, ax=residuals, **measures)
     spread = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-    figures.draw_spacing_histogram(gaps_mm, ax=spacings, **spread)
+    figures.draw_spacing_histogram(quality.distances_mm, ax=spacings, **spread)
+    for panel in (residuals, spacings):
+        panel.locator_params(nbins=FEW_TICKS)

@@ -335,4 +335,4 @@ def test_bad_density(density):
 
 def test_results_cannot_be_changed():
     with pytest.raises(AttributeError):
-        Spacing(np.ones(4), np.ones(4), 0.0, 0, 1).n = 2
+        Spacing(np.ones(4), np.ones(4), 0.0, 0, 1, np.ones((1, 4))).n = 2

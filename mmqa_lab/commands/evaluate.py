@@ -67,7 +67,7 @@ def run(options):
     import pandas as pd
 
     from mmqa_lab._checks import check_choice
-    from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
+    from mmqa_lab.chart_cloud import evaluate_cloud
     from mmqa_lab.io import read_cloud, read_polygon
     from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 
@@ -82,38 +82,34 @@ def run(options):
         quality = evaluate_cloud(points, polygon=polygon, scale=scale, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
     if options.figure is not None:
-        if polygon is not None:
-            points = points[inside_polygon(points, polygon, thickness=options.thickness)]
-        _draw(points, quality, options)
+        _draw(quality, options.figure)
     print_rows(pd.concat(rows)[list(COLUMNS)], options)
 
 
-def _draw(points, quality, options):
+def _draw(quality, file):
     """Write the figure of one evaluated surface."""
     from mmqa_lab import figures
     from mmqa_lab.io import write_atomically
-    from mmqa_lab.neighbourhoods import quadrant_distances
 
     figures.use_style()
     figure, axes = figures.subplots(2, 2, width="double", height_mm=130)
-    xy = quality.plane.project(points)
     residuals_mm = 1000 * quality.plane.residuals
-    gaps_mm = 1000 * quadrant_distances(xy, radius=options.radius)
     limits = (-3 * quality.sigma_mad_mm, 3 * quality.sigma_mad_mm)
-    figures.draw_points(xy, ax=axes[0, 0])
+    figures.draw_points(quality.xy, ax=axes[0, 0])
     figures.draw_points(
-        xy,
+        quality.xy,
         ax=axes[0, 1],
         values=residuals_mm,
         label="distance from plane (mm)",
         limits=limits,
         cmap=figures.DIVERGING_MAP,
     )
-    figures.draw_spacing_histogram(gaps_mm, ax=axes[1, 0], d1_mm=quality.d1_mm, d4_mm=quality.d4_mm)
+    medians = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
+    figures.draw_spacing_histogram(quality.distances_mm, ax=axes[1, 0], **medians)
     figures.draw_residual_histogram(
         residuals_mm, ax=axes[1, 1], std_mm=quality.std_mm, sigma_mad_mm=quality.sigma_mad_mm
     )
-    write_atomically(options.figure, figure.savefig)
+    write_atomically(file, figure.savefig)
 
 
 def _axes(text):

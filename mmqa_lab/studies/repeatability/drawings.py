@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.figures import (
     COLOURS,
     MAP,
@@ -11,7 +11,6 @@ from mmqa_lab.figures import (
     draw_spacing_histogram,
     subplots,
 )
-from mmqa_lab.neighbourhoods import quadrant_distances
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.repeatability import operator_polygons, with_strays
 from mmqa_lab.studies.repeatability.selections import FIGURES, THROUGH_M
@@ -158,10 +157,8 @@ def figure_of_operator(surface):
         measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
         residuals_mm = 1000 * quality.plane.residuals
         draw_residual_histogram(residuals_mm, ax=axes[1], **measures)
-        selected = points[inside_polygon(points, polygon, thickness=THROUGH_M)]
-        gaps_mm = 1000 * quadrant_distances(quality.plane.project(selected))
         spacings = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-        draw_spacing_histogram(gaps_mm, ax=axes[2], **spacings)
+        draw_spacing_histogram(quality.distances_mm, ax=axes[2], **spacings)
         return figure
 
     return draw
