@@ -5,7 +5,19 @@ import pytest
 
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles import axes, candidates, columns, fgi, ground, itc, ours, profiles, trees
+from mmqa_lab.poles import (
+    axes,
+    candidates,
+    columns,
+    features,
+    fgi,
+    ground,
+    groups,
+    itc,
+    ours,
+    profiles,
+    trees,
+)
 from mmqa_lab.simulate import streets
 
 SPACING = 0.02
@@ -162,6 +174,24 @@ def test_scan_lines_are_recovered_from_time_and_angle(street):
     assert len(np.unique(line)) == len(np.unique(truth))
 
 
+@pytest.mark.parametrize("name", ["gps_time", "scan_angle"])
+def test_scan_lines_are_recovered_from_one_of_them_alone(street, name):
+    _, cloud, _ = street
+    line, _ = profiles.scan_lines(Cloud(cloud.points, {name: cloud[name]}))
+    truth, _ = profiles.scan_lines(cloud)
+    pairs = np.unique(np.stack([line, truth]), axis=1, return_counts=True)[1]
+    # the sky above the vehicle is where time cuts, the scanner's own zero where it counts lines:
+    # the points between the two belong to the next line
+    assert pairs.size <= 2 * len(np.unique(truth))
+    assert abs(len(np.unique(line)) - len(np.unique(truth))) <= 2
+    assert poles.detect(Cloud(cloud.points, {name: cloud[name]}), method="fgi").shape[0] > 3
+
+
+def test_time_without_pauses_has_no_lines():
+    steady = Cloud(np.zeros((500, 3)), {"gps_time": np.arange(500.0)})
+    assert profiles.scan_lines(steady) is None
+
+
 def test_lines_of_two_heads_are_no_neighbours():
     columns_ = {"scan_line": [0, 0, 1, 1], "pulse": [0, 1, 2, 3], "head": [0, 1, 0, 1]}
     line, _ = profiles.scan_lines(Cloud(np.zeros((4, 3)), columns_))
@@ -178,6 +208,19 @@ def test_chord_diameter_is_unbiased_on_the_ray_lattice(rng):
     found = axes.chord_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
     # the standard error of the mean of 400 coin flips of 8 mm is 0.2 mm
     assert found == pytest.approx(0.06, abs=0.0008)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.75])
+def test_chords_through_a_board_do_not_count(rng, share):
+    points, line = [], []
+    for k in range(40):
+        width = 0.6 if k < 40 * share else 0.06
+        x = np.arange(rng.uniform(0, 0.008), width, 0.008) - width / 2
+        points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
+        line += [k] * len(x)
+    found = axes.chord_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
+    # ten coin flips of 8 mm or more: standard error 1.3 mm
+    assert found == pytest.approx(0.06, abs=0.004)
 
 
 def test_circle_diameter_of_a_whole_circle_is_exact():
@@ -228,6 +271,80 @@ def test_candidates_do_not_depend_on_tiles(rng):
     found = candidates.candidates(points, points[:, 2])
     gap = np.hypot(*(spots[:, None] - found[None]).transpose(2, 0, 1)).min(axis=1)
     assert gap.max() < 0.2
+
+
+def thicket(rng, n=500):
+    """Scattered leaves 1.2 m around the origin, pairs of points on scan lines of their own."""
+    leaf = rng.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 3.0], (n, 3))
+    other = leaf + [0.03, 0, 0]
+    points = np.stack([leaf, other], axis=1).reshape(-1, 3)
+    return points, 1000 + np.repeat(np.arange(n), 2)
+
+
+def test_a_trunk_among_leaves_is_a_stack_of_groups(rng):
+    cloud = scene(post(0.4, -0.3, radius=0.1), thicket(rng), rng=rng)
+    made = groups.line_groups(cloud.points, cloud["scan_line"], cloud["pulse"], lambda at: at[:, 2])
+    found = groups.candidates(made)
+    # the front half's middle lies 0.06 m in front of the axis
+    assert np.hypot(*(found - [0.4, -0.36]).T).min() < 0.05
+    axis = groups.axes_of(*made[:4], np.array([[0.4, -0.36], [-0.8, 0.8]]))
+    values, ends = groups.describe(made, axis)
+    stack = dict(zip(groups.NAMES, values[0], strict=True))
+    assert stack["stack_m"] == pytest.approx(3.0, abs=0.3)
+    assert stack["stack_width_m"] == pytest.approx(0.2, abs=0.02)
+    assert ends[0, 1] > 2.7
+    assert values[1, 0] < stack["stack_m"]
+
+
+def test_groups_are_cut_as_finely_as_points_lie():
+    # two pieces of 10 points 6 cm apart: one piece for a scanner with 5 cm, two for one with 1 cm
+    for spacing, pieces in ((0.05, 1), (0.01, 2)):
+        x = np.concatenate([np.arange(10) * spacing, 9 * spacing + 0.06 + np.arange(10) * spacing])
+        x = x[: 20 if spacing < 0.05 else 12]
+        points = np.column_stack([x, 0 * x, 0 * x + 1])
+        made = groups.line_groups(points, 0 * x, np.arange(len(x)), lambda at: at[:, 2])
+        assert len(made.middle) == pieces
+        assert made.count.sum() == len(x)
+
+
+def test_candidates_without_lines_have_no_stack(street):
+    _, cloud, _ = street
+    local = cloud.points - np.floor(cloud.points.min(axis=0))
+    values, _, _ = ours.described(local, ours.Settings())
+    assert (values[:, len(features.NAMES) :] == -1).all()
+
+
+def test_a_hollow_cylinder_is_told_from_a_full_one(rng):
+    turn, h = rng.uniform(0, np.pi, 300), rng.uniform(0.2, 3, 300)
+    rim = np.column_stack([0.14 * np.cos(turn), -0.14 * np.sin(turn), h])
+    full = np.column_stack([rng.uniform(-0.14, 0.14, (300, 2)), h])
+    values = []
+    for points in (rim, full):
+        found = columns.rows(points)
+        where = (found.points, found.points[:, 2], found.start, columns.base(found))
+        axis = np.array([[0.0, 0.0, 0.0, 0.0, 1.5]])
+        row = features.describe(*where, np.zeros((1, 2)), axis)[0][0]
+        values.append(dict(zip(features.NAMES, row, strict=True)))
+    assert values[0]["hollow_radius_m"] == pytest.approx(0.14)
+    assert values[0]["hollow_share"] > 0.95
+    assert values[0]["hollow_contrast"] > 0.95
+    # of the full one, a slice may lie on a wide cylinder: a third of its points at most
+    assert values[1]["hollow_contrast"] < 0.5
+
+
+def test_a_wall_behind_leaves_is_still_a_plane(rng):
+    bare = wall(-4, 4, -3)[0]
+    leaves = rng.uniform([-4, -3 + 0.05, 0], [4, -3 + 0.4, 4], (2500, 3))
+    points = np.vstack([floor(), bare, leaves])
+    rough = itc.rough_classes(points, itc.Settings())
+    on = np.zeros(len(points), dtype=bool)
+    on[len(floor()) : len(floor()) + len(bare)] = True
+    score = itc.facade_score(rough, on, counted=points[:, 2] > 0.5)
+    # least squares through wall and leaves alike would be 0.1 m thick: no plane, no wall
+    assert score.completeness > 0.9
+    assert score.correctness > 0.85
+    order = rng.permutation(len(points))
+    assert (itc.rough_classes(points[order], itc.Settings()) == rough[order]).all()
 
 
 def test_facade_classes(rng):

@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import io, poles
+from mmqa_lab import io, poles, views
 from mmqa_lab.__main__ import main
+from mmqa_lab.poles import ours, trees
 from mmqa_lab.simulate import streets
 from mmqa_lab.studies import poles as study
-from mmqa_lab.studies.poles import factors, oakland, surveys, training
+from mmqa_lab.studies.poles import factors, oakland, reach, scene, surveys, training
 
 
 @pytest.fixture(scope="module")
@@ -92,13 +93,87 @@ def test_training_labels_are_near_far_and_between():
 
 def test_a_fitted_model_is_that_of_scikit_learn_and_reproducible():
     rng = np.random.default_rng(0)
-    features = rng.normal(size=(200, 46))
+    features = rng.normal(size=(200, len(ours.FEATURES)))
     label = (features[:, 3] > 0).astype(int)
     group = np.repeat([0, 1], 100)
     model = training.fit(features, label, group, rounds=3)
     assert model.to_json() == training.fit(features, label, group, rounds=3).to_json()
     right = (model.probability(features) > 0.5) == label
     assert right.mean() > 0.95  # one feature decides: three small trees suffice
+
+
+def test_a_small_training_run_reproduces_itself():
+    choices = {"stretch": 0.12, "rounds": 4, "progress": False}
+    first = training.train((1, 3), **choices)
+    assert first.features == ours.FEATURES
+    assert first.notes["poles"] > 5
+    assert training.train((1, 3), **choices).to_json() == first.to_json()
+
+
+def test_the_model_of_the_package_is_what_the_training_module_describes():
+    model = trees.read_model()
+    assert model.features == ours.FEATURES
+    assert model.notes["trained on"].startswith(f"{training.EXAMPLES} simulated streets")
+    assert str(training.FIRST_SEED) in model.notes["trained on"]
+
+
+def test_false_alarms_are_counted_per_100_m(surveyed):
+    (survey,), _ = surveyed
+    causes = surveys.causes([survey], ("fgi", "itc"))
+    for name in ("fgi", "itc"):
+        own = causes[causes["method"] == name]
+        assert own["n"].sum() == len(survey.outcomes(name, corridor=30.0)["false alarm"])
+        assert np.allclose(own["per_100m"], own["n"] / 0.6)  # 60 m of street
+
+
+def test_a_wider_gate_cannot_lose_hits(surveyed):
+    table = surveys.by_gate(surveyed[0], ("ours", "fgi"), gates=(0.1, 0.5))
+    hits = table[table["quantity"] == "recall"].pivot(index="gate_m", columns="method", values="k")
+    assert (hits.loc[0.5] >= hits.loc[0.1]).all()
+
+
+def test_a_thinner_cloud_shows_fewer_of_the_same_targets(surveyed):
+    table = surveys.by_density(surveyed[0], ("fgi",), (0.05, 1.0))
+    recall = table[table["quantity"] == "recall"].set_index("share")
+    assert recall["n"].nunique() == 1
+    assert recall.loc[0.05, "k"] < recall.loc[1.0, "k"]
+    density = recall["density_per_m2"]
+    # binomial: of some ten thousand points
+    assert density[0.05] / density[1.0] == pytest.approx(0.05, rel=0.05)
+
+
+def test_facades_are_classed_as_walls(surveyed):
+    table = surveys.facades(surveyed[0])
+    bands, whole = table.iloc[:-1], table.iloc[-1]
+    assert bands["n"].sum() == whole["n"]
+    assert whole["quality"] <= min(whole["completeness"], whole["correctness"])
+    assert whole["correctness"] > 0.5
+
+
+def test_verdicts_on_what_was_to_be_reached(surveyed):
+    made = surveyed[0]
+    table = reach.table(plain=made, balconies=made, dense=made)
+    known = table[table["value"].notna()]
+    good = np.where(
+        known["unit"] == "mm",
+        known["value"].abs() <= known["aim"],
+        known["value"] >= known["aim"],
+    )
+    assert (known["verdict"] == np.where(good, "reached", "missed")).all()
+    assert (table.loc[table["value"].isna(), "verdict"] == "not measured").all()
+    one = table[(table["setting"] == "chosen street, 30 m") & (table["quantity"] == "recall")]
+    assert one["value"].item() == made[0].score("ours", corridor=30.0).recall.value
+
+
+def test_the_view_holds_every_outcome(surveyed):
+    if not views.can_render():
+        pytest.skip("no OpenGL here")
+    survey = surveyed[0][0]
+    plotter = scene.plot_street(survey, "fgi", corridor=30.0, off_screen=True)
+    outcomes = survey.outcomes("fgi", corridor=30.0)
+    # one actor a pole, one for the points, one for the legend
+    assert len(plotter.actors) >= 1 + sum(len(part) for part in outcomes.values())
+    plotter.close()
 
 
 @pytest.mark.real

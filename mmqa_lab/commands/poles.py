@@ -1,9 +1,9 @@
 """Detect poles in a cloud, and score them where a reference is given.
 
-Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; needs
-scan_line and gps_time, or gps_time and scan_angle) and itc (components, Pu et al. 2011). A row a
-pole: the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m,
-tilt_deg, score, method. A reference is a CSV file with x_m, y_m and, where known, class, height_m,
+Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as recorded,
+or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: the
+axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m, tilt_deg,
+score, method. A reference is a CSV file with x_m, y_m and, where known, class, height_m,
 diameter_m; detections and references are matched one to one within --gate.
 """
 

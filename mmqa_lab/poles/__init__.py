@@ -30,8 +30,8 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     ----------
     points : Cloud or array_like, shape (n, 3)
         Metres, any origin. The scan-line method needs a cloud with ``scan_line`` and ``pulse`` or
-        ``gps_time``, or with ``gps_time`` and ``scan_angle``; without them it warns and the
-        component method answers.
+        ``gps_time``, or with ``gps_time`` or ``scan_angle`` from which lines are recovered; without
+        them it warns and the component method answers.
     method : {"ours", "fgi", "itc"}
     trajectory : array_like, shape (m, 2) or (m, 3), optional
         Points farther than ``corridor`` from it are left out.
@@ -79,8 +79,8 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     if method == "fgi" and lines is None:
         warnings.warn(
             "The scan-line method needs scan lines: columns scan_line and pulse or gps_time, or "
-            f"gps_time and scan_angle. This cloud has {', '.join(cloud.columns) or 'none'}; the "
-            "component method answers instead.",
+            "gps_time (with pauses) or scan_angle. This cloud has "
+            f"{', '.join(cloud.columns) or 'none'}; the component method answers instead.",
             stacklevel=2,
         )
         method, thresholds = "itc", {}

@@ -25,9 +25,9 @@ class Rows(NamedTuple):
 
 
 def rows(points):
-    """Return the ``Rows`` of points (n, 3) whose least northing is about 0."""
+    """Return the ``Rows`` of points (n, 3)."""
     row = np.floor(points[:, 1] / ROW_M).astype(np.int64)
-    row -= row.min(initial=0)
+    row -= row.min() if len(row) else 0
     width = np.ptp(points[:, 0]) + 1.0 if len(points) else 1.0
     order = np.argsort(row * width + (points[:, 0] - points[:, 0].min(initial=np.inf)))
     start = np.searchsorted(row[order], np.arange(row.max(initial=-1) + 2))

@@ -23,6 +23,16 @@ REACH_M = 2.0
 CELL_M = 0.2
 GRID = 20
 TALL_BINS = 6
+HOLLOW_RADII_M = np.array([0.04, 0.07, 0.10, 0.14, 0.18, 0.23])
+HOLLOW_STEP_M = 0.04
+HOLLOW_STEPS = 5
+BAND_M = 0.025
+HOLLOW_REACH_M = 0.7
+HOLLOW_TOP_M = 5.0
+HOLLOW_POINTS = 300
+"""Cylinders that are tried: radii, shifts of the axis, thickness of the surface; points within
+0.7 m and 5 m above the ground, of more than 300 every second, third, ..."""
+
 MAX_LEAN = 0.27
 """Largest lean that an axis may take, m/m (15 degrees)."""
 
@@ -36,13 +46,16 @@ NAMES = (
     *("flatness", "off_line_m", "tall_100", "tall_200", "tall_flatness"),
     *("above_core", "above_shell", "below_shell", "slab_above", "slab_below"),
     *("highest_200_m", "inner_count_share", "elongation"),
+    *("hollow_bins", "hollow_share", "hollow_radius_m", "hollow_contrast", "crowd"),
 )
 """What the columns of :func:`describe` mean; ``across`` is the distance from the axis.
 
 ``beside_R``: share of the run's height bins with points between the last radius and R cm;
 ``tall_R``: plan cells of 0.2 m with 6 or more occupied bins; ``flatness``: how much what stands
 beside lies on a line in plan; ``off_line_m``: how far the axis stands from that line; ``slab``:
-share of the plan around occupied right above or below the run.
+share of the plan around occupied right above or below the run; ``hollow``: of the cylinder near the
+axis with the most height bins that hold points on its surface and none inside, up to 5 m above the
+ground; ``crowd``: log of the points around it.
 """
 
 
@@ -132,10 +145,12 @@ def _arc(sectors):
 
 
 @njit(cache=True)
-def _describe(x, y, h, x0, y0, out, axis):
+def _describe(x, y, h, xy, given, out, axis):
     """Write the features and the axis (x, y, lean x, lean y, middle, low, high, radius)."""
-    close = np.hypot(x - x0, y - y0) < 0.5
-    ax, ay, lx, ly, middle = fit_axis(x[close], y[close], h[close], x0, y0)
+    ax, ay, lx, ly, middle = given
+    if np.isnan(ax):
+        close = np.hypot(x - xy[0], y - xy[1]) < 0.5
+        ax, ay, lx, ly, middle = fit_axis(x[close], y[close], h[close], xy[0], xy[1])
     n = len(x)
     dx, dy = x - ax - lx * (h - middle), y - ay - ly * (h - middle)
     across = np.sqrt(dx * dx + dy * dy)
@@ -280,7 +295,7 @@ def _around(dx, dy, across, level, low, high, radius, core, shell, out):
 
 
 @njit(cache=True, parallel=True)
-def describe(points, height, start, base, xy):
+def describe(points, height, start, base, xy, given):
     """Return features (k, len(NAMES)) and axes (k, 8) of candidates.
 
     Parameters
@@ -289,6 +304,8 @@ def describe(points, height, start, base, xy):
         Of :func:`mmqa_lab.poles.columns.rows`; ``height`` (n,) above ground in the same order.
     xy : array, shape (k, 2)
         Candidates.
+    given : array, shape (k, 5)
+        Axes that are known: x, y, lean x, lean y, middle; NaN where they are to be fitted.
 
     Returns
     -------
@@ -296,16 +313,16 @@ def describe(points, height, start, base, xy):
         ``axes``: x, y, lean x, lean y at height ``middle`` above ground, then that height, lower
         and upper end of the pole-like part above ground, radius of the core.
     """
-    features, axes = np.zeros((len(xy), 46)), np.zeros((len(xy), 8))
+    features, axes = np.zeros((len(xy), len(NAMES))), np.zeros((len(xy), 8))
     for c in prange(len(xy)):
-        _candidate(points, height, start, base, xy[c, 0], xy[c, 1], features[c], axes[c])
+        _candidate(points, height, start, base, xy[c], given[c], features[c], axes[c])
     return features, axes
 
 
 @njit(cache=True)
-def _candidate(points, height, start, base, x0, y0, out, axis):
+def _candidate(points, height, start, base, xy, given, out, axis):
     """Write the features and the axis of one candidate."""
-    near = near_axis(points, start, base, x0, y0, REACH_M)
+    near = near_axis(points, start, base, xy[0], xy[1], REACH_M)
     n = 0
     for i in near:
         if 0.1 < height[i] < BINS * BIN_M:
@@ -314,8 +331,9 @@ def _candidate(points, height, start, base, x0, y0, out, axis):
     x, y, h = np.empty(n), np.empty(n), np.empty(n)
     for k in range(n):
         x[k], y[k], h[k] = points[near[k], 0], points[near[k], 1], height[near[k]]
-    _describe(x, y, h, x0, y0, out, axis)
+    _describe(x, y, h, xy, given, out, axis)
     out[45] = _elongation(x, y, h, axis)
+    _hollow(x, y, h, axis, out[46:])
 
 
 @njit(cache=True)
@@ -328,3 +346,38 @@ def _elongation(x, y, h, axis):
     if not inside.any():
         return 0.0
     return min((axis[6] - axis[5]) / (2 * np.median(across[inside]) + 0.01), 100.0)
+
+
+@njit(cache=True)
+def _hollow(x, y, h, axis, out):
+    """Write how well a hollow cylinder near the axis explains the points: 5 numbers."""
+    dx = x - axis[0] - axis[2] * (h - axis[4])
+    dy = y - axis[1] - axis[3] * (h - axis[4])
+    inside = (h < HOLLOW_TOP_M) & (dx * dx + dy * dy < HOLLOW_REACH_M**2)
+    step = max(inside.sum() // HOLLOW_POINTS, 1)
+    dx, dy, bins = dx[inside][::step], dy[inside][::step], (h[inside][::step] / BIN_M)
+    n, best = len(dx), -1.0
+    for r in HOLLOW_RADII_M:
+        for i in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
+            for j in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
+                u, v = i * HOLLOW_STEP_M, j * HOLLOW_STEP_M
+                on, within, beside, band, inner = 0, 0, 0, np.uint64(0), np.uint64(0)
+                for k in range(n):
+                    rho = np.sqrt((dx[k] - u) ** 2 + (dy[k] - v) ** 2)
+                    if rho > r + SHELL_M:
+                        continue
+                    bit = np.uint64(1) << np.uint64(bins[k])
+                    if rho < r - BAND_M:
+                        within += 1
+                        inner |= bit
+                    elif rho <= r + BAND_M:
+                        on += 1
+                        band |= bit
+                    else:
+                        beside += 1
+                value = set_bits(band & ~inner) + on / (on + within + beside + 1.0)
+                if value > best:
+                    best = value
+                    out[0], out[1], out[2] = set_bits(band & ~inner), on / max(on + within, 1), r
+                    out[3] = on / max(on + within + beside, 1)
+    out[4] = np.log1p(n * step)

@@ -10,8 +10,8 @@ WINDOW = 9
 STEP_M = 0.5
 
 
-def height_above_ground(points, *, cell=CELL_M):
-    """Return the height of each point above the ground, metres.
+def height_above_ground(points, *, at=None, cell=CELL_M):
+    """Return the height above the ground of each point, or of the points ``at``, metres.
 
     The lowest point of each cell is the ground, unless it lies more than 0.5 m above what a
     morphological opening leaves; cells without ground take the nearest cell's. Between cell
@@ -21,12 +21,13 @@ def height_above_ground(points, *, cell=CELL_M):
     ----------
     points : array, shape (n, 3)
         Metres.
+    at : array, shape (m, 3), optional
     cell : float
         Metres.
 
     Returns
     -------
-    array, shape (n,)
+    array, shape (n,) or (m,)
 
     Examples
     --------
@@ -44,8 +45,9 @@ def height_above_ground(points, *, cell=CELL_M):
     lowest = np.full(shape[0] * shape[1], np.inf)
     np.minimum.at(lowest, row * shape[1] + column, points[:, 2])
     ground = _opened(lowest.reshape(shape))
-    at = np.stack([place[:, 1] - 0.5, place[:, 0] - 0.5])
-    return points[:, 2] - ndimage.map_coordinates(ground, at, order=1, mode="nearest")
+    at = points if at is None else at
+    place = (at[:, 1::-1] - low[::-1]) / cell - 0.5
+    return at[:, 2] - ndimage.map_coordinates(ground, place.T, order=1, mode="nearest")
 
 
 def _opened(lowest):

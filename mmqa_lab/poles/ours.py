@@ -10,13 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mmqa_lab.poles import groups
 from mmqa_lab.poles.axes import chord_diameter
 from mmqa_lab.poles.candidates import candidates
 from mmqa_lab.poles.columns import base, near_axis, rows
 from mmqa_lab.poles.features import NAMES, describe
 from mmqa_lab.poles.ground import height_above_ground
+from mmqa_lab.poles.profiles import pulse_numbers
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
 from mmqa_lab.poles.trees import read_model
+
+FEATURES = NAMES + groups.NAMES
+"""Of a candidate; those of stacks on scan lines are -1 where there are no lines."""
 
 WIDEST_M = 0.45
 """Radius about the axis in which scan lines are looked at for their chords, and longest chord."""
@@ -68,7 +73,7 @@ def detect(points, settings, *, lines=None, explain=False, model=None):
     DataFrame
         See :func:`mmqa_lab.poles.detect`.
     """
-    features, axes, ground = described(points, settings)
+    features, axes, ground = described(points, settings, lines=lines)
     model = read_model() if model is None else model
     probability = model.probability(features)
     where = (features, axes, ground)
@@ -89,18 +94,39 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     return pole_table(table, "ours", explain=explain)
 
 
-def described(points, settings):
-    """Return features (k, 46), axes (k, 8) and ground heights (k,) of all candidates."""
+def described(points, settings, *, lines=None):
+    """Return features (k, len(FEATURES)), axes (k, 8) and ground heights (k,) of all candidates."""
     if not len(points):
-        return np.empty((0, len(NAMES))), np.empty((0, 8)), np.empty(0)
+        return np.empty((0, len(FEATURES))), np.empty((0, 8)), np.empty(0)
     thin = thinned(points, settings.voxel)
     height = height_above_ground(thin)
     xy = candidates(thin, height)
+    given = np.full((len(xy), 5), np.nan)
+    stacks = None
+    if lines is not None:
+        line, place = lines
+        stacks = groups.line_groups(
+            points, line, pulse_numbers(line, place), lambda at: height_above_ground(thin, at=at)
+        )
+        xy, given = _with_stacks(xy, given, stacks)
     sorted_thin = rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, base(sorted_thin))
-    features, axes = describe(*where, xy)
+    features, axes = describe(*where, xy, given)
+    beside = np.full((len(xy), len(groups.NAMES)), -1.0)
+    if stacks is not None:
+        beside, ends = groups.describe(stacks, axes)
+        longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
+        axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(features, 5), axes, _ground_at(thin, height, axes)
+    features = np.round(np.column_stack([features, beside]), 5)
+    return features, axes, _ground_at(thin, height, axes)
+
+
+def _with_stacks(xy, given, stacks):
+    """Candidates and known axes, with those of stacked groups."""
+    more = groups.candidates(stacks)
+    axes = groups.axes_of(*stacks[:4], more)
+    return np.concatenate([xy, axes[:, :2]]), np.concatenate([given, axes])
 
 
 def thinned(points, voxel):

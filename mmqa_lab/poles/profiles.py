@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from mmqa_lab.patterns import revolutions_from_time
+
 
 def scan_lines(cloud):
     """Return the scan line of each point and its place along the line, or None.
@@ -9,9 +11,9 @@ def scan_lines(cloud):
     Parameters
     ----------
     cloud : Cloud
-        With ``scan_line`` and ``pulse`` or ``gps_time``; or with ``gps_time`` and ``scan_angle``.
-        Where there is a ``head`` or a ``point_source_id`` (one for each drive in LAS), lines of
-        different heads and drives are not neighbours.
+        With ``scan_line`` and ``pulse`` or ``gps_time``; or with ``gps_time``, ``scan_angle`` or
+        both. Where there is a ``head`` or a ``point_source_id`` (one for each drive in LAS), lines
+        of different heads and drives are not neighbours.
 
     Returns
     -------
@@ -22,7 +24,9 @@ def scan_lines(cloud):
     -----
     Without ``scan_line``, a line ends where the scan angle turns back by more than a quarter of its
     range while time runs on: this finds the turns of a full-circle profiler and the ends of an
-    oscillating one.
+    oscillating one. Without time, the points must lie in the order in which they were measured.
+    From time alone, lines are cut in the pause that all revolutions share, the sky above the
+    vehicle; without such a pause there is no answer.
 
     Examples
     --------
@@ -37,10 +41,16 @@ def scan_lines(cloud):
     if "scan_line" in cloud and ("pulse" in cloud or "gps_time" in cloud):
         line = np.asarray(cloud["scan_line"], dtype=np.int64)
         place = cloud["pulse"] if "pulse" in cloud else cloud["gps_time"]
-    elif "gps_time" in cloud and "scan_angle" in cloud:
-        place = np.asarray(cloud["gps_time"], dtype=np.float64)
+    elif "scan_angle" in cloud:
+        order = cloud["gps_time"] if "gps_time" in cloud else np.arange(len(cloud))
+        place = np.asarray(order, dtype=np.float64)
         line = _lines_by_angle(place, np.asarray(cloud["scan_angle"], dtype=np.float64), source)
+    elif "gps_time" in cloud and len(cloud):
+        place = np.asarray(cloud["gps_time"], dtype=np.float64)
+        line = _lines_by_time(place, source)
     else:
+        return None
+    if line is None:
         return None
     return line - line.min(initial=0) + source * _apart(line), np.asarray(place, dtype=np.float64)
 
@@ -83,4 +93,16 @@ def _lines_by_angle(time, angle, source):
         turned = step > 0.25 * np.ptp(angle)
     line = np.empty(len(time), dtype=np.int64)
     line[order] = np.concatenate([[0], np.cumsum(turned)])
+    return line
+
+
+def _lines_by_time(time, source):
+    """Lines cut in the pause of each source's revolutions, or None where one has none."""
+    line = np.empty(len(time), dtype=np.int64)
+    for number in np.unique(source):
+        own = source == number
+        try:
+            line[own] = revolutions_from_time(time[own])
+        except ValueError:
+            return None
     return line

@@ -139,11 +139,11 @@ def shrub(rng, at):
     return crown(at + shift, radii, density, int(rng.integers(2**31)), "shrub")
 
 
-def thicket(rng, at):
-    """Undergrowth around a foot: 1-2 m in radius, 2-4 m high."""
+def thicket(rng, at, densities):
+    """Undergrowth around a foot: 1-2 m in radius, 2-4 m high, of a density between two."""
     radius, height = rng.uniform(1.0, 2.0), rng.uniform(2.0, 4.0)
     shift = np.array([*rng.normal(0, 0.3, 2), 0.45 * height])
-    density = rng.uniform(1.5, 5.0)
+    density = rng.uniform(*densities)
     radii = (radius, radius, 0.55 * height)
     return crown(at + shift, radii, density, int(rng.integers(2**31)), "thicket")
 

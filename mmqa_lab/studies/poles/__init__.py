@@ -1,7 +1,8 @@
 """Poles, EuroSDR 2013, chapter 4: two published detectors, a better one, and what their rates mean.
 
-``surveys`` scans streets and scores methods; ``factors`` changes one thing at a time; ``figures``
-draws; ``oakland`` is the real counterpart; ``training`` makes the verifier.
+``surveys`` scans streets and scores methods; ``factors`` changes one thing at a time; ``reach``
+holds the aims; ``figures`` and ``scene`` draw; ``oakland`` is the real counterpart; ``training``
+makes the verifier.
 """
 
 import pandas as pd
@@ -15,6 +16,11 @@ QUICK = {
     "length": 60.0,
     "speed": 14.0,
     "seeds": (5001,),
+    "balcony_seeds": (5001,),
+    "balcony_length": 20.0,
+    "dense_seeds": (5001,),
+    "dense_length": 6.0,
+    "density_shares": (0.2,),
     "factor_seeds": (5002,),
     "factor_length": 20.0,
     "factor_names": ("no shrubs",),

@@ -17,14 +17,11 @@ def draw_street(survey, name, *, ax, corridor=30.0):
     step = max(int(high.sum() / 30_000), 1)
     plan = points[high][::step]
     ax.plot(plan[:, 1], plan[:, 0], ",", color="0.75", rasterized=True)
-    result = survey.score(name, corridor=corridor)
-    hits = result.detections[result.detections["outcome"] == "hit"]
-    wrong = result.detections[result.detections["outcome"].isin(["false", "duplicate"])]
-    missed = result.targets[result.targets["target"] & ~result.targets["found"]]
-    for table, colour, marker, label in (
-        (hits, "blue", "o", "hit"),
-        (missed, "orange", "s", "miss"),
-        (wrong, "vermilion", "x", "false alarm"),
+    for (label, table), colour, marker in zip(
+        survey.outcomes(name, corridor=corridor).items(),
+        ("blue", "orange", "vermilion"),
+        ("o", "s", "x"),
+        strict=True,
     ):
         style = {"color": COLOURS[colour], "mfc": "none", "ms": 5, "ls": "none"}
         ax.plot(table["y_m"], table["x_m"], marker, label=f"{label} ({len(table)})", **style)
@@ -154,8 +151,8 @@ def draw_range(table, *, axes):
 
 
 def draw_causes(table, *, ax):
-    """Draw the number of false alarms by cause and method."""
-    wide = table.pivot(index="cause", columns="method", values="n").fillna(0)
+    """Draw the false alarms per 100 m of street by cause and method."""
+    wide = table.pivot(index="cause", columns="method", values="per_100m").fillna(0)
     wide = wide.loc[wide.sum(axis=1).sort_values().index]
     places = np.arange(len(wide))
     for k, (method, name) in enumerate(METHOD_NAMES.items()):
@@ -163,9 +160,59 @@ def draw_causes(table, *, ax):
             colour = METHOD_COLOURS[method]
             ax.barh(places + 0.27 * (1 - k), wide[method], 0.25, color=colour, label=name)
     ax.set_yticks(places, wide.index)
-    ax.set(xlabel="false alarms within 30 m")
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.set(xlabel="false alarms per 100 m, within 30 m")
     ax.legend(loc="lower right")
+    return ax
+
+
+def draw_gates(table, *, axes):
+    """Draw recall and precision over the gate of a match; one axes each."""
+    return _over(table, "gate_m", "gate of a match (m)", axes)
+
+
+def draw_density(table, *, axes):
+    """Draw recall and precision over the density of the cloud; one axes each."""
+    for ax in axes:
+        ax.set_xscale("log")
+    return _over(table, "density_per_m2", "points per m² of ground within 5 m", axes)
+
+
+def _over(table, column, label, axes):
+    """Recall and precision of each method over a column, with their intervals."""
+    for ax, quantity in zip(axes, ("recall", "precision"), strict=True):
+        for method, name in METHOD_NAMES.items():
+            own = table[(table["method"] == method) & (table["quantity"] == quantity)]
+            colour = METHOD_COLOURS[method]
+            ax.plot(own[column], own["value"], "o-", ms=3, color=colour, label=name)
+            ax.fill_between(own[column], own["low"], own["high"], color=colour, alpha=0.15)
+        ax.set(xlabel=label, ylabel=f"{quantity} within 30 m", ylim=(0, 1.02))
+    _legend_above(axes)
+    return axes
+
+
+def draw_facades(table, *, ax):
+    """Draw completeness, correctness and quality of the class of walls over the distance."""
+    own = table[table["range_m"].notna() & (table["n"] > 0)]
+    colours = ("blue", "orange", "black")
+    for name, colour in zip(("completeness", "correctness", "quality"), colours, strict=True):
+        ax.plot(own["range_m"], own[name], "o-", ms=3, color=COLOURS[colour], label=name)
+    ax.set(xlabel="distance from the path (m)", ylabel="share of facade points", ylim=(0, 1.02))
+    ax.legend(loc="lower left")
+    return ax
+
+
+def draw_reach(table, *, ax):
+    """Draw what was to be reached and what was obtained, with intervals."""
+    own = table[table["unit"] == "1"].reset_index(drop=True)
+    places = np.arange(len(own))
+    bars = np.nan_to_num([own["value"] - own["low"], own["high"] - own["value"]])
+    style = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": COLOURS["blue"], "label": "obtained"}
+    ax.errorbar(own["value"], places, xerr=np.maximum(bars, 0), **style)
+    ax.plot(own["aim"], places, "|", ms=9, mew=1.5, color=COLOURS["vermilion"], label="aim")
+    names = [f"{row.setting}: {row.quantity}" for row in own.itertuples()]
+    ax.set_yticks(places, names)
+    ax.set(xlabel="rate of the learned method", xlim=(0.6, 1.005), ylim=(len(own) - 0.5, -0.5))
+    ax.legend(loc="lower left")
     return ax
 
 

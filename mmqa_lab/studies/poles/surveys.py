@@ -1,6 +1,6 @@
 """Simulated surveys: streets driven once, detected by each method, scored together."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,11 +10,15 @@ from tqdm.auto import tqdm
 
 from mmqa_lab import accuracy, poles
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles import itc
 from mmqa_lab.poles.table import drop_duplicates
 from mmqa_lab.simulate import streets
 
 CLASSES = ("tree", "sign", "lamp", "other")
 RANGES_M = (0, 5, 7.5, 10, 12.5, 15, 20, 25, 30)
+FACADE_RANGES_M = (0, 10, 15, 20, 25, 30)
+FACADE_SCORES = ("completeness", "correctness", "quality")
+GATES_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,22 +59,16 @@ class Survey:
         choices = {"corridor": corridor, "gate": gate, "trajectory": self.path}
         return poles.score(self.poles(name), self.targets, **choices)
 
-    def outcome_values(self, name, *, radius=0.5):
-        """Return for each point 1 at a hit, 2 at a miss, 3 at a false alarm and 0 elsewhere."""
-        result = self.score(name, corridor=30.0)
-        wrong = result.detections["outcome"].isin(["false", "duplicate"])
+    def outcomes(self, name, *, corridor):
+        """Return the tables of hits, misses and false alarms, duplicates among them, by name."""
+        result = self.score(name, corridor=corridor)
+        made = result.detections
         missed = result.targets["target"] & ~result.targets["found"]
-        places = (
-            (1, result.detections[result.detections["outcome"] == "hit"]),
-            (2, result.targets[missed]),
-            (3, result.detections[wrong]),
-        )
-        values = np.zeros(len(self.cloud))
-        tree = cKDTree(self.cloud.points[:, :2])
-        for value, table in places:
-            for near in tree.query_ball_point(table[["x_m", "y_m"]].to_numpy(), radius):
-                values[near] = value
-        return values
+        return {
+            "hit": made[made["outcome"] == "hit"],
+            "miss": result.targets[missed],
+            "false alarm": made[made["outcome"].isin(["false", "duplicate"])],
+        }
 
 
 def drive_all(plan, scanner, seeds, *, length, speed):
@@ -195,7 +193,7 @@ def by_range(surveys, names, *, edges=RANGES_M):
 
 
 def causes(surveys, names, *, corridor=30.0, radius=0.4):
-    """Return the false alarms of each method by what stands there.
+    """Return the false alarms of each method by what stands there: ``n`` and ``per_100m``.
 
     The cause is the most frequent label of the points within ``radius`` (m) of the detection's
     middle; a second hit on a pole is called ``duplicate``.
@@ -217,7 +215,90 @@ def causes(surveys, names, *, corridor=30.0, radius=0.4):
                 cause = "duplicate" if one.outcome == "duplicate" else cause
                 rows.append({"method": name, "cause": cause})
     frame = pd.DataFrame(rows, columns=["method", "cause"])
-    return frame.value_counts().rename("n").reset_index()
+    frame = frame.value_counts().rename("n").reset_index()
+    driven = sum(survey.street.length_m for survey in surveys)
+    return frame.assign(per_100m=100 * frame["n"] / driven)
+
+
+def by_gate(surveys, names, *, gates=GATES_M, corridor=30.0):
+    """Return recall and precision of each method over the gate of a match; columns of ``rates``."""
+    parts = []
+    for gate in gates:
+        table = rates(surveys, corridors=(corridor,), gate=gate, names=names)
+        parts.append(table[table["class"] == "all"].assign(gate_m=gate))
+    return pd.concat(parts, ignore_index=True)
+
+
+def by_density(surveys, names, shares, *, corridor=30.0, seed=0):
+    """Return recall and precision of each method where only a share of the pulses is kept.
+
+    Targets stay those that the whole cloud shows: what a sparser cloud does not show is missed.
+
+    Returns
+    -------
+    DataFrame
+        As ``rates``, with ``share`` and ``density_per_m2``: points per square metre of ground
+        within 5 m of the path.
+    """
+    parts = []
+    for share in sorted(shares):
+        thinned = [_thinned(survey, share, seed) for survey in surveys]
+        for survey in thinned:
+            for name in names:
+                survey.detect(name)
+        table = rates(thinned, corridors=(corridor,), names=names)
+        density = np.median([_ground_density(survey) for survey in thinned])
+        parts.append(table.assign(share=share, density_per_m2=density))
+    table = pd.concat(parts, ignore_index=True)
+    return table[table["class"] == "all"].reset_index(drop=True)
+
+
+def _thinned(survey, share, seed):
+    """The same survey with a share of its points, drawn at random."""
+    if share == 1:
+        return replace(survey, found={})
+    kept = np.random.default_rng(seed).random(len(survey.cloud)) < share
+    return replace(survey, cloud=survey.cloud.select(kept), found={})
+
+
+def _ground_density(survey):
+    """Points on the ground per square metre within 5 m of the path."""
+    points = survey.cloud.points
+    ground = survey.street.labels[survey.cloud["surface"]] == "ground"
+    length = survey.street.length_m
+    near = (np.abs(points[:, 0]) < 5) & (points[:, 1] > 0) & (points[:, 1] < length)
+    return (ground & near).sum() / (10 * length)
+
+
+def facades(surveys, *, edges=FACADE_RANGES_M):
+    """Return how well the component method's class of walls agrees with the facades.
+
+    Facades are the walls and window reveals of buildings; the panes behind them do not count.
+
+    Returns
+    -------
+    DataFrame
+        For each range of distances from the path, and for all (``range_m`` NaN): ``completeness``,
+        ``correctness``, ``quality`` and ``n``, the facades' points.
+    """
+    bands = [*pairwise(edges), (0, edges[-1])]
+    counts = np.zeros((len(bands), 3), dtype=np.int64)
+    for survey in surveys:
+        points = survey.cloud.points
+        rough = itc.rough_classes(points, itc.Settings())
+        label = survey.street.labels[survey.cloud["surface"]]
+        away = np.abs(points[:, 0])
+        for k, (low, high) in enumerate(bands):
+            counted = (away > low) & (away <= high) & (label != "pane")
+            score = itc.facade_score(rough, label == "facade", counted=counted)
+            counts[k] += score.right, score.missed, score.wrong
+    rows = []
+    for (low, high), count in zip(bands, counts, strict=True):
+        score = itc.FacadeScore(*(int(n) for n in count))
+        row = {"range_m": (low + high) / 2, "n": score.right + score.missed}
+        rows.append(row | {name: getattr(score, name) for name in FACADE_SCORES})
+    rows[-1]["range_m"] = np.nan
+    return pd.DataFrame(rows)
 
 
 def diameters(surveys, names, *, corridor=12.5):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mmqa_lab.poles import ours
-from mmqa_lab.poles.features import NAMES
+from mmqa_lab.poles.profiles import scan_lines
 from mmqa_lab.poles.trees import Trees
 from mmqa_lab.simulate import streets
 
@@ -68,14 +68,14 @@ def random_plan(rng):
     )
 
 
-def example(number, *, seed=FIRST_SEED):
+def example(number, *, seed=FIRST_SEED, stretch=1.0):
     """Return the street, the cloud and the targets of a training example.
 
-    The cloud is degraded by thinning, scatter and rounding.
+    The cloud is degraded by thinning, scatter and rounding; ``stretch`` multiplies the length.
     """
     rng = np.random.default_rng([seed, number])
     name, length, speeds = SETUPS[number % len(SETUPS)]
-    made = streets.street(random_plan(rng), length=length, seed=seed + number)
+    made = streets.street(random_plan(rng), length=stretch * length, seed=seed + number)
     scanner = streets.SCANNERS[name]
     beam = rng.choice(BEAMS_MRAD.get(name, (0.0,)))
     scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
@@ -118,8 +118,10 @@ def labels(axes, targets, *, near=0.3, far=0.6):
     return label
 
 
-def examples(numbers, *, seed=FIRST_SEED, progress=True):
-    """Return the features and the labels of many training examples.
+def examples(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True):
+    """Return the features and the labels of many training examples; arguments of :func:`train`.
+
+    Each cloud comes twice, with its scan lines and without, so that one verifier serves both.
 
     Returns
     -------
@@ -130,12 +132,14 @@ def examples(numbers, *, seed=FIRST_SEED, progress=True):
 
     parts = []
     for number in tqdm(numbers, unit="street", disable=not progress):
-        _, cloud, targets = example(number, seed=seed)
+        _, cloud, targets = example(number, seed=seed, stretch=stretch)
         origin = np.floor(cloud.points.min(axis=0))
-        features, axes, _ = ours.described(cloud.points - origin, ours.Settings())
-        axes[:, :2] += origin[:2]
-        label = labels(axes, targets)
-        parts.append((features, label, np.full(len(label), number)))
+        for lines in (None, scan_lines(cloud)):
+            where = ours.described(cloud.points - origin, ours.Settings(), lines=lines)
+            features, axes, _ = where
+            axes[:, :2] += origin[:2]
+            label = labels(axes, targets)
+            parts.append((features, label, np.full(len(label), number)))
     features, label, group = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     kept = label >= 0
     return features[kept], label[kept], group[kept]
@@ -175,23 +179,41 @@ def fit(features, label, group, *, rounds=250, leaves=16, rate=0.08, notes=None)
                 sides = node["left"] + first, node["right"] + first
                 nodes.append([node["feature_idx"], node["num_threshold"], *sides, 0])
     base = float(model._baseline_prediction.ravel()[0])
-    return Trees(NAMES, base, np.array(nodes, float), np.array(roots), notes or {})
+    return Trees(ours.FEATURES, base, np.array(nodes, float), np.array(roots), notes or {})
 
 
-def main():
-    """Train on all examples and write the model."""
-    from importlib import resources
+def train(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
+    """Return the verifier that the given training examples make: from seeds to ``Trees``.
 
-    from mmqa_lab.io import write_atomically
-
-    data = examples(range(EXAMPLES))
+    Parameters
+    ----------
+    numbers : iterable of int
+        Of the examples; the model of the package is ``train(range(EXAMPLES))``.
+    seed : int
+    stretch : float
+        Multiplies the length of every street.
+    progress : bool
+    **choices
+        Handed to :func:`fit`.
+    """
+    numbers = list(numbers)
+    data = examples(numbers, seed=seed, stretch=stretch, progress=progress)
     notes = {
-        "trained on": f"{EXAMPLES} simulated streets, seeds from {FIRST_SEED}",
+        "trained on": f"{len(numbers)} simulated streets, seeds from {seed}",
         "candidates": len(data[1]),
         "poles": int(data[1].sum()),
         "program": "python -m mmqa_lab.studies.poles.training",
     }
-    text = fit(*data, notes=notes).to_json()
+    return fit(*data, notes=notes, **choices)
+
+
+def main():
+    """Train on all examples and write the model; takes about half an hour."""
+    from importlib import resources
+
+    from mmqa_lab.io import write_atomically
+
+    text = train(range(EXAMPLES)).to_json()
     target = resources.files("mmqa_lab.poles").joinpath("model.json")
     write_atomically(target, lambda path: path.write_text(text, encoding="utf-8"))
 
