@@ -83,6 +83,8 @@ class Run:
         self._files = []
         self._overlaps = {}
         self._answer = {"sentence": "", "figure": ""}
+        for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
+            left.unlink()
 
     def save_table(self, frame, name):
         """Write a DataFrame as ``<name>.csv``."""

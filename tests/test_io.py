@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -190,6 +192,52 @@ def test_a_flipped_byte_gives_a_cloud_or_a_sentence(tmp_path_factory, place, fli
     data[place] ^= flip
     outcome = outcome_of(data, tmp_path_factory.mktemp("flip"))
     assert outcome.endswith(" points") or outcome.startswith("Invalid cloud")
+
+
+DAMAGE = """
+import resource, sys, time, warnings
+from pathlib import Path
+import numpy as np
+from mmqa_lab.io import read_cloud
+
+warnings.simplefilter("ignore")
+rng = np.random.default_rng(int(sys.argv[2]))
+whole, slowest = Path(sys.argv[1]).read_bytes(), 0.0
+path = Path(sys.argv[3]) / f"damaged{Path(sys.argv[1]).suffix}"
+for kind in ("cut", "flips", "count", "zeros") * 8:
+    data = bytearray(whole)
+    if kind == "cut":
+        data = data[: rng.integers(len(data))]
+    elif kind == "flips":
+        for place in rng.integers(0, min(len(data), 2000), 8):
+            data[place] = rng.integers(256)
+    elif kind == "count":
+        data[247:255] = int(rng.integers(1, 2**62)).to_bytes(8, "little")
+    else:
+        start = rng.integers(len(data))
+        data[start : start + 500] = bytes(500)
+    path.write_bytes(data)
+    began = time.monotonic()
+    try:
+        read_cloud(path)
+    except ValueError as error:
+        assert str(error).startswith("Invalid cloud"), error
+    slowest = max(slowest, time.monotonic() - began)
+print(slowest, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_damage_neither_crashes_nor_hangs_nor_fills_the_memory(tmp_path, ending):
+    rng = np.random.default_rng(3)
+    whole = tmp_path / f"whole.{ending}"
+    write_cloud(whole, Cloud(rng.random((20_000, 3)), {"gps_time": np.arange(20_000.0)}))
+    command = [sys.executable, "-c", DAMAGE, str(whole), "7", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr  # a crash would be a negative status
+    slowest_s, peak_mb = map(float, done.stdout.split())
+    assert slowest_s < 10
+    assert peak_mb < 1000
 
 
 @pytest.mark.parametrize(

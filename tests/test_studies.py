@@ -1,12 +1,19 @@
 """Every study runs from top to bottom without a screen, and one that fails says what failed."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import nbformat
+import pandas as pd
 import pytest
 
 from mmqa_lab import gallery, headless
 from mmqa_lab.readme import masked
+from mmqa_lab.results import Run
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
 from mmqa_lab.teaching import student_cell
 
@@ -102,3 +109,25 @@ def test_studies_are_chosen_by_stem_or_notebook_name():
     assert [study.stem for study in chosen()] == [study.stem for study in STUDIES]
     assert chosen(["01_chart_tables"]) == chosen(["chart_tables"])
     assert STUDIES[0].path.parent == notebooks_folder()
+
+
+def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_path, monkeypatch):
+    command = [sys.executable, "-m", "mmqa_lab", "studies", "mimic", "--quick"]
+    study = tmp_path / "mimic"
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path)], start_new_session=True, stderr=subprocess.DEVNULL
+    ) as run:
+        while not any(study.glob("*.csv")):
+            assert run.poll() is None
+            time.sleep(0.02)
+        os.killpg(run.pid, signal.SIGKILL)
+    assert headless.read_outcome(study) is None  # it is no finished study
+    for path in study.glob("[!.]*"):
+        if path.suffix == ".csv":
+            assert len(pd.read_csv(path)) > 0
+        elif path.suffix in (".pdf", ".svg"):
+            assert path.read_bytes().rstrip().endswith((b"%%EOF", b"</svg>"))
+    (study / ".frame.99.svg").write_text("half a file")
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    Run("mimic", parameters={})
+    assert not list(study.glob(".*"))
