@@ -7,7 +7,7 @@ import pytest
 from mmqa_lab.simulate.blocks import SURFACES, Flight, fly_block
 from mmqa_lab.simulate.targets import atmosphere
 from mmqa_lab.studies import image_radiometry as study
-from mmqa_lab.studies.image_radiometry import blocks, reflectance
+from mmqa_lab.studies.image_radiometry import blocks, reflectance, resolution
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +70,16 @@ def test_claims_can_fail():
     assert not any(claim.holds for claim in study._resolution(edges, stars))
     sensor = pd.DataFrame({"gain_z": [3.0] * 50, "offset_z": [0.0] * 50})
     assert not study._sensor(sensor)[0].holds
+
+
+def test_real_edges_and_photographs(real):
+    real("images/slanted_edge.tif")
+    edges = resolution.real_edges()
+    found = edges[edges["method"] == "edge method"]
+    # the other tools' figures are known to two or three digits
+    assert found["mtf50_per_px"].to_numpy() == pytest.approx(found["other_tools"], rel=0.03)
+    table, maps = resolution.real_sharpness()
+    assert set(maps) == set(table["photograph"])
+    assert (table["blurred"] < table["sharpness"]).all()
+    assert table["sharpness"].max() > 1.5 * table["blurred"].max()  # the sharp one loses most
+    assert (table["not_measurable"] < table["blocks"]).all()

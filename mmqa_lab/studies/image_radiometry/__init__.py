@@ -12,7 +12,7 @@ from mmqa_lab.results import Claim
 QUICK = {
     "edges": 6,
     "star_cycles": (36,),
-    "star_sigmas_px": (0.5, 1.0),
+    "star_sigmas_px": (0.5, 1.5),
     "sensor_seeds": 80,
     "field_images": 3,
     "reflectance_seeds": 5,
