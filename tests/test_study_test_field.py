@@ -29,6 +29,15 @@ def test_reference_lies_on_the_true_ground(street):
     assert error.std() == pytest.approx(SURVEY_STD_M, rel=4 / np.sqrt(2 * len(points)))
 
 
+def test_what_cannot_be_held_against_table_3_3_says_why():
+    names = ["system", "direction", "shift", "std_mm", "predicted_std_mm"]
+    rows = [("profiler", "both", "removed", 9.0, 8.0), ("profiler", "there", "removed", 7.0, None)]
+    found = surveys.against_published(pd.DataFrame(rows, columns=names))
+    assert found["measured_std_mm"].tolist() == [9.0]
+    assert found["within_20_percent"].tolist() == [None]
+    assert "not at hand" in found["reason"].item()
+
+
 def test_prediction_without_errors_is_the_survey_and_range_noise(street):
     perfect = System("perfect", systems()["profiler"].heads)
     reference = street.ground(spacing_m=1.0, seed=3)

@@ -20,6 +20,7 @@ from mmqa_lab.testfield import (
     pole_positions,
     split_drives,
     trend,
+    trend_columns,
 )
 from mmqa_lab.testfield.heights import rms_check
 
@@ -100,6 +101,17 @@ def test_trend_is_not_tilted_by_a_gross_error(rng):
     assert found.p < 1e-6
     with pytest.raises(ValueError, match="three or more"):
         trend([1, 1, 1], [1, 2, 3])
+
+
+def test_trend_of_few_poles_is_covered_as_often_as_it_says(rng):
+    distance = np.array([4.0, 6, 7, 9, 12, 13, 16, 18])
+    held = 0
+    for _ in range(300):
+        found = trend(distance, 10 + 0.8 * distance + rng.normal(0, 4, 8))
+        held += found.slope_low < 0.8 < found.slope_high
+    # a share of 0.95 from 300 draws scatters by 0.013; Huber's estimator is a little bold at n = 8
+    assert 0.89 < held / 300 < 0.99
+    assert np.isnan(list(trend_columns([1, 2], [1, 2]).values())).all()
 
 
 def test_distance_to_a_bent_path():
@@ -206,6 +218,12 @@ def test_command(tmp_path, ground, capsys):
     kept, removed = json.loads(capsys.readouterr().out)
     assert kept["mean_mm"] == pytest.approx(20, abs=2)
     assert removed["std_mm"] < 6
+    assert main(["accuracy", *files, "--json", "--reference-std", "0.01"]) == 0
+    kept, removed = json.loads(capsys.readouterr().out)
+    assert kept["rmse_v_mm"] == pytest.approx(np.hypot(kept["rmse_mm"], 10))
+    assert removed["rmse_v_mm"] is None
+    assert main(["accuracy", *files, "--reference-std", "-1"]) == 2
+    assert "Invalid reference-std -1" in capsys.readouterr().err
     assert main(["accuracy", *files, "--drives"]) == 2
     assert "gps_time" in capsys.readouterr().err
     assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2

@@ -3,8 +3,9 @@
 At each reference point the cloud around it is triangulated; the height differences are summed up
 with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning, chapter 3).
 Reference points without a valid difference are counted by reason. In the words of the ASPRS
-Positional Accuracy Standards (edition 2): rmse_mm with the shift kept is RMSE_V of the check
-points, which should be 30 or more; drive against drive is relative accuracy.
+Positional Accuracy Standards (edition 2, 2023): check points should be 30 or more; rmse_v_mm is the
+vertical accuracy of the product, the RMSE with the shift kept and the standard deviation of the
+check points' own survey (--reference-std) together; drive against drive is relative accuracy.
 """
 
 import sys
@@ -64,6 +65,12 @@ def add_arguments(parser):
         help="take one reference point from each square this wide",
     )
     parser.add_argument(
+        "--reference-std",
+        type=float,
+        metavar="M",
+        help="standard deviation of the reference's own heights: adds rmse_v_mm",
+    )
+    parser.add_argument(
         "--drives",
         action="store_true",
         help="each drive on its own, and against the first",
@@ -95,7 +102,7 @@ def run(options):
     path = None if options.trajectory is None else read_trajectory(options.trajectory)
     columns = ("gps_time",) if options.drives else ()
     tables = _compared(read_cloud(options.cloud, columns=columns), reference, options)
-    rows = [_rows(name, table, path) for name, table in tables.items()]
+    rows = [_rows(name, table, path, options.reference_std) for name, table in tables.items()]
     if options.differences is not None:
         differences = pd.concat([table.assign(drive=name) for name, table in tables.items()])
         write_atomically(options.differences, lambda file: differences.to_csv(file, index=False))
@@ -132,19 +139,23 @@ def _compared(cloud, reference, options):
     return tables
 
 
-def _rows(name, table, path):
+def _rows(name, table, path, reference_std):
     """The rows of one table of differences."""
-    from mmqa_lab.testfield import distance_to_path, height_accuracy, trend
+    import numpy as np
+
+    from mmqa_lab._checks import check_number
+    from mmqa_lab.testfield import distance_to_path, height_accuracy, trend_columns
     from mmqa_lab.testfield.heights import REASONS
 
     rows = height_accuracy(table)
     rows.insert(0, "drive", name)
+    if reference_std is not None and "-" not in name:
+        survey_mm = 1000 * check_number(reference_std, "reference-std", low=0, unit="m")
+        rows["rmse_v_mm"] = np.hypot(rows["rmse_mm"], survey_mm).where(rows["shift"] == "kept")
     for reason in REASONS[1:]:
         rows[reason.replace(" ", "_")] = int((table["reason"] == reason).sum())
     if path is not None:
         used = table[table["reason"] == ""]
         distance = distance_to_path(used[["x_m", "y_m"]].to_numpy(), path)
-        line = trend(distance, 1000 * used["dz_m"])
-        rows["trend_mm_per_m"] = line.slope
-        rows["trend_low_mm_per_m"], rows["trend_high_mm_per_m"] = line.slope_low, line.slope_high
+        rows = rows.assign(**trend_columns(distance, 1000 * used["dz_m"]))
     return rows

@@ -10,8 +10,9 @@ field whose ground, poles and corners were surveyed. Start here::
     table["distance_m"] = testfield.distance_to_path(reference, trajectory)
     testfield.trend(table["distance_m"], table["dz_m"])
 
-ASPRS Positional Accuracy Standards (edition 2, 2023) speak of the same numbers as RMSE_V of
-non-vegetated checkpoints (the RMSE with the shift kept) and RMSE_H (equation 3-1).
+ASPRS Positional Accuracy Standards (edition 2, 2023) call the RMSE of height with the shift kept
+RMSE_V, that of the plan (equation 3-1) RMSE_H, and add to both the uncertainty of the check points'
+own survey. They have given up 95 % confidence levels, and ask for 30 check points or more.
 """
 
 from mmqa_lab.testfield.drives import between_drives, split_drives
@@ -22,7 +23,7 @@ from mmqa_lab.testfield.planimetry import (
     pole_positions,
 )
 from mmqa_lab.testfield.reference import ground_reference, thinned
-from mmqa_lab.testfield.trends import Trend, distance_to_path, trend
+from mmqa_lab.testfield.trends import Trend, distance_to_path, trend, trend_columns
 
 __all__ = [
     "Trend",
@@ -37,4 +38,5 @@ __all__ = [
     "split_drives",
     "thinned",
     "trend",
+    "trend_columns",
 ]

@@ -38,7 +38,8 @@ class Trend:
 def trend(distance, values, *, confidence=0.95):
     """Fit a straight line of errors over distance, robustly.
 
-    Huber's estimator (statsmodels RLM), so that a few far poles do not tilt the line.
+    Huber's estimator (statsmodels RLM), so that a few far poles do not tilt the line; its standard
+    error with Student's t of n - 2, which few poles need.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def trend(distance, values, *, confidence=0.95):
     >>> round(found.slope, 2), found.n
     (1.01, 4)
     """
-    from scipy.stats import norm
+    from scipy.stats import t
     from statsmodels.robust.robust_linear_model import RLM
 
     distance, values = np.asarray(distance, np.float64), np.asarray(values, np.float64)
@@ -80,17 +81,36 @@ def trend(distance, values, *, confidence=0.95):
             f"Invalid errors: {len(values)} at {len(np.unique(distance))} distances. Must be three "
             "or more at different distances."
         )
-    tail = norm.isf((1 - check_number(confidence, "confidence", low=0, high=1)) / 2)
+    outside = 1 - check_number(confidence, "confidence", low=0, high=1)
     design = np.stack([np.ones_like(distance), distance], axis=1)
     if np.ptp(values - np.poly1d(np.polyfit(distance, values, 1))(distance)) < 1e-12:
         intercept, slope = np.linalg.lstsq(design, values, rcond=None)[0]
         return Trend(float(slope), float(intercept), float(slope), float(slope), 0.0, len(values))
     fit = RLM(values, design).fit()
     (intercept, slope), std = fit.params, fit.bse[1]
-    low, high = slope - tail * std, slope + tail * std
-    return Trend(
-        float(slope), float(intercept), float(low), float(high), float(fit.pvalues[1]), len(values)
-    )
+    half = t.isf(outside / 2, len(values) - 2) * std
+    p = 2 * t.sf(np.abs(slope) / std, len(values) - 2)
+    numbers = (slope, intercept, slope - half, slope + half, p)
+    return Trend(*(float(number) for number in numbers), len(values))
+
+
+def trend_columns(distance, values_mm):
+    """Return the trend of errors in mm as columns of a table; NaN of fewer than three errors.
+
+    Examples
+    --------
+    >>> round(trend_columns([5, 10, 15], [1.0, 2.0, 3.0])["trend_mm_per_m"], 6)
+    0.2
+    """
+    try:
+        line = trend(distance, values_mm)
+    except ValueError:
+        line = Trend(*[np.nan] * 5, 0)
+    return {
+        "trend_mm_per_m": line.slope,
+        "trend_low_mm_per_m": line.slope_low,
+        "trend_high_mm_per_m": line.slope_high,
+    }
 
 
 def distance_to_path(points, path):

@@ -59,14 +59,15 @@ def claims(heights, plan, repeated, calibration, real):
 
 def _contrast(heights, plan):
     """A boresight error and its cure."""
-    kept = heights[heights["shift"] == "kept"].set_index("system")["std_mm"]
+    heights = heights[(heights["direction"] == "both") & (heights["shift"] == "kept")]
+    kept = heights.set_index("system")["std_mm"]
     off, good = kept["profiler, not calibrated"], kept["profiler"]
-    poles = plan[(plan["object"] == "pole") & (plan["shift"] == "kept")].set_index("system")
+    low = plan["object"] == "pole, near the ground"
+    poles = plan[low & (plan["direction"] == "both") & (plan["shift"] == "kept")]
+    poles = poles.set_index("system")
     far, near = poles["rmse_mm"]["profiler, not calibrated"], poles["rmse_mm"]["profiler"]
     bound = eurosdr2013_testfield.statements().set_index("quantity")["bound_mm"]["elevation"]
-    professional = heights[
-        (heights["shift"] == "kept") & heights["system"].isin(surveys.PROFESSIONAL)
-    ]
+    professional = heights[heights["system"].isin(surveys.PROFESSIONAL)]
     return [
         Claim(
             "A boresight error of some tenths of a degree costs more than all else together.",

@@ -24,6 +24,7 @@ REASON_MARKERS = {
 def draw_field(street, heights, *, ax):
     """Draw the field in plan with its reference points, and why some do not count."""
     x0, y0 = street.origin[:2]
+    heights = heights[heights["direction"] == "both"]
     used = heights[heights["reason"] == ""]
     ax.plot(used["y_m"] - y0, used["x_m"] - x0, ".", ms=1.5, color=COLOURS["sky"], label="ground")
     for reason, (marker, colour) in REASON_MARKERS.items():
@@ -53,7 +54,8 @@ def draw_field(street, heights, *, ax):
 
 def draw_height_std(heights, bound_mm, *, ax):
     """Draw the height std of each system: measured, predicted, and the published bound."""
-    rows = heights[heights["shift"] == "removed"].reset_index(drop=True)
+    chosen = (heights["shift"] == "removed") & (heights["direction"] == "both")
+    rows = heights[chosen].reset_index(drop=True)
     places = np.arange(len(rows))
     kinds = {"lw": 5, "color": KIND_COLOURS["predicted"], "label": "predicted, 90 % of drives"}
     ax.hlines(places, rows["predicted_low_mm"], rows["predicted_high_mm"], **kinds)
@@ -80,7 +82,8 @@ def draw_height_trend(surveys, *, ax, names=("profiler, not calibrated", "profil
     for survey in surveys:
         if survey.system not in names:
             continue
-        used = survey.heights[survey.heights["reason"] == ""]
+        both = survey.heights[survey.heights["direction"] == "both"]
+        used = both[both["reason"] == ""]
         distance, size = used["distance_m"], 1000 * used["dz_m"].abs()
         colour = SYSTEM_COLOURS[survey.system]
         ax.plot(distance, size, ".", ms=2, alpha=0.4, color=colour)
@@ -97,14 +100,26 @@ def draw_height_trend(surveys, *, ax, names=("profiler, not calibrated", "profil
 
 
 def draw_plan_errors(surveys, *, ax):
-    """Draw the plan errors of poles over the distance from the path."""
+    """Draw the plan errors of poles over the distance from the path, with robust lines.
+
+    Filled near the ground, open 5 m up.
+    """
     for survey in surveys:
-        used = survey.poles[survey.poles["reason"] == ""]
-        size = 1000 * np.hypot(used["dx_m"], used["dy_m"])
+        poles = survey.poles[survey.poles["direction"] == "both"]
+        poles = poles[poles["reason"] == ""]
+        size = 1000 * np.hypot(poles["dx_m"], poles["dy_m"])
         colour = SYSTEM_COLOURS[survey.system]
-        ax.plot(used["distance_m"], size, "o", ms=3, color=colour, label=survey.system)
+        high = poles["height_m"] > 3
+        for part, face in ((~high, colour), (high, "none")):
+            kind = {"ms": 3, "color": colour, "markerfacecolor": face}
+            ax.plot(poles["distance_m"][part], size[part], "o", **kind)
+        line = trend(poles["distance_m"], size)
+        ends = np.array([poles["distance_m"].min(), poles["distance_m"].max()])
+        interval = f"{line.slope_low:+.1f} to {line.slope_high:+.1f}"
+        label = f"{survey.system}: {line.slope:+.1f} ({interval}) mm/m"
+        ax.plot(ends, np.maximum(line.at(ends), 0.5), color=colour, lw=1.2, label=label)
     ax.set(xlabel="distance from the path (m)", ylabel="plan error of poles (mm)", yscale="log")
-    ax.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.33), ncols=2, columnspacing=0.8)
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.4))
     return ax
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from tqdm.auto import tqdm
 
+from mmqa_lab.published import eurosdr2013_testfield
 from mmqa_lab.simulate import measured
 from mmqa_lab.simulate.testfield import (
     SURVEY_STD_M,
@@ -20,10 +21,18 @@ from mmqa_lab.testfield import (
     height_differences,
     plan_accuracy,
     pole_positions,
-    trend,
+    trend_columns,
 )
 
 PROFESSIONAL = ("profiler", "two pulsed profilers")
+
+DIRECTIONS = {"there": (0,), "back": (1,), "both": (0, 1)}
+"""Names of what is measured together, and the numbers of its drives."""
+
+STANDS_FOR = {"profiler, not calibrated": "ROAMER I", "profiler": "ROAMER II"}
+"""Rows of the report's tables that a simulated system is the like of."""
+
+NOT_DECIDED = "Table 3-3 and the specifications in Table 3-2 were not at hand"
 
 INTERVAL_S = 0.1
 """Of the paths drawn for predictions; navigation drifts over tens of seconds."""
@@ -42,7 +51,8 @@ class Survey:
     points : array, shape (n, 3)
         Of both drives together.
     heights, poles, corners : DataFrame
-        Differences, with ``distance_m`` from the nearer path.
+        Differences, with ``distance_m`` from the nearer path, or from its own: one after the other
+        for each ``direction`` (there, back, both).
     prediction : array, shape (draws,)
         Standard deviations of heights, mm, that drives of such a system would have.
     """
@@ -79,17 +89,31 @@ def survey_all(*, length_m, seed, pulses_per_s, ground_spacing_m, draws):
     surveys = []
     for number, system in enumerate(tqdm(systems().values(), unit="system")):
         drives = drive_testfield(street, system, seed=seed + 10 * number, pulses_per_s=pulses_per_s)
-        points = np.concatenate([cloud.points for cloud, _ in drives])
-        tables = [
-            height_differences(points, reference, radius=RADIUS_M),
-            pole_positions(points, street.poles),
-            corner_positions(points, street.corners),
+        clouds = [cloud.points for cloud, _ in drives]
+        both = np.concatenate(clouds)
+        found = [
+            _measured(points, street, reference, direction)
+            for points, direction in zip([*clouds, both], DIRECTIONS, strict=True)
         ]
-        for table in tables:
-            table["distance_m"] = _distance(table, street)
+        tables = [pd.concat(parts, ignore_index=True) for parts in zip(*found, strict=True)]
         prediction = predicted_std(street, system, reference, draws=draws, seed=seed)
-        surveys.append(Survey(system.name, points, *tables, prediction))
+        surveys.append(Survey(system.name, both, *tables, prediction))
     return street, surveys
+
+
+def _measured(points, street, reference, direction):
+    """Tables of heights, poles and corners of a cloud, with distances from its paths."""
+    tables = [
+        height_differences(points, reference, radius=RADIUS_M),
+        pole_positions(points, street.poles),
+        corner_positions(points, street.corners),
+    ]
+    driven = [street.drives()[number].position for number in DIRECTIONS[direction]]
+    for table in tables:
+        places = table[["x_m", "y_m"]].to_numpy()
+        table["distance_m"] = np.min([distance_to_path(places, path) for path in driven], axis=0)
+        table["direction"] = direction
+    return tables
 
 
 def predicted_std(street, system, reference, *, draws, seed, speed=10.0):
@@ -180,52 +204,84 @@ def height_table(surveys):
     Returns
     -------
     DataFrame
-        ``system``, ``kind`` = measured, the columns of ``height_accuracy``, gross errors, the
-        trend (mm per m with its 95 % interval); ``predicted_std_mm`` and its 5 and 95 % quantiles.
+        ``system``, ``direction``, ``kind`` = measured, the columns of ``height_accuracy``, gross
+        errors, the trend of absolute differences (mm per m with its 95 % interval);
+        ``predicted_std_mm`` of both directions together and its 5 and 95 % quantiles.
     """
     rows = []
     for survey in surveys:
-        table = height_accuracy(survey.heights).assign(system=survey.system, kind="measured")
-        table["gross_errors"] = int((survey.heights["reason"] == "gross error").sum())
-        used = survey.heights[survey.heights["reason"] == ""]
-        line = trend(used["distance_m"], 1000 * used["dz_m"].abs())
-        table["trend_mm_per_m"] = line.slope
-        table["trend_low_mm_per_m"], table["trend_high_mm_per_m"] = line.slope_low, line.slope_high
         low, middle, high = np.quantile(survey.prediction, [0.05, 0.5, 0.95])
-        table["predicted_std_mm"] = middle
-        table["predicted_low_mm"], table["predicted_high_mm"] = low, high
-        rows.append(table)
-    return _first(pd.concat(rows, ignore_index=True), ["system", "kind"])
+        for direction, heights in survey.heights.groupby("direction", sort=False):
+            table = height_accuracy(heights).assign(system=survey.system, direction=direction)
+            table["gross_errors"] = int((heights["reason"] == "gross error").sum())
+            used = heights[heights["reason"] == ""]
+            table = table.assign(**trend_columns(used["distance_m"], 1000 * used["dz_m"].abs()))
+            if direction == "both":
+                table["predicted_std_mm"] = middle
+                table["predicted_low_mm"], table["predicted_high_mm"] = low, high
+            rows.append(table.assign(kind="measured"))
+    return _first(pd.concat(rows, ignore_index=True), ["system", "direction", "kind"])
 
 
 def plan_table(surveys):
-    """Return the planimetric accuracy of all systems, for poles and both kinds of corners."""
+    """Return the planimetric accuracy of all systems.
+
+    Returns
+    -------
+    DataFrame
+        ``system``, ``direction``, ``object`` (poles near the ground and 5 m up, building and curb
+        corners), ``kind`` = measured, the columns of ``plan_accuracy``, and the trend of distances
+        in plan (mm per m with its 95 % interval; NaN of fewer than three objects).
+    """
     rows = []
     for survey in surveys:
-        objects = {"pole": survey.poles}
-        objects |= dict(tuple(survey.corners.groupby("kind")))
-        for name, table in objects.items():
-            found = plan_accuracy(table).assign(system=survey.system, object=name, kind="measured")
-            rows.append(found)
-    return _first(pd.concat(rows, ignore_index=True), ["system", "object", "kind"])
+        named = pd.concat([survey.poles.assign(object=pole_names(survey.poles)), survey.corners])
+        named["object"] = named["object"].fillna(named["kind"])
+        for (name, direction), table in named.groupby(["object", "direction"], sort=False):
+            found = plan_accuracy(table).assign(system=survey.system, direction=direction)
+            used = table[table["reason"] == ""]
+            size = 1000 * np.hypot(used["dx_m"], used["dy_m"])
+            found = found.assign(object=name, **trend_columns(used["distance_m"], size))
+            rows.append(found.assign(kind="measured"))
+    return _first(pd.concat(rows, ignore_index=True), ["system", "object", "direction", "kind"])
+
+
+def pole_names(poles):
+    """Return what to call the poles of a table by the height they were measured at."""
+    return np.where(poles["height_m"] < 3, "pole, near the ground", "pole, 5 m up")
+
+
+def against_published(heights):
+    """Hold the height std of the simulated systems against Table 3-3, within 20 %.
+
+    Returns
+    -------
+    DataFrame
+        ``system``, ``predicted_std_mm``, ``measured_std_mm``, ``published_std_mm`` (NaN where the
+        table's cell is not at hand), ``within_20_percent`` (None where undecided) and ``reason``.
+    """
+    rows = heights[(heights["direction"] == "both") & (heights["shift"] == "removed")]
+    table = rows[["system", "predicted_std_mm"]].assign(measured_std_mm=rows["std_mm"])
+    printed = eurosdr2013_testfield.table_3_3().groupby("system")["std_mm"].mean()
+    table["published_std_mm"] = table["system"].map(STANDS_FOR).map(printed)
+    share = table["measured_std_mm"] / table["published_std_mm"]
+    decided = table["published_std_mm"].notna()
+    table["within_20_percent"] = share.between(0.8, 1.2).astype(object).where(decided, None)
+    table["reason"] = np.where(decided, "", NOT_DECIDED)
+    return table.reset_index(drop=True)
 
 
 def left_out(surveys):
-    """Return how many reference objects were not measured, by system and reason."""
+    """Return how many reference objects were not measured in both directions together, and why."""
     rows = []
     for survey in surveys:
         tables = {"ground": survey.heights, "pole": survey.poles, "corner": survey.corners}
         for name, table in tables.items():
+            table = table[table["direction"] == "both"]
             counts = table.loc[table["reason"] != "", "reason"].value_counts()
             for reason, count in counts.items():
                 rows.append((survey.system, name, reason, int(count), len(table)))
     return pd.DataFrame(rows, columns=["system", "object", "reason", "count", "n"])
-
-
-def _distance(table, street):
-    """Distance of measured things from the nearer path, m."""
-    places = table[["x_m", "y_m"]].to_numpy()
-    return np.min([distance_to_path(places, path.position) for path in street.drives()], axis=0)
 
 
 def _first(table, names):
