@@ -118,8 +118,11 @@ def draw_plan_errors(surveys, *, ax):
         interval = f"{line.slope_low:+.1f} to {line.slope_high:+.1f}"
         label = f"{survey.system}: {line.slope:+.1f} ({interval}) mm/m"
         ax.plot(ends, np.maximum(line.at(ends), 0.5), color=colour, lw=1.2, label=label)
+    for label, face in (("near the ground", COLOURS["grey"]), ("5 m up", "none")):
+        kind = {"ms": 3, "color": COLOURS["grey"], "markerfacecolor": face}
+        ax.plot([], [], "o", label=label, **kind)
     ax.set(xlabel="distance from the path (m)", ylabel="plan error of poles (mm)", yscale="log")
-    ax.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.4))
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.55))
     return ax
 
 
@@ -131,14 +134,14 @@ def draw_pole(cloud, pole, *, ax, title):
     for head in (0, 1):
         for drive in (0, 1):
             chosen = near & (cloud["head"] == head) & (cloud["drive"] == drive)
-            label = f"head {head + 1}, drive {drive + 1}"
+            label = f"head {head + 1}, drive {drive + 1}" if chosen.any() else None
             xy = 1000 * off[chosen, :2]
             ax.plot(*xy.T, ".", ms=2, color=COLOURS[next(colours)], label=label)
     turn = np.linspace(0, 2 * np.pi, 100)
     radius = 500 * pole["diameter_m"]
     ax.plot(radius * np.cos(turn), radius * np.sin(turn), color=COLOURS["black"], lw=0.8)
     ax.set(xlabel="east (mm)", ylabel="north (mm)", aspect="equal", title=title)
-    ax.set(xlim=(-300, 300), ylim=(-300, 300))
+    ax.set(xlim=(-200, 200), ylim=(-200, 200))
     return ax
 
 
