@@ -60,11 +60,12 @@ ground; ``crowd``: log of the points around it.
 
 
 @njit(cache=True)
-def fit_axis(x, y, h, x0, y0, iterations=12):
+def fit_axis(x, y, h, x0, y0, wide=0.15, narrow=0.06, iterations=12, upright=1.0):
     """Robust straight axis (x, y at h = middle, lean x, lean y, middle) near (x0, y0).
 
-    Iteratively reweighted least squares with Geman-McClure weights whose scale shrinks from 0.15 m
-    to 0.06 m; leans are drawn towards 0 with a standard deviation of 0.05 m/m.
+    Iteratively reweighted least squares with Geman-McClure weights whose scale shrinks from
+    ``wide`` to ``narrow``, metres; ``upright`` is how many square metres of moment draw leans
+    towards 0.
     """
     n = len(x)
     middle = 0.0
@@ -73,7 +74,7 @@ def fit_axis(x, y, h, x0, y0, iterations=12):
     middle /= max(n, 1)
     ax, ay, lx, ly = x0, y0, 0.0, 0.0
     for step in range(iterations):
-        scale = max(0.15 * 0.85**step, 0.06)
+        scale = max(wide * 0.85**step, narrow)
         w0, w1, w2 = 1e-9, 0.0, 0.0
         sx, sy, tx, ty = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
@@ -87,7 +88,7 @@ def fit_axis(x, y, h, x0, y0, iterations=12):
             sy += w * y[k]
             tx += w * x[k] * u
             ty += w * y[k] * u
-        w2 += (0.05 / 0.05) ** 2
+        w2 += upright
         det = w0 * w2 - w1 * w1
         ax, lx = (w2 * sx - w1 * tx) / det, (w0 * tx - w1 * sx) / det
         ay, ly = (w2 * sy - w1 * ty) / det, (w0 * ty - w1 * sy) / det
@@ -96,7 +97,7 @@ def fit_axis(x, y, h, x0, y0, iterations=12):
 
 
 @njit(cache=True)
-def _longest(flags, gap):
+def longest_run(flags, gap):
     """First and last + 1 of the longest run of set flags, gaps up to ``gap`` bins allowed."""
     best_low, best_high = 0, 0
     low, last = -1, -1
@@ -161,7 +162,7 @@ def _describe(x, y, h, xy, given, out, axis):
     runs = np.zeros((len(RADII_M), 2), np.int64)
     for r in range(len(RADII_M)):
         _profile(across, level, RADII_M[r], core, shell)
-        runs[r] = _longest((core > 0) & (shell <= CLEAN * core), 1)
+        runs[r] = longest_run((core > 0) & (shell <= CLEAN * core), 1)
         out[r] = (runs[r, 1] - runs[r, 0]) * BIN_M
     r = 0
     while out[r] < NARROW * out[: len(RADII_M)].max():
@@ -169,7 +170,7 @@ def _describe(x, y, h, xy, given, out, axis):
     low, high = runs[r]
     radius = RADII_M[r]
     _profile(across, level, radius, core, shell)
-    first, last = _longest(core > 0, 1)
+    first, last = longest_run(core > 0, 1)
     if high == low:
         low, high = first, last
     run = max(high - low, 1)

@@ -13,6 +13,7 @@ from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
 from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.features import MAX_LEAN, fit_axis, longest_run
 
 WIDEST_M = 0.8
 """Longest chord of a group; a line on a wall or the ground is longer."""
@@ -32,6 +33,7 @@ ALIGNED_M = 0.08
 """Largest distance of the middle of a group from the axis of a stack."""
 
 SUPPORT_M = 0.12
+AROUND_M = 0.5
 SPAN_M = 1.5
 LEAST_BINS = 4
 CONTRAST = 2.5
@@ -147,7 +149,7 @@ def _support(middle, start, low, height, width):
     """Bins filled above and below each group, 0 without contrast, and the middle of its stack."""
     support, xy = np.zeros(len(middle)), np.zeros((len(middle), 2))
     for g in prange(len(middle)):
-        near = near_axis(middle, start, low, middle[g, 0], middle[g, 1], 0.5)
+        near = near_axis(middle, start, low, middle[g, 0], middle[g, 1], AROUND_M)
         bits, inside, around, x, y = np.uint64(0), 0, 0, 0.0, 0.0
         for k in near:
             rise = height[k] - height[g]
@@ -162,7 +164,7 @@ def _support(middle, start, low, height, width):
                 x += middle[k, 0]
                 y += middle[k, 1]
         xy[g, 0], xy[g, 1] = x / inside, y / inside
-        ratio = (0.5 / SUPPORT_M) ** 2 - 1
+        ratio = (AROUND_M / SUPPORT_M) ** 2 - 1
         n = set_bits(bits)
         if n >= LEAST_BINS and inside * ratio >= CONTRAST * around:
             support[g] = n + inside / (inside + 50.0)
@@ -186,44 +188,14 @@ def _tops(middle, start, low, height, support):
     return top
 
 
-@njit(cache=True)
-def stack_axis(groups_middle, height, near, x0, y0, iterations=10):
-    """Robust axis (x, y at height ``middle``, lean x, lean y, middle) of groups near (x0, y0)."""
-    total, n = 0.0, 0
-    for k in near:
-        total += height[k]
-        n += 1
-    middle = total / max(n, 1)
-    ax, ay, lx, ly = x0, y0, 0.0, 0.0
-    for step in range(iterations):
-        scale = max(0.12 * 0.85**step, 0.04)
-        w0, w1, w2, sx, sy, tx, ty = 1e-9, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0
-        for k in near:
-            u = height[k] - middle
-            dx = groups_middle[k, 0] - ax - lx * u
-            dy = groups_middle[k, 1] - ay - ly * u
-            w = 1.0 / (1.0 + (dx * dx + dy * dy) / (scale * scale)) ** 2
-            w0 += w
-            w1 += w * u
-            w2 += w * u * u
-            sx += w * groups_middle[k, 0]
-            sy += w * groups_middle[k, 1]
-            tx += w * groups_middle[k, 0] * u
-            ty += w * groups_middle[k, 1] * u
-        det = w0 * w2 - w1 * w1
-        ax, lx = (w2 * sx - w1 * tx) / det, (w0 * tx - w1 * sx) / det
-        ay, ly = (w2 * sy - w1 * ty) / det, (w0 * ty - w1 * sy) / det
-        lx, ly = min(max(lx, -0.27), 0.27), min(max(ly, -0.27), 0.27)
-    return ax, ay, lx, ly, middle
-
-
 @njit(cache=True, parallel=True)
 def axes_of(middle, start, low, height, xy):
     """Robust axes (k, 5) of the stacks at plan positions ``xy``."""
     out = np.zeros((len(xy), 5))
     for c in prange(len(xy)):
         near = near_axis(middle, start, low, xy[c, 0], xy[c, 1], 0.4)
-        out[c] = np.array(stack_axis(middle, height, near, xy[c, 0], xy[c, 1]))
+        x, y, h = middle[near, 0], middle[near, 1], height[near]
+        out[c] = np.array(fit_axis(x, y, h, xy[c, 0], xy[c, 1], 0.12, 0.04, 10, 2.0))
     return out
 
 
@@ -246,7 +218,7 @@ def _stacks(middle, start, low, height, width, count, free, axes, features, ends
     """Write features and ends of each axis."""
     for c in prange(len(axes)):
         ax, ay, lx, ly, at = axes[c]
-        reach = 0.5 + 0.27 * 4
+        reach = AROUND_M + MAX_LEAN * HIGHEST_M / 2
         near = near_axis(middle, start, low, ax, ay, reach)
         away = np.empty(len(near))
         for i, k in enumerate(near):
@@ -266,21 +238,14 @@ def _stack(near, away, height, width, count, free, out, end):
     filled = np.zeros(BINS, np.bool_)
     for k in near[chosen]:
         filled[int(height[k] / BIN_M)] = True
-    begin, stop, low, last = 0, 0, -1, -9
-    for b in range(BINS):
-        if filled[b]:
-            if b - last > 3:
-                low = b
-            last = b
-            if last + 1 - low > stop - begin:
-                begin, stop = low, last + 1
+    begin, stop = longest_run(filled, 2)
     inside = (height[near] >= begin * BIN_M) & (height[near] < stop * BIN_M)
     own = near[chosen & inside]
     if not len(own):
         return
     points, others, rivals = count[own].sum(), 0, 0
     for i, k in enumerate(near):
-        if inside[i] and not chosen[i] and away[i] <= 0.5:
+        if inside[i] and not chosen[i] and away[i] <= AROUND_M:
             rivals += 1
             if away[i] <= 0.5 * usual + 0.25:
                 others += count[k]

@@ -172,9 +172,13 @@ def draw_gates(table, *, axes):
 
 def draw_density(table, *, axes):
     """Draw recall and precision over the density of the cloud; one axes each."""
+    _over(table, "density_per_m2", "points per m² of ground within 5 m", axes)
+    densities = table["density_per_m2"].unique()
     for ax in axes:
         ax.set_xscale("log")
-    return _over(table, "density_per_m2", "points per m² of ground within 5 m", axes)
+        ax.set_xticks(densities, [f"{density:.0f}" for density in densities])
+        ax.minorticks_off()
+    return axes
 
 
 def _over(table, column, label, axes):

@@ -244,7 +244,7 @@ def by_density(surveys, names, shares, *, corridor=30.0, seed=0):
     for share in sorted(shares):
         thinned = [_thinned(survey, share, seed) for survey in surveys]
         for survey in thinned:
-            for name in names:
+            for name in [name for name in names if name not in survey.found]:
                 survey.detect(name)
         table = rates(thinned, corridors=(corridor,), names=names)
         density = np.median([_ground_density(survey) for survey in thinned])
@@ -256,7 +256,7 @@ def by_density(surveys, names, shares, *, corridor=30.0, seed=0):
 def _thinned(survey, share, seed):
     """The same survey with a share of its points, drawn at random."""
     if share == 1:
-        return replace(survey, found={})
+        return survey
     kept = np.random.default_rng(seed).random(len(survey.cloud)) < share
     return replace(survey, cloud=survey.cloud.select(kept), found={})
 
