@@ -21,6 +21,7 @@ OUTCOME = "outcome.json"
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+    "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads would wait for each other
     "PYDEVD_DISABLE_FILE_VALIDATION": "1",
     "TQDM_DISABLE": "1",
 }
