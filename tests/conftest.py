@@ -4,6 +4,7 @@ import os
 
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("MMQA_HEADLESS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for each other
 
 import numpy as np
 import pytest
