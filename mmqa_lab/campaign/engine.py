@@ -30,7 +30,8 @@ def workers(count=None, *, scheduler=None):
     A task whose worker dies runs again elsewhere. One that took four workers with it gets the
     exception as its result.
     """
-    if scheduler is None and (count or os.cpu_count()) == 1:
+    count = check_count(os.cpu_count() if count is None else count, "workers")
+    if scheduler is None and count == 1:
         yield _here
         return
     from distributed import Client, LocalCluster
@@ -38,7 +39,7 @@ def workers(count=None, *, scheduler=None):
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=check_count(os.cpu_count() if count is None else count, "workers"),
+                n_workers=count,
                 threads_per_worker=1,
                 memory_limit=0,
                 dashboard_address=None,
@@ -46,7 +47,7 @@ def workers(count=None, *, scheduler=None):
             )
             scheduler = stack.enter_context(cluster)
         try:
-            client = stack.enter_context(Client(scheduler, timeout=20))
+            client = stack.enter_context(Client(scheduler, timeout=10))
         except (OSError, ValueError) as error:
             raise OSError(f"Invalid scheduler {scheduler}. Must be a running one.") from error
         yield lambda function, tasks: _there(client, function, tasks)

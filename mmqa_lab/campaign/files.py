@@ -101,7 +101,7 @@ def unpack(source, folder, origin):
     """
     folder = Path(folder)
     if source.copc:
-        low, high = np.array(source.low) - origin, np.array(source.high) - origin
+        low, high = np.array(source.low) - origin - 0.01, np.array(source.high) - origin + 0.01
         boxes, counts = np.concatenate([low[:2], high[:2]])[None], np.array([source.n])
     else:
         boxes, counts = [], []

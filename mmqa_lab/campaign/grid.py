@@ -56,7 +56,7 @@ def corner(low, cell):
     Examples
     --------
     >>> corner((600_123.4, 5_200_045.6, -3.0), 0.5)
-    (1199104, 10399744, -1024)
+    (1200128, 10399744, -1024)
     """
     return tuple(int(k) * 1024 for k in np.floor(np.asarray(low) / (1024 * cell)))
 
@@ -78,15 +78,19 @@ def fitting_tile(boxes, counts, *, cell):
 
 def occupied_tiles(boxes, grid):
     """Return the tiles that the boxes touch, as a sorted list of (i, j)."""
+    cells = cells_of(boxes, grid)
     places = set()
-    for x_low, y_low, x_high, y_high in _tile_ranges(boxes + _offset(grid), grid.tile * grid.cell):
+    for x_low, y_low, x_high, y_high in (cells // grid.tile).tolist():
         places.update((i, j) for i in range(x_low, x_high + 1) for j in range(y_low, y_high + 1))
     return sorted(places)
 
 
-def _offset(grid):
-    """From local to absolute coordinates of boxes."""
-    return np.tile(grid.origin[:2], 2)
+def cells_of(boxes, grid):
+    """Return the first and last cells of local boxes, shape (m, 4), counted from coordinates' zero.
+
+    Rounded as the points themselves are, so that none falls between two tiles.
+    """
+    return np.floor(boxes / grid.cell).astype(int) + np.tile(grid.first[:2], 2)
 
 
 def _tile_ranges(boxes, side):

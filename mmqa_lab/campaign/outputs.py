@@ -67,7 +67,8 @@ def open_map(folder, *, crs=None):
     low_x, low_y, high_x, high_y = record["cells"]
     i, j = low_x // tile, low_y // tile
     places = [[(k, m) for k in range(i, -(-high_x // tile))] for m in range(j, -(-high_y // tile))]
-    done = {p for row in places for p in row if (folder / "tiles" / tile_name(p)).is_file()}
+    current = map(tuple, record["tiles"])
+    done = {place for place in current if (folder / "tiles" / tile_name(place)).is_file()}
     cut = (slice(low_y - j * tile, high_y - j * tile), slice(low_x - i * tile, high_x - i * tile))
     variables = {}
     for name in names:
@@ -113,6 +114,16 @@ def check_ending(path):
     check_choice(Path(path).suffix, "ending of the map", ENDINGS)
 
 
+def check_crs(crs):
+    """Return the coordinate reference system, or raise where it is unknown."""
+    import pyproj
+
+    try:
+        return pyproj.CRS(crs)
+    except pyproj.exceptions.CRSError:
+        raise ValueError(f"Invalid crs {crs!r}. Must be known, like EPSG:25832.") from None
+
+
 def _blocks(folder, name, places, done, shape):
     """A variable of all tiles as one lazy array."""
     import dask.array as da
@@ -140,13 +151,9 @@ def _referenced(dataset, crs):
     """The dataset with its coordinate reference system, where there is one."""
     if not crs:
         return dataset
-    import pyproj
     import rioxarray  # noqa: F401 - it adds the accessor
 
-    try:
-        known = pyproj.CRS(crs)
-    except pyproj.exceptions.CRSError:
-        raise ValueError(f"Invalid crs {crs!r}. Must be known, like EPSG:25832.") from None
+    known = check_crs(crs)
     if known.is_compound:
         known = known.sub_crs_list[0]
     return dataset.rio.write_crs(known.to_wkt())

@@ -11,14 +11,13 @@ from mmqa_lab.io import write_atomically
 
 DRAWN = {
     "density": "density (points/m²)",
-    "linear_point_distance": "linear point distance (mm)",
-    "d1": "d1 (mm)",
     "d4": "d4 (mm)",
     "f": "f = d4/d1",
     "sigma_mad": r"$\sigma_\mathrm{MAD}$ (mm)",
     "void_share": "void share",
+    "linear_point_distance": "linear point distance (mm)",
 }
-"""The variables to draw, the first of them first, and how they are labelled."""
+"""The variables to draw, the first four of those that a map has, and their labels."""
 
 PIXELS = 600
 """Cells drawn along the longer side; larger maps are drawn by the means of blocks."""
@@ -71,9 +70,8 @@ def draw_map(dataset):
     return figure
 
 
-def write_report(path, dataset, table, *, title, lines, problems):
+def write_report(path, figure, table, *, title, lines, problems):
     """Write a page of one file: the figure, the table, the words, and what went wrong."""
-    figure = draw_map(dataset)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=200)
     text = PAGE.format(
@@ -85,7 +83,6 @@ def write_report(path, dataset, table, *, title, lines, problems):
         terms=TERMS,
     )
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return figure
 
 
 def _draw_panel(values, ax, label):

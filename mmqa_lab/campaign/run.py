@@ -11,7 +11,7 @@ import numpy as np
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab.campaign import files
 from mmqa_lab.campaign.engine import workers as start_workers
-from mmqa_lab.campaign.grid import Grid, corner, fitting_tile, occupied_tiles
+from mmqa_lab.campaign.grid import Grid, cells_of, corner, fitting_tile, occupied_tiles
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps import METRICS, evaluate_tile, reach
 
@@ -91,7 +91,7 @@ def map_campaign(
     evaluate_tile(np.empty((0, 3)), Grid(cell, 1, (0, 0)).window((0, 0)), cell=cell, **chosen)
     if tile is not None:
         tile = max(1, round(check_positive(tile, "tile", unit="m") / cell))
-    run = _Run(Path(folder), cell, chosen, tile)
+    run = _Run(Path(folder).resolve(), cell, chosen, tile)
     with start_workers(workers, scheduler=scheduler) as engine:
         return run.complete(found, partial(_shown, engine, progress))
 
@@ -130,11 +130,11 @@ class _Run:
 
     def _begin(self, sources):
         """Make or clean the folder; the grid of the run in it, or that of a new one."""
+        record = self._earlier()
         self.files.mkdir(parents=True, exist_ok=True)
         self.tiles.mkdir(exist_ok=True)
         for stale in [*self.files.glob(".*"), *self.tiles.glob(".*")]:
             stale.unlink()
-        record = self._earlier()
         if record is not None:
             return Grid(self.cell, self.tile or record["tile"], tuple(record["first"]))
         first = corner(np.min([source.low for source in sources], axis=0), self.cell)
@@ -183,7 +183,8 @@ class _Run:
         damaged = set()
         for (source, *_), problem in engine(_unpack_file, tasks, "files"):
             if problem is not None:
-                self.problems.append(str(problem))
+                named = source.path in str(problem)
+                self.problems.append(str(problem) if named else f"{source.path}: {problem}")
                 damaged.add(source)
         sound = [source for source in sources if source not in damaged]
         if not sound:
@@ -192,14 +193,9 @@ class _Run:
 
     def _tiles(self, index, boxes, grid):
         """Every tile with points, and the sources of its points and of those around it."""
-        halo = reach(
-            self.choices["surface"],
-            radius=self.choices["radius"],
-            thickness=self.choices["thickness"],
-        )
         tiles = {}
         for place in occupied_tiles(boxes, grid):
-            box = grid.box(place, halo)
+            box = grid.box(place, _halo(self.choices))
             tiles[place] = [s for s, (pieces, _) in index.items() if _any_overlap(pieces, box)]
         return tiles
 
@@ -239,9 +235,8 @@ class _Run:
 
 def _extent(boxes, grid):
     """The cells, counted from zero coordinates, between which all pieces lie."""
-    low = np.floor(boxes[:, :2].min(axis=0) / grid.cell).astype(int) + grid.first[:2]
-    high = np.floor(boxes[:, 2:].max(axis=0) / grid.cell).astype(int) + grid.first[:2]
-    return [*low.tolist(), *(high + 1).tolist()]
+    cells = cells_of(boxes, grid)
+    return [*cells[:, :2].min(axis=0).tolist(), *(cells[:, 2:].max(axis=0) + 1).tolist()]
 
 
 def tile_name(place):
@@ -263,17 +258,23 @@ def _evaluate_place(place, sources, folder, grid, choices):
     import numba
 
     numba.set_num_threads(1)
-    near = {name: choices[name] for name in ("radius", "thickness")}
-    box = grid.box(place, reach(choices["surface"], **near))
+    path = folder / "tiles" / tile_name(place)
     try:
+        box = grid.box(place, _halo(choices))
         points = files.read_box(sources, folder / "files", grid.origin, box)
     except (ValueError, OSError) as error:
+        path.unlink(missing_ok=True)  # what an earlier run left there is out of date
         return error
     figures = evaluate_tile(points, grid.window(place), cell=grid.cell, **choices)
     content = {**figures, "sources": _mark(sources)}
-    path = folder / "tiles" / tile_name(place)
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **content))
     return None
+
+
+def _halo(choices):
+    """How far around a tile points matter, m."""
+    near = {name: choices[name] for name in ("radius", "thickness")}
+    return reach(choices["surface"], **near)
 
 
 def _mark(sources):
@@ -290,5 +291,7 @@ def _shown(engine, progress, function, tasks, name):
     """Results of tasks under a progress bar."""
     from tqdm.auto import tqdm
 
-    bar = tqdm(engine(function, tasks), total=len(tasks), desc=name, disable=not progress)
+    bar = tqdm(
+        engine(function, tasks), total=len(tasks), desc=name, disable=not (progress and tasks)
+    )
     yield from bar

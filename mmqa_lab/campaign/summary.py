@@ -41,9 +41,7 @@ def summarise(dataset, *, below=None):
     """
     below = {} if below is None else below
     names = [name for name in dataset.data_vars if name not in ("n", "area")]
-    for name, threshold in below.items():
-        check_choice(name, "figure with a threshold", names)
-        check_number(threshold, f"threshold of {name}")
+    check_thresholds(below, names)
     rows = []
     for layer in dataset["layer"].values:
         area = dataset["area"].sel(layer=layer).values
@@ -54,6 +52,13 @@ def summarise(dataset, *, below=None):
             rows.append(row | _figures(values[known], area[known], below.get(name, np.nan)))
     table = pd.DataFrame(rows)
     return table[table["n"] > 0].reset_index(drop=True)
+
+
+def check_thresholds(below, names):
+    """Raise unless every threshold is a number for one of the variables ``names``."""
+    for name, threshold in below.items():
+        check_choice(name, "figure with a threshold", names)
+        check_number(threshold, f"threshold of {name}")
 
 
 def _figures(values, area, threshold):

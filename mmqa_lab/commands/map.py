@@ -19,7 +19,7 @@ SUMMARY = "density, spacing, f and sigma_MAD of a whole campaign, cell by cell"
 
 EPILOG = """\
 example:
-  mmqa map drive/ --cell 0.5 --out drive.nc --below density=1000,f=2
+  mmqa map drive/ --cell 0.5 --out drive.nc --below density=3000,f=2
   mmqa map drive/ more.copc.laz --metrics density,void_share --out map.tif --crs EPSG:25832
   mmqa map drive/ --out drive.zarr --scheduler tcp://10.0.0.5:8786
 
@@ -63,7 +63,9 @@ def add_arguments(parser):
         help="report the share of the area below these values, as density=1000,f=2",
     )
     parser.add_argument("--crs", metavar="EPSG:N", help="of the files, where they do not say")
-    parser.add_argument("--tile", type=float, metavar="M", help="side of the tiles; no result")
+    parser.add_argument(
+        "--tile", type=float, metavar="M", help="side of the tiles; changes no result"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes, default one per core")
     parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a running Dask cluster")
     add_output_arguments(parser)
@@ -74,9 +76,15 @@ def run(options):
     import sys
 
     from mmqa_lab import campaign
-    from mmqa_lab.campaign.outputs import check_ending
+    from mmqa_lab.campaign.outputs import check_crs, check_ending
+    from mmqa_lab.campaign.summary import check_thresholds
+    from mmqa_lab.maps import VARIABLES
 
     check_ending(options.out)
+    wanted = [name for metric in options.metrics for name in VARIABLES.get(metric, ())]
+    check_thresholds(options.below, wanted)
+    if options.crs:
+        check_crs(options.crs)
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
@@ -94,16 +102,19 @@ def run(options):
 
 def _write_report(options, outcome, dataset, table):
     """The report and its figure."""
-    from mmqa_lab.campaign.report import write_report
+    from mmqa_lab.campaign.report import draw_map, write_report
     from mmqa_lab.io import write_atomically
 
+    points = dataset["n"].sum(dim=("y", "x")).to_series()
     lines = [
         f"{outcome.points} points, {outcome.tiles} tiles",
+        *(f"points in layer {layer}: {n}" for layer, n in points.items()),
         *(f"{name}: {value}" for name, value in dataset.attrs.items()),
     ]
     out = options.out
     about = {"title": f"Map {out.name}", "lines": lines, "problems": outcome.problems}
-    figure = write_report(out.with_suffix(".html"), dataset, table, **about)
+    figure = draw_map(dataset)
+    write_report(out.with_suffix(".html"), figure, table, **about)
     write_atomically(out.with_suffix(".png"), figure.savefig)
 
 

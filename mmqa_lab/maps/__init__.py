@@ -5,8 +5,9 @@ point distance, share of voids. The order of work is that of the modules:
 
 1. ``cubes``: points are sorted into cubes of the cell's size (into columns, on horizontal maps).
 2. ``tangents``: each cube gets the regression plane of its points, and with it a layer: *level*,
-   *upright*, or *other* where the points show no plane.
-3. ``unfolding``: cubes are laid out side by side, each in its own plane, and searched at once by
+   *upright*, or *other* where the points show no plane. Level cubes on top of each other that show
+   one surface become one patch.
+3. ``unfolding``: patches are laid out side by side, each in its own plane, and searched at once by
    :func:`mmqa_lab.neighbourhoods.quadrant_distances`.
 4. ``tile``: per cell and layer, counts and medians.
 

@@ -67,18 +67,17 @@ def group_mads(values, starts, medians):
 
 
 @njit(cache=True)
-def occupied_squares(xyz, starts, index, face, sheets, cell, side):
-    """Squares with a point, of side x side squares on the face of each sheet of cubes."""
-    occupied = np.zeros(len(sheets) - 1, np.int64)
-    for s in range(len(occupied)):
+def occupied_squares(xyz, starts, index, face, cell, side):
+    """Squares with a point, of side x side squares on the face of each group's cell."""
+    occupied = np.zeros(len(face), np.int64)
+    for g in range(len(face)):
         seen = np.zeros((side, side), np.bool_)
-        for c in range(sheets[s], sheets[s + 1]):
-            a, b = (0, 1) if face[c] == 2 else (1 - face[c], 2)
-            for i in range(starts[c], starts[c + 1]):
-                column = int((xyz[a, i] / cell - index[c, a]) * side)
-                row = int((xyz[b, i] / cell - index[c, b]) * side)
-                seen[min(max(column, 0), side - 1), min(max(row, 0), side - 1)] = True
-        occupied[s] = seen.sum()
+        a, b = (0, 1) if face[g] == 2 else (1 - face[g], 2)
+        for i in range(starts[g], starts[g + 1]):
+            column = int((xyz[a, i] / cell - index[g, a]) * side)
+            row = int((xyz[b, i] / cell - index[g, b]) * side)
+            seen[min(max(column, 0), side - 1), min(max(row, 0), side - 1)] = True
+        occupied[g] = seen.sum()
     return occupied
 
 

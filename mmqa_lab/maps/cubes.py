@@ -55,20 +55,48 @@ def sort_into_cubes(points, cell, *, columns=False):
     )
 
 
-def ranges_around(cubes, chosen, reach):
-    """Ranges of points in the cubes up to ``reach`` cubes away, shape (m, (2 reach + 1)^2, 2).
+def join(cubes, with_next):
+    """Join cubes with the next ones where the mask, shape (m - 1,), says so.
 
-    Columns are sorted from below, so each column around a cube holds one range.
+    Returns
+    -------
+    Cubes
+        The points as they are; ``index`` is that of the lowest cube of each.
+    array of int
+        Height of the highest cube of each, in cells from the origin.
+    """
+    first = np.flatnonzero(np.append(True, ~with_next))
+    ends = np.append(first[1:], len(cubes.index))
+    starts = cubes.starts[np.append(first, len(cubes.index))]
+    return Cubes(cubes.xyz, starts, cubes.index[first], cubes.cell), cubes.index[ends - 1, 2]
+
+
+def ranges_around(cubes, low, top, reach):
+    """Ranges of points in the cubes up to ``reach`` cubes away from some piles of cubes.
+
+    Parameters
+    ----------
+    cubes : Cubes
+    low : array of int, shape (m, 3)
+        The lowest cube of each pile.
+    top : array of int, shape (m,)
+        The height of its highest cube.
+    reach : int
+
+    Returns
+    -------
+    array of int, shape (m, (2 reach + 1)^2, 2)
+        Columns are sorted from below, so each column holds one range.
     """
     first = cubes.index.min(axis=0) - reach
-    wide = (cubes.index.max(axis=0) - first + 1 + reach).astype(np.int64)
+    wide = cubes.index.max(axis=0) - first + 1 + reach
     keys = _key((cubes.index - first).T, wide)
-    places = cubes.index[chosen] - first
+    places, top = low - first, top - first[2]
     steps = np.arange(-reach, reach + 1)
     dx, dy = (step.ravel() for step in np.meshgrid(steps, steps, indexing="ij"))
-    column = (places[:, :1] + dx) * wide[1] + places[:, 1:2] + dy
-    ends = [np.searchsorted(keys, column * wide[2] + places[:, 2:] - reach)]
-    ends.append(np.searchsorted(keys, column * wide[2] + places[:, 2:] + reach, side="right"))
+    column = ((places[:, :1] + dx) * wide[1] + places[:, 1:2] + dy) * wide[2]
+    ends = [np.searchsorted(keys, column + places[:, 2:] - reach)]
+    ends.append(np.searchsorted(keys, column + top[:, None] + reach, side="right"))
     return cubes.starts[np.stack(ends, axis=2)]
 
 

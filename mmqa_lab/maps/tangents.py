@@ -1,4 +1,4 @@
-"""The tangent plane of each cube, by the orthogonal regression of its points."""
+"""Tangent planes by the orthogonal regression of the points in cubes."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ from mmqa_lab.maps._grouped import centred_scatter, signed_distances
 LEVEL, UPRIGHT, OTHER = 0, 1, 2
 """Layers: tangent planes up to 45 degrees from the horizontal, steeper ones, and no plane."""
 
-MINIMUM = 10
-"""Points that make a plane: with fewer, their dispersion about it says too little."""
+MINIMUM = 5
+"""Points that make a plane."""
 
 FLATNESS = 4.0
 """The middle eigenvalue of the scatter is this many times the least, or the points show no plane:
@@ -58,6 +58,21 @@ def tangent_planes(cubes):
     layer = np.where(planar, np.where(level, LEVEL, UPRIGHT), OTHER)
     secant = 1 / np.abs(np.take_along_axis(normals, face[:, None], axis=1)[:, 0])
     return Tangents(centres, _axes(normals, level), layer, secant, face)
+
+
+def one_surface(cubes, tangents, thickness):
+    """Mask of the cubes, shape (m - 1,), that show one level surface with the cube on top of them.
+
+    A road at the height of a border between cubes has points below it and above it.
+    """
+    index, centres = cubes.index, tangents.centres
+    same = (np.diff(index[:, :2], axis=0) == 0).all(axis=1) & (np.diff(index[:, 2]) == 1)
+    same &= (tangents.layer[1:] == LEVEL) & (tangents.layer[:-1] == LEVEL)
+    step = np.diff(centres, axis=0)
+    for normal in (tangents.axes[:-1, 2], tangents.axes[1:, 2]):
+        off = step[:, 0] * normal[:, 0] + step[:, 1] * normal[:, 1] + step[:, 2] * normal[:, 2]
+        same &= np.abs(off) <= thickness
+    return same
 
 
 def plane_residuals(cubes, tangents):

@@ -11,6 +11,9 @@ METRICS = ("density", "linear_point_distance", "spacing", "f", "sigma_mad", "voi
 
 SURFACES = ("local", "horizontal")
 
+MINIMUM = 10
+"""Points in a cell that its sigma_MAD needs: fewer lie too near to a plane fitted to them."""
+
 LAYERS = {"local": ("level", "upright", "other"), "horizontal": ("horizontal",)}
 """Layers of a map by the surface that spacing is measured in."""
 
@@ -66,9 +69,10 @@ def evaluate_tile(
     """Evaluate the points in each cell of a tile.
 
     On ``local`` maps the points of each cube of the cell's size get their own tangent plane,
-    and distances are measured in it among the points near it. A cell then has three layers, which
-    gather the cubes of its column: *level* ones up to 45 degrees from the horizontal, *upright*
-    ones, and *other* points whose cube shows no plane, which are counted only. On ``horizontal``
+    and distances are measured in it among the points near it; level cubes one above the other that
+    show one surface are taken together. A cell then has three layers, which gather what is in its
+    column: *level* surfaces up to 45 degrees from the horizontal, *upright* ones, and *other*
+    points whose cube shows no plane, which are counted only. On ``horizontal``
     maps a cell has one layer, and distances are horizontal.
 
     Parameters
@@ -102,9 +106,9 @@ def evaluate_tile(
 
     Notes
     -----
-    ``area`` is that of the cell over the cosine of the surface's tilt, once for each sheet: level
-    cubes that touch one above the other are one sheet, upright cubes a sheet each. A wall on the
-    border of two cells shows in both, with a part of its points. The quadrants' axes are east and
+    ``area`` is that of the cell over the cosine of the surface's tilt, for each surface in it; of
+    an upright one, for each cube. A wall that lies on the border of two cells shows in both, each
+    with a part of its points and with less dispersion than it has. The quadrants' axes are east and
     north, on upright planes the horizontal and the line of greatest slope; f depends on them.
     d1..d4 are medians over the cell's points that have a neighbour of that rank, as in
     :func:`mmqa_lab.neighbourhoods.spacing`. sigma_MAD is about the cubes' planes (on horizontal
@@ -140,54 +144,57 @@ def evaluate_tile(
 
 def _fill(result, points, window, cell, surface, lengths):
     """Enter the figures of every layer's cells that hold points."""
-    from mmqa_lab.maps.cubes import sort_into_cubes
-    from mmqa_lab.maps.tangents import OTHER, tangent_planes
+    from mmqa_lab.maps.cubes import join, ranges_around, sort_into_cubes
+    from mmqa_lab.maps.tangents import OTHER, one_surface, tangent_planes
+    from mmqa_lab.maps.unfolding import distances_in_planes
+    from mmqa_lab.neighbourhoods import quadrant_distances
 
     radius, thickness, void = lengths
     local = surface == "local"
     cubes = sort_into_cubes(points, cell, columns=not local)
-    tangents = tangent_planes(cubes)
-    column, row = cubes.index[:, 0] - window.column, cubes.index[:, 1] - window.row
+    tangents, patches, top = tangent_planes(cubes), cubes, cubes.index[:, 2]
+    if local:
+        patches, top = join(cubes, one_surface(cubes, tangents, thickness))
+        tangents = tangent_planes(patches)
+    column, row = patches.index[:, 0] - window.column, patches.index[:, 1] - window.row
     inside = (column >= 0) & (column < window.columns) & (row >= 0) & (row < window.rows)
     layer = tangents.layer if local else np.zeros(len(column), int)
     distances = None
-    if "d1" in result or "f" in result:
-        planar = np.flatnonzero(inside & (tangents.layer != OTHER))
-        distances = _distances(cubes, tangents, planar, surface, radius, thickness)
+    if ("d1" in result or "f" in result) and local:
+
+        def around(chosen, distance):
+            cells = int(np.ceil(distance / cell))
+            return ranges_around(cubes, patches.index[chosen], top[chosen], cells)
+
+        planar = np.flatnonzero(inside & (layer != OTHER))
+        near = {"radius": radius, "thickness": thickness}
+        distances = distances_in_planes(patches, tangents, planar, around, **near)
+    elif "d1" in result or "f" in result:
+        distances = quadrant_distances(cubes.xyz[:2].T, radius=radius)
     for k in range(result["n"].shape[0]):
         chosen = np.flatnonzero(inside & (layer == k))
         if len(chosen):
-            figures = _Layer(cubes, tangents, chosen, distances, local, void)
+            figures = _Layer(patches, tangents, chosen, distances, local, void)
             place = (k, row[chosen[figures.first]], column[chosen[figures.first]])
             result["n"][place] = figures.n
             if not local or k != OTHER:
                 figures.enter(result, place)
 
 
-def _distances(cubes, tangents, chosen, surface, radius, thickness):
-    """Sorted quadrant distances of all points, m."""
-    from mmqa_lab.maps.unfolding import distances_in_planes
-    from mmqa_lab.neighbourhoods import quadrant_distances
-
-    if surface == "horizontal":
-        return quadrant_distances(cubes.xyz[:2].T, radius=radius)
-    return distances_in_planes(cubes, tangents, chosen, radius=radius, thickness=thickness)
-
-
 class _Layer:
-    """The cubes of one layer, gathered into cells."""
+    """The patches of one layer, gathered into cells."""
 
-    def __init__(self, cubes, tangents, chosen, distances, local, void):
-        self.cubes, self.tangents, self.chosen, self.local = cubes, tangents, chosen, local
-        self.side = max(1, round(cubes.cell / void))
-        columns = cubes.index[chosen, :2]
+    def __init__(self, patches, tangents, chosen, distances, local, void):
+        self.patches, self.tangents, self.chosen, self.local = patches, tangents, chosen, local
+        self.side = max(1, round(patches.cell / void))
+        columns = patches.index[chosen, :2]
         self.first = np.flatnonzero(np.append(True, (np.diff(columns, axis=0) != 0).any(axis=1)))
-        counts = cubes.counts[chosen]
+        counts = patches.counts[chosen]
         self.n = np.add.reduceat(counts, self.first)
         self.starts = np.append(0, np.cumsum(self.n))
-        taken = np.zeros(len(cubes.counts), dtype=bool)
+        taken = np.zeros(len(patches.counts), dtype=bool)
         taken[chosen] = True
-        self.points = np.repeat(taken, cubes.counts)
+        self.points = np.repeat(taken, patches.counts)
         self.distances = None if distances is None else distances[self.points]
 
     def enter(self, result, place):
@@ -207,27 +214,17 @@ class _Layer:
         """Area of the surface in each cell, m2, and the share of it that is void."""
         from mmqa_lab.maps._grouped import occupied_squares
 
-        cubes, chosen = self.cubes, self.chosen
-        index, face = cubes.index[chosen], self.tangents.face[chosen]
+        patches, chosen = self.patches, self.chosen
         secant = self.tangents.secant[chosen] if self.local else np.ones(len(chosen))
-        joined = (np.diff(index[:, :2], axis=0) == 0).all(axis=1) & (np.diff(index[:, 2]) == 1)
-        joined &= face[1:] == 2
-        sheets = np.flatnonzero(np.append(True, ~joined))
-        counts = cubes.counts[chosen]
-        area = cubes.cell**2 * np.add.reduceat(secant * counts, sheets)
-        area /= np.add.reduceat(counts, sheets)
-        cell = np.searchsorted(self.first, sheets, side="right") - 1
-        cells = len(self.first)
-        total = np.bincount(cell, weights=area, minlength=cells)
+        area = patches.cell**2 * np.add.reduceat(secant, self.first)
         if not with_voids:
-            return total, np.full(cells, np.nan)
-        face = face if self.local else np.full(len(chosen), 2)
-        ends = np.append(sheets, len(chosen))
-        starts = np.append(0, np.cumsum(counts))
-        xyz = cubes.xyz[:, self.points]
-        seen = occupied_squares(xyz, starts, index, face, ends, cubes.cell, self.side)
-        filled = np.bincount(cell, weights=seen, minlength=cells)
-        return total, 1 - filled / (np.bincount(cell, minlength=cells) * self.side**2)
+            return area, None
+        face = self.tangents.face[chosen] if self.local else np.full(len(chosen), 2)
+        starts = np.append(0, np.cumsum(patches.counts[chosen]))
+        xyz, index = patches.xyz[:, self.points], patches.index[chosen]
+        seen = occupied_squares(xyz, starts, index, face, patches.cell, self.side)
+        squares = np.diff(np.append(self.first, len(chosen))) * self.side**2
+        return area, 1 - np.add.reduceat(seen, self.first) / squares
 
     def _spacing(self):
         """d1..d4 in mm, f, and the share of points without four neighbours."""
@@ -243,10 +240,10 @@ class _Layer:
         return found | {"incomplete_share": share}
 
     def _sigma_mad(self):
-        """sigma_MAD of the distances from the cubes' planes, mm; NaN where a cell has no plane."""
+        """sigma_MAD of the distances from the patches' planes, mm; NaN of few points."""
         from mmqa_lab.maps._grouped import group_mads, group_medians
-        from mmqa_lab.maps.tangents import MINIMUM, plane_residuals
+        from mmqa_lab.maps.tangents import plane_residuals
 
-        residuals = plane_residuals(self.cubes, self.tangents)[self.points]
+        residuals = plane_residuals(self.patches, self.tangents)[self.points]
         mads = group_mads(residuals, self.starts, group_medians(residuals, self.starts))
         return np.where(self.n >= MINIMUM, 1000 * CONSISTENT_SCALE * mads, np.nan)

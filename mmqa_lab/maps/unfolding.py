@@ -1,19 +1,18 @@
-"""Quadrant distances in each cube's own tangent plane, many cubes in one search.
+"""Quadrant distances in the tangent planes of many patches in one search.
 
-Each cube is flattened into its plane together with the points around it that lie near the plane.
+Each patch is flattened into its plane together with the points around it that lie near the plane.
 The flat pieces stand in a row, farther apart than the search reaches, and one call of
 :func:`mmqa_lab.neighbourhoods.quadrant_distances` searches them all. Coordinates in the planes are
 rounded to 2^-30 m, a nanometre, so that shifting a piece along the row changes no bit of a
 distance.
 
 Most points have their four neighbours close by, so a first round gives each piece a narrow margin;
-cubes with a point that needs more get the whole radius in a second round.
+patches with a point that needs more get the whole radius in a second round.
 """
 
 import numpy as np
 
 from mmqa_lab.maps._grouped import count_near, flatten
-from mmqa_lab.maps.cubes import ranges_around
 from mmqa_lab.neighbourhoods import quadrant_distances
 
 FIRST_MARGIN = 4.0
@@ -23,68 +22,67 @@ AT_ONCE = 2_000_000
 """Flattened points in one search, which bounds the memory."""
 
 
-def distances_in_planes(cubes, tangents, chosen, *, radius, thickness):
-    """Sorted quadrant distances of the points of some cubes, each in its cube's plane.
+def distances_in_planes(patches, tangents, chosen, around, *, radius, thickness):
+    """Sorted quadrant distances of the points of some patches, each in its patch's plane.
 
     Parameters
     ----------
-    cubes : Cubes
-        With the points around those of interest, as far as ``radius + 2 thickness``.
+    patches : Cubes
+        Cubes, or piles of them.
     tangents : Tangents
     chosen : array of int
-        The cubes of interest; they have planes.
+        The patches of interest; they have planes.
+    around : function
+        ``around(chosen, distance)`` gives the ranges of points as far as ``distance`` from patches,
+        shape (m, k, 2).
     radius, thickness : float
         Neighbours lie within ``radius`` in the plane and ``thickness`` to either side of it, m.
 
     Returns
     -------
     array, shape (n, 4)
-        For all points of ``cubes``, m; NaN for points of other cubes and points off the plane.
+        For all points, m; NaN for points of other patches and points off the plane.
     """
-    distances = np.full((cubes.xyz.shape[1], 4), np.nan)
-    near = FIRST_MARGIN * cubes.cell / np.sqrt(cubes.counts[chosen])
-    open_ = _search(cubes, tangents, chosen, np.minimum(near, radius), thickness, distances)
-    _search(cubes, tangents, chosen[open_], np.full(open_.sum(), radius), thickness, distances)
+    distances = np.full((patches.xyz.shape[1], 4), np.nan)
+    near = np.minimum(FIRST_MARGIN * patches.cell / np.sqrt(patches.counts[chosen]), radius)
+    choices = {"thickness": thickness, "around": around, "distances": distances}
+    unsettled = _search(patches, tangents, chosen, near, **choices) & (near < radius)
+    again = chosen[unsettled]
+    _search(patches, tangents, again, np.full(len(again), radius), **choices)
     return distances
 
 
-def _search(cubes, tangents, chosen, margins, thickness, distances):
-    """Fill in the distances of the chosen cubes; mask of those that the margin did not settle."""
+def _search(patches, tangents, chosen, margins, *, thickness, around, distances):
+    """Fill in the distances of the chosen patches; mask of those the margin did not settle."""
     unsettled = np.zeros(len(chosen), dtype=bool)
     if not len(chosen):
         return unsettled
-    reach = int(np.ceil((margins.max() + 2 * thickness) / cubes.cell))
-    ranges = ranges_around(cubes, chosen, reach)
+    ranges = around(chosen, margins.max() + 2 * thickness)
+    planes = tangents.centres, tangents.axes
     outlines, counts = count_near(
-        cubes.xyz, cubes.starts, ranges, chosen, tangents.centres, tangents.axes, margins, thickness
+        patches.xyz, patches.starts, ranges, chosen, *planes, margins, thickness
     )
-    batches = np.cumsum(counts) // AT_ONCE
+    some = np.flatnonzero(counts)
+    batches = np.cumsum(counts[some]) // AT_ONCE
     for batch in np.unique(batches):
-        part = np.flatnonzero(batches == batch)
-        unsettled[part] = _search_batch(
-            cubes, tangents, chosen[part], margins[part], thickness, distances,
-            ranges[part], outlines[part], counts[part],
+        part = some[batches == batch]
+        shift = _side_by_side(outlines[part], margins[part])
+        xy, rows = np.empty((counts[part].sum(), 2)), np.empty(counts[part].sum(), np.int64)
+        flatten(
+            patches.xyz, patches.starts, ranges[part], chosen[part], *planes, margins[part],
+            thickness, outlines[part], shift, xy, rows,
         )  # fmt: skip
+        found = quadrant_distances(xy, radius=margins[part].max())
+        own = rows >= 0
+        distances[rows[own]] = found[own]
+        piece = np.repeat(part, counts[part])[own]
+        beyond = ~(found[own, 3] <= margins[piece])
+        unsettled |= np.bincount(piece, weights=beyond, minlength=len(chosen)) > 0
     return unsettled
 
 
-def _search_batch(cubes, tangents, chosen, margins, thickness, distances, ranges, outlines, counts):
-    """One row of flat pieces, one search."""
-    if not counts.sum():
-        return np.zeros(len(chosen), dtype=bool)
-    radius = margins.max()
+def _side_by_side(outlines, margins):
+    """Shifts along the row that keep the pieces apart; whole 1024ths of a metre, so exact."""
     left = np.floor(1024 * (outlines[:, 0] - margins)) / 1024
-    wide = np.ceil(1024 * (outlines[:, 1] + margins - left + 1.01 * radius)) / 1024
-    shift = np.append(0.0, np.cumsum(wide)[:-1]) - left
-    xy = np.empty((counts.sum(), 2))
-    rows = np.empty(len(xy), np.int64)
-    flatten(
-        cubes.xyz, cubes.starts, ranges, chosen, tangents.centres, tangents.axes, margins,
-        thickness, outlines, shift, xy, rows,
-    )  # fmt: skip
-    found = quadrant_distances(xy, radius=radius)
-    own = rows >= 0
-    distances[rows[own]] = found[own]
-    piece = np.repeat(np.arange(len(chosen)), counts)[own]
-    beyond = ~(found[own, 3] <= margins[piece])
-    return np.bincount(piece, weights=beyond, minlength=len(chosen)) > 0
+    wide = np.ceil(1024 * (outlines[:, 1] + margins - left + 1.01 * margins.max())) / 1024
+    return np.append(0.0, np.cumsum(wide)[:-1]) - left

@@ -1,0 +1,123 @@
+"""``mmqa map`` as its users meet it."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import samples
+from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import write_cloud
+
+PATCH = str(samples.path("road_patch"))
+QUICK = ["--workers", "1", "--radius", "0.2", "--cell", "0.25"]
+
+
+def test_a_map_comes_with_summary_figure_and_report(tmp_path, capsys):
+    import xarray as xr
+
+    out = tmp_path / "patch.nc"
+    assert (
+        main(["map", PATCH, "--out", str(out), "--below", "f=2,density=1000", "--json", *QUICK])
+        == 0
+    )
+    rows = json.loads(capsys.readouterr().out)
+    level = {row["variable"]: row for row in rows if row["layer"] == "level"}
+    assert level["density"]["share_below"] < 0.5
+    assert (level["f"]["threshold"], level["f"]["share_below"]) == (2, 0)  # crossing scan heads
+    assert level["d1"]["threshold"] is None
+    assert len(pd.read_csv(tmp_path / "patch.csv")) == len(rows)
+    with xr.open_dataset(out) as dataset:
+        assert dataset["n"].sum() == 28_185
+        assert dataset["d1"].attrs["units"] == "mm"
+        assert dataset.attrs["cell_m"] == 0.25
+    page = (tmp_path / "patch.html").read_text(encoding="utf-8")
+    for word in (
+        "NCHRP",
+        "2024 rev. A",
+        "28185 points",
+        "All files and all tiles",
+        "data:image/png",
+    ):
+        assert word in page
+    assert (tmp_path / "patch.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):
+    import rasterio
+    import xarray as xr
+
+    from mmqa_lab import campaign
+
+    choices = {"cell": 0.25, "metrics": ("density", "spacing"), "workers": 1}
+    campaign.map_campaign([PATCH], tmp_path / "run", tile=1, **choices)
+    for ending in ("tif", "zarr", "nc"):
+        dataset = campaign.open_map(tmp_path / "run", crs="EPSG:2056")
+        campaign.write_map(dataset, tmp_path / f"m.{ending}")
+    with xr.open_zarr(tmp_path / "m.zarr") as zarr, xr.open_dataset(tmp_path / "m.nc") as netcdf:
+        np.testing.assert_array_equal(zarr["d4"].values, netcdf["d4"].values)
+        expected = netcdf["d4"].sel(layer="level").load()
+    with rasterio.open(tmp_path / "m.tif") as tif:
+        assert tif.crs.to_epsg() == 2056
+        band = tif.descriptions.index("level d4") + 1
+        rows, columns = 3, 4
+        x, y = tif.xy(rows, columns)
+        obtained = tif.read(band)
+        assert obtained[rows, columns] == expected.sel(x=x, y=y, method="nearest")
+        np.testing.assert_array_equal(obtained, expected.values[::-1])
+
+
+def test_a_damaged_file_gives_status_1_and_its_name(tmp_path, capsys):
+    (tmp_path / "cut.laz").write_bytes(samples.path("chart_a_5m").read_bytes()[:20_000])
+    out = tmp_path / "map.nc"
+    arguments = ["map", PATCH, str(tmp_path / "cut.laz"), "--out", str(out), *QUICK]
+    assert main(arguments) == 1
+    printed = capsys.readouterr()
+    assert "cut.laz" in printed.err
+    assert "density" in printed.out
+    assert out.is_file()
+    page = (tmp_path / "map.html").read_text(encoding="utf-8")
+    assert "Missing from the map" in page
+    assert "cut.laz" in page
+
+
+def bad(tmp_path):
+    """Arguments, and a part of the sentence they must get."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "notes.txt").write_text("0 0 0\n")
+    (tmp_path / "cut.laz").write_bytes(b"LASF")
+    write_cloud(tmp_path / "one.las", Cloud(np.zeros((1, 3))))
+    out = ["--out", str(tmp_path / "map.nc")]
+    return [
+        ([str(tmp_path / "none.laz"), *out], "no such file or folder. Must exist."),
+        ([str(tmp_path / "folder"), *out], "Must be, or hold, .las or .laz files."),
+        ([str(tmp_path / "notes.txt"), *out], "Must be, or hold, .las or .laz files."),
+        ([str(tmp_path / "cut.laz"), *out], "Must have a header."),
+        ([PATCH, "--out", "map.png"], "Must be one of .nc, .zarr, .tif."),
+        ([PATCH, *out, "--cell", "0"], "Invalid cell 0.0. Must be > 0 m."),
+        ([PATCH, *out, "--tile", "-5"], "Invalid tile -5.0. Must be > 0 m."),
+        ([PATCH, *out, "--metrics", "beauty"], "Invalid metric 'beauty'. Must be one of density"),
+        ([PATCH, *out, "--below", "density"], "Must be NAME=VALUE"),
+        ([PATCH, *out, "--below", "beauty=1"], "Invalid figure with a threshold 'beauty'"),
+        ([PATCH, *out, "--crs", "EPSG:0"], "Invalid crs 'EPSG:0'. Must be known"),
+        ([PATCH, "--out", str(tmp_path / "m.tif")], "no coordinate reference system in the files"),
+        ([PATCH, *out, "--workers", "0"], "Invalid workers 0. Must be a whole number >= 1."),
+    ]
+
+
+@pytest.mark.parametrize("case", range(13))
+def test_bad_input_gets_one_sentence_and_no_map(tmp_path, capsys, case):
+    arguments, sentence = bad(tmp_path)[case]
+    quick = [] if "--workers" in arguments else ["--workers", "1"]
+    try:
+        status = main(["map", *arguments, *quick])
+    except SystemExit as stop:  # argparse leaves this way
+        status = stop.code
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert out == ""
+    assert sentence in err
+    assert "Traceback" not in err
+    assert not list(tmp_path.glob("m*.nc")) + list(tmp_path.glob("m*.tif"))
