@@ -10,11 +10,13 @@ from pathlib import Path
 import ipywidgets
 import numpy as np
 import pandas as pd
+from IPython.display import Image, Markdown, display
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.chart_image.legibility import MARKS, check_marks
 from mmqa_lab.chart_image.light import encode
 from mmqa_lab.io import write_atomically
+from mmqa_lab.views import is_headless
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
@@ -108,6 +110,11 @@ class JuryForm:
         own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._order)]
         if len(own):
             self._write(marks.drop(own[-1]))
+
+    def _ipython_display_(self):
+        """The form, or the crop it shows where there is no screen."""
+        shown = Image(self._picture.value) if self._picture.value else Markdown(self._line.value)
+        display(shown if is_headless() else self.box)
 
     def _write(self, marks):
         """Replace the file by these marks, then show what is next."""

@@ -22,8 +22,8 @@ MARKS = ("a", "b", "c")
 X_HEIGHT_SHARE = 0.75
 """Height of lower-case letters in capitals of the chart's font."""
 
-CROP_MARGIN = 0.35
-"""Margin around a line, in heights of its capitals: with tails, without the next line."""
+CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
+"""Margins of a line, in heights of its capitals: room for its own tails, none for its neighbours'."""
 
 READING_CAPS_PX = (20.0, 30.0)
 """Heights of the capitals that lines are enlarged to for an automatic reader, which tries both."""
@@ -91,9 +91,9 @@ def text_crops(image, layout, chart_map):
     """
     crops = []
     for element in layout.of_kind(Text):
-        margin = CROP_MARGIN * element.cap
-        low = np.array([element.x - margin, element.y - margin])
-        high = np.array([element.x + element.width + margin, element.y + element.cap + margin])
+        low, size = np.array([element.x, element.y]), np.array([element.width, element.cap])
+        high = low + size + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
+        low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])
         outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         pixels = chart_map.pixels(outline)
         first = np.floor(pixels.min(axis=0)).astype(int)

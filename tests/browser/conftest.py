@@ -74,11 +74,17 @@ def browser():
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory):
+def lab_folder(tmp_path_factory):
+    """The folder that JupyterLab serves."""
+    folder = tmp_path_factory.mktemp("lab") / "notebooks"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def lab(lab_folder):
     """JupyterLab that serves quick copies of the notebooks; its address."""
-    folder = tmp_path_factory.mktemp("lab")
-    copies = folder / "notebooks"
-    copies.mkdir()
+    folder, copies = lab_folder.parent, lab_folder
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
         _insert_quick(notebook, name.lstrip("0123456789_"))

@@ -1,22 +1,23 @@
 """Chart metrics, Pfeifer et al. 2021: Table 2 from point clouds, Table 1 from images.
 
 ``points`` holds the published Table 2 and real clouds, ``systems`` the same table from
-specifications.
+specifications, ``images`` Table 1 from specifications and photographs.
 """
 
-from mmqa_lab.studies.chart_tables import points, systems
+from mmqa_lab.studies.chart_tables import images, points, systems
 
-QUICK = systems.QUICK
+QUICK = {**systems.QUICK, **images.QUICK}
 
 
-def claims(measured, check, simulated):
+def claims(measured, check, simulated, imaged):
     """Test what the notebook says.
 
     Parameters
     ----------
     measured, check : DataFrame
         Of ``points.compute`` and of the published table's check.
-    simulated : tuple
-        The arguments of ``systems.claims``.
+    simulated, imaged : tuple
+        The arguments of ``systems.claims`` and of ``images.claims``.
     """
-    return [*points.claims(measured, check), *systems.claims(*simulated)]
+    clouds = points.claims(measured, check)
+    return [*clouds, *systems.claims(*simulated), *images.claims(*imaged)]

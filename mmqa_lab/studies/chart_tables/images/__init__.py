@@ -1,7 +1,7 @@
 """Table 1 from images: systems A, B and C predicted, fitted, photographed and compared.
 
 ``predicted`` has the specifications and the limit of line pairs, ``fitted`` point spreads and
-motion, ``photographs`` renders and reads the chart, ``comparisons`` sets everything side by side,
+motion, ``rendered`` photographs and reads the chart, ``comparisons`` sets everything side by side,
 ``legible`` holds legibility, ``drawings`` draws and ``findings`` says what holds.
 """
 
@@ -23,7 +23,12 @@ from mmqa_lab.studies.chart_tables.images.drawings import (
     draw_widths,
 )
 from mmqa_lab.studies.chart_tables.images.findings import claims
-from mmqa_lab.studies.chart_tables.images.fitted import best_spread, fit_systems, one_spread
+from mmqa_lab.studies.chart_tables.images.fitted import (
+    best_spread,
+    fit_systems,
+    one_spread,
+    same_spread,
+)
 from mmqa_lab.studies.chart_tables.images.legible import (
     IndexFit,
     fit_index,
@@ -33,15 +38,8 @@ from mmqa_lab.studies.chart_tables.images.legible import (
     readable,
     text_crops,
 )
-from mmqa_lab.studies.chart_tables.images.photographs import (
-    evaluate,
-    finer_chart,
-    photograph,
-    photographs,
-    readings,
-    specified,
-)
 from mmqa_lab.studies.chart_tables.images.predicted import (
+    TYPICAL_SIGMA_PX,
     geometry,
     ladder_widths,
     limits_mm,
@@ -50,16 +48,27 @@ from mmqa_lab.studies.chart_tables.images.predicted import (
     steps_between,
     width_cells,
 )
+from mmqa_lab.studies.chart_tables.images.rendered import (
+    evaluate,
+    finer_chart,
+    photograph,
+    photographs,
+    readings,
+    specified,
+)
 
 QUICK = {
     "photographed_systems": ["C"],
+    "photographed_distances": [10],
     "photos_per_row": 1,
-    "spreads_px": [0.4, 0.6, 0.8, 1.0],
-    "motions_px": [0, 1, 2, 4],
+    "spreads_px": [0.4, 0.7, 1.0],
+    "motions_px": [0, 2, 4],
 }
+"""For the tests: parameters of the notebook."""
 
 __all__ = [
     "QUICK",
+    "TYPICAL_SIGMA_PX",
     "IndexFit",
     "best_spread",
     "claims",
@@ -90,6 +99,7 @@ __all__ = [
     "pixel_sizes",
     "readable",
     "readings",
+    "same_spread",
     "scenarios",
     "side_by_side",
     "specified",

@@ -6,7 +6,7 @@ from mmqa_lab import chart_image, charts
 from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.figures import COLOURS, KIND_COLOURS
 from mmqa_lab.published.pfeifer2021_images import LADDER_MM, VIEWS
-from mmqa_lab.studies.chart_tables.images.photographs import ROW
+from mmqa_lab.studies.chart_tables.images.rendered import ROW
 
 STYLES = {
     "published": ("published", "_", "full"),
@@ -28,6 +28,7 @@ def draw_photo(image, chart_map, layout, readings, *, ax):
         colour = "sky" if resolved[pairs.name] else "vermilion"
         ax.plot(*chart_map.pixels(outline).T, color=COLOURS[colour], lw=1)
     ax.set(xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
     for colour, label in (("sky", "resolved"), ("vermilion", "refused")):
         ax.plot([], [], color=COLOURS[colour], label=label)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2)

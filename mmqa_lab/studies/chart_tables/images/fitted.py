@@ -56,8 +56,12 @@ def best_spread(trials, systems):
         ``system``, ``kind`` = fitted, ``sigma_px`` (the same for all) and ``blur_mm`` = 0.
     """
     order = trials.sort_values(["within_one_step", "exact"], ascending=False, kind="stable")
-    best = {"kind": "fitted", "sigma_px": float(order["sigma_px"].iloc[0]), "blur_mm": 0.0}
-    return pd.DataFrame({"system": list(systems)}).assign(**best)
+    return same_spread(systems, float(order["sigma_px"].iloc[0]), kind="fitted")
+
+
+def same_spread(systems, sigma_px, *, kind):
+    """Return the model in which all systems have one point spread and no motion."""
+    return pd.DataFrame({"system": list(systems)}).assign(kind=kind, sigma_px=sigma_px, blur_mm=0.0)
 
 
 def fit_systems(cells, limits):
