@@ -57,20 +57,19 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
     if not chords:
         return np.nan
     chords, spacing = np.array(chords), np.median(spacings)
-    # a board or a branch widens chords, be they the most: the narrowest that agree are the shaft's
-    chords = chords[chords <= 1.5 * _narrowest(chords, 2 * spacing) + 2 * spacing]
+    # chords through a board or a branch agree with no others; a taper stays within the factor
+    chords = chords[chords <= 2.5 * _usual(chords, 1.5 * spacing) + 2 * spacing]
     spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
     usual = np.abs(chords - np.median(chords)) <= spread
     return float(chords[usual].mean() + spacing)
 
 
-def _narrowest(chords, window):
-    """Median of the narrowest chords of which a fifth, and at least four, agree within a window."""
+def _usual(chords, window):
+    """Median of the most chords that agree within a window, the narrowest of equally many."""
     chords = np.sort(chords)
-    least = min(max(4, round(0.2 * len(chords))), len(chords))
     agree = np.searchsorted(chords, chords + window, side="right") - np.arange(len(chords))
-    first = np.argmax(agree >= least) if (agree >= least).any() else 0
-    return np.median(chords[first : first + max(agree[first], 1)])
+    first = np.argmax(agree)
+    return np.median(chords[first : first + agree[first]])
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
@@ -165,8 +164,15 @@ def fit_circle(points, *, diameter=None, scale=0.01):
         """Distances from the circle."""
         return np.hypot(*(xy - p[:2]).T) - (np.exp(p[2]) if free else radius)
 
+    def jacobian(p):
+        """Derivatives of the distances."""
+        off = p[:2] - xy
+        away = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
+        return np.column_stack([away, np.full(len(xy), -np.exp(p[2]))]) if free else away
+
+    choices = {"jac": jacobian, "loss": "cauchy", "f_scale": scale}
     fits = [
-        least_squares(misfit, [*start, np.log(radius)][: 2 + free], loss="cauchy", f_scale=scale)
+        least_squares(misfit, [*start, np.log(radius)][: 2 + free], **choices)
         for start in [(x, y), *around]
     ]
     best = min(fits, key=lambda fit: fit.cost)
