@@ -23,7 +23,7 @@ X_HEIGHT_SHARE = 0.75
 """Height of lower-case letters in capitals of the chart's font."""
 
 CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
-"""Margins of a line, in heights of its capitals: room for its own tails, none for its neighbours'."""
+"""Margins of a line, in heights of its capitals: its own tails fit, its neighbours' do not."""
 
 READING_CAPS_PX = (20.0, 30.0)
 """Heights of the capitals that lines are enlarged to for an automatic reader, which tries both."""
