@@ -52,7 +52,7 @@ def draw_operating(curves, rates, *, ax, corridor):
     ax.set(
         xlabel=f"recall within {corridor:g} m", ylabel="precision", xlim=(0, 1), ylim=(0.4, 1.01)
     )
-    ax.legend(loc="lower left")
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2)
     return ax
 
 
@@ -118,13 +118,16 @@ def draw_thresholds(table, *, ax):
     wide = own.pivot(index="method", columns="quantity", values="value")
     families = sorted({name.split(" = ")[0] for name in wide.index if name != "default"})
     colours = [colour for name, colour in COLOURS.items() if name != "black"]
+    taken = []
     for family, colour in zip(families, colours * 3, strict=False):
         part = wide[[name.startswith(f"{family} = ") for name in wide.index]]
         ax.plot(part["recall"], part["precision"], "o", ms=4, color=colour, label=family)
         for label, row in part.iterrows():
-            text = label.split(" = ")[1]
             at = (row["recall"], row["precision"])
-            ax.annotate(text, at, xytext=(3, 2), textcoords="offset points", fontsize=6)
+            taken.append(at)
+            # settings with the same outcome are written one above the other
+            shift = {"xytext": (5, 7 * taken.count(at) - 5), "textcoords": "offset points"}
+            ax.annotate(label.split(" = ")[1], at, color=colour, fontsize=6, **shift)
     middle = wide.loc["default"]
     star = {"ms": 9, "ls": "none", "color": COLOURS["black"], "label": "default"}
     ax.plot(middle["recall"], middle["precision"], "*", **star)
@@ -197,9 +200,12 @@ def _over(table, column, label, axes):
 def draw_facades(table, *, ax):
     """Draw completeness, correctness and quality of the class of walls over the distance."""
     own = table[table["range_m"].notna() & (table["n"] > 0)]
-    colours = ("blue", "orange", "black")
-    for name, colour in zip(("completeness", "correctness", "quality"), colours, strict=True):
-        ax.plot(own["range_m"], own[name], "o-", ms=3, color=COLOURS[colour], label=name)
+    for name, colour, line in (
+        ("completeness", "blue", "o-"),
+        ("correctness", "orange", "o-"),
+        ("quality", "black", "x:"),
+    ):
+        ax.plot(own["range_m"], own[name], line, ms=4, color=COLOURS[colour], label=name)
     ax.set(xlabel="distance from the path (m)", ylabel="share of facade points", ylim=(0, 1.02))
     ax.legend(loc="lower left")
     return ax
