@@ -17,6 +17,7 @@ from mmqa_lab.poles import (
     ours,
     profiles,
     trees,
+    walls,
 )
 from mmqa_lab.simulate import streets
 
@@ -350,24 +351,24 @@ def test_a_wall_behind_leaves_is_still_a_plane(rng):
     bare = wall(-4, 4, -3)[0]
     leaves = rng.uniform([-4, -3 + 0.05, 0], [4, -3 + 0.4, 4], (2500, 3))
     points = np.vstack([floor(), bare, leaves])
-    rough = itc.rough_classes(points, itc.Settings())
+    rough = walls.rough_classes(points, itc.Settings())
     on = np.zeros(len(points), dtype=bool)
     on[len(floor()) : len(floor()) + len(bare)] = True
-    score = itc.facade_score(rough, on, counted=points[:, 2] > 0.5)
+    score = walls.facade_score(rough, on, counted=points[:, 2] > 0.5)
     # least squares through wall and leaves alike would be 0.1 m thick: no plane, no wall
     assert score.completeness > 0.9
     assert score.correctness > 0.85
     order = rng.permutation(len(points))
-    assert (itc.rough_classes(points[order], itc.Settings()) == rough[order]).all()
+    assert (walls.rough_classes(points[order], itc.Settings()) == rough[order]).all()
 
 
 def test_facade_classes(rng):
     cloud = scene(wall(-4, 4, -3), post(1, 2, line=300), rng=rng)
-    rough = itc.rough_classes(cloud.points, itc.Settings())
+    rough = walls.rough_classes(cloud.points, itc.Settings())
     on_wall = (np.abs(cloud.points[:, 1] + 3) < 0.05) & (cloud.points[:, 2] > 0.5)
     on_post = np.hypot(cloud.points[:, 0] - 1, cloud.points[:, 1] - 2) < 0.1
-    assert (rough[on_wall] == itc.WALL).mean() > 0.9
-    assert (rough[on_post & (cloud.points[:, 2] > 0.5)] == itc.RAISED).all()
+    assert (rough[on_wall] == walls.WALL).mean() > 0.9
+    assert (rough[on_post & (cloud.points[:, 2] > 0.5)] == walls.RAISED).all()
 
 
 def test_the_model_file_is_what_is_used():

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab.poles.axes import chord_diameter, circle_diameter
 from mmqa_lab.poles.columns import base, near_axis, rows
 from mmqa_lab.poles.profiles import pulse_numbers
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
+from mmqa_lab.poles.walls import joined
 
 BIN_M = 0.1
 """Resolution along the axis at which the mask counts points."""
@@ -156,13 +155,7 @@ def _clusters(groups, settings):
     distance = np.hypot(*(groups["centre"][a, :2] - groups["centre"][b, :2]).T)
     half = groups["half"][a] + groups["half"][b]
     linked = (groups["line"][a] != groups["line"][b]) & (distance <= half + settings.overlap)
-    return _joined(a[linked], b[linked], n)
-
-
-def _joined(a, b, n):
-    """Number of the connected component of each of n things."""
-    graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
-    return connected_components(graph, directed=False)[1]
+    return joined(a[linked], b[linked], n)
 
 
 def _moments(points, member):
@@ -228,10 +221,10 @@ def _merged(points, member, settings):
     a, b = tall[pairs[:, 0]], tall[pairs[:, 1]]
     gap = np.maximum(low[a], low[b]) - np.minimum(high[a], high[b])
     linked = _coaxial(centre, direction, high - low, a, b, settings) & (gap <= settings.merge_gap)
-    joined = _joined(a[linked], b[linked], len(count))
+    part = joined(a[linked], b[linked], len(count))
     result = np.full(len(member), -1)
     use = (high - low >= 2 * BIN_M)[member[kept]]
-    result[kept[use]] = np.unique(joined[member[kept[use]]], return_inverse=True)[1]
+    result[kept[use]] = np.unique(part[member[kept[use]]], return_inverse=True)[1]
     return result
 
 

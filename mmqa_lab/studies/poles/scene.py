@@ -57,7 +57,7 @@ def plot_street(survey, name, *, corridor, off_screen):
             pole = pyvista.Cylinder(center=middle, direction=lean, **size)
             plotter.add_mesh(pole, color=COLOURS[colour])
     legend = [[f"{label} ({len(places[label])})", COLOURS[colour]] for label, colour in OUTCOMES]
-    plotter.add_legend(legend, bcolor="white", face="rectangle", size=(0.27, 0.13))
+    plotter.add_legend(legend, bcolor="white", face="rectangle", loc="upper left", size=(0.3, 0.11))
     _look_along(plotter, survey.street.length_m)
     return plotter
 

@@ -10,7 +10,7 @@ from tqdm.auto import tqdm
 
 from mmqa_lab import accuracy, poles
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles import itc
+from mmqa_lab.poles import itc, walls
 from mmqa_lab.poles.table import drop_duplicates
 from mmqa_lab.simulate import streets
 
@@ -285,16 +285,16 @@ def facades(surveys, *, edges=FACADE_RANGES_M):
     counts = np.zeros((len(bands), 3), dtype=np.int64)
     for survey in surveys:
         points = survey.cloud.points
-        rough = itc.rough_classes(points, itc.Settings())
+        rough = walls.rough_classes(points, itc.Settings())
         label = survey.street.labels[survey.cloud["surface"]]
         away = np.abs(points[:, 0])
         for k, (low, high) in enumerate(bands):
             counted = (away > low) & (away <= high) & (label != "pane")
-            score = itc.facade_score(rough, label == "facade", counted=counted)
+            score = walls.facade_score(rough, label == "facade", counted=counted)
             counts[k] += score.right, score.missed, score.wrong
     rows = []
     for (low, high), count in zip(bands, counts, strict=True):
-        score = itc.FacadeScore(*(int(n) for n in count))
+        score = walls.FacadeScore(*(int(n) for n in count))
         row = {"range_m": (low + high) / 2, "n": score.right + score.missed}
         rows.append(row | {name: getattr(score, name) for name in FACADE_SCORES})
     rows[-1]["range_m"] = np.nan
