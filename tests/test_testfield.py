@@ -224,6 +224,13 @@ def test_command(tmp_path, ground, capsys):
     assert removed["rmse_v_mm"] is None
     assert main(["accuracy", *files, "--reference-std", "-1"]) == 2
     assert "Invalid reference-std -1" in capsys.readouterr().err
+    np.savetxt(tmp_path / "far.csv", reference + 1e5, delimiter=",", header="x,y,z", comments="")
+    path = tmp_path / "path.csv"
+    path.write_text("time_s,easting_m,northing_m,height_m\n0,0,0,2\n1,9,9,2\n")
+    far = [files[0], str(tmp_path / "far.csv"), "--trajectory", str(path)]
+    assert main(["accuracy", *far, "--json"]) == 0
+    nothing = json.loads(capsys.readouterr().out)[0]
+    assert (nothing["n"], nothing["no_points"], nothing["trend_mm_per_m"]) == (0, 64, None)
     assert main(["accuracy", *files, "--drives"]) == 2
     assert "gps_time" in capsys.readouterr().err
     assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2

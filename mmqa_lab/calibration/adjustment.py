@@ -58,17 +58,25 @@ class Adjustment:
         columns = self.sample.head[:, None] * len(PARAMETERS) + np.arange(len(PARAMETERS))
         derivatives = self.sample.derivatives(values, normal)
         np.put_along_axis(jacobian, columns, derivatives, axis=1)
-        counts = self.counts
-        starts = np.cumsum(counts) - counts
-        for column in basis.T[:, :, None]:
-            share = np.add.reduceat(column * jacobian, starts)
-            jacobian -= column * np.repeat(share, counts, axis=0)
+        planes = sum(feature.kind == "plane" for feature in self.features)
+        for number, column in enumerate(basis.T):
+            # the first columns are all that planes, which come first, have
+            self._eliminate(jacobian, column, first=0 if number < 3 else planes)
         if not self.absolute:
             level = np.zeros((1, parameters.size))
             level[0, 5 :: len(PARAMETERS)] = np.sqrt(len(misfit))
             misfit, jacobian = np.append(misfit, level @ parameters), np.vstack([jacobian, level])
         self.last = (parameters.copy(), misfit, jacobian)
         return misfit, jacobian
+
+    def _eliminate(self, jacobian, column, first):
+        """Take a column of unit length in each feature out of the rows from a feature on."""
+        counts = self.counts[first:]
+        rows = slice(self.counts[:first].sum(), None)
+        column = column[rows, None]
+        if len(counts):
+            share = np.add.reduceat(column * jacobian[rows], np.cumsum(counts) - counts)
+            jacobian[rows] -= column * np.repeat(share, counts, axis=0)
 
     def solved(self, values):
         """The scipy result, and the estimates (heads, 6); bad features leave on the way."""
@@ -82,8 +90,8 @@ class Adjustment:
                 parameters,
                 jac=lambda p: self.system(p)[1],
                 x_scale="jac",
-                xtol=1e-9,
-                ftol=1e-9,
+                xtol=1e-7,
+                ftol=1e-7,
                 max_nfev=20,
             )
             parameters = found.x

@@ -73,8 +73,7 @@ class Sample:
         """Change of each point along ``normal`` (n, 3) by its own head's parameters, (n, 6)."""
         beam = self.turned(values)
         across = np.einsum("nij,ni->nj", self.rotation, normal)
-        turns = np.stack([np.cross(axis, beam) for axis in AXES], axis=1)
-        return np.hstack([np.einsum("nkj,nj->nk", turns, across), across])
+        return np.hstack([np.cross(beam, across) @ AXES.T, across])
 
 
 def drive_points(drives, lever, origin, values, rng):

@@ -156,6 +156,7 @@ def _rows(name, table, path, reference_std):
         rows[reason.replace(" ", "_")] = int((table["reason"] == reason).sum())
     if path is not None:
         used = table[table["reason"] == ""]
-        distance = distance_to_path(used[["x_m", "y_m"]].to_numpy(), path)
+        places = used[["x_m", "y_m"]].to_numpy()
+        distance = distance_to_path(places, path) if len(places) else []
         rows = rows.assign(**trend_columns(distance, 1000 * used["dz_m"]))
     return rows

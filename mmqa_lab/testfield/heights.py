@@ -133,7 +133,7 @@ def height_accuracy(table):
     shift = dz.mean() if len(dz) else np.nan
     parts = (("kept", 0), ("removed", shift))
     table = pd.DataFrame([{"shift": name, **summary(dz - part)} for name, part in parts])
-    table["mean_mm"] = table["mean_mm"].round(9)
+    table["mean_mm"] = table["mean_mm"].round(9) + 0.0  # never -0
     return table
 
 
