@@ -187,6 +187,7 @@ def draw_anisotropy(adjustment, *, axes, sun_zenith=43.0, names=("grass", "fores
         fit = WalthallFit(terms, np.zeros((3, 3)), "walthall", 0.0, 0)
         factor = fit.anisotropy(sun_zenith, v, np.degrees(a))
         kind = {"levels": np.arange(0.7, 1.62, 0.05), "cmap": DIVERGING_MAP, "extend": "both"}
+        kind |= {"vmin": 0.4, "vmax": 1.6}  # white is 1, as at nadir
         picture = ax.contourf(a, v, factor, **kind)
         ax.plot(0, sun_zenith, "*", color=COLOURS["black"], ms=8)
         ax.set(theta_zero_location="N", title=name, yticks=[15, 30, 45])
