@@ -186,7 +186,7 @@ def test_drawings_take_and_return_their_axes(one, swept):
 
 def test_claims_fail_when_the_numbers_do_not_bear_them_out(reached):
     targets = heldout.targets(reached)
-    spoiled = targets.assign(displaced=0.1, reached=False, n=study.FEWEST_SCENES)
+    spoiled = targets.assign(displaced=0.1, reached=False, missed=True, n=study.FEWEST_SCENES)
     found = study._claims_on_targets(spoiled)
     assert not any(claim.holds for claim in found)
     assert len(found) == 1 + len(targets)

@@ -162,10 +162,11 @@ def _claims_on_targets(targets):
         if row["n"] >= FEWEST_SCENES:
             found.append(
                 Claim(
-                    f"Held-out target reached: {quantity} {row['target']}.",
-                    bool(row["reached"]),
-                    f"{row['displaced']:.3f} ({row['low']:.3f} to {row['high']:.3f})",
-                    f"mean of {row['n']} scenes on which nothing was chosen",
+                    f"Held-out target not missed beyond chance: {quantity} {row['target']}.",
+                    not row["missed"],
+                    f"{row['displaced']:.3f} ({row['low']:.3f} to {row['high']:.3f})"
+                    f"{'' if row['reached'] else ', itself short of it'}",
+                    f"95 % interval of {row['n']} scenes on which nothing was chosen",
                 )
             )
     return found

@@ -77,7 +77,8 @@ def targets(table):
     -------
     DataFrame
         ``quantity``, ``published`` (implied by the paper's counts), ``literal``, ``displaced``
-        with ``low`` and ``high`` (95 %, scenes resampled), ``target``, ``reached``, ``n`` (scenes).
+        with ``low`` and ``high`` (95 %, scenes resampled), ``target``, ``reached``, ``missed`` (the
+        whole interval lies beyond the target), ``n`` (scenes).
     """
     published = poreba2013.check()
     absolute = published["comparison"].str.contains("TLS")
@@ -265,12 +266,13 @@ def _target(quantity, part, column, statistic, relation, bound):
         statistic, values[column].to_numpy(), groups=values["seed"].to_numpy(), repeats=500
     )
     literal = statistic(part.loc[part["matcher"] == "all", column].to_numpy())
-    reached = {
-        ">=": interval.value >= bound,
-        "<=": interval.value <= bound,
-        "abs <=": abs(interval.value) <= bound,
-        "0.90 to": 0.90 <= interval.value <= bound,
+    accepted = {
+        ">=": lambda value: value >= bound,
+        "<=": lambda value: value <= bound,
+        "abs <=": lambda value: abs(value) <= bound,
+        "0.90 to": lambda value: 0.90 <= value <= bound,
     }[relation]
+    within = [accepted(value) for value in (interval.low, interval.value, interval.high)]
     return {
         "quantity": quantity,
         "literal": literal,
@@ -278,7 +280,8 @@ def _target(quantity, part, column, statistic, relation, bound):
         "low": interval.low,
         "high": interval.high,
         "target": f"{relation} {bound}",
-        "reached": bool(reached),
+        "reached": bool(within[1]),
+        "missed": not any(within),
         "n": values["seed"].nunique(),
     }
 
@@ -297,6 +300,7 @@ def _drift_target(part):
         "high": interval.high,
         "target": ">= literal",
         "reached": bool(interval.value >= literal),
+        "missed": bool(interval.high < literal),
         "n": len(np.unique(scenes)),
     }
 
