@@ -14,11 +14,11 @@ from mmqa_lab.testfield.heights import rms_check
 
 QUICK = {
     "length_m": 48.0,
-    "pulses_per_s": 40_000.0,
+    "pulses_per_s": 30_000.0,
     "ground_spacing_m": 2.0,
-    "draws": 40,
+    "draws": 20,
     "repeats": 2,
-    "calibration_pulses_per_s": 80_000.0,
+    "calibration_pulses_per_s": 60_000.0,
     "real_spacing_m": 0.5,
 }
 """Small parameters for the tests."""
