@@ -66,4 +66,3 @@ def _look_along(plotter, length):
     """Look down the street from behind and above its beginning."""
     middle = (0.0, 0.45 * length, 0.0)
     plotter.camera_position = [(-0.35 * length, -0.35 * length, 0.35 * length), middle, (0, 0, 1)]
-    plotter.camera.zoom(1.25)
