@@ -74,9 +74,7 @@ def check_results(results):
     results = _with_columns(results, RESULTS, "results")
     for row in results.itertuples():
         _rank(row.value, f"{row.quantity} of {row.system}")
-    if "sigma" not in results:
-        results["sigma"] = np.nan
-    results["sigma"] = pd.to_numeric(results["sigma"], errors="coerce")
+    results["sigma"] = _numbers(results, "sigma")
     if (results["sigma"] < 0).any():
         worst = results["sigma"].min()
         raise ValueError(f"Invalid sigma {worst}. Must be 0 or more.")
@@ -164,13 +162,18 @@ def _with_columns(frame, needed, what):
     for name in ("view", "direction"):
         words = frame[name] if name in frame else pd.Series("", index=frame.index)
         frame[name] = words.fillna("").astype(str)
-    distances = frame["distance_m"] if "distance_m" in frame else pd.Series(np.nan, frame.index)
-    numbers = pd.to_numeric(distances, errors="coerce")
-    wrong = numbers.isna() & distances.notna() & (distances.astype(str).str.strip() != "")
-    if wrong.any():
-        raise ValueError(f"Invalid distance_m {distances[wrong].iloc[0]!r}. Must be a number.")
-    frame["distance_m"] = numbers
+    frame["distance_m"] = _numbers(frame, "distance_m")
     return frame
+
+
+def _numbers(frame, name):
+    """A column of numbers, NaN where it is empty or there is none."""
+    values = frame[name] if name in frame else pd.Series(np.nan, frame.index)
+    numbers = pd.to_numeric(values, errors="coerce")
+    wrong = numbers.isna() & values.notna() & (values.astype(str).str.strip() != "")
+    if wrong.any():
+        raise ValueError(f"Invalid {name} {values[wrong].iloc[0]!r}. Must be a number.")
+    return numbers
 
 
 def _rank(value, name):
@@ -180,9 +183,12 @@ def _rank(value, name):
     if isinstance(value, str) and value.strip() in MARKS:
         return float(MARKS.index(value.strip()))
     try:
-        return float(value)
+        number = float(value)
     except (TypeError, ValueError):
         raise ValueError(f"Invalid {name} {value!r}. Must be a number or a mark a, b, c.") from None
+    if np.isinf(number):
+        raise ValueError(f"Invalid {name} {value!r}. Must be finite, or empty where not measured.")
+    return number
 
 
 def _matches(figures, criterion):
