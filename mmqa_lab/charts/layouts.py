@@ -134,7 +134,7 @@ def point_chart(*, seed=0, cells=100, square=200.0):
     >>> chart["cells"].count, chart["black"].tone, chart["white"].tone
     (100, 0.0, 1.0)
     """
-    cells = check_count(cells, "cells")
+    seed, cells = check_count(seed, "seed", low=0), check_count(cells, "cells")
     square = check_number(square, "square", low=1, high=SIDE_MM / 2, unit="mm")
     bits = np.random.default_rng(seed).random((cells, cells)) < 0.5
     covered = int(np.ceil(square / SIDE_MM * cells - 1e-9))

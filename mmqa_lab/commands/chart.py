@@ -24,9 +24,7 @@ def add_arguments(parser):
         "--out", type=Path, required=True, metavar="FILE", help=".pdf, .svg or .json"
     )
     parser.add_argument("--points", action="store_true", help="the point-distribution chart")
-    parser.add_argument(
-        "--bar", choices=("grey", "black"), default="grey", help="tone of the lying bar"
-    )
+    parser.add_argument("--bar", choices=("grey", "black"), help="tone of the lying bar: grey")
     for direction, words in (("h", "standing"), ("v", "lying")):
         parser.add_argument(
             f"--widths-{direction}",
@@ -37,11 +35,10 @@ def add_arguments(parser):
     parser.add_argument(
         "--first-target",
         type=int,
-        default=0,
         metavar="N",
         help="number of the lower left target, so that charts differ",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the point chart's cells")
+    parser.add_argument("--seed", type=int, help="of the point chart's cells, 0 if not given")
     parser.add_argument("--layout", type=Path, metavar="FILE", help="also write the layout as JSON")
 
 
@@ -71,19 +68,28 @@ def _layout(options):
     """The layout that the options ask for."""
     from mmqa_lab import charts
 
+    given = {
+        "horizontal_bar": options.bar,
+        "widths_h": _numbers(options.widths_h, "widths_h"),
+        "widths_v": _numbers(options.widths_v, "widths_v"),
+        "first_marker": options.first_target,
+    }
+    choices = {name: value for name, value in given.items() if value is not None}
+    if options.points and (choices or options.no_targets):
+        raise ValueError("Invalid options for a point chart. Must be --seed alone.")
     if options.points:
-        return charts.point_chart(seed=options.seed)
-    choices = {"horizontal_bar": options.bar, "first_marker": options.first_target}
-    for name in ("widths_h", "widths_v"):
-        if getattr(options, name) is not None:
-            choices[name] = _numbers(getattr(options, name), name)
+        return charts.point_chart(seed=options.seed or 0)
+    if options.seed is not None:
+        raise ValueError(f"Invalid seed {options.seed}. Must go with --points.")
     if options.no_targets:
         choices["dictionary"] = None
     return charts.imaging_chart(**choices)
 
 
 def _numbers(text, name):
-    """Numbers between commas."""
+    """Numbers between commas, None for no text."""
+    if text is None:
+        return None
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:

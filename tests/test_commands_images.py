@@ -1,0 +1,217 @@
+"""mmqa image, chart and tender: figures for good input, one sentence for bad input."""
+
+import json
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import charts
+from mmqa_lab.__main__ import main
+from mmqa_lab.simulate import cameras
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory):
+    """A photograph of a redesigned chart, its layout, and the chart's corners in the image."""
+    folder = tmp_path_factory.mktemp("photo")
+    layout = charts.imaging_chart(widths_h=(40, 30, 24), widths_v=(30, 24, 20), texts=())
+    (folder / "own.json").write_text(charts.to_json(layout))
+    camera = cameras.FrameCamera(600, 500, focal_px=1200.0)
+    view = cameras.chart_view(camera, distance=5, layout=layout, heading_deg=10)
+    sensor = cameras.Sensor(noise=0.01, gamma="srgb", bits=8)
+    shot = cameras.photograph(layout, view, sensor=sensor, margin=40, seed=3)
+    cv2.imwrite(str(folder / "photo.png"), shot.image)
+    corners = shot.chart_map.pixels(layout.corners())
+    return folder, "; ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+
+
+def failed(capsys, arguments):
+    """The sentence on standard error of a call that must end with status 2."""
+    try:
+        status = main([str(argument) for argument in arguments])
+    except SystemExit as stop:  # argparse leaves this way
+        status = stop.code
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.strip().splitlines()[-1].startswith(f"mmqa {arguments[0]}: ")
+    return err
+
+
+def test_image_prints_the_same_figures_however_it_finds_the_chart(photo, capsys, tmp_path):
+    folder, corners = photo
+    call = ["image", str(folder / "photo.png"), "--chart", str(folder / "own.json"), "--json"]
+    outputs = ["--csv", str(tmp_path / "o.csv"), "--figure", str(tmp_path / "f.png")]
+    rows = []
+    for more in ([], ["--corners", corners, "--patterns", str(tmp_path / "p.csv"), *outputs]):
+        assert main([*call, *more]) == 0
+        rows += json.loads(capsys.readouterr().out)
+    for row in rows:
+        # 5 m at 1200 px are 4.17 mm, wider by the oblique view
+        assert row["pixel_v_mm"] == pytest.approx(5 / 1.2 / np.cos(np.radians(10)), rel=0.01)
+        assert (row["w_h_mm"], row["w_v_mm"]) == (24, 20)
+        assert row["w_h_next_mm"] is None  # the ladder ends there
+    assert rows[0]["located_by"] == "4 coded targets, aligned"
+    assert len(pd.read_csv(tmp_path / "p.csv")) == 6
+    assert len(pd.read_csv(tmp_path / "o.csv")) == 1
+    assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_image_prints_a_table_for_people(photo, capsys):
+    folder, corners = photo
+    file = str(folder / "photo.png")
+    assert main(["image", file, "--chart", str(folder / "own.json"), "--corners", corners]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["figure", file]
+    assert any(line.split()[:2] == ["w_h_mm", "24"] for line in lines)
+
+
+IMAGE_FAULTS = {
+    "no file": (["none.png"], "no such file"),
+    "no image": (["own.json", "--chart", "own.json"], "Must be JPEG, PNG or TIFF"),
+    "other chart": (["photo.png", "--corners", "0,9; 9,9; 9,0; 0,0"], "Must be"),
+    "no chart file": (["photo.png", "--chart", "none.json"], "no such file"),
+    "three corners": (["photo.png", "--corners", "1,9; 9,9; 9,1"], "Must be 4"),
+    "words": (["photo.png", "--corners", "a,b; c"], "Must be four times x,y"),
+    "turned corners": (
+        ["photo.png", "--corners", "1,1; 99,1; 99,99; 1,99"],
+        "Must be four corners in order",
+    ),
+    "no panorama": (["photo.png", "--panorama"], "Must be 2 : 1"),
+    "orientation": (["photo.png", "--orientation", "none.json"], "no such file"),
+    "faulty orientation": (["photo.png", "--orientation", "own.json"], "Must have all fields"),
+    "figure": (["photo.png", "--figure", "f.docx"], "Must be one of .pdf, .svg, .png"),
+}
+
+
+@pytest.mark.parametrize("fault", IMAGE_FAULTS)
+def test_image_says_what_is_wrong_and_writes_nothing(photo, capsys, monkeypatch, fault):
+    monkeypatch.chdir(photo[0])
+    before = sorted(photo[0].iterdir())
+    arguments, sentence = IMAGE_FAULTS[fault]
+    outputs = ["--csv", "o.csv", "--patterns", "p.csv"]
+    if "--figure" not in arguments:
+        outputs += ["--figure", "f.png"]
+    assert sentence in failed(capsys, ["image", *arguments, *outputs])
+    assert sorted(photo[0].iterdir()) == before
+
+
+@pytest.mark.parametrize("ending", ["pdf", "svg", "json"])
+def test_chart_writes_what_its_ending_says(capsys, tmp_path, ending):
+    out = tmp_path / f"chart.{ending}"
+    assert main(["chart", "--out", str(out), "--bar", "black", "--widths-v", "20,10"]) == 0
+    assert "1000 mm x 1000 mm" in capsys.readouterr().out
+    layout = charts.imaging_chart(horizontal_bar="black", widths_v=(20, 10))
+    writer = {
+        "pdf": charts.to_pdf,
+        "svg": lambda one: charts.to_svg(one).encode(),
+        "json": lambda one: charts.to_json(one).encode(),
+    }[ending]
+    assert out.read_bytes() == writer(layout)
+
+
+def test_chart_options_reach_the_layout(capsys, tmp_path):
+    file = tmp_path / "l.json"
+    call = ["chart", "--out", str(tmp_path / "c.svg"), "--layout", str(file)]
+    assert main([*call, "--points", "--seed", "4"]) == 0
+    assert charts.from_json(file.read_text()) == charts.point_chart(seed=4)
+    assert main([*call, "--no-targets"]) == 0
+    assert charts.from_json(file.read_text()) == charts.imaging_chart(dictionary=None)
+    assert main([*call, "--first-target", "8"]) == 0
+    assert charts.from_json(file.read_text())["marker_3"].identifier == 11
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--out", "c.docx"], "Must be one of .pdf, .svg, .json"),
+        (["--out", "c.pdf", "--layout", "c.txt"], "Must be one of .json"),
+        (["--out", "c.pdf", "--widths-h", "10,20"], "Must decrease"),
+        (["--out", "c.pdf", "--widths-h", "ten"], "Must be numbers between commas"),
+        (["--out", "c.pdf", "--widths-h", "nan"], "Invalid widths_h"),
+        (["--out", "c.pdf", "--widths-v", "-3"], "Invalid widths_v -3"),
+        (["--out", "c.pdf", "--widths-h", "100"], "Must fit on the chart"),
+        (["--out", "c.pdf", "--first-target", "48"], "Must be below 50"),
+        (["--out", "c.pdf", "--first-target", "-1"], "Invalid marker -1"),
+        (["--out", "c.pdf", "--points", "--bar", "black"], "Must be --seed alone"),
+        (["--out", "c.pdf", "--seed", "3"], "Must go with --points"),
+        (["--out", "c.pdf", "--points", "--seed", "-1"], "Invalid seed -1"),
+    ],
+)
+def test_chart_says_what_is_wrong_and_writes_nothing(
+    capsys, tmp_path, monkeypatch, arguments, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    assert sentence in failed(capsys, ["chart", *arguments])
+    assert list(tmp_path.iterdir()) == []
+
+
+def write_tender(folder, **columns):
+    """Criteria and results as CSV and JSON."""
+    criteria = pd.DataFrame(
+        [("pixel", "pixel_mm", "<", 5.0), ("text", "legibility", "<=", "b")],
+        columns=["criterion", "quantity", "relation", "threshold"],
+    )
+    results = pd.DataFrame(
+        [
+            ("A", "pixel_mm", 6.0, 0.1),
+            ("A", "legibility", "c", None),
+            ("B", "pixel_mm", 3.0, 0.1),
+            ("B", "legibility", "a", None),
+        ],
+        columns=["system", "quantity", "value", "sigma"],
+    ).assign(**columns)
+    criteria.to_csv(folder / "c.csv", index=False)
+    criteria.to_json(folder / "c.json", orient="records")
+    results.to_csv(folder / "r.csv", index=False)
+    results.to_json(folder / "r.json", orient="records")
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+def test_tender_reads_csv_and_json_alike(capsys, tmp_path, ending):
+    write_tender(tmp_path)
+    files = [str(tmp_path / f"c.{ending}"), str(tmp_path / f"r.{ending}")]
+    assert main(["tender", *files, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["system"], row["verdict"]) for row in rows] == [("A", "fails"), ("B", "qualifies")]
+    assert main(["tender", *files, "--json", "--details"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["margin"] for row in rows] == [-1.0, -1.0, 2.0, 1.0]
+
+
+def test_tender_status_says_whether_any_system_qualifies(capsys, tmp_path):
+    assert main(["tender", "pfeifer2021:1", "pfeifer2021"]) == 1
+    assert "qualifies" not in capsys.readouterr().out
+    assert main(["tender", "pfeifer2021:2", "pfeifer2021"]) == 0
+    assert capsys.readouterr().out.count("qualifies") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["none.csv", "r.csv"], "no such file"),
+        (["c.csv", "none.json"], "no such file"),
+        (["r.csv", "r.csv"], "no column 'criterion'"),
+        (["c.csv", "c.csv"], "no column 'system'"),
+        (["words.json", "r.csv"], "Must be CSV or JSON"),
+        (["object.json", "r.csv"], "no list of objects"),
+        (["empty.csv", "r.csv"], "Must be CSV or JSON"),
+        (["bytes.csv", "r.csv"], "Must be CSV or JSON"),
+        (["pfeifer2021:3", "r.csv"], "no such file"),
+    ],
+)
+def test_tender_says_what_is_wrong_and_writes_nothing(
+    capsys, tmp_path, monkeypatch, arguments, sentence
+):
+    write_tender(tmp_path)
+    (tmp_path / "words.json").write_text("no json")
+    (tmp_path / "object.json").write_text('{"a": 1}')
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00criterion")
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    assert sentence in failed(capsys, ["tender", *arguments, "--csv", "o.csv"])
+    assert sorted(tmp_path.iterdir()) == before
