@@ -1,0 +1,535 @@
+"""Measuring in images of the chart: known renderings, closed forms, real photographs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from photographed import RealPairs, real_edges
+from rendered import centre_contrast, grey, pattern_case, slanted_edge, true_mtf50
+
+from mmqa_lab import chart_image, charts, samples
+from mmqa_lab.chart_image import ChartMap, FrameCamera, Limits, PanoramaCamera
+from mmqa_lab.chart_image.line_pairs import PairReading
+from mmqa_lab.chart_image.spread import spread_edge
+from mmqa_lab.charts import Bar, Layout
+from mmqa_lab.simulate import cameras
+
+CHART = charts.imaging_chart()
+
+JPEG = {"bayer": True, "sharpening": 0.5, "gamma": "srgb", "bits": 8, "jpeg_quality": 85}
+
+real = pytest.mark.skipif(not samples.has_real("images"), reason="MMQA_DATA is not set")
+
+
+def photo_of(pixel_mm, *, heading=0.0, roll=0.7, sigma=0.6, layout=CHART, seed=0, **sensor):
+    """A panorama's view of a chart 5 m away and its linear grey values."""
+    camera = PanoramaCamera(2 * round(5000 * np.pi / pixel_mm))
+    view = cameras.chart_view(
+        camera, distance=5, layout=layout, heading_deg=heading, roll_deg=roll, aim_deg=0.4
+    )
+    sensor = {"noise": 0.02} | sensor
+    photo = cameras.photograph(
+        layout,
+        view,
+        optics=cameras.Optics(sigma),
+        sensor=cameras.Sensor(**sensor),
+        supersampling=4,
+        seed=seed,
+    )
+    return photo, grey(photo.image, sensor.get("gamma", "linear"))
+
+
+@pytest.fixture(scope="module")
+def oblique():
+    """A view of 45 degrees at 5.4 mm with noise of 5 % of the contrast, and what is read of it."""
+    photo, image = photo_of(5.4, heading=45, noise=0.032, shot_share=0.0)
+    wrong = photo.chart_map.pixels(CHART.corners()) + [[0.8, -0.5], [-0.7, 0.6], [0.4, 0.9], [0, 1]]
+    there = chart_image.locate_corners(
+        wrong, CHART, camera=photo.chart_map.camera, offset=photo.origin
+    )
+    return photo, image, chart_image.evaluate_image(image, CHART, there)
+
+
+# --- pixel size
+
+
+def test_pixel_size_of_an_oblique_view_is_the_chord_between_the_ends(oblique):
+    photo, _, quality = oblique
+    for row in quality.sizes.itertuples():
+        bar = CHART[row.name]
+        ends = np.array([[bar.x, bar.y], [bar.x + bar.width, bar.y + bar.height]], dtype=float)
+        axis = 0 if row.direction == "h" else 1
+        ends[:, 1 - axis] = ends[:, 1 - axis].mean()
+        truth = np.linalg.norm(np.diff(photo.chart_map.pixels(ends), axis=0))
+        assert abs(row.length_px - truth) < 4 * row.length_sigma_px
+        assert row.length_sigma_px < 0.3  # the paper's own repeats stay below 1 px
+        assert row.pixel_mm == pytest.approx(row.length_mm / truth, rel=0.003)
+        assert row.expected_mm == pytest.approx(row.length_mm / truth, rel=0.003)
+
+
+def test_sizes_repeat_within_their_sigma():
+    layout = charts.imaging_chart(horizontal_bar="black")
+    lengths, sigmas = [], []
+    for seed in range(6):
+        photo, image = photo_of(10.0, noise=0.05, shot_share=0.0, layout=layout, seed=seed)
+        levels = chart_image.tones(image, layout, photo.chart_map)
+        table = chart_image.pixel_sizes(levels, layout, photo.chart_map)
+        lengths.append(table["length_px"])
+        sigmas.append(table["length_sigma_px"])
+    ratio = np.std(lengths, axis=0, ddof=1) / np.mean(sigmas, axis=0)
+    # six repeats know a standard deviation to a third; three bars
+    assert ((ratio > 0.3) & (ratio < 2.2)).all()
+
+
+def test_a_bar_outside_the_image_is_not_measured():
+    photo, image = photo_of(8.0)
+    short = image[:, :-40]
+    levels = chart_image.tones(short, CHART, photo.chart_map)
+    sizes = chart_image.pixel_sizes(levels, CHART, photo.chart_map).set_index("name")
+    assert np.isnan(sizes.loc["bar_right", "pixel_mm"])
+    assert np.isfinite(sizes.loc["bar_left", "pixel_mm"])
+    assert chart_image.pixel_size(sizes[sizes["n"] == 0], "v") == pytest.approx(
+        (np.nan, np.nan), nan_ok=True
+    )
+
+
+# --- line pairs
+
+
+@pytest.mark.parametrize("sensor", [{}, JPEG], ids=["plain", "jpeg"])
+@pytest.mark.parametrize("direction", ["h", "v"])
+def test_clear_pairs_are_resolved(direction, sensor):
+    rng = np.random.default_rng(1)
+    for width in (3.3, 4.4, 7.5):
+        reading = pattern_case(width, rng, direction=direction, **sensor)
+        assert reading.resolved, reading
+        assert reading.bars == pytest.approx(8, abs=0.3)
+        assert reading.width_px == pytest.approx(width, rel=1e-6)
+
+
+SPURIOUS = {
+    "below Nyquist": lambda r, c: pattern_case(r.uniform(1.1, 2), r, sigma=0.4, **c),
+    "beats": lambda r, c: pattern_case(r.uniform(2, 2.3), r, sigma=0.4, **c),
+    "defocus": lambda r, c: pattern_case(
+        (w := r.uniform(3, 8)), r, sigma=0.3, defocus=r.uniform(0.7, 1.0) * w, **c
+    ),
+    "motion": lambda r, c: pattern_case(
+        r.uniform(2.6, 8), r, sigma=0.4, travel=r.uniform(1.25, 1.7), **c
+    ),
+    "blurred": lambda r, c: pattern_case(r.uniform(2.5, 4), r, sigma=2.0, noise=0.032, **c),
+    "other number": lambda r, c: pattern_case(
+        r.uniform(4, 8), r, seen=int(r.choice([6, 7, 9, 12])), **c
+    ),
+}
+
+
+@pytest.mark.parametrize("sensor", [{}, JPEG], ids=["plain", "jpeg"])
+@pytest.mark.parametrize("kind", SPURIOUS)
+def test_spurious_pairs_are_refused_with_a_reason(kind, sensor):
+    rng = np.random.default_rng(11)
+    for direction in "hv":
+        reading = SPURIOUS[kind](rng, {**sensor, "direction": direction})
+        assert not reading.resolved
+        assert reading.reason
+
+
+def test_motion_and_defocus_reverse_contrast_before_they_are_refused():
+    # otherwise the tests above would show nothing
+    rng = np.random.default_rng(3)
+    assert pattern_case(6.0, rng, sigma=0.4, travel=1.45).contrast < -0.1
+    assert pattern_case(6.0, rng, sigma=0.3, defocus=4.8).contrast < -0.05
+    assert abs(pattern_case(6.0, rng, seen=9).bars - 9) < 0.3
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.floats(1.02, 1.999),
+    st.floats(0.1, 0.6),
+    st.sampled_from(["h", "v"]),
+    st.integers(0, 2**31),
+)
+def test_nothing_below_nyquist_is_ever_resolved(width, sigma, direction, seed):
+    rng = np.random.default_rng(seed)
+    reading = pattern_case(width, rng, sigma=sigma, direction=direction, noise=0.0)
+    assert not reading.resolved
+
+
+@pytest.mark.parametrize(
+    ("width", "sigma", "blur"), [(2.6, 0.5, 0.0), (4.0, 0.8, 1.5), (9.0, 0.4, 3.0)]
+)
+def test_expected_contrast_is_the_integral_over_the_bars(width, sigma, blur):
+    found = chart_image.expected_contrast(width, sigma, blur)
+    # harmonics beyond the seventh
+    assert float(found) == pytest.approx(centre_contrast(width, sigma, blur), abs=0.005)
+
+
+def test_contrast_of_a_rendered_pattern_is_the_expected_one():
+    rng = np.random.default_rng(2)
+    for width in (3.4, 5.0, 7.7):
+        found = [pattern_case(width, rng, sigma=0.7, error_px=0.0).contrast for _ in range(3)]
+        # eight pairs meet the pixels at few phases only
+        assert np.mean(found) == pytest.approx(centre_contrast(width, 0.7), abs=0.02)
+
+
+def readings(resolved, contrast=None):
+    """A table of readings of one direction, coarse to fine, pairs of 40, 39, ... mm."""
+    count = len(resolved)
+    contrast = np.linspace(1, 0, count) if contrast is None else contrast
+    return pd.DataFrame(
+        [
+            PairReading("p", "h", 40.0 - k, 40.0 - k, float(c), 1, 1, 0, 8, 1, bool(r), "")
+            for k, (r, c) in enumerate(zip(resolved, contrast, strict=True))
+        ]
+    )
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=9))
+def test_width_is_the_finest_with_all_coarser_ones(resolved):
+    found = chart_image.resolution(readings(resolved).sample(frac=1, random_state=1), "h")
+    run = 0
+    while run < len(resolved) and resolved[run]:
+        run += 1
+    expected = 40.0 - run + 1 if run else np.nan
+    following = 40.0 - run if run < len(resolved) else np.nan
+    assert found.width_mm == pytest.approx(expected, nan_ok=True)
+    assert found.next_mm == pytest.approx(following, nan_ok=True)
+    assert found.n == len(resolved)
+
+
+def test_limit_is_interpolated_where_the_contrast_passes_the_threshold():
+    table = readings([True, True, False], contrast=[0.9, 0.3, 0.05])
+    # from 39 mm at 0.3 to 38 mm at 0.05, 0.1 lies four fifths of the way
+    assert chart_image.resolution(table, "h").limit_mm == pytest.approx(38.2)
+    assert np.isnan(chart_image.resolution(readings([True] * 2, contrast=[0.9, 0.3]), "h").limit_mm)
+
+
+@pytest.mark.real
+@real
+def test_real_pairs_are_resolved_down_to_three_pixels_and_never_below_two():
+    pairs = RealPairs()
+    for width in (8.5, 6.3, 4.4, 3.3):
+        assert [reading.resolved for reading in pairs.readings(width)] == [True] * 5, width
+    for width in (2.0, 1.8, 1.5):
+        assert not any(reading.resolved for reading in pairs.readings(width)), width
+
+
+@pytest.mark.real
+@real
+def test_real_pairs_reversed_by_motion_are_refused():
+    pairs = RealPairs()
+    for width in (8.0, 5.0):
+        found = list(pairs.readings(width, motion=1.5))
+        assert not any(reading.resolved for reading in found)
+
+
+# --- MTF
+
+
+@pytest.mark.parametrize(
+    ("sigma", "angle_deg"), [(0.5, 3.4), (0.7, 8.0), (1.0, 5.0), (1.5, 11.0), (2.0, 6.0)]
+)
+def test_mtf50_of_a_noise_free_edge(sigma, angle_deg):
+    angle = np.radians(angle_deg)
+    found = chart_image.edge_response(slanted_edge(sigma, angle, 0.3))
+    assert found.mtf50 == pytest.approx(true_mtf50(sigma, angle), rel=1e-3)
+    # the standard's bins alone are known to 1 % here
+    assert found.mtf50_binned == pytest.approx(true_mtf50(sigma, angle), rel=0.012)
+    # the first line through the edge, which a small turn of the trapezoid does not change
+    assert found.angle_deg == pytest.approx(angle_deg, abs=0.05)
+
+
+def test_mtf50_of_noisy_edges_is_within_three_per_cent_and_its_sigma():
+    rng = np.random.default_rng(8)
+    errors, scores = [], []
+    for k in range(12):
+        sigma, angle = (0.5, 0.8, 1.3, 2.0)[k % 4], np.radians(rng.uniform(3, 11))
+        image = slanted_edge(sigma, angle, rng.uniform(-0.5, 0.5), noise=0.01, rng=rng)
+        found, truth = chart_image.edge_response(image), true_mtf50(sigma, angle)
+        errors.append(found.mtf50 / truth - 1)
+        scores.append((found.mtf50 - truth) / found.mtf50_sigma)
+    assert np.abs(errors).max() < 0.03
+    assert abs(np.median(errors)) < 0.01
+    assert np.abs(scores).max() < 4
+
+
+def test_mtf50_does_not_depend_on_the_edges_direction_or_light():
+    angle = np.radians(6.0)
+    rng = np.random.default_rng(4)
+    image = slanted_edge(0.8, angle, 0.2, shape=(80, 80), noise=0.005, rng=rng)
+    first = chart_image.edge_response(image).mtf50
+    for other in (image.T, image[:, ::-1], image[::-1], 1 - image, 0.3 * image + 0.2):
+        assert chart_image.edge_response(other).mtf50 == pytest.approx(first, rel=2e-3)
+
+
+def test_sharpening_and_display_curves_are_seen():
+    image = slanted_edge(0.8, np.radians(6.0), 0.2)
+    import cv2
+
+    sharp = image + 2.0 * (image - cv2.GaussianBlur(image, (0, 0), 1.0))
+    found = chart_image.edge_response(sharp)
+    assert "sharpened" in found.remark
+    assert found.mtf50 > 1.2 * true_mtf50(0.8, np.radians(6.0))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.02, 0.3, np.pi / 4])
+def test_what_a_pixel_sees_of_an_edge_is_the_integral_over_it(angle):
+    image = slanted_edge(0.6, angle, 0.0, shape=(21, 21), levels=(0, 1))
+    y, x = np.mgrid[:21, :21] - 10.0
+    distance = x * np.cos(angle) + y * np.sin(angle)
+    assert spread_edge(distance, 0.6, angle) == pytest.approx(image, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("image", "sentence"),
+    [
+        (np.zeros((5, 5)), "Must be 10 x 10 or larger"),
+        (np.full((40, 40), 0.4), "Invalid image: no edge"),
+        (np.random.default_rng(0).random((40, 40)), "Invalid"),
+        (np.full((40, 40), np.nan), "Must be finite"),
+        (np.zeros((40, 40, 3)), "Must be grey"),
+    ],
+)
+def test_no_edge_gets_a_sentence(image, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        chart_image.edge_response(image)
+
+
+@pytest.mark.real
+@real
+def test_real_edges_are_within_three_per_cent_of_published_tools():
+    for name, image, published in real_edges():
+        found = chart_image.edge_response(image)
+        assert found.mtf50 == pytest.approx(published, rel=0.03), name
+        assert found.mtf50_binned == pytest.approx(found.mtf50, rel=0.02), name
+
+
+# --- locating
+
+
+def test_a_map_through_points_is_the_projective_one():
+    matrix = np.array([[0.31, 0.02, 40], [0.01, -0.29, 330], [2e-5, -1e-5, 1.0]])
+    truth = ChartMap(matrix)
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0, 1000, (9, 2))
+    seen = np.column_stack([places, np.ones(9)]) @ matrix.T
+    found = ChartMap.from_points(places, seen[:, :2] / seen[:, 2:])
+    there = rng.uniform(0, 1000, (20, 2))
+    # OpenCV stops its iteration at 1e-7 of the size
+    assert found.pixels(there) == pytest.approx(truth.pixels(there), abs=1e-4)
+    assert truth.chart(truth.pixels(there)) == pytest.approx(there, abs=1e-9)
+    assert found.rms_px < 1e-4
+
+
+@pytest.mark.parametrize("heading", [-45, 0, 45])
+def test_targets_locate_the_chart_in_oblique_panoramas(heading):
+    photo, image = photo_of(3.5, heading=heading, gamma="srgb", bits=8)
+    found = chart_image.locate_markers(
+        image, CHART, camera=photo.chart_map.camera, offset=photo.origin
+    )
+    places = CHART.corners()
+    error = np.linalg.norm(found.pixels(places) - photo.chart_map.pixels(places), axis=1)
+    # corners of targets are found to some 0.3 px, and the chart's own lie a little outside
+    assert error.max() < 1.5
+    aligned = chart_image.align(image, CHART, found)
+    error = np.linalg.norm(aligned.pixels(places) - photo.chart_map.pixels(places), axis=1)
+    assert error.max() < 0.3
+    middle = [[500.0, 500.0]]
+    assert aligned.pixels(middle) == pytest.approx(photo.chart_map.pixels(middle), abs=0.05)
+
+
+def test_orientation_and_corners_give_the_same_map():
+    camera = FrameCamera(4000, 3000, 3500.0, distortion=(-0.1, 0.02, 1e-4, -1e-4, 0.0))
+    truth = cameras.chart_view(camera, distance=5, layout=CHART, heading_deg=25, roll_deg=1)
+    found = chart_image.locate_corners(truth.pixels(CHART.corners()), CHART, camera=camera)
+    places = np.random.default_rng(1).uniform(0, 1000, (30, 2))
+    assert found.pixels(places) == pytest.approx(truth.pixels(places), abs=1e-4)
+    plain = chart_image.locate_corners(truth.pixels(CHART.corners()), CHART)
+    # without the camera its distortion is left over
+    assert np.abs(plain.pixels(places) - truth.pixels(places)).max() > 0.1
+
+
+def test_alignment_says_when_the_chart_is_not_there():
+    photo, image = photo_of(6.0)
+    noise = np.random.default_rng(0).random(image.shape)
+    with pytest.raises(ValueError, match=r"correlates by .* is the chart there"):
+        chart_image.align(noise, CHART, photo.chart_map)
+    with pytest.raises(ValueError, match="is the chart there"):
+        chart_image.align(image, CHART, photo.chart_map.within(60, 30))
+
+
+@pytest.mark.parametrize(
+    ("corners", "sentence"),
+    [
+        ([[0, 9], [9, 9], [9, 0]], "Must be 4"),
+        ([[0, 9], [9, 9], [9, 0], [0, 0], [1, 1]], "Must be four"),
+        ([[0, 0], [9, 0], [9, 9], [0, 9]], "Must be four corners in order"),
+        ([[0, 9], [9, 0], [9, 9], [0, 0]], "Must be four corners in order"),
+        ([[5, 5], [5, 5], [5, 5], [5, 5]], "Invalid corners"),
+        ([[0, 9], [9, 9], [np.nan, 0], [0, 0]], "Invalid (pixels|corners)"),
+    ],
+)
+def test_corners_in_another_order_are_refused(corners, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        chart_image.locate_corners(corners, CHART)
+
+
+def test_charts_without_targets_or_images_without_them_say_so():
+    bare = charts.imaging_chart(dictionary=None)
+    with pytest.raises(ValueError, match="Must have some"):
+        chart_image.locate_markers(np.zeros((50, 50)), bare)
+    with pytest.raises(ValueError, match="none of the 4 coded targets"):
+        chart_image.locate_markers(np.zeros((50, 50), dtype=np.uint8), CHART)
+    with pytest.raises(TypeError, match="Must be real numbers"):
+        chart_image.locate_markers(np.zeros((50, 50), dtype=complex), CHART)
+
+
+# --- everything together
+
+
+def test_an_evaluated_image_has_every_figure(oblique):
+    photo, _, quality = oblique
+    row = quality.to_frame().iloc[0]
+    assert row["located_by"] == "corners, aligned"
+    assert row["residual_px"] < 0.3
+    assert 0.04 < row["noise_share"] < 0.06  # 5 % were put in
+    truth = photo.chart_map.pixel_sizes_mm([[500, 500]])[0]
+    assert [row["pixel_h_mm"], row["pixel_v_mm"]] == pytest.approx(truth, rel=0.02)
+    # 0.6 px of Gaussian; levels of 5 % noise along a long edge
+    assert row["mtf50_v_per_px"] == pytest.approx(true_mtf50(0.6, 0.01), rel=0.06)
+    for direction in "hv":
+        w, finer = row[f"w_{direction}_mm"], row[f"w_{direction}_next_mm"]
+        assert finer < w <= 40
+        pixel = row[f"pixel_{direction}_mm"]
+        assert 2.0 < w / pixel < 5.0  # the published cells span 2.3 to 4.6
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_turned_image_gives_the_same_figures(turns):
+    photo, image = photo_of(6.5, noise=0.01)
+    corners = photo.chart_map.pixels(CHART.corners())
+    turned = np.rot90(image, turns)
+    for width in (image.shape[1], image.shape[0])[:turns]:
+        corners = np.column_stack([corners[:, 1], width - 1 - corners[:, 0]])
+    there = chart_image.locate_corners(corners, CHART)
+    plain = chart_image.locate_corners(photo.chart_map.pixels(CHART.corners()), CHART)
+    first = chart_image.evaluate_image(image, CHART, plain, aligned=False).to_frame()
+    second = chart_image.evaluate_image(turned, CHART, there, aligned=False).to_frame()
+    numbers = [name for name in first if name != "located_by"]
+    expected = first[numbers].to_numpy(dtype=float)
+    assert second[numbers].to_numpy(dtype=float) == pytest.approx(expected, rel=0.01, nan_ok=True)
+
+
+def test_brightness_changes_no_verdict():
+    photo, image = photo_of(6.5, noise=0.01)
+    first = chart_image.tones(image, CHART, photo.chart_map)
+    slope = 1 + 0.1 * np.linspace(-1, 1, image.shape[1])
+    second = chart_image.tones(0.4 * image * slope + 0.1, CHART, photo.chart_map)
+    a, b = (chart_image.read_pairs(one, CHART, photo.chart_map) for one in (first, second))
+    assert (a["resolved"] == b["resolved"]).all()
+    assert b["contrast"].to_numpy() == pytest.approx(
+        a["contrast"].to_numpy(), abs=0.05, nan_ok=True
+    )
+    assert first.black == pytest.approx(0.06, abs=0.01)
+    assert first.white == pytest.approx(0.70, abs=0.01)
+    assert first.noise == pytest.approx(0.01 / 0.64, rel=0.5)
+
+
+def test_a_plain_image_has_no_black_and_white():
+    photo, image = photo_of(8.0)
+    with pytest.raises(ValueError, match="is the chart there"):
+        chart_image.tones(np.full_like(image, 0.5), CHART, photo.chart_map)
+    tiny = chart_image.locate_corners([[2, 9], [9, 9], [9, 2], [2, 2]], CHART)
+    with pytest.raises(ValueError, match=r"Must be imaged larger|is the chart there"):
+        chart_image.tones(np.full((12, 12), 0.5), CHART, tiny)
+
+
+def test_clipped_images_say_so():
+    photo, image = photo_of(8.0)
+    assert chart_image.tones(image, CHART, photo.chart_map).clipped_share == 0
+    bright = np.clip(2 * image, 0, 1)
+    assert chart_image.tones(bright, CHART, photo.chart_map).clipped_share > 0.3
+
+
+def test_edges_without_plain_ground_have_a_remark():
+    layout = Layout("two", 300, 400, (Bar("a", 80, 40, 30, 320), Bar("b", 112, 40, 30, 320)))
+    photo, image = photo_of(6.0, layout=layout)
+    levels = chart_image.tones(image, layout, photo.chart_map)
+    edges = chart_image.bar_edges(levels, layout, photo.chart_map)
+    assert edges["mtf50"].isna().all()
+    assert edges["remark"].str.contains("plain ground").all()
+
+
+# --- the test site
+
+
+def test_the_closest_image_at_the_distance_or_farther_is_chosen():
+    corners = chart_image.chart_site().set_index("chart").loc["image 10 m", "corners"]
+    north = np.arange(-20.0, 61, 2.5)
+    stations = pd.DataFrame(
+        {"time_s": north / 10, "easting_m": 0.0, "northing_m": north, "height_m": 1.5}
+    )
+    chosen = chart_image.choose_images(stations, corners, distance=10).set_index("view")
+    middle = corners.mean(axis=0)
+    for view, (low, high) in {
+        "forward": (30, 90),
+        "orthogonal": (-30, 30),
+        "backward": (-90, -30),
+    }.items():
+        best = None
+        for k, place in enumerate(north):
+            angle = np.degrees(np.arctan2(middle[1] - place, middle[0]))
+            distance = np.hypot(middle[1] - place, middle[0])
+            inside = low <= angle < high if low > 0 else low < angle <= high
+            if view == "orthogonal":
+                inside = low < angle < high
+            if inside and distance >= 10 and (best is None or distance < best[1]):
+                best = k, distance, angle
+        assert chosen.loc[view, "station"] == best[0]
+        assert chosen.loc[view, "distance_m"] == pytest.approx(best[1])
+        assert chosen.loc[view, "direction_deg"] == pytest.approx(best[2])
+    none = chart_image.choose_images(stations.iloc[:2], corners, distance=10)
+    assert none["station"].isna().sum() == 2
+
+
+def drive(**changes):
+    """A drive north at 40 km/h on the axis, 10 m from the chart, with attitude."""
+    time = np.arange(0, 8, 0.1)
+    frame = {
+        "time_s": time,
+        "easting_m": np.zeros(len(time)),
+        "northing_m": -20 + time * 40 / 3.6,
+        "height_m": np.full(len(time), 1.5),
+        "roll_deg": np.full(len(time), 359.0),
+        "pitch_deg": np.zeros(len(time)),
+        "heading_deg": np.full(len(time), 1.0),
+    }
+    return pd.DataFrame(frame | changes)
+
+
+def test_a_drive_is_held_against_the_limits():
+    corners = chart_image.chart_site(distances=(10,))["corners"][0]
+    limits = Limits(distance_m=10)
+    table = chart_image.check_drive(drive(), corners, limits).set_index("quantity")
+    assert table["passed"].all()
+    assert table.loc["speed_kmh", "low"] == pytest.approx(40)
+    assert table.loc["roll_deg", "low"] == pytest.approx(-1)
+    for name, change, failing in (
+        ("easting_m", 0.8, "distance_m"),
+        ("roll_deg", 10.0, "roll_deg"),
+        ("heading_deg", 12.0, "heading_from_chart_deg"),
+    ):
+        other = chart_image.check_drive(drive(**{name: change}), corners, limits)
+        assert other.loc[~other["passed"], "quantity"].tolist() == [failing]
+    away = np.array([1e7, -1e7, 0])
+    far = drive()
+    far[["easting_m", "northing_m"]] += away[:2]
+    moved = chart_image.check_drive(far, corners + away, limits).set_index("quantity")
+    # steps of 2e-9 m in 0.1 s
+    assert moved["low"].to_numpy() == pytest.approx(table["low"].to_numpy(), abs=1e-5)
+    with pytest.raises(ValueError, match="Must be two"):
+        chart_image.check_drive(drive(northing_m=900.0), corners, limits)
+    with pytest.raises(ValueError, match="Invalid speed_kmh"):
+        replace(limits, speed_kmh=0)
