@@ -1,8 +1,11 @@
 """How good the image measurements are, against known truth: run it, it prints.
 
-python tests/benchmarks/images.py [pairs] [steps] [edges] [sizes] [panorama]
+python tests/benchmarks/images.py [pairs] [steps] [edges] [sizes] [panorama] [real] [--full]
+
+A few cases of each kind, or with --full as many as the stated figures rest on.
 """
 
+import argparse
 import resource
 import sys
 import tempfile
@@ -14,6 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from photographed import RealPairs, real_edges
 from rendered import grey, pattern_case, slanted_edge, true_mtf50
 
 from mmqa_lab import chart_image, charts, imagery
@@ -35,8 +39,11 @@ CAMERA_CHAINS = {
 SIZE_CASES = ((1.3, 0), (1.3, 45), (2.7, 30), (5.4, 0), (5.4, 45), (11, 0), (13, 0))
 """Pixel size at the middle of an orthogonal view, mm, and view, degrees."""
 
+COUNTS = {"pairs": (4, 60), "steps": (3, 100), "edges": (10, 100), "sizes": (2, 10)}
+"""Cases of each line: usually, and in full."""
 
-def pairs(count=60):
+
+def pairs(count):
     """Spurious and true line pairs accepted, by class and by camera chain."""
     kinds = {
         "true 3.2-8 px, sigma .5": (True, lambda r, c: pattern_case(r.uniform(3.2, 8), r, **c)),
@@ -72,7 +79,7 @@ def pairs(count=60):
     for chain, settings in CAMERA_CHAINS.items():
         for name, (true, case) in kinds.items():
             rng = np.random.default_rng(5)
-            readings = [case(rng, settings) for _ in range(count)]
+            readings = [case(rng, settings | {"direction": "hv"[k % 2]}) for k in range(count)]
             accepted = sum(reading.resolved for reading in readings)
             print(f"{chain:34} {name:34} {accepted:4d} of {count} accepted", flush=True)
             if true:
@@ -88,7 +95,7 @@ def _defocused(rng, settings):
     return pattern_case(width, rng, sigma=0.3, defocus=rng.uniform(0.7, 1.0) * width, **settings)
 
 
-def steps(count=100):
+def steps(count):
     """Stepwise width on whole charts against the noise-free limit of the closed form."""
     layout = charts.imaging_chart()
     for chain, settings in CAMERA_CHAINS.items():
@@ -139,7 +146,7 @@ def steps(count=100):
         )
 
 
-def edges(count=100):
+def edges(count):
     """MTF50 against truth: median error and 95th percentile, per cent."""
     for sigma in (0.5, 0.7, 1.0, 1.5, 2.0):
         for noise in (0.0, 0.01, 0.03):
@@ -164,21 +171,13 @@ def edges(count=100):
             )
 
 
-def sizes(count=15):
+def sizes(count):
     """Pixel size: bias in per cent and standard deviation in pixels of a bar's length."""
     for bar in ("grey", "black"):
         layout = charts.imaging_chart(horizontal_bar=bar)
-        for pixel, heading in (
-            (1.3, 0),
-            (1.3, 45),
-            (2.7, 30),
-            (5.4, 0),
-            (5.4, 45),
-            (11, 0),
-            (13, 0),
-        ):
+        for pixel, heading in SIZE_CASES:
             for noise in (0.05, 0.10):
-                _sizes_of(layout, bar, pixel, heading, noise, count if pixel > 2 else 4)
+                _sizes_of(layout, bar, pixel, heading, noise, count if pixel > 2 else 2)
 
 
 def _sizes_of(layout, bar, pixel, heading, noise, count):
@@ -250,8 +249,48 @@ def panorama():
             print(f"{name}: {wall:.1f} s ({cpu:.1f} s of CPU), peak {peak:.2f} GB, {size:.3f} mm")
 
 
+def real():
+    """Real line pairs made coarser, reversed by motion, and real edges against published tools."""
+    found = RealPairs()
+    for width in (8.8, 7, 5.9, 5, 4, 3.5, 3, 2.7, 2.4, 2.2, 2.05, 1.9, 1.7, 1.5):
+        resolved = [reading.resolved for reading in found.readings(width)]
+        print(f"real pairs of {width} px: {sum(resolved)} of {len(resolved)} windows resolved")
+    for motion in (1.25, 1.5, 1.7):
+        readings = [one for width in (8, 6, 4, 3) for one in found.readings(width, motion=motion)]
+        accepted, contrast = (
+            [getattr(one, name) for one in readings] for name in ("resolved", "contrast")
+        )
+        print(
+            f"real pairs after motion by {motion} pairs: {sum(accepted)} of {len(accepted)} "
+            f"resolved, contrast {min(contrast):.2f} to {max(contrast):.2f}"
+        )
+    for name, image, published in real_edges():
+        edge = chart_image.edge_response(image)
+        print(
+            f"{name}: MTF50 {edge.mtf50:.4f} +- {edge.mtf50_sigma:.4f}, binned "
+            f"{edge.mtf50_binned:.4f}, published {published} ({edge.mtf50 / published - 1:+.1%})"
+        )
+
+
+def main():
+    """Run the parts that the command line names."""
+    known = {
+        "pairs": pairs,
+        "steps": steps,
+        "edges": edges,
+        "sizes": sizes,
+        "panorama": panorama,
+        "real": real,
+    }
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(known))
+    parser.add_argument("--full", action="store_true", help="the full number of cases")
+    options = parser.parse_args()
+    for part in options.parts or known:
+        print(f"== {part}", flush=True)
+        arguments = [COUNTS[part][options.full]] if part in COUNTS else []
+        known[part](*arguments)
+
+
 if __name__ == "__main__":
-    known = {"pairs": pairs, "steps": steps, "edges": edges, "sizes": sizes, "panorama": panorama}
-    for chosen in sys.argv[1:] or known:
-        print(f"== {chosen}")
-        known[chosen]()
+    main()
