@@ -10,12 +10,12 @@ import numpy as np
 from mmqa_lab.results import Claim
 
 QUICK = {
-    "edges": 6,
+    "edges": 3,
     "star_cycles": (36,),
     "star_sigmas_px": (0.5, 1.5),
-    "sensor_seeds": 80,
-    "field_images": 3,
-    "reflectance_seeds": 5,
+    "sensor_seeds": 50,
+    "field_images": 2,
+    "reflectance_seeds": 4,
     "block_strips": 3,
 }
 """Small parameters for the tests."""
