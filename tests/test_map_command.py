@@ -52,7 +52,7 @@ def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):
     from mmqa_lab import campaign
 
     choices = {"cell": 0.25, "metrics": ("density", "spacing"), "workers": 1}
-    campaign.map_campaign([PATCH], tmp_path / "run", tile=1, **choices)
+    campaign.map_campaign([PATCH], tmp_path / "run", tile=2, **choices)
     for ending in ("tif", "zarr", "nc"):
         dataset = campaign.open_map(tmp_path / "run", crs="EPSG:2056")
         campaign.write_map(dataset, tmp_path / f"m.{ending}")

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,9 @@ PIECE = 50_000
 
 TOLERANCE_M = 1.0
 """Points this far outside of the box in their file's header are taken for damage."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Python 3.11 may fail when several threads parse at once, as numpy does an array's header."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +127,14 @@ def unpack(source, folder, origin):
 
 def read_index(source, folder):
     """Return the boxes (m, 4: x low, y low, x high, y high) and counts of a file's pieces."""
-    with np.load(Path(folder) / f"{source.key}.npz") as index:
-        return index["boxes"], index["counts"]
+    path = Path(folder) / f"{source.key}.npz"
+    return read_array(path, "boxes"), read_array(path, "counts")
+
+
+def read_array(path, name):
+    """Return one array of an ``.npz`` file."""
+    with _ONE_AT_A_TIME, np.load(path) as arrays:
+        return arrays[name]
 
 
 def is_unpacked(source, folder):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab.campaign.files import read_array
 from mmqa_lab.campaign.run import tile_name
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps import LAYERS, UNITS, VARIABLES
@@ -131,7 +132,7 @@ def _blocks(folder, name, places, done, shape):
 
     kind = np.int64 if name == "n" else np.float64
     empty = da.full(shape, 0 if name in ("n", "area") else np.nan, dtype=kind, chunks=shape)
-    load = delayed(_load, pure=True)
+    load = delayed(read_array, pure=True)
 
     def block(place):
         if place not in done:
@@ -139,12 +140,6 @@ def _blocks(folder, name, places, done, shape):
         return da.from_delayed(load(str(folder / "tiles" / tile_name(place)), name), shape, kind)
 
     return da.block([[block(place) for place in row] for row in places])
-
-
-def _load(path, name):
-    """One variable of one tile."""
-    with np.load(path) as figures:
-        return figures[name]
 
 
 def _referenced(dataset, crs):
@@ -198,7 +193,7 @@ def _write_zarr(dataset, path):
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         # Zarr wants chunks of one size; those at the borders are cut by the extent of the points.
-        dataset.chunk(layer=-1, y=512, x=512).to_zarr(temporary, mode="w")
+        dataset.chunk(layer=-1, y=512, x=512).to_zarr(temporary, mode="w", zarr_format=2)
         if path.exists():
             shutil.rmtree(path)
         os.replace(temporary, path)

@@ -204,8 +204,7 @@ class _Run:
         path = self.tiles / tile_name(place)
         if not path.is_file():
             return False
-        with np.load(path) as found:
-            return str(found["sources"]) == _mark(near)
+        return str(files.read_array(path, "sources")) == _mark(near)
 
     def _evaluate(self, todo, grid, engine):
         """Compute the tiles."""

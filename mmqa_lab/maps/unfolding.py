@@ -7,7 +7,7 @@ rounded to 2^-30 m, a nanometre, so that shifting a piece along the row changes 
 distance.
 
 Most points have their four neighbours close by, so a first round gives each piece a narrow margin;
-patches with a point that needs more get the whole radius in a second round.
+patches with a point that needs more get a wider one in the next, up to the radius.
 """
 
 import numpy as np
@@ -15,8 +15,9 @@ import numpy as np
 from mmqa_lab.maps._grouped import count_near, flatten
 from mmqa_lab.neighbourhoods import quadrant_distances
 
-FIRST_MARGIN = 4.0
-"""In mean spacings. Of random points, one quadrant in 300 000 is empty that far."""
+MARGINS = (4.0, 8.0, np.inf)
+"""Of the rounds, in mean spacings. Of random points, one quadrant in 300 000 is empty out to the
+first; the second is for scan lines, which lie farther apart than the mean says."""
 
 AT_ONCE = 2_000_000
 """Flattened points in one search, which bounds the memory."""
@@ -44,11 +45,11 @@ def distances_in_planes(patches, tangents, chosen, around, *, radius, thickness)
         For all points, m; NaN for points of other patches and points off the plane.
     """
     distances = np.full((patches.xyz.shape[1], 4), np.nan)
-    near = np.minimum(FIRST_MARGIN * patches.cell / np.sqrt(patches.counts[chosen]), radius)
     choices = {"thickness": thickness, "around": around, "distances": distances}
-    unsettled = _search(patches, tangents, chosen, near, **choices) & (near < radius)
-    again = chosen[unsettled]
-    _search(patches, tangents, again, np.full(len(again), radius), **choices)
+    for margin in MARGINS:
+        near = np.minimum(margin * patches.cell / np.sqrt(patches.counts[chosen]), radius)
+        unsettled = _search(patches, tangents, chosen, near, **choices)
+        chosen = chosen[unsettled & (near < radius)]
     return distances
 
 
