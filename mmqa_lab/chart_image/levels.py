@@ -85,7 +85,9 @@ def tones(image, layout, chart_map):
     printed = dark + (field - dark) * spilt
     noise = max(_spread((image - printed)[mask]) for mask in (white, black))
     light = float(field[white].mean())
-    if not light - dark > SMALLEST_CONTRAST * noise or not (field > dark)[inside].all():
+    # rounding alone makes a contrast of a plain image without noise
+    least = SMALLEST_CONTRAST * noise + 1e-9 * abs(light)
+    if not light - dark > least or not (field > dark)[inside].all():
         raise ValueError(
             f"Invalid chart: white exceeds black by {light - dark:.3g} at a noise of {noise:.3g}. "
             f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
