@@ -11,7 +11,6 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.results import FORMATS
 from mmqa_lab.studies.catalogue import STUDIES
 
-
 NO_ANSWER = {"sentence": "", "figure": ""}
 """Of a run that ended before its answer."""
 

@@ -1,6 +1,6 @@
-"""The parts of the README that a program writes: answers with their numbers, and speeds.
+"""The part of the README that a program writes: the studies' answers with their numbers.
 
-They stand between ``<!-- NAME -->`` and ``<!-- end NAME -->``; nothing there is typed.
+It stands between ``<!-- NAME -->`` and ``<!-- end NAME -->``; nothing there is typed.
 """
 
 import json

@@ -137,7 +137,7 @@ def test_panorama_columns_are_azimuths_and_rows_elevations():
 
 
 def test_panorama_pixels_are_nearly_the_published_ones():
-    # Table 1, orthogonal at 10 m: C 8.2 and 7.9 mm, B 2.7 mm; megapixels are printed in round figures
+    # Table 1, orthogonal at 10 m: C 8.2 and 7.9 mm, B 2.7 mm; megapixels are round figures
     for megapixels, published in ((30, 8.05), (250, 2.7)):
         size = PanoramaCamera.of_megapixels(megapixels).pixel_size_mm(10)
         assert size == pytest.approx(published, rel=0.05)

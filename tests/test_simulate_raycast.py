@@ -168,6 +168,18 @@ def test_wall_openings_show_reveals_and_panes():
     assert np.allclose(hits.normal[2], [0, -1, 0])
 
 
+def test_kerb_is_struck_below_its_top_and_passed_above_it():
+    scene = simulate.Scene([simulate.ground(), *simulate.kerb([(4, -9, 0), (4, 0, 0), (5, 9, 0)])])
+    directions = np.array([[1.0, 0, 0]] * 2)
+    low, high = scene.cast([[0, -5, 0.11], [0, -5, 0.13]], directions).range_m
+    assert low == pytest.approx(4, abs=1e-12)
+    assert np.isnan(high)
+    turned = scene.cast([[0, 4.5, 0.05]], directions[:1]).range_m[0]
+    assert turned == pytest.approx(4.5, abs=1e-12)  # half way along the second stretch
+    with pytest.raises(ValueError, match="Invalid line"):
+        simulate.kerb([(4, 0, 0)])
+
+
 def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
     origin, direction = random_rays(rng, 500)
 

@@ -167,6 +167,15 @@ def test_weak_signals_are_noisier_and_get_lost():
     assert len(scan(dark, scanner)) < 0.6 * len(cloud)
 
 
+def test_slanting_incidence_alone_loses_points():
+    scanner = replace(PROFILER, max_range_m=20, max_range_reflectance=0.5, fading=0.0)
+    kept = scan(scanner=scanner)
+    # cos(i) (20 / r)^2 >= 1 with cos(i) = 5 / r: what lies beyond (5 * 400)^(1/3) m is lost
+    limit = 2000 ** (1 / 3)
+    assert kept["range_m"].max() == pytest.approx(limit, rel=0.01)
+    assert np.degrees(np.arccos(5 / limit)) == pytest.approx(kept["incidence_deg"].max(), abs=0.5)
+
+
 def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
     def edge(gap):
         surfaces = [

@@ -1,8 +1,7 @@
 """Insert the answers of the last full run of all studies, and its key figure, into the README.
 
-For those who change a study: nothing in that table is typed. With --speeds the table that
-tests/benchmarks/peers.py wrote goes into the section on performance. With --check nothing is
-written; the exit status is 1 where the README differs.
+For those who change a study: nothing in that table is typed. With --check nothing is written; the
+exit status is 1 where the README differs.
 """
 
 from pathlib import Path
@@ -12,14 +11,13 @@ SUMMARY = "insert the studies' answers into the README"
 EPILOG = """\
 example:
   mmqa studies && mmqa readme
-  mmqa readme --speeds speeds.md
+  mmqa readme --check
 """
 
 
 def add_arguments(parser):
     """Declare the arguments."""
     parser.add_argument("--results", type=Path, metavar="FOLDER", help="default notebooks/results")
-    parser.add_argument("--speeds", type=Path, metavar="FILE", help="a Markdown table")
     parser.add_argument("--check", action="store_true", help="only say whether it is up to date")
 
 
@@ -33,8 +31,6 @@ def run(options):
     folder, path = options.results or results.root(), notebooks_folder().parent / "README.md"
     text = path.read_text(encoding="utf-8")
     new = replaced(text, "studies", studies_table(folder))
-    if options.speeds is not None:
-        new = replaced(new, "speeds", options.speeds.read_text(encoding="utf-8").strip())
     if options.check:
         return 0 if new == text else 1
     write_atomically(path, lambda file: file.write_text(new, encoding="utf-8"))

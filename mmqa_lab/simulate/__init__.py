@@ -25,7 +25,7 @@ mounts one.
 
 from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.objects import chart, chart_corners, wall
+from mmqa_lab.simulate.objects import chart, chart_corners, kerb, wall
 from mmqa_lab.simulate.scan import scan, scan_all
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
 from mmqa_lab.simulate.scenes import Hits, Scene
@@ -70,6 +70,7 @@ __all__ = [
     "foliage",
     "ground",
     "group",
+    "kerb",
     "match",
     "measured",
     "polygon",

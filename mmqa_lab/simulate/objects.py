@@ -1,8 +1,10 @@
-"""Things made of several surfaces: walls with openings, charts."""
+"""Things made of several surfaces: walls with openings, kerbs, charts."""
+
+from itertools import pairwise
 
 import numpy as np
 
-from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.simulate.surfaces import board, group, polygon, rectangle, vector
 
 
@@ -57,6 +59,38 @@ def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflec
         parts.append(rectangle(low + inward, side, rise, label="pane", reflectance=0.1))
     outline = [corner, corner + along, corner + along + up, corner + up]
     return [polygon(outline, holes=holes, label=label, reflectance=reflectance), *parts]
+
+
+def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
+    """Return the upright faces of a kerb along a line: a surface for each of its stretches.
+
+    Parameters
+    ----------
+    line : array_like, shape (n, 3)
+        Points at the foot of the kerb, two or more, metres.
+    height : float
+        Metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    list of Surface
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, two in a row are the same, or the height is not > 0.
+
+    Examples
+    --------
+    >>> len(kerb([(4, 0, 0), (4, 20, 0), (3, 22, 0)]))
+    2
+    """
+    line = check_points(line, name="line", minimum=2)
+    up = (0, 0, check_positive(height, "height", unit="m"))
+    stretches = pairwise(line)
+    return [rectangle(a, b - a, up, label=label, reflectance=reflectance) for a, b in stretches]
 
 
 def chart(

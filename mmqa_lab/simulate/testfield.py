@@ -6,7 +6,6 @@ reference gets the errors of a survey.
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -14,6 +13,7 @@ import pandas as pd
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import presets
+from mmqa_lab.simulate.objects import kerb
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, polygon, rectangle
@@ -57,10 +57,10 @@ class SimulatedField:
         """True height of the ground at places in plan (n, 2), NaN next to curbs and in houses."""
         x, y = (np.asarray(xy, dtype=np.float64) - self.origin[:2]).T
         height = np.full(len(x), np.nan)
-        kerb = _kerb(y, self.length_m)
+        edge = _curb_offset(y, self.length_m)
         aside = np.abs(x)
-        height[aside < kerb - 0.3] = 0.0
-        pavement = (aside > kerb + 0.3) & (aside < ROAD_HALF_M + PAVEMENT_M - 0.3)
+        height[aside < edge - 0.3] = 0.0
+        pavement = (aside > edge + 0.3) & (aside < ROAD_HALF_M + PAVEMENT_M - 0.3)
         height[pavement] = CURB_M
         near_bay = np.abs(y - _bays(self.length_m).ravel()[:, None]).min(axis=0) < 0.4
         height[near_bay & (aside > ROAD_HALF_M - 2.5)] = np.nan
@@ -226,7 +226,7 @@ def _with_wrong_lever_arm(cloud, path, error):
     return Cloud(cloud.points + shift, cloud.columns, cloud.name)
 
 
-def _kerb(y, length):
+def _curb_offset(y, length):
     """Distance of the curb from the axis: 5 m, and 3 m where bays end in build-outs."""
     out = np.zeros(np.shape(y), dtype=bool)
     for low, high in _bays(length):
@@ -257,11 +257,7 @@ def _road(length):
         outline = [(sign * x, y, CURB_M) for y, x in edges]
         outline += [(sign * end, length + beyond, CURB_M), (sign * end, -beyond, CURB_M)]
         yield polygon(outline, label="pavement", reflectance=0.3)
-        for (y0, x0), (y1, x1) in pairwise(edges):
-            along = (sign * (x1 - x0), y1 - y0, 0)
-            yield rectangle(
-                (sign * x0, y0, 0), along, (0, 0, CURB_M), label="curb", reflectance=0.4
-            )
+        yield from kerb([(sign * x, y, 0) for y, x in edges], CURB_M, label="curb")
 
 
 def _houses(length, rng):
