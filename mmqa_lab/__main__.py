@@ -24,7 +24,7 @@ ENVIRONMENT = ROOT / "environment.txt"
 VENV = ROOT / ".venv"
 STAMP = VENV / "mmqa-environment.sha256"
 
-PROBES = ("numpy", "laspy", "numba", "pandas", "nbclient", "pytest", "ruff")
+PROBES = ("numpy", "laspy", "numba", "pandas", "dask", "nbclient", "pytest", "ruff")
 """An environment that can import these was made from environment.txt."""
 
 DESCRIPTION = """\
