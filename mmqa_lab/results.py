@@ -190,8 +190,13 @@ def overlapping_texts(figure):
 
 
 def _is_shown_text(artist):
-    """Whether an artist is a text that one can read, in axes that are shown."""
+    """Whether an artist is a text that one can read, in axes that are shown.
+
+    Slanting texts are left out: their upright boxes say little about where they are.
+    """
     if not hasattr(artist, "get_fontsize") or not artist.get_visible():
+        return False
+    if artist.get_rotation() % 90:
         return False
     axes = artist.axes
     return axes is None or (axes.get_visible() and (axes.axison or artist in axes.texts))
