@@ -80,4 +80,5 @@ def _row(study, folder):
     answer = json.loads((folder / "run.json").read_text(encoding="utf-8"))["answer"]["sentence"]
     name = f"[{study.number:02d} {study.title}](notebooks/{study.notebook}.ipynb)"
     source = re.sub(r"doi:(\S+\w)", r"[doi:\1](https://doi.org/\1)", study.source)
+    source = re.sub(r"(hal-\d+)", r"[\1](https://hal.science/\1)", source)
     return f"| {name} | {study.question} | {answer} | {source} |"
