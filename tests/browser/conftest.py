@@ -1,5 +1,6 @@
 """JupyterLab on copies of the study notebooks, driven by Chromium."""
 
+import contextlib
 import json
 import math
 import os
@@ -155,6 +156,8 @@ def ran(browser, lab, tmp_path):
 
     def run(name):
         """The page of a notebook whose cells have all run."""
+        from playwright.sync_api import TimeoutError
+
         asked = page.locator(".jp-Dialog", has_text="Select Kernel")  # when it is not ready to run
         select = page.locator(".jp-Dialog button", has_text=re.compile("^Select$"))
         page.add_locator_handler(asked, lambda: select.click())
@@ -167,9 +170,12 @@ def ran(browser, lab, tmp_path):
         while not re.search(r"\d", first.inner_text()) and time.monotonic() < until:
             waits = "*" not in first.inner_text()
             if waits and time.monotonic() - asked_at > LOST_S:
-                page.locator(".lm-MenuBar-itemLabel", has_text=re.compile("^Run$")).click()
-                page.locator(".lm-Menu-itemLabel", has_text="Run All Cells").first.click()
-                asked_at = time.monotonic()
+                with contextlib.suppress(TimeoutError):  # a dialog took the menu away
+                    page.locator(".lm-MenuBar-itemLabel", has_text=re.compile("^Run$")).click()
+                    page.locator(".lm-Menu-itemLabel", has_text="Run All Cells").first.click(
+                        timeout=5000
+                    )
+                    asked_at = time.monotonic()
             page.wait_for_timeout(500)
         return page
 
