@@ -177,6 +177,8 @@ def ran(browser, lab, tmp_path):
                     )
                     asked_at = time.monotonic()
             page.wait_for_timeout(500)
+        page.wait_for_timeout(1000)
+        page.wait_for_function(f"() => {idle}", timeout=2000 * RUN_S)  # also when asked twice
         return page
 
     yield run

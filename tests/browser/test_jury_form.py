@@ -4,6 +4,8 @@ import nbformat
 import pandas as pd
 from playwright.sync_api import expect
 
+expect.set_options(timeout=30_000)  # a busy machine answers late
+
 CELL = """
 import numpy as np
 from mmqa_lab import jury
