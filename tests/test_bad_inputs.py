@@ -37,14 +37,20 @@ CASES = [
     ("poles PATCH --gate 0 --reference poles.csv", "Invalid gate 0"),
     ("poles PATCH --reference none.csv", "no such file. Must exist."),
     ("poles PATCH --reference words.csv", "x_m"),
-    ("map none.laz --out m.nc", "none.laz"),
-    ("map nothing --out m.nc", "nothing"),
+    ("map none.laz --out m.nc", "no such file or folder. Must exist."),
+    ("map nothing --out m.nc", "Must be, or hold, .las or .laz files."),
+    ("map notes.md --out m.nc", "Must be, or hold, .las or .laz files."),
+    ("map four_bytes.laz --out m.nc", "Must have a header."),
     ("map PATCH --out m.docx", "'.docx'. Must be one of .nc, .zarr, .tif."),
-    ("map PATCH --out m.nc --cell 0", "Invalid cell 0"),
-    ("map PATCH --out m.nc --cell nan", "nan"),
-    ("map PATCH --out m.nc --metrics beauty", "beauty"),
-    ("map PATCH --out m.nc --below density", "density"),
-    ("map PATCH --out m.nc --workers 0", "0"),
+    ("map PATCH --out m.tif", "no coordinate reference system in the files"),
+    ("map PATCH --out m.nc --crs EPSG:0", "Invalid crs 'EPSG:0'. Must be known"),
+    ("map PATCH --out m.nc --cell 0", "Invalid cell 0.0. Must be > 0 m."),
+    ("map PATCH --out m.nc --cell nan", "Invalid cell nan"),
+    ("map PATCH --out m.nc --tile -5", "Invalid tile -5.0. Must be > 0 m."),
+    ("map PATCH --out m.nc --metrics beauty", "Invalid metric 'beauty'. Must be one of density"),
+    ("map PATCH --out m.nc --below density", "Must be NAME=VALUE"),
+    ("map PATCH --out m.nc --below beauty=1", "Invalid figure with a threshold 'beauty'"),
+    ("map PATCH --out m.nc --workers 0", "Invalid workers 0. Must be a whole number >= 1."),
     ("map PATCH --out m.nc --scheduler nowhere", "nowhere"),
     # polygons
     ("evaluate PATCH --polygon none.csv", "no such file. Must exist."),
@@ -143,6 +149,7 @@ def folder(tmp_path_factory):
         (folder / name).write_text(text)
     (folder / "nothing").mkdir()
     (folder / "cut.laz").write_bytes(whole[:30_000])
+    (folder / "four_bytes.laz").write_bytes(b"LASF")
     laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "empty.las")
     write_cloud(folder / "lying.las", Cloud(np.zeros((5, 3))))
     lying = bytearray((folder / "lying.las").read_bytes())

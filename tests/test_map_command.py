@@ -4,12 +4,9 @@ import json
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from mmqa_lab import samples
 from mmqa_lab.__main__ import main
-from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import write_cloud
 
 PATCH = str(samples.path("road_patch"))
 QUICK = ["--workers", "1", "--radius", "0.2", "--cell", "0.25"]
@@ -81,43 +78,3 @@ def test_a_damaged_file_gives_status_1_and_its_name(tmp_path, capsys):
     page = (tmp_path / "map.html").read_text(encoding="utf-8")
     assert "Missing from the map" in page
     assert "cut.laz" in page
-
-
-def bad(tmp_path):
-    """Arguments, and a part of the sentence they must get."""
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "notes.txt").write_text("0 0 0\n")
-    (tmp_path / "cut.laz").write_bytes(b"LASF")
-    write_cloud(tmp_path / "one.las", Cloud(np.zeros((1, 3))))
-    out = ["--out", str(tmp_path / "map.nc")]
-    return [
-        ([str(tmp_path / "none.laz"), *out], "no such file or folder. Must exist."),
-        ([str(tmp_path / "folder"), *out], "Must be, or hold, .las or .laz files."),
-        ([str(tmp_path / "notes.txt"), *out], "Must be, or hold, .las or .laz files."),
-        ([str(tmp_path / "cut.laz"), *out], "Must have a header."),
-        ([PATCH, "--out", "map.png"], "Must be one of .nc, .zarr, .tif."),
-        ([PATCH, *out, "--cell", "0"], "Invalid cell 0.0. Must be > 0 m."),
-        ([PATCH, *out, "--tile", "-5"], "Invalid tile -5.0. Must be > 0 m."),
-        ([PATCH, *out, "--metrics", "beauty"], "Invalid metric 'beauty'. Must be one of density"),
-        ([PATCH, *out, "--below", "density"], "Must be NAME=VALUE"),
-        ([PATCH, *out, "--below", "beauty=1"], "Invalid figure with a threshold 'beauty'"),
-        ([PATCH, *out, "--crs", "EPSG:0"], "Invalid crs 'EPSG:0'. Must be known"),
-        ([PATCH, "--out", str(tmp_path / "m.tif")], "no coordinate reference system in the files"),
-        ([PATCH, *out, "--workers", "0"], "Invalid workers 0. Must be a whole number >= 1."),
-    ]
-
-
-@pytest.mark.parametrize("case", range(13))
-def test_bad_input_gets_one_sentence_and_no_map(tmp_path, capsys, case):
-    arguments, sentence = bad(tmp_path)[case]
-    quick = [] if "--workers" in arguments else ["--workers", "1"]
-    try:
-        status = main(["map", *arguments, *quick])
-    except SystemExit as stop:  # argparse leaves this way
-        status = stop.code
-    out, err = capsys.readouterr()
-    assert status == 2
-    assert out == ""
-    assert sentence in err
-    assert "Traceback" not in err
-    assert not list(tmp_path.glob("m*.nc")) + list(tmp_path.glob("m*.tif"))

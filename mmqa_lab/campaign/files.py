@@ -1,5 +1,6 @@
 """The files of a campaign, and their points by place."""
 
+import contextlib
 import hashlib
 import os
 import threading
@@ -66,6 +67,18 @@ def find_files(paths):
             raise ValueError(f"Invalid cloud {path}. Must be, or hold, .las or .laz files.")
         found.update(file.resolve() for file in clouds)
     return sorted(found)
+
+
+def known_crs(paths):
+    """Return the first coordinate reference system that files' headers name, as WKT; "" for none.
+
+    Damaged headers are passed over: mapping names them.
+    """
+    for path in find_files(paths):
+        with contextlib.suppress(ValueError):
+            if crs := read_source(path).crs:
+                return crs
+    return ""
 
 
 def read_source(path):

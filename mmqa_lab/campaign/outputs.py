@@ -102,7 +102,7 @@ def write_map(dataset, path):
     path = Path(path)
     check_ending(path)
     if path.suffix == ".tif":
-        _check_crs(dataset, path)
+        check_place(path, "spatial_ref" in dataset.coords)
         write_atomically(path, lambda temporary: _write_tif(dataset, temporary))
     elif path.suffix == ".nc":
         write_atomically(path, lambda temporary: _write_netcdf(dataset, temporary))
@@ -154,9 +154,9 @@ def _referenced(dataset, crs):
     return dataset.rio.write_crs(known.to_wkt())
 
 
-def _check_crs(dataset, path):
-    """Raise where a GeoTIFF would have no place on earth."""
-    if "spatial_ref" not in dataset.coords:
+def check_place(path, crs):
+    """Raise where a GeoTIFF would have no place on earth: without a coordinate reference system."""
+    if Path(path).suffix == ".tif" and not crs:
         raise ValueError(
             f"Invalid map {path}: no coordinate reference system in the files. "
             "Must be given, as EPSG:25832 or the like, or the map be .nc or .zarr."

@@ -76,7 +76,8 @@ def run(options):
     import sys
 
     from mmqa_lab import campaign
-    from mmqa_lab.campaign.outputs import check_crs, check_ending
+    from mmqa_lab.campaign.files import known_crs
+    from mmqa_lab.campaign.outputs import check_crs, check_ending, check_place
     from mmqa_lab.campaign.summary import check_thresholds
     from mmqa_lab.maps import VARIABLES
 
@@ -85,6 +86,8 @@ def run(options):
     check_thresholds(options.below, wanted)
     if options.crs:
         check_crs(options.crs)
+    elif options.out.suffix == ".tif":
+        check_place(options.out, known_crs(options.cloud))
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")

@@ -24,9 +24,6 @@ CELLS = ("pixel_h_mm", "pixel_v_mm", "w_h_mm", "w_v_mm")
 W_CELLS_PRINTED = 22
 """Cells of Table 1 that give a width of line pairs."""
 
-READING_STEPS = 1
-"""Readers of one pattern differed by one rung of the ladder at most (section 4.2)."""
-
 
 def table_1():
     """Return Table 1: pixel size, resolved line pairs and legibility of the three systems.

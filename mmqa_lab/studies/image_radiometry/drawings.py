@@ -206,19 +206,6 @@ def draw_mosaics(pictures, *, axes):
     return axes
 
 
-def draw_gains(adjustment, stations, *, ax):
-    """Draw the estimated gains of the images beside the true ones."""
-    gains = adjustment.gains
-    ratio = gains["gain"] / gains["gain"].mean()
-    bars = {"fmt": "o", "ms": 4, "color": COLOURS["blue"], "capsize": 2, "label": "estimated"}
-    ax.errorbar(gains["image"], ratio, yerr=2 * ratio * gains["gain_std_percent"] / 100, **bars)
-    true = stations["gain"] / stations["gain"].mean()
-    ax.plot(stations["image"], true, "_", ms=9, color=COLOURS["black"], label="true")
-    ax.set(xlabel="image", ylabel="gain over the mean")
-    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
-    return ax
-
-
 def figure_of_blur():
     """Return a function that draws an edge and its sigmoids for a blur."""
 

@@ -9,12 +9,6 @@ from mmqa_lab import simulate
 from mmqa_lab.patterns import measure_pattern
 from mmqa_lab.scan_geometry import Patch, ScanSetup, Target, scan_lattice
 
-MEASURED = (
-    *("profile_spacing_perpendicular_m", "profile_spacing_horizontal_m"),
-    *("profile_spacing_vertical_m", "profile_angle_deg", "point_spacing_m"),
-)
-"""What is measured, and known, of each patch."""
-
 
 def _case(pulse_rate, mirror, speed, scanner, target, place):
     """A set-up and a target from (heading, tilt) pairs and (range, height difference)."""

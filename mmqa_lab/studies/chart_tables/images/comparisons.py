@@ -16,8 +16,6 @@ from mmqa_lab.studies.chart_tables.images.rendered import ROW, readings
 CELL = [*ROW, "direction", "quantity"]
 """What names a cell of Table 1."""
 
-MODELS = ("published", "specification", "one spread", "per system")
-
 
 def pixel_sizes(rows, photos):
     """Return the pixel sizes of the orthogonal views: published, predicted and measured.
