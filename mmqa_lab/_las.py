@@ -47,7 +47,7 @@ def las_tables(path, chunk, *, bare=False):
             attributes = {name: np.array(part[name]) for name in names}
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
-            yield np.stack([part.x, part.y, part.z], axis=1).astype(np.float64), attributes
+            yield np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1), attributes
         if read < header.point_count:
             raise ValueError(f"{read} points where the header says {header.point_count}")
 

@@ -44,14 +44,17 @@ Tree = namedtuple("Tree", "leaves boxes")
 """First point of each leaf; boxes (x low, x high, y low, y high), the children of k at 2k, 2k+1."""
 
 
-def nearest_per_quadrant(xy, radius):
-    """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last."""
+def nearest_per_quadrant(xy, radius, of):
+    """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last.
+
+    Only for the points in the mask ``of``; the others get NaN.
+    """
     xy = np.ascontiguousarray(xy)
     with enough_threads(len(xy), POINTS_A_THREAD):
-        return _nearest(xy, radius, numba.get_num_threads())
+        return _nearest(xy, radius, of, numba.get_num_threads())
 
 
-def _nearest(xy, radius, threads):
+def _nearest(xy, radius, of, threads):
     """The steps of the search: cells, leaves, boxes, distances."""
     grid = _grid(xy)
     points = Points(np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy), np.int32))
@@ -63,7 +66,7 @@ def _nearest(xy, radius, threads):
     tree = Tree(leaves, np.tile([np.inf, -np.inf, np.inf, -np.inf], (2 * bottom, 1)))
     _draw_boxes(points, leaves, tree.boxes)
     distances = np.empty((len(xy), 4))
-    _search(points, grid, starts, tree, radius, distances, threads)
+    _search(points, grid, starts, tree, radius, of, distances, threads)
     return distances
 
 
@@ -218,14 +221,14 @@ def _draw_boxes(points, leaves, boxes):
 
 
 @njit(parallel=True, cache=True)
-def _search(points, grid, starts, tree, radius, distances, threads):
+def _search(points, grid, starts, tree, radius, of, distances, threads):
     """Fill in the distances, the tasks of leaves dealt out to the threads."""
     for t in prange(threads):
-        _search_share(points, grid, starts, tree, radius, distances, np.int64(t), threads)
+        _search_share(points, grid, starts, tree, radius, of, distances, np.int64(t), threads)
 
 
 @njit(cache=True)
-def _search_share(points, grid, starts, tree, radius, distances, t, threads):
+def _search_share(points, grid, starts, tree, radius, of, distances, t, threads):
     """Fill in the distances of one thread's leaves."""
     leaves, boxes = tree.leaves, tree.boxes
     group, need = np.empty(6 * LANES), np.empty(4)
@@ -233,6 +236,8 @@ def _search_share(points, grid, starts, tree, radius, distances, t, threads):
     for task in range(t * TASK, len(leaves) - 1, threads * TASK):
         for k in range(task, min(task + TASK, len(leaves) - 1)):
             start, end = leaves[k], leaves[k + 1]
+            if not _is_any(of, points.rows, start, end, distances):
+                continue
             _gather(points, start, end, radius, group)
             if not _search_cells(points, grid, starts, group, need):
                 _compare(points, start, end, group)
@@ -240,7 +245,19 @@ def _search_share(points, grid, starts, tree, radius, distances, t, threads):
                     need[q] = _worst(group, q)
             if max(need[0], need[1], need[2], need[3]) > 0:
                 _search_tree(points, tree, len(boxes) // 2 + k, group, need, stack)
-            _scatter(points.rows, start, end, radius, group, distances)
+            _scatter(points.rows, start, end, radius, group, of, distances)
+
+
+@njit(cache=True)
+def _is_any(of, rows, start, end, distances):
+    """Whether a leaf holds one of the points that are asked for; NaN for those that are not."""
+    found = False
+    for i in range(start, end):
+        if of[rows[i]]:
+            found = True
+        else:
+            distances[rows[i], :] = np.nan
+    return found
 
 
 @njit(cache=True)
@@ -420,9 +437,11 @@ def _worst(group, q):
 
 
 @njit(cache=True)
-def _scatter(rows, start, end, radius, group, distances):
+def _scatter(rows, start, end, radius, group, of, distances):
     """Sort each lane's four distances and put them into the row of its point."""
     for k in range(end - start):
+        if not of[rows[start + k]]:
+            continue
         a, b = math.sqrt(group[BEST + k]), math.sqrt(group[BEST + LANES + k])
         c, d = math.sqrt(group[BEST + 2 * LANES + k]), math.sqrt(group[BEST + 3 * LANES + k])
         a, b, c, d = min(a, b), max(a, b), min(c, d), max(c, d)

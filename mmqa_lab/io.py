@@ -70,6 +70,18 @@ def iterate_cloud(path, *, columns=None, chunk=1_000_000):
 
     Parameters and errors are those of :func:`read_cloud`; PLY files arrive in one piece.
 
+    Parameters
+    ----------
+    path, columns
+        See :func:`read_cloud`.
+    chunk : int
+        Most points of a piece.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        See :func:`read_cloud`.
+
     Examples
     --------
     >>> from mmqa_lab import samples
@@ -112,6 +124,16 @@ def write_cloud(path, cloud, *, scale=0.001):
     ------
     ValueError
         If the ending is another, the cloud has no points or is too wide for the step.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> cloud = Cloud([[500_000.1234, 0, 0]], {"gps_time": np.array([1.5])})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_cloud(Path(folder) / "one.laz", cloud)
+    ...     again = read_cloud(Path(folder) / "one.laz")
+    >>> again.points[0].round(6).tolist(), again["gps_time"].tolist()
+    ([500000.123, 0.0, 0.0], [1.5])
     """
     path = Path(path)
     check_choice(path.suffix.lower(), "ending", LAS_ENDINGS)
@@ -128,6 +150,21 @@ def write_atomically(path, write):
 
     The temporary file lies in the same folder and has the same ending; it is removed when
     ``write`` fails.
+
+    Parameters
+    ----------
+    path : path
+        Folders are made where missing; an existing file is replaced.
+    write : callable
+        Takes the path of the temporary file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_atomically(Path(folder) / "f.txt", lambda file: file.write_text("whole"))
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['f.txt']
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +217,28 @@ def read_polygon(source):
 
 
 def write_polygon(path, vertices):
-    """Write 3-D vertices as a GeoJSON polygon that :func:`read_polygon` reads back to the bit."""
+    """Write 3-D vertices as a GeoJSON polygon that :func:`read_polygon` reads back to the bit.
+
+    Parameters
+    ----------
+    path : path
+        An existing file is replaced.
+    vertices : array_like, shape (n, 3)
+        Metres, n >= 3.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three vertices or one is not finite.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_polygon(Path(folder) / "p.geojson", [[0, 0, 0], [1, 0, 0], [1, 0, 0.1]])
+    ...     read_polygon(Path(folder) / "p.geojson")[2].tolist()
+    [1.0, 0.0, 0.1]
+    """
     vertices = check_points(vertices, name="polygon", minimum=3)
     ring = [*vertices.tolist(), vertices[0].tolist()]
     text = json.dumps({"type": "Polygon", "coordinates": [ring]})
@@ -221,6 +279,15 @@ def read_trajectory(path, *, time_unit="s", angle_unit="degrees"):
         If there is no such file.
     ValueError
         If a needed column is missing, a value is no finite number, or a time repeats.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "path.csv").write_text("time,x,y,z,heading\\n500,0,0,2,90\\n")
+    ...     path = read_trajectory(Path(folder) / "path.csv", time_unit="ms")
+    >>> path[["time_s", "height_m", "heading_deg"]].to_numpy().tolist()
+    [[0.5, 2.0, 90.0]]
     """
     path = Path(path)
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -346,11 +413,11 @@ def _chosen(path, attributes, columns):
 
 def _finite_cloud(path, points, attributes):
     """A cloud of the finite points, with a warning that counts the others."""
-    finite = np.isfinite(points).all(axis=1)
-    dropped = int((~finite).sum())
-    if dropped:
+    if not np.isfinite(points).all():
+        finite = np.isfinite(points).all(axis=1)
         warnings.warn(
-            f"Dropped {dropped} of {len(points)} points of {path} with non-finite coordinates.",
+            f"Dropped {(~finite).sum()} of {len(points)} points of {path} with coordinates that are "
+            "not finite.",
             stacklevel=3,
         )
         points = points[finite]

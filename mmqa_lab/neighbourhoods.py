@@ -34,6 +34,13 @@ class Spacing:
         Points in all.
     distances : array, shape (n, 4)
         The sorted quadrant distances of each point, NaN where a quadrant is empty.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> found = spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> found.d.round(6).tolist(), round(found.f, 6)
+    ([0.02, 0.02, 0.04, 0.04], 2.0)
     """
 
     d: np.ndarray
@@ -49,7 +56,7 @@ class Spacing:
         return float(self.d[3] / self.d[0])
 
 
-def quadrant_distances(xy, *, radius=0.5, angle=0.0):
+def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
     """Distance from each point to the nearest other one in each of four quadrants.
 
     The quadrants about a point are half open and share no place: [dx > 0, dy >= 0],
@@ -63,6 +70,8 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0):
         Neighbours up to this far count, m.
     angle : float
         Turns the axes of the quadrants counter-clockwise, degrees.
+    of : array_like of bool, shape (n,), optional
+        Measure from these points only; the others are neighbours, and their rows NaN.
 
     Returns
     -------
@@ -73,7 +82,8 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0):
     Raises
     ------
     ValueError
-        If there is no point, a coordinate is not finite, or the radius is not positive.
+        If there is no point, a coordinate is not finite, the radius is not positive, or ``of`` is
+        not one truth value for each point.
 
     Notes
     -----
@@ -96,8 +106,13 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0):
     _check_width(xy)
     from mmqa_lab._quadrants import nearest_per_quadrant
 
+    of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
+    if of.dtype != bool or of.shape != (len(xy),):
+        raise ValueError(
+            f"Invalid of, {of.dtype} of shape {of.shape}. Must be bool of shape ({len(xy)},)."
+        )
     with _ONE_AT_A_TIME:
-        return nearest_per_quadrant(_turned(xy, angle), radius)
+        return nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
 def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
@@ -199,6 +214,20 @@ def poisson_spacing(density):
 
 def count_coincident(xy):
     """Return the number of points that share their place with another one.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Any unit.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        If there are no points or one is not finite.
 
     Examples
     --------

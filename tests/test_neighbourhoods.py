@@ -194,6 +194,15 @@ def test_larger_clouds_equal_brute_force_at_sampled_points(name, radius):
     )
 
 
+@pytest.mark.parametrize("name", sorted(PATTERNS))
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.9])
+def test_distances_of_some_points_are_those_of_all(name, share):
+    xy = pattern(name, 3000)
+    of = np.random.default_rng(5).random(len(xy)) < share
+    expected = np.where(of[:, None], quadrant_distances(xy), NAN)
+    np.testing.assert_array_equal(quadrant_distances(xy, of=of), expected)
+
+
 @pytest.mark.parametrize("density", [100, 2000, 30_000])
 def test_random_points_have_the_closed_form(density):
     side = np.sqrt(100_000 / density)
@@ -325,6 +334,12 @@ def test_bad_values(measure, xy, choices, sentence):
 def test_bad_kinds(xy, radius):
     with pytest.raises(TypeError, match="Must be"):
         quadrant_distances(xy, radius=radius)
+
+
+@pytest.mark.parametrize("of", [[True], [0, 1], [[True, True]], "no"])
+def test_bad_masks(of):
+    with pytest.raises(ValueError, match=r"Invalid of.*Must be bool of shape \(2,\)\."):
+        quadrant_distances([[0, 0], [1, 1]], of=of)
 
 
 @pytest.mark.parametrize("density", [0, -5, np.inf, NAN])

@@ -129,9 +129,9 @@ def unpack(source, folder, origin):
                     points = points - origin
                     for first in range(0, len(points), PIECE):
                         xy = points[first : first + PIECE, :2]
-                        boxes.append(np.concatenate([xy.min(axis=0), xy.max(axis=0)]))
+                        boxes.append(np.concatenate(_box(xy)))
                         counts.append(len(xy))
-                    file.write(points.tobytes())
+                    file.write(points.data)
 
         write_atomically(folder / f"{source.key}.xyz", write)
     index = {"boxes": np.array(boxes), "counts": np.array(counts)}
@@ -191,13 +191,20 @@ def _points(source):
     low, high = np.array(source.low) - TOLERANCE_M, np.array(source.high) + TOLERANCE_M
     for cloud in iterate_cloud(source.path, columns=()):
         points = cloud.points
-        outside = (points < low).any(axis=1) | (points > high).any(axis=1)
-        if outside.any():
+        least, most = _box(points)
+        if (least < low).any() or (most > high).any():
+            outside = (points < low).any(axis=1) | (points > high).any(axis=1)
             raise ValueError(
                 f"Invalid cloud {source.path}: {outside.sum()} points outside of the box in its "
                 "header. Must be a complete LAS or LAZ file."
             )
         yield points
+
+
+def _box(points):
+    """Least and largest coordinates; an axis at a time, which is several times quicker."""
+    axes = points.T
+    return np.array([axis.min() for axis in axes]), np.array([axis.max() for axis in axes])
 
 
 def _query(source, origin, box):

@@ -56,6 +56,17 @@ def open_map(folder, *, crs=None):
         If the folder holds no run.
     ValueError
         If the coordinate reference system is unknown.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab import campaign, samples
+    >>> run = {"cell": 0.5, "metrics": ("density",), "workers": 1}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = campaign.map_campaign([samples.path("road_patch")], folder, **run)
+    ...     opened = open_map(folder).load()
+    >>> opened["density"].attrs["units"], float(opened["x"][1] - opened["x"][0])
+    ('m-2', 0.5)
     """
     import xarray as xr
 
@@ -93,11 +104,30 @@ def write_map(dataset, path):
 
     In a GeoTIFF each variable of each layer is a band that bears its name.
 
+    Parameters
+    ----------
+    dataset : Dataset
+        From :func:`open_map`.
+    path : path
+        An existing file is replaced.
+
     Raises
     ------
     ValueError
         If the ending is another, or a GeoTIFF is asked for and there is no coordinate reference
         system.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import xarray as xr
+    >>> cells = xr.DataArray(np.ones((1, 2, 2)), dims=("layer", "y", "x")).chunk()
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_map(cells.to_dataset(name="n"), Path(folder) / "map.nc")
+    ...     with xr.open_dataset(Path(folder) / "map.nc") as written:
+    ...         counted = float(written["n"].sum())
+    >>> counted
+    4.0
     """
     path = Path(path)
     check_ending(path)

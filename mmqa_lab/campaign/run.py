@@ -30,6 +30,17 @@ class Outcome:
         Points of the sound files.
     problems : tuple of str
         A sentence for each file that could not be used and each tile that could not be computed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab import samples
+    >>> run = {"cell": 0.5, "metrics": ("density",), "workers": 1}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = map_campaign([samples.path("road_patch")], folder, **run)
+    ...     again = map_campaign([samples.path("road_patch")], folder, **run)
+    >>> first.points, first.computed == first.tiles, again.computed, again.problems
+    (28185, True, 0, ())
     """
 
     folder: Path
@@ -81,6 +92,18 @@ def map_campaign(
     FileNotFoundError, ValueError
         If there are no files, none is sound, they have different coordinate reference systems,
         the folder holds a run with other parameters, or an argument is out of its range.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab import campaign, samples
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = map_campaign(
+    ...         [samples.path("road_patch")], folder, cell=0.5, metrics=("density",), workers=1
+    ...     )
+    ...     counted = int(campaign.open_map(folder)["n"].sum())
+    >>> counted == done.points
+    True
     """
     found = files.find_files(paths)
     check_positive(cell, "cell", unit="m")

@@ -82,59 +82,54 @@ def occupied_squares(xyz, starts, index, face, cell, side):
 
 
 @njit(cache=True)
-def count_near(xyz, starts, ranges, chosen, centres, axes, margins, thickness):
-    """Outline (u low, u high, v low, v high) of each chosen cube's points near its plane, and the
-    number of points near the plane in the outline widened by the margin."""
+def outline_patches(xyz, starts, chosen, centres, axes, thickness):
+    """Outline (u low, u high, v low, v high) of each chosen patch's points near its plane."""
     outlines = np.empty((len(chosen), 4))
-    counts = np.zeros(len(chosen), np.int64)
     for k in range(len(chosen)):
         c = chosen[k]
         outline = outlines[k]
         outline[0], outline[1], outline[2], outline[3] = np.inf, -np.inf, np.inf, -np.inf
         for i in range(starts[c], starts[c + 1]):
             if abs(_along(xyz, i, centres[c], axes[c, 2])) <= thickness:
-                u, v = (
-                    _along(xyz, i, centres[c], axes[c, 0]),
-                    _along(xyz, i, centres[c], axes[c, 1]),
-                )
+                u = _along(xyz, i, centres[c], axes[c, 0])
+                v = _along(xyz, i, centres[c], axes[c, 1])
                 outline[0], outline[1] = min(outline[0], u), max(outline[1], u)
                 outline[2], outline[3] = min(outline[2], v), max(outline[3], v)
-        for r in range(ranges.shape[1]):
-            for i in range(ranges[k, r, 0], ranges[k, r, 1]):
-                counts[k] += _is_near(xyz, i, centres[c], axes[c], outline, margins[k], thickness)
-    return outlines, counts
+    return outlines
 
 
 @njit(cache=True)
 def flatten(
     xyz, starts, ranges, chosen, centres, axes, margins, thickness, outlines, shift, xy, rows
 ):
-    """Write the points that :func:`count_near` counted, cube by cube, into their planes.
+    """Write the points near each chosen patch's plane, in its outline widened by the margin.
 
-    ``rows`` gets the number of each point of the cube itself, -1 for those around it.
+    ``rows`` gets the number of each point of the patch itself, -1 for those around it. Returns how
+    many were written for each patch.
     """
+    counts = np.zeros(len(chosen), np.int64)
     n = 0
     for k in range(len(chosen)):
-        c = chosen[k]
+        c, before = chosen[k], n
         for r in range(ranges.shape[1]):
             for i in range(ranges[k, r, 0], ranges[k, r, 1]):
-                if _is_near(xyz, i, centres[c], axes[c], outlines[k], margins[k], thickness):
-                    xy[n, 0] = _rounded(_along(xyz, i, centres[c], axes[c, 0])) + shift[k]
-                    xy[n, 1] = _rounded(_along(xyz, i, centres[c], axes[c, 1]))
+                if abs(_along(xyz, i, centres[c], axes[c, 2])) > thickness:
+                    continue
+                u = _along(xyz, i, centres[c], axes[c, 0])
+                v = _along(xyz, i, centres[c], axes[c, 1])
+                if _is_within(u, v, outlines[k], margins[k]):
+                    xy[n, 0], xy[n, 1] = _rounded(u) + shift[k], _rounded(v)
                     rows[n] = i if starts[c] <= i < starts[c + 1] else -1
                     n += 1
+        counts[k] = n - before
+    return counts
 
 
 @njit(cache=True)
-def _is_near(xyz, i, centre, axes, outline, margin, thickness):
-    """Whether a point lies near the plane, in the outline widened by the margin."""
-    if abs(_along(xyz, i, centre, axes[2])) > thickness:
-        return False
-    u = _along(xyz, i, centre, axes[0])
-    if u < outline[0] - margin or u > outline[1] + margin:
-        return False
-    v = _along(xyz, i, centre, axes[1])
-    return outline[2] - margin <= v <= outline[3] + margin
+def _is_within(u, v, outline, margin):
+    """Whether a place lies in the outline widened by the margin."""
+    inside = (u >= outline[0] - margin) & (u <= outline[1] + margin)
+    return inside & (v >= outline[2] - margin) & (v <= outline[3] + margin)
 
 
 @njit(cache=True)

@@ -42,7 +42,22 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Window:
-    """The cells of a tile: the place of its first cell, and how many there are each way."""
+    """The cells of a tile: the place of its first cell, and how many there are each way.
+
+    Parameters
+    ----------
+    column, row : int
+        Of the first cell, counted in cells from the coordinates' zero.
+    columns, rows : int
+        Cells to the east and to the north.
+
+    Examples
+    --------
+    >>> points = [[10.1, 20.1, 0.0], [10.6, 20.1, 0.0]]
+    >>> found = evaluate_tile(points, Window(20, 40, 2, 1), cell=0.5, surface="horizontal")
+    >>> found["n"].tolist()
+    [[[1, 1]]]
+    """
 
     column: int
     row: int
@@ -51,7 +66,23 @@ class Window:
 
 
 def reach(surface, *, radius=0.5, thickness=0.1):
-    """How far around a tile points matter to its cells, m."""
+    """How far around a tile points matter to its cells, m.
+
+    Parameters
+    ----------
+    surface : {"local", "horizontal"}
+    radius, thickness : float
+        As for :func:`evaluate_tile`, m.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> reach("horizontal", radius=0.5), reach("local", radius=0.5, thickness=0.1)
+    (0.5, 0.7)
+    """
     return radius + 2 * thickness if surface == "local" else radius
 
 

@@ -12,15 +12,15 @@ patches with a point that needs more get a wider one in the next, up to the radi
 
 import numpy as np
 
-from mmqa_lab.maps._grouped import count_near, flatten
+from mmqa_lab.maps._grouped import flatten, outline_patches
 from mmqa_lab.neighbourhoods import quadrant_distances
 
 MARGINS = (4.0, 8.0, np.inf)
 """Of the rounds, in mean spacings. Of random points, one quadrant in 300 000 is empty out to the
 first; the second is for scan lines, which lie farther apart than the mean says."""
 
-AT_ONCE = 2_000_000
-"""Flattened points in one search, which bounds the memory."""
+AT_ONCE = 4_000_000
+"""Points looked at for one search, which bounds the memory."""
 
 
 def distances_in_planes(patches, tangents, chosen, around, *, radius, thickness):
@@ -48,36 +48,38 @@ def distances_in_planes(patches, tangents, chosen, around, *, radius, thickness)
     choices = {"thickness": thickness, "around": around, "distances": distances}
     for margin in MARGINS:
         near = np.minimum(margin * patches.cell / np.sqrt(patches.counts[chosen]), radius)
-        unsettled = _search(patches, tangents, chosen, near, **choices)
+        unsettled = np.zeros(len(chosen), dtype=bool)
+        cells = np.ceil((near + 2 * thickness) / patches.cell)
+        for wide in np.unique(cells):
+            part = np.flatnonzero(cells == wide)
+            unsettled[part] = _search(patches, tangents, chosen[part], near[part], **choices)
         chosen = chosen[unsettled & (near < radius)]
     return distances
 
 
 def _search(patches, tangents, chosen, margins, *, thickness, around, distances):
     """Fill in the distances of the chosen patches; mask of those the margin did not settle."""
-    unsettled = np.zeros(len(chosen), dtype=bool)
-    if not len(chosen):
-        return unsettled
-    ranges = around(chosen, margins.max() + 2 * thickness)
     planes = tangents.centres, tangents.axes
-    outlines, counts = count_near(
-        patches.xyz, patches.starts, ranges, chosen, *planes, margins, thickness
-    )
-    some = np.flatnonzero(counts)
-    batches = np.cumsum(counts[some]) // AT_ONCE
+    outlines = outline_patches(patches.xyz, patches.starts, chosen, *planes, thickness)
+    ranges = around(chosen, margins.max() + 2 * thickness)
+    candidates = (ranges[:, :, 1] - ranges[:, :, 0]).sum(axis=1)
+    some = np.flatnonzero(outlines[:, 0] <= outlines[:, 1])
+    batches = np.cumsum(candidates[some]) // AT_ONCE
+    unsettled = np.zeros(len(chosen), dtype=bool)
     for batch in np.unique(batches):
         part = some[batches == batch]
-        shift = _side_by_side(outlines[part], margins[part])
-        xy, rows = np.empty((counts[part].sum(), 2)), np.empty(counts[part].sum(), np.int64)
-        flatten(
+        most = candidates[part].sum()
+        xy, rows = np.empty((most, 2)), np.empty(most, np.int64)
+        counts = flatten(
             patches.xyz, patches.starts, ranges[part], chosen[part], *planes, margins[part],
-            thickness, outlines[part], shift, xy, rows,
+            thickness, outlines[part], _side_by_side(outlines[part], margins[part]), xy, rows,
         )  # fmt: skip
-        found = quadrant_distances(xy, radius=margins[part].max())
+        rows = rows[: counts.sum()]
         own = rows >= 0
-        distances[rows[own]] = found[own]
-        piece = np.repeat(part, counts[part])[own]
-        beyond = ~(found[own, 3] <= margins[piece])
+        found = quadrant_distances(xy[: len(rows)], radius=margins[part].max(), of=own)[own]
+        distances[rows[own]] = found
+        piece = np.repeat(part, counts)[own]
+        beyond = ~(found[:, 3] <= margins[piece])
         unsettled |= np.bincount(piece, weights=beyond, minlength=len(chosen)) > 0
     return unsettled
 

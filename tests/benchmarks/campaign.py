@@ -24,6 +24,7 @@ import numpy as np
 
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
+from mmqa_lab.maps import METRICS
 
 PER_FILE = 1_000_000
 
@@ -99,12 +100,13 @@ def peak_megabytes():
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 
 
-def measure(paths, surface, workers, folder):
+def measure(paths, surface, workers, metrics, folder):
     """Wall and processor time of one map, from nothing."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     command = [sys.executable, "-m", "mmqa_lab", "map", *map(str, paths), "--surface", surface]
-    found = child([*command, "--workers", str(workers), "--out", str(folder / "map.nc")])
+    command += ["--metrics", metrics, "--workers", str(workers)]
+    found = child([*command, "--out", str(folder / "map.nc")])
     shutil.rmtree(folder)
     return found
 
@@ -115,6 +117,7 @@ def main():
     parser.add_argument("--points", type=float, nargs="+", default=[1e6, 1e7])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--surface", nargs="+", default=["local", "horizontal"])
+    parser.add_argument("--metrics", default=",".join(METRICS))
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "campaign")
     options = parser.parse_args()
     head = f"{'points':>11} {'surface':11} {'workers':>7} {'wall s':>8} {'cpu s':>8} {'cpu/M':>7}"
@@ -126,7 +129,8 @@ def main():
         _, ours_cpu = child([sys.executable, "-c", READ_OURS, *names])
         for surface in options.surface:
             for workers in options.workers:
-                wall, cpu = measure(paths, surface, workers, options.folder / "run")
+                run = options.folder / "run"
+                wall, cpu = measure(paths, surface, workers, options.metrics, run)
                 n = len(paths) * PER_FILE
                 print(
                     f"{n:11,} {surface:11} {workers:7} {wall:8.1f} {cpu:8.1f} {1e6 * cpu / n:7.2f} "
