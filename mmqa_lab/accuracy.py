@@ -24,6 +24,12 @@ class Rate:
         Successes and trials.
     value, low, high : float
         k / n and the interval's ends; NaN for n = 0.
+
+    Examples
+    --------
+    >>> found = wilson(8, 10)
+    >>> found.value, found.low < 0.5 < found.high
+    (0.8, True)
     """
 
     k: int
@@ -49,6 +55,11 @@ def wilson(k, n, *, confidence=0.95):
     Returns
     -------
     Rate
+
+    Raises
+    ------
+    ValueError
+        If k > n, one of them is no count, or the confidence lies outside 0 to 1.
 
     Notes
     -----
@@ -98,6 +109,12 @@ class Errors:
         Root of the mean square.
     median, nmad : float
         Median, and 1.4826 times the median absolute deviation from it.
+
+    Examples
+    --------
+    >>> found = errors([3.0, -3.0, np.nan])
+    >>> found.n, found.missing, found.bias, found.rmse
+    (2, 1, 0.0, 3.0)
     """
 
     n: int
@@ -116,6 +133,15 @@ def errors(values):
     ----------
     values : array_like, shape (n,)
         NaN for what was not measured; counted in ``missing``.
+
+    Returns
+    -------
+    Errors
+
+    Raises
+    ------
+    ValueError
+        If an error is infinite.
 
     Examples
     --------
@@ -150,6 +176,12 @@ class Interval:
     value, low, high : float
     repeats : int
         Resamples for which the statistic was measurable.
+
+    Examples
+    --------
+    >>> mean = bootstrap(np.mean, [1.0, 2.0, 3.0, 4.0], repeats=200)
+    >>> mean.value, mean.low < mean.value < mean.high, mean.repeats
+    (2.5, True, 200)
     """
 
     value: float
@@ -177,6 +209,12 @@ def bootstrap(statistic, *values, groups=None, repeats=1000, confidence=0.95, se
     -------
     Interval
         ``value`` from all rows; NaN bounds where fewer than half of the resamples are measurable.
+
+    Raises
+    ------
+    ValueError
+        If the arrays have different lengths or none, or ``repeats`` or ``confidence`` is out
+        of range.
 
     References
     ----------
@@ -215,6 +253,16 @@ def mcnemar(first, second):
     first, second : array_like of bool, shape (n,)
         Success of each method on each thing.
 
+    Returns
+    -------
+    float
+        1 where neither succeeds alone.
+
+    Raises
+    ------
+    ValueError
+        If the two have different shapes.
+
     References
     ----------
     McNemar 1947, Psychometrika 12, 153-157, doi:10.1007/BF02295996; exact binomial form.
@@ -238,7 +286,22 @@ def mcnemar(first, second):
 
 
 def f1(recall, precision):
-    """Return the harmonic mean of recall and precision; NaN where either is, 0 where both are 0."""
+    """Return the harmonic mean of recall and precision; NaN where either is, 0 where both are 0.
+
+    Parameters
+    ----------
+    recall, precision : float
+        Shares, 0 to 1.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> f1(0.5, 1.0) == 2 / 3, f1(0.0, 0.0)
+    (True, 0.0)
+    """
     total = recall + precision
     if total == 0:
         return 0.0
@@ -252,6 +315,16 @@ def average_precision(recall, precision):
     ----------
     recall, precision : array_like, shape (n,)
         With falling threshold: recall does not decrease.
+
+    Returns
+    -------
+    float
+        0 to 1.
+
+    Raises
+    ------
+    ValueError
+        If recall falls along the curve.
 
     Notes
     -----

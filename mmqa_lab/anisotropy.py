@@ -33,6 +33,13 @@ class DirectionalSpacing:
         the coordinates; NaN where fewer than half of the points have one.
     n : int
         Points in all.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(60) * 0.01, np.arange(15) * 0.04)
+    >>> found = directional_spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> round(found.along, 3), round(found.across, 3), round(found.g, 3)
+    (0.01, 0.04, 4.0)
     """
 
     directions_deg: np.ndarray
@@ -126,6 +133,19 @@ def directional_spacing(xy, *, radius=0.5):
 def turned_f(xy, *, angles, radius=0.5):
     """Return f = d4/d1 for axes turned by each of ``angles`` (degrees), an array of that shape.
 
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Metres.
+    angles : array_like, shape (k,)
+        Degrees.
+    radius : float
+        Of the search, m.
+
+    Returns
+    -------
+    array, shape (k,)
+
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(10) * 0.04)
@@ -139,6 +159,22 @@ def structure_tensor_ratio(xy, *, k=16):
     """Return the median over the points of sqrt(largest / smallest eigenvalue) of a neighbourhood.
 
     The eigenvalues are those of the scatter matrix of the k nearest points about each point.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Any unit, n >= 3.
+    k : int
+        Neighbours, 2 or more.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points or k is below two.
 
     Notes
     -----
@@ -181,6 +217,11 @@ def pair_contrast(xy, *, reach):
     float
         NaN without pairs.
 
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points or the reach is not above zero.
+
     Notes
     -----
     Directional K without edge correction: a square window loses as many pairs in one direction as
@@ -211,11 +252,21 @@ def pair_contrast(xy, *, reach):
 def clark_evans(xy):
     """Clark and Evans's index: mean nearest distance over that of a random pattern.
 
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Any unit, n >= 3, not on one line.
+
     Returns
     -------
     float
         1 for a random pattern, above for regular ones (2.149 on a hexagonal lattice), below for
         clusters. With Donnelly's correction for the edges of the points' convex hull.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points.
 
     Notes
     -----

@@ -46,6 +46,13 @@ class CloudQuality:
         The points in the plane along those axes, from its centre, m.
     distances_mm : array, shape (n, 4)
         Their sorted quadrant distances, NaN where a quadrant is empty.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> quality = evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> round(quality.d1_mm, 6), round(quality.d4_mm, 6), round(quality.f, 6)
+    (20.0, 40.0, 2.0)
     """
 
     n: int
@@ -260,7 +267,27 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
 
 
 def hull_area(xy):
-    """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line."""
+    """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Metres.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If there are no points or one is not finite.
+
+    Examples
+    --------
+    >>> hull_area([[0, 0], [2, 0], [2, 1], [0, 1], [1, 0.5]]), hull_area([[0, 0], [1, 1]])
+    (2.0, 0.0)
+    """
     import shapely
 
     xy = check_points(xy, name="xy", columns=2)

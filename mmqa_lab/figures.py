@@ -18,7 +18,25 @@ WIDTHS = ("single", "double", "full")
 
 @dataclass(frozen=True)
 class Journal:
-    """What a publisher asks of a figure."""
+    """What a publisher asks of a figure.
+
+    Parameters
+    ----------
+    widths_mm : tuple of 3 float
+        Of one column, two columns and the whole text, mm.
+    fonts : tuple of str
+        In the order of preference.
+    lettering_pt : float
+        Size of the letters, points.
+    source : str
+        Where the publisher says so.
+
+    Examples
+    --------
+    >>> elsevier = JOURNALS["elsevier"]
+    >>> elsevier.widths_mm[0], elsevier.fonts[0]
+    (90.0, 'Arial')
+    """
 
     widths_mm: tuple
     """Of one column, two columns and the whole text."""
@@ -144,6 +162,11 @@ def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
     figure, axes
         As ``matplotlib.pyplot.subplots`` returns them.
 
+    Raises
+    ------
+    ValueError
+        If the width is none of these.
+
     Examples
     --------
     >>> figure, ax = subplots(width="single", height_mm=50)
@@ -157,7 +180,21 @@ def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
 
 
 def letter_panels(axes):
-    """Write (a), (b), ... above the left corner of each axes."""
+    """Write (a), (b), ... above the left corner of each axes.
+
+    Parameters
+    ----------
+    axes : Axes or array of Axes
+        Lettered row by row.
+
+    Examples
+    --------
+    >>> figure, axes = subplots(1, 2)
+    >>> letter_panels(axes)
+    >>> axes[1].get_title(loc="left")
+    '(b)'
+    >>> plt.close(figure)
+    """
     for k, ax in enumerate(np.ravel(axes)):
         letter = f"({chr(ord('a') + k)})"
         ax.set_title(letter, loc="left", fontweight="bold")
@@ -179,6 +216,13 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
     Returns
     -------
     Axes
+
+    Examples
+    --------
+    >>> figure, ax = subplots()
+    >>> draw_points([[0, 0], [1, 0]], ax=ax).get_xlabel()
+    'along axis 1 (m)'
+    >>> plt.close(figure)
     """
     size = np.clip(4000 / max(len(xy), 1), 0.3, 6.0)
     x, y = np.asarray(xy).T
@@ -194,7 +238,28 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
 
 
 def draw_residual_histogram(residuals_mm, *, ax, std_mm, sigma_mad_mm):
-    """Draw the distances from the plane with the two measures of their dispersion."""
+    """Draw the distances from the plane with the two measures of their dispersion.
+
+    Parameters
+    ----------
+    residuals_mm : array, shape (n,)
+        Signed distances from the plane, mm.
+    ax : Axes
+    std_mm, sigma_mad_mm : float
+        Drawn to either side of zero, mm.
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> figure, ax = subplots()
+    >>> ax = draw_residual_histogram([-1.0, 0.0, 1.0], ax=ax, std_mm=1.0, sigma_mad_mm=1.5)
+    >>> ax.get_legend().get_texts()[0].get_text()
+    '±std = 1.0 mm'
+    >>> plt.close(figure)
+    """
     half = max(4 * sigma_mad_mm, 0.5)
     ax.hist(
         np.clip(residuals_mm, -half, half), bins=61, color=COLOURS["sky"], histtype="stepfilled"
@@ -218,6 +283,19 @@ def draw_spacing_histogram(distances_mm, *, ax, d1_mm, d4_mm):
     ----------
     distances_mm : array, shape (n, 4)
         Sorted quadrant distances, NaN where a quadrant is empty.
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> figure, ax = subplots()
+    >>> distances = np.array([[20.0, 21.0, 39.0, 40.0]])
+    >>> ax = draw_spacing_histogram(distances, ax=ax, d1_mm=20.0, d4_mm=40.0)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['median d1 = 20.0 mm', 'median d4 = 40.0 mm']
+    >>> plt.close(figure)
     """
     nearest, farthest = distances_mm[:, 0], distances_mm[:, 3]
     top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)

@@ -37,6 +37,14 @@ def read_heights(path):
         If there is no such file.
     ValueError
         If it is neither, is damaged, or holds no height.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "levelled.csv").write_text("x,y,z\\n0,0,1.25\\n1,0,1.5\\n")
+    ...     read_heights(Path(folder) / "levelled.csv").tolist()
+    [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
     path = Path(path)
     if not path.is_file():

@@ -45,6 +45,14 @@ class Window:
         Column and row of its first pixel in the whole image.
     size : (int, int)
         Columns and rows of the whole image.
+
+    Examples
+    --------
+    >>> layout, grey = imaging_chart(), np.full((300, 400), 255, np.uint8)
+    >>> square = [[100, 200], [200, 200], [200, 100], [100, 100]]
+    >>> window, _ = cut(grey, locate_corners(square, layout), layout)
+    >>> window.size, window.values.max().item()
+    ((400, 300), 1.0)
     """
 
     values: np.ndarray
@@ -70,6 +78,16 @@ def read_grey(path):
         If there is no such file.
     ValueError
         If it is no image or damaged.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import cv2
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = cv2.imwrite(f"{folder}/dark.png", np.full((4, 6), 1000, np.uint16))
+    ...     grey = read_grey(f"{folder}/dark.png")
+    >>> grey.shape, str(grey.dtype), int(grey.max())
+    ((4, 6), 'uint16', 1000)
     """
     import cv2
 
@@ -131,6 +149,15 @@ def cut(grey, chart_map, layout, *, gamma="srgb"):
     ------
     ValueError
         If the chart is not within the image.
+
+    Examples
+    --------
+    >>> layout, grey = imaging_chart(), np.zeros((300, 400), np.uint8)
+    >>> square = [[100, 200], [200, 200], [200, 100], [100, 100]]
+    >>> window, there = cut(grey, locate_corners(square, layout), layout)
+    >>> middle = there.pixels([[500, 500]]) + window.origin
+    >>> middle.round(6).tolist()
+    [[150.0, 150.0]]
     """
     check_choice(gamma, "gamma", GAMMAS)
     corners = chart_map.pixels(layout.corners())
@@ -172,6 +199,21 @@ def evaluate_file(path, layout, *, corners=None, orientation=None, camera="plain
     ------
     FileNotFoundError, ValueError
         Also when the chart is not found: by its targets, at the corners, or within the image.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import cv2
+    >>> from mmqa_lab.charts import reflectance
+    >>> layout = imaging_chart()
+    >>> tones = np.pad(255 * reflectance(layout, cell=4)[::-1], 20, constant_values=128)
+    >>> square = [[19.5, 269.5], [269.5, 269.5], [269.5, 19.5], [19.5, 19.5]]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = cv2.imwrite(f"{folder}/chart.png", tones.astype(np.uint8))
+    ...     path = f"{folder}/chart.png"
+    ...     quality, _ = evaluate_file(path, layout, corners=square, gamma="linear")
+    >>> quality.to_frame()["pixel_h_mm"].round(2).tolist()
+    [4.0]
     """
     grey = read_grey(path)
     check_choice(camera, "camera", CAMERAS)
@@ -188,7 +230,26 @@ def evaluate_file(path, layout, *, corners=None, orientation=None, camera="plain
 
 
 def panorama_of(grey):
-    """Return the panorama camera of a whole equirectangular image."""
+    """Return the panorama camera of a whole equirectangular image.
+
+    Parameters
+    ----------
+    grey : array, shape (rows, 2 rows)
+
+    Returns
+    -------
+    PanoramaCamera
+
+    Raises
+    ------
+    ValueError
+        If the image is not twice as wide as high.
+
+    Examples
+    --------
+    >>> panorama_of(np.zeros((4000, 8000), np.uint8)).width
+    8000
+    """
     rows, columns = grey.shape
     if columns != 2 * rows:
         raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
@@ -202,6 +263,17 @@ def read_layout(source):
     ----------
     source : str or path
         ``grey`` or ``black``: the imaging chart with its lying bar in that tone; else a file.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is no such name and no file.
+    ValueError
+        If the file describes no layout.
 
     Examples
     --------
@@ -237,6 +309,18 @@ def read_orientation(path):
     Raises
     ------
     FileNotFoundError, ValueError
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> angles = {"heading_deg": 90, "pitch_deg": 0, "roll_deg": 0}
+    >>> corners = [[5, 0.5, 1], [5, -0.5, 1], [5, -0.5, 2], [5, 0.5, 2]]
+    >>> whole = {"position": [0, 0, 1.5], **angles, "camera": {"width": 8000}, "corners": corners}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "o.json").write_text(json.dumps(whole))
+    ...     camera, pose, corners = read_orientation(Path(folder) / "o.json")
+    >>> camera.height, pose.to_camera(corners).mean(axis=0).round(6).tolist()
+    (4000, [0.0, 0.0, 5.0])
     """
     path = Path(path)
     if not path.is_file():

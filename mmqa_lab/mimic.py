@@ -22,6 +22,22 @@ READINGS = ("tilt_first", "heading_first")
 def scanner_normal(alpha_scan, gamma_scan, *, reading="tilt_first"):
     """Equation 1 for the scan plane: its normal, Y before rotation, (..., 3).
 
+    Parameters
+    ----------
+    alpha_scan, gamma_scan : float or array_like
+        Horizontal and vertical rotation of the scanner, degrees.
+    reading : {"tilt_first", "heading_first"}
+        Of the order of rotations that the paper leaves open.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Raises
+    ------
+    ValueError
+        If the reading is another.
+
     Examples
     --------
     >>> scanner_normal(45, 45).round(4).tolist()
@@ -31,7 +47,29 @@ def scanner_normal(alpha_scan, gamma_scan, *, reading="tilt_first"):
 
 
 def target_normal(alpha_targ, beta_targ, *, reading="tilt_first"):
-    """Equation 1 for the target plane: its normal, X before rotation, (..., 3)."""
+    """Equation 1 for the target plane: its normal, X before rotation, (..., 3).
+
+    Parameters
+    ----------
+    alpha_targ, beta_targ : float or array_like
+        Horizontal and vertical rotation of the target, degrees.
+    reading : {"tilt_first", "heading_first"}
+        Of the order of rotations that the paper leaves open.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Raises
+    ------
+    ValueError
+        If the reading is another.
+
+    Examples
+    --------
+    >>> target_normal(90, 0).round(9).tolist(), target_normal(0, 30).round(3).tolist()
+    ([0.0, 1.0, 0.0], [0.866, 0.0, -0.5])
+    """
     return _rotation(alpha_targ, "y", beta_targ, reading)[..., :, 0]
 
 
@@ -81,6 +119,16 @@ def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
     The paper cites it and does not print it: tan = |n_s.h| / |n_s.v| with h the target's horizontal
     line and v its line of greatest slope.
 
+    Parameters
+    ----------
+    alpha_scan, gamma_scan, alpha_targ, beta_targ : float or array_like
+        Rotations of scanner and target, degrees.
+
+    Returns
+    -------
+    float or array
+        Degrees.
+
     Examples
     --------
     >>> round(float(profile_angle(45, 45, 15, 0)), 4)
@@ -94,7 +142,29 @@ def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
 
 
 def profile_spacing_vertical(d_prsh, theta_pra):
-    """Equation 4: spacing along the line of greatest slope, d_PrSH tan(theta_PrA), metres."""
+    """Equation 4: spacing along the line of greatest slope, d_PrSH tan(theta_PrA), metres.
+
+    Parameters
+    ----------
+    d_prsh : float or array_like
+        Horizontal profile spacing, metres.
+    theta_pra : float or array_like
+        Profile angle, degrees.
+
+    Returns
+    -------
+    float or array
+        Metres.
+
+    References
+    ----------
+    Cahalane et al. 2014, equation 4. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> round(float(profile_spacing_vertical(0.1, 45)), 6)
+    0.1
+    """
     return d_prsh * np.tan(np.radians(theta_pra))
 
 
@@ -102,6 +172,16 @@ def pulse_angle(pulse_rate_hz, mirror_frequency_hz, *, field_of_view_deg=360.0):
     """Equation 5: theta_A, the field of view over the pulses in it (PpM), degrees.
 
     PpM is not printed: PRR / Mf for a field of view of 360 degrees, and its share of a smaller one.
+
+    Parameters
+    ----------
+    pulse_rate_hz, mirror_frequency_hz : float
+    field_of_view_deg : float
+
+    Returns
+    -------
+    float
+        Degrees.
 
     Examples
     --------
@@ -112,30 +192,54 @@ def pulse_angle(pulse_rate_hz, mirror_frequency_hz, *, field_of_view_deg=360.0):
     return field_of_view_deg / pulses
 
 
-def height_in_scan_plane(height, gamma_scan):
+def _height_in_scan_plane(height, gamma_scan):
     """Equations 6 and 7: a height measured inside the tilted scan plane, h / cos(gamma_scan)."""
     return height / np.cos(np.radians(gamma_scan))
 
 
-def horizontal_pulse(h_r, alpha_scan):
+def _horizontal_pulse(h_r, alpha_scan):
     """Equation 8: length r1 of the horizontal pulse, Hr / cos(alpha_scan), metres."""
     return h_r / np.cos(np.radians(alpha_scan))
 
 
-def pulse_length(r1, d2, theta_scan):
+def _pulse_length(r1, d2, theta_scan):
     """Equation 9: length r2 of the pulse that strikes d2 away on the profile, metres."""
     cosine = np.cos(np.radians(theta_scan))
     return np.sqrt(d2**2 + r1**2 - 2 * d2 * r1 * cosine)
 
 
-def spacing_from_pulse(r, theta_a, theta_o):
+def _spacing_from_pulse(r, theta_a, theta_o):
     """Equation 10: d_PS = r sin(theta_A) / sin(theta_o); r must be r2 and is printed as r1."""
     return r * np.sin(np.radians(theta_a)) / np.sin(np.radians(theta_o))
 
 
 @dataclass(frozen=True)
 class PointSpacing:
-    """The chain of equations 5 to 10; metres and degrees, symbols of the paper."""
+    """The chain of equations 5 to 10; metres and degrees, symbols of the paper.
+
+    Parameters
+    ----------
+    theta_a : float
+        Angle between pulses, degrees (equation 5).
+    r1 : float
+        Length of the horizontal pulse, metres (equation 8).
+    theta_scan : float
+        Angle between that pulse and the profile, degrees.
+    d2 : float
+        Way along the profile to the evaluated height, metres (equations 6 and 7).
+    r2 : float
+        Length of the pulse there, metres (equation 9).
+    theta_o : float
+        Angle at the next point struck, degrees.
+    d_ps : float
+        Point spacing, metres (equation 10).
+
+    Examples
+    --------
+    >>> chain = point_spacing((0, 0), (0, 0), h_r=5, height_difference=0, theta_a=0.12)
+    >>> bool(np.isclose(chain.d_ps, 5 * np.tan(np.radians(0.12)))), float(chain.r1)
+    (True, 5.0)
+    """
 
     theta_a: float
     r1: float
@@ -199,19 +303,24 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     up = np.cross(normal, plane)
     up = up * np.sign(up[..., 2:]) / np.linalg.norm(up, axis=-1, keepdims=True)
     theta_scan = np.degrees(np.arccos(np.clip(-np.sum(level * up, axis=-1), -1, 1)))
-    z_diff = height_in_scan_plane(height_difference, gamma_scan)
-    r1 = horizontal_pulse(h_r, alpha_scan)
+    z_diff = _height_in_scan_plane(height_difference, gamma_scan)
+    r1 = _horizontal_pulse(h_r, alpha_scan)
     d2 = z_diff / np.sin(np.radians(theta_scan))
-    r2 = pulse_length(r1, d2, theta_scan)
+    r2 = _pulse_length(r1, d2, theta_scan)
     cosine = (d2 - r1 * np.cos(np.radians(theta_scan))) / r2
     at_first = np.degrees(np.arccos(np.clip(-cosine if upwards else cosine, -1, 1)))
     theta_o = 180 - theta_a - at_first
-    d_ps = spacing_from_pulse(r1 if literal else r2, theta_a, theta_o)
+    d_ps = _spacing_from_pulse(r1 if literal else r2, theta_a, theta_o)
     return PointSpacing(theta_a, r1, theta_scan, d2, r2, theta_o, d_ps)
 
 
 def symbols():
     """Return a DataFrame: the paper's ``symbol``, its ``meaning``, the name in ``scan_geometry``.
+
+    Returns
+    -------
+    DataFrame
+        ``symbol``, ``meaning``, ``equation``, ``here``.
 
     Examples
     --------
@@ -225,6 +334,16 @@ def ambiguities():
     """Return a DataFrame of what the paper leaves open or prints wrongly, and how it is read here.
 
     Columns ``place``, ``printed``, ``reading`` and ``evidence``.
+
+    Returns
+    -------
+    DataFrame
+
+    Examples
+    --------
+    >>> table = ambiguities().set_index("place")
+    >>> table.loc["equation 8", "printed"]
+    'Hr, the horizontal range'
     """
     return pd.DataFrame(_AMBIGUITIES, columns=["place", "printed", "reading", "evidence"])
 

@@ -34,6 +34,12 @@ class Plane:
         Unit principal axes in the plane, the longer extent first; right-handed with the normal.
     residuals : array, shape (n,)
         Signed orthogonal distances of all given points, m.
+
+    Examples
+    --------
+    >>> plane = fit_plane([[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]])
+    >>> plane.normal.tolist(), plane.distances([[1, 1, 3]]).tolist(), plane.rms
+    ([0.0, 0.0, 1.0], [2.0], 0.0)
     """
 
     centre: np.ndarray
@@ -145,6 +151,12 @@ class Line:
         A point of the line: the (weighted) mean of the points, m.
     direction : array, shape (2,)
         Unit vector along the line.
+
+    Examples
+    --------
+    >>> line = fit_line([[0, 0], [5, 0], [10, 0]])
+    >>> line.direction.tolist(), line.distances([[2, 3]]).tolist()
+    ([1.0, 0.0], [3.0])
     """
 
     centre: np.ndarray
@@ -169,6 +181,11 @@ def fit_line(points, *, robust=False):
     Returns
     -------
     Line
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or all lie on one spot.
 
     Examples
     --------
@@ -202,6 +219,11 @@ def sigma_mad(residuals, scale=CONSISTENT_SCALE):
     float
         In the unit of the residuals.
 
+    Raises
+    ------
+    ValueError
+        If there are no residuals, one is not finite, or the scale is not above zero.
+
     Notes
     -----
     The paper's factor makes every precision 0.24 % larger; use it to reproduce Table 2 and the
@@ -226,7 +248,29 @@ def sigma_mad(residuals, scale=CONSISTENT_SCALE):
 
 
 def turned_axes(axes, angle):
-    """Return in-plane ``axes`` (2, 3) turned by ``angle`` degrees from the first to the second."""
+    """Return in-plane ``axes`` (2, 3) turned by ``angle`` degrees from the first to the second.
+
+    Parameters
+    ----------
+    axes : array_like, shape (2, 3)
+        Unit vectors at a right angle.
+    angle : float
+        Degrees.
+
+    Returns
+    -------
+    array, shape (2, 3)
+
+    Raises
+    ------
+    ValueError
+        If the angle is not finite.
+
+    Examples
+    --------
+    >>> turned_axes([[1, 0, 0], [0, 1, 0]], 90).round(9).tolist()
+    [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    """
     turn = np.radians(check_number(angle, "angle", unit="degrees"))
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, s], [-s, c]]) @ np.asarray(axes, dtype=np.float64)

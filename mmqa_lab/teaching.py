@@ -50,7 +50,7 @@ def student_cell(source):
     return "\n".join([f"{number}: your work", *lines, "", *kept])
 
 
-def student_notebook(notebook):
+def _student_notebook(notebook):
     """Return a copy of a notebook without answers and without the teacher's cells."""
     cells = []
     for cell in notebook.cells:
@@ -87,7 +87,7 @@ def write_student_notebooks(studies, folder):
     if there:
         raise ValueError(f"Invalid folder {folder}: holds {there[0].name}. Must not, work is kept.")
     for study, target in zip(studies, targets, strict=True):
-        copy = student_notebook(nbformat.read(study.path, as_version=4))
+        copy = _student_notebook(nbformat.read(study.path, as_version=4))
         write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
     return targets
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mmqa_lab.calibration import calibrate
-from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+from mmqa_lab.simulate import NavigationErrors, ProfileScanner
+from mmqa_lab.simulate.testfield import System, drive_testfield, make_testfield
 from mmqa_lab.studies.test_field.mounting import BORESIGHT_DEG, LEVER_ARM_ERROR_M, two_heads
 
 
@@ -51,3 +52,12 @@ def test_rejects(drives, street):
     lone = cloud.select(cloud["head"] == 0)
     with pytest.raises(ValueError, match="no planes in common"):
         calibrate([(lone, path)], lever_arms_m=lever)
+
+
+def test_drives_that_leave_a_parameter_open_are_refused(street):
+    head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, heading_deg=45, tilt_deg=30)
+    system = System("one head", (head,), NavigationErrors())
+    drives = drive_testfield(street, system, seed=4, pulses_per_s=10_000)
+    choices = {"lever_arms_m": system.assumed_lever_arms, "patches": 100, "rounds": 1}
+    with pytest.raises(ValueError, match="do not determine the mounting"):
+        calibrate(drives, **choices)

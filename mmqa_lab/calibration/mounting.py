@@ -30,6 +30,14 @@ class Calibration:
         Points, and the planes, poles and control points they lie on.
     lever_arms_m : array, shape (h, 3)
         As assumed.
+
+    Examples
+    --------
+    >>> rows = [(0, name, 0.0, 0.01) for name in PARAMETERS]
+    >>> table = pd.DataFrame(rows, columns=["head", "parameter", "value", "std"])
+    >>> found = Calibration(table, np.eye(6) * 1e-4, 0.005, 90_000, 300, 6, 0, np.zeros((1, 3)))
+    >>> found.values.shape, found.correlation[0, :2].tolist()
+    ((1, 6), [1.0, 0.0])
     """
 
     table: pd.DataFrame
@@ -132,6 +140,21 @@ def calibrate(
     The trajectory is taken as true. An error of it that lasts a whole drive is the same as a
     lever-arm error of opposite sign in the other direction: two drives along one street cannot
     tell them apart, and the standard errors do not contain it.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import NavigationErrors, ProfileScanner
+    >>> from mmqa_lab.simulate.testfield import System, drive_testfield, make_testfield
+    >>> tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
+    >>> head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
+    >>> street = make_testfield(length_m=40, seed=1)
+    >>> system = System("one head", (head,), NavigationErrors())
+    >>> drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
+    >>> known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
+    >>> found = calibrate(drives, **known, patches=100, rounds=1)
+    >>> heading = found.table["parameter"] == "heading_deg"
+    >>> found.table.loc[heading, "value"].round(2).tolist()
+    [0.3]
     """
     lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
     check_positive(cell, "cell", unit="m")
@@ -160,8 +183,8 @@ def _calibration(adjustment, found, values, lever):
     """The result with its covariance."""
     freedom = max(len(found.fun) - values.size - adjustment.own_parameters, 1)
     sigma0 = np.sqrt(2 * found.cost / freedom)
-    singular = np.linalg.svd(found.jac / np.linalg.norm(found.jac, axis=0), compute_uv=False)
-    if not np.isfinite(singular).all() or singular[-1] < 1e-4:
+    lengths = np.maximum(np.linalg.norm(found.jac, axis=0), np.finfo(float).tiny)
+    if np.linalg.svd(found.jac / lengths, compute_uv=False)[-1] < 1e-4:
         raise ValueError(
             "Invalid drives: they do not determine the mounting. Must run in both directions past "
             "walls and poles."

@@ -28,6 +28,14 @@ class Edges:
         Angle between the planes, degrees, 0 to 90.
     patches : array of int, shape (n, 2)
         Numbers of the two patches.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> flat = rng.uniform(0, 5, (4000, 3)) + 0.005 * rng.standard_normal((4000, 3))
+    >>> edges = extract_edges(np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]]))
+    >>> edges.angle.round(3).tolist(), edges.to_frame()["length_m"].round(1).tolist()
+    ([90.0], [5.0])
     """
 
     segments: Segments
@@ -80,6 +88,11 @@ def intersect_patches(points, patches, *, size=2.0, angle=20.0, support=20):
     -------
     Edges
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite, or ``size``, ``angle`` or ``support`` is out of its range.
+
     Notes
     -----
     The uncertainty is that of two planes whose points err independently by their residual standard
@@ -89,6 +102,14 @@ def intersect_patches(points, patches, *, size=2.0, angle=20.0, support=20):
     References
     ----------
     Poreba & Goulette 2013 (hal-00846334), section 3: edges as intersections of adjacent planes.
+
+    Examples
+    --------
+    >>> flat = np.random.default_rng(0).uniform(0, 5, (4000, 3))
+    >>> points = np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]])
+    >>> edges = intersect_patches(points, detect_planes(points))
+    >>> edges.angle.round(6).tolist(), edges.patches.tolist()
+    ([90.0], [[0, 1]])
     """
     points = check_points(points, minimum=0)
     size = check_positive(size, "size", unit="m")
@@ -113,6 +134,19 @@ def intersect_patches(points, patches, *, size=2.0, angle=20.0, support=20):
 def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=200, angle=20.0, support=20, seed=0):
     """Detect planes and intersect those that meet: :func:`detect_planes`, then
     :func:`intersect_patches`, with their parameters.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    tolerance, size, minimum, seed
+        See :func:`detect_planes`.
+    angle, support
+        See :func:`intersect_patches`.
+
+    Returns
+    -------
+    Edges
 
     Examples
     --------

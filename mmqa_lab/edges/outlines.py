@@ -26,6 +26,13 @@ class Outline:
     residuals : array, shape (k,)
         Signed distances of the k outline points from the rectangle, outside positive, m.
     plane : Plane
+
+    Examples
+    --------
+    >>> x, z = np.mgrid[0:1:0.005, 0:0.51:0.02].reshape(2, -1)
+    >>> board = fit_outline(np.stack([x, 0 * x, z], axis=1), lines=z)
+    >>> board.size.round(1).tolist(), len(board.segments)
+    ([1.0, 0.5], 4)
     """
 
     corners: np.ndarray

@@ -43,6 +43,13 @@ class Patch:
         Rows of the cloud within the tolerance, nearest to this plane.
     moments : array, shape (2,)
         Sums of the squared coordinates of the fitted points along the plane's axes, square metres.
+
+    Examples
+    --------
+    >>> flat = np.random.default_rng(0).uniform(0, 5, (4000, 3)) * [1, 1, 0]
+    >>> floor = detect_planes(flat)[0]
+    >>> len(floor), floor.plane.normal.round(9).tolist()
+    (4000, [0.0, 0.0, 1.0])
     """
 
     plane: Plane

@@ -47,6 +47,14 @@ class PatternMeasurement:
         Their standard deviations.
     covariance : float
         Of the errors of gap (m) and angle (rad).
+
+    Examples
+    --------
+    >>> along, line = np.meshgrid(np.arange(-20, 21) * 0.02, np.arange(-6, 7))
+    >>> wall = np.stack([0 * along, 0.05 * line, along], axis=-1).reshape(-1, 3)
+    >>> found = measure_pattern(wall)  # upright profiles, 5 cm apart
+    >>> round(found.profile_angle_deg, 3), round(float(found.profile_spacing_horizontal_m), 6)
+    (90.0, 0.05)
     """
 
     plane: Plane

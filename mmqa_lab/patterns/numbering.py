@@ -30,6 +30,11 @@ def revolutions_from_time(time, *, mirror_frequency_hz=None):
     -------
     array of int, shape (n,)
 
+    Raises
+    ------
+    ValueError
+        If the frequency is not above zero, or none shows in the times.
+
     Examples
     --------
     >>> pulses = np.arange(5) * 1e-5
@@ -132,6 +137,13 @@ def profiles_from_pattern(xy, *, widest=0.5):
     -----
     The lines with the densest points win. Where points lie farther apart along a profile than
     profiles from each other, that is not the profile: give time or scan line then.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(-50, 51) * 0.01, np.arange(-5, 6) * 0.05)
+    >>> number = profiles_from_pattern(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> int(np.ptp(number)) + 1
+    11
     """
     xy = np.asarray(xy, dtype=np.float64)
     low, high = xy.min(axis=0), xy.max(axis=0)

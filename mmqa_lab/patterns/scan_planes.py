@@ -33,6 +33,15 @@ class ScanPlanes:
     turning, turning_std : array, shape (3,)
         Change of that per metre of place, within the plane: a turn of the vehicle, m/m.
     points : int
+
+    Examples
+    --------
+    >>> y, x = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    >>> still = {"turning": np.zeros(3), "turning_std": np.zeros(3), "points": 1000}
+    >>> drive = {"speed_m_s": 10.0, "mirror_frequency_hz": 100.0, "advance_m": 0.1}
+    >>> found = ScanPlanes(y, scatter_m=0.0, centre=x, advance_std=0.0, **drive, **still)
+    >>> float(found.spacing_on(x, [1, 0, 0]))  # a wall beside the track
+    0.1
     """
 
     normal: np.ndarray
@@ -94,6 +103,16 @@ def fit_scan_planes(points, gps_time, *, mirror_frequency_hz=None, phases=PHASES
     ------
     ValueError
         If there are fewer than two revolutions, or no points at the same angle in them.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import ProfileScanner, Scene, ground, scan_all, straight, wall
+    >>> street = Scene([ground(), wall((5, 9, 0), (0, -20, 0), 8)])
+    >>> scanner = ProfileScanner(pulse_rate_hz=36_000, mirror_frequency_hz=100, heading_deg=60)
+    >>> cloud = scan_all(street, scanner, straight(1, 10, start=(0, 0, 2)), seed=1)
+    >>> found = fit_scan_planes(cloud.points, cloud["gps_time"], mirror_frequency_hz=100)
+    >>> round(found.speed_m_s, 3)  # of the plane along its normal: 10 cos(60 degrees)
+    5.0
     """
     points = check_points(points, minimum=20)
     time = np.asarray(gps_time, dtype=np.float64)

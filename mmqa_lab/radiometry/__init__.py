@@ -8,7 +8,6 @@ EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogra
 ``reflectance`` reflectance (4), empirical line, errors (6-8), NDVI
 ``brdf``        Walthall's function (5) and the anisotropy factor
 ``block``       one radiometric adjustment of overlapping images: radiometric aerial triangulation
-                (its ``normal_equations`` beside it)
 ``edge``        edge spread function as a sigmoid: FWHM, MTF50
 ``siemens``     Siemens stars: contrast per radius, MTF, point spread function
 ``bars``        resolving power from line bars

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count
-from mmqa_lab.radiometry.normal_equations import (
+from mmqa_lab.radiometry._normal_equations import (
     FIXED,
     FREE,
     Priors,
