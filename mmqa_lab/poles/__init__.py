@@ -100,6 +100,20 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
 def settings_of(method):
     """Return the default thresholds of a method; each is documented at the class returned.
 
+    Parameters
+    ----------
+    method : {"ours", "fgi", "itc"}
+
+    Returns
+    -------
+    Settings
+        Of the method's module.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method.
+
     Examples
     --------
     >>> settings_of("fgi").minimum_length
@@ -110,21 +124,84 @@ def settings_of(method):
 
 
 def match(detections, references, **choices):
-    """Match detections and references one to one; see :func:`mmqa_lab.poles.scores.match`."""
+    """Match detections and references one to one; see :func:`mmqa_lab.poles.scores.match`.
+
+    Parameters
+    ----------
+    detections, references : DataFrame
+        With ``x_m``, ``y_m``, metres.
+    **choices
+        Of that function: ``gate``, m.
+
+    Returns
+    -------
+    DataFrame
+        ``detection``, ``reference`` (row numbers), ``distance_m``.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> found = pd.DataFrame({"x_m": [0.125, 9.0], "y_m": 0.0})
+    >>> truth = pd.DataFrame({"x_m": [5.0, 0.0], "y_m": 0.0})
+    >>> match(found, truth).to_numpy().tolist()
+    [[0.0, 1.0, 0.125]]
+    """
     from mmqa_lab.poles import scores
 
     return scores.match(detections, references, **choices)
 
 
 def score(detections, references, **choices):
-    """Score detections against references; see :func:`mmqa_lab.poles.scores.score`."""
+    """Score detections against references; see :func:`mmqa_lab.poles.scores.score`.
+
+    Parameters
+    ----------
+    detections, references : DataFrame
+        With ``x_m``, ``y_m``, metres.
+    **choices
+        Of that function: ``gate``, ``corridor`` (m), ``trajectory``.
+
+    Returns
+    -------
+    Scores
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0})
+    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
+    >>> result = score(found, truth)
+    >>> result.recall.value, result.precision.value
+    (0.5, 0.5)
+    """
     from mmqa_lab.poles import scores
 
     return scores.score(detections, references, **choices)
 
 
 def curve(detections, references, **choices):
-    """Return the precision-recall curve; see :func:`mmqa_lab.poles.scores.curve`."""
+    """Return the precision-recall curve; see :func:`mmqa_lab.poles.scores.curve`.
+
+    Parameters
+    ----------
+    detections, references : DataFrame
+        With ``score``, ``x_m``, ``y_m``; with ``x_m``, ``y_m``; metres.
+    **choices
+        Of that function: ``gate``, ``corridor`` (m), ``trajectory``.
+
+    Returns
+    -------
+    DataFrame
+        A row a threshold, from the highest score down.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0, "score": [0.9, 0.4]})
+    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
+    >>> curve(found, truth)[["recall", "precision"]].to_numpy().tolist()
+    [[0.5, 1.0], [0.5, 0.5]]
+    """
     from mmqa_lab.poles import scores
 
     return scores.curve(detections, references, **choices)
