@@ -33,12 +33,29 @@ def studies_table(folder):
     ------
     ValueError
         If a study has no full run whose claims all hold.
+
+    Examples
+    --------
+    >>> studies_table("nowhere")
+    Traceback (most recent call last):
+    ValueError: Invalid results of chart_tables. Must be of a full run that succeeded.
     """
     return HEAD + "\n".join(_row(study, Path(folder) / study.stem) for study in STUDIES)
 
 
 def replaced(text, name, content):
     """Return a text with another content between the marks of a name.
+
+    Parameters
+    ----------
+    text : str
+    name : str
+        Of the marks: ``<!-- name -->`` and ``<!-- end name -->``.
+    content : str
+
+    Returns
+    -------
+    str
 
     Raises
     ------
@@ -63,6 +80,14 @@ def replaced(text, name, content):
 
 def masked(text):
     """Return a text with # for every number: what stays the same from run to run.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
 
     Examples
     --------

@@ -37,6 +37,13 @@ class Claim:
         The numbers of this run.
     reason : str
         Where the tolerance comes from.
+
+    Examples
+    --------
+    >>> ratio = 40.1 / 20.0
+    >>> claim = Claim("f is 2.", abs(ratio - 2) < 0.01, f"f = {ratio:.3f}", "digits of d1 and d4")
+    >>> claim.holds, claim.obtained
+    (True, 'f = 2.005')
     """
 
     sentence: str
@@ -46,7 +53,19 @@ class Claim:
 
 
 def root():
-    """Return the folder of all results: ``MMQA_RESULTS``, or ``notebooks/results``."""
+    """Return the folder of all results: ``MMQA_RESULTS``, or ``notebooks/results``.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> with patch.dict(os.environ, MMQA_RESULTS="elsewhere"):
+    ...     root().name
+    'elsewhere'
+    """
     default = Path(__file__).resolve().parent.parent / "notebooks" / "results"
     return Path(os.environ.get(ROOT_VARIABLE, default))
 
@@ -169,6 +188,14 @@ def overlapping_texts(figure):
     -------
     list of str
         A sentence for each pair, and for each text that reaches beyond the figure's edge.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> figure = Figure(figsize=(4, 3))
+    >>> _ = figure.text(0.5, 0.5, "density"), figure.text(0.52, 0.5, "f")
+    >>> overlapping_texts(figure)
+    ["'density' and 'f' overlap"]
     """
     figure.draw_without_rendering()
     hidden = _ticks_out_of_view(figure)

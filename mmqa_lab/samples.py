@@ -17,7 +17,27 @@ REAL_VARIABLE = "MMQA_DATA"
 
 @dataclass(frozen=True)
 class Sample:
-    """A file of ``data_samples`` and where it comes from."""
+    """A file of ``data_samples`` and where it comes from.
+
+    Parameters
+    ----------
+    name : str
+        By which :func:`path` finds it.
+    file : str
+        In ``data_samples``.
+    sha256 : str
+        Of the file, hexadecimal.
+    licence, origin : str
+    units : str
+        Of the coordinates, and their reference system.
+    contents : str
+
+    Examples
+    --------
+    >>> chart = next(sample for sample in SAMPLES if sample.name == "road_patch")
+    >>> sha256(FOLDER / chart.file) == chart.sha256
+    True
+    """
 
     name: str
     file: str
@@ -62,6 +82,11 @@ SAMPLES = (
 def table():
     """Return the registry as a DataFrame, a row per sample.
 
+    Returns
+    -------
+    DataFrame
+        The fields of :class:`Sample`.
+
     Examples
     --------
     >>> table()["name"].tolist()[0]
@@ -72,6 +97,14 @@ def table():
 
 def path(name):
     """Return the path of a sample by its registered name.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Path
 
     Raises
     ------
@@ -94,12 +127,42 @@ def path(name):
 
 
 def sha256(file):
-    """Return the SHA-256 of a file in hexadecimal."""
+    """Return the SHA-256 of a file in hexadecimal.
+
+    Parameters
+    ----------
+    file : path
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> sha256(os.devnull)[:8]  # of no bytes at all
+    'e3b0c442'
+    """
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
 def has_real(relative):
-    """Return whether the folder of larger clouds holds this file."""
+    """Return whether the folder of larger clouds holds this file.
+
+    Parameters
+    ----------
+    relative : str
+        Path below the folder that ``MMQA_DATA`` names.
+
+    Returns
+    -------
+    bool
+        False without that variable.
+
+    Examples
+    --------
+    >>> has_real("no such file.laz")
+    False
+    """
     root = os.environ.get(REAL_VARIABLE)
     return bool(root) and (Path(root) / relative).exists()
 
@@ -107,10 +170,27 @@ def has_real(relative):
 def real_path(relative):
     """Return the path of a larger public cloud under the folder that ``MMQA_DATA`` names.
 
+    Parameters
+    ----------
+    relative : str
+        Path below that folder.
+
+    Returns
+    -------
+    Path
+
     Raises
     ------
     FileNotFoundError
         If the variable is not set or the file is not there.
+
+    Examples
+    --------
+    >>> try:
+    ...     real_path("none.laz")
+    ... except FileNotFoundError as error:
+    ...     print(str(error).split(" with ")[0])
+    Invalid real cloud none.laz
     """
     if not has_real(relative):
         root = os.environ.get(REAL_VARIABLE, "")

@@ -78,6 +78,19 @@ def write_segments(path, segments):
     path : path
         An existing file is replaced.
     segments : Segments or array_like
+
+    Raises
+    ------
+    ValueError
+        If a segment is not finite or has no length.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_segments(f"{folder}/edges.csv", [[[0, 0, 0], [0, 0, 2.5]]])
+    ...     read_segments(f"{folder}/edges.csv").lengths.tolist()
+    [2.5]
     """
     frame = pd.DataFrame(check_segments(segments).ends.reshape(-1, 6), columns=list(COLUMNS))
     write_atomically(path, lambda temporary: frame.to_csv(temporary, index=False))

@@ -15,7 +15,24 @@ BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
 @dataclass(frozen=True)
 class Bar:
-    """A plain rectangle: long bars, panels, patches."""
+    """A plain rectangle: long bars, panels, patches.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    width, height : float
+        Size, mm.
+    tone, ground : float
+        Reflectance of the bar and of what is around it, 0 black to 1 white.
+
+    Examples
+    --------
+    >>> x, y, tones = Bar("a", 10, 10, 5, 30).grid()
+    >>> x.tolist(), y.tolist(), tones.tolist()
+    ([10, 15], [10, 40], [[0.0]])
+    """
 
     name: str
     x: float
@@ -37,6 +54,27 @@ class LinePairs:
 
     ``direction`` says along what the pairs follow each other: ``"h"`` is standing bars, read in
     horizontal direction, ``"v"`` lying bars. It begins with black at the low end.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    pair : float
+        Width of a black and a white bar together, mm.
+    direction : {"h", "v"}
+    repeats : int
+        Pairs.
+    length : float
+        Of the bars, mm.
+    ground : float
+        Reflectance around them.
+
+    Examples
+    --------
+    >>> pairs = LinePairs("w 4", 0, 0, 4.0, "h", repeats=2)
+    >>> pairs.grid()[0].tolist(), pairs.grid()[2].tolist()
+    ([0.0, 2.0, 4.0, 6.0, 8.0], [[0.0, 1.0, 0.0, 1.0]])
     """
 
     name: str
@@ -74,7 +112,33 @@ class LinePairs:
 
 @dataclass(frozen=True)
 class Marker:
-    """A coded square target of an OpenCV dictionary, black border included."""
+    """A coded square target of an OpenCV dictionary, black border included.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    size : float
+        Side, mm.
+    dictionary : str
+        Name in OpenCV, such as ``"DICT_4X4_50"``.
+    identifier : int
+        Number in the dictionary.
+    ground : float
+        Reflectance around it.
+
+    Raises
+    ------
+    ValueError
+        If the dictionary is unknown or has no such number, once the target is drawn.
+
+    Examples
+    --------
+    >>> _, _, tones = Marker("target", 0, 0, 60, "DICT_4X4_50", 0).grid()
+    >>> tones.shape, float(tones[0].max())  # four modules and a black border
+    ((6, 6), 0.0)
+    """
 
     name: str
     x: float
@@ -109,7 +173,27 @@ class Marker:
 
 @dataclass(frozen=True)
 class Cells:
-    """A square of black and white cells, ``bits`` in hexadecimal, row by row from below."""
+    """A square of black and white cells, ``bits`` in hexadecimal, row by row from below.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    size : float
+        Side, mm.
+    count : int
+        Cells along a side.
+    bits : str
+        1 is white.
+    ground : float
+        Reflectance around it.
+
+    Examples
+    --------
+    >>> Cells("four", 0, 0, 100, 2, "90").grid()[2].tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    """
 
     name: str
     x: float
@@ -139,7 +223,25 @@ class Cells:
 
 @dataclass(frozen=True)
 class Text:
-    """A line of text from its lower left corner on the base line; ``cap`` is the height of H."""
+    """A line of text from its lower left corner on the base line; ``cap`` is the height of H.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Left end of the base line, mm.
+    text : str
+    cap : float
+        Height of the capitals, mm.
+    tone, ground : float
+        Reflectance of the letters and of what is around them.
+
+    Examples
+    --------
+    >>> one, two = Text("a", 0, 0, "HH", 20.0), Text("b", 0, 0, "HH", 40.0)
+    >>> one.height, two.width / one.width
+    (20.0, 2.0)
+    """
 
     name: str
     x: float
@@ -171,6 +273,14 @@ KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
 @dataclass(frozen=True)
 class Layout:
     """A chart: its size in mm and its elements, each with a name of its own.
+
+    Parameters
+    ----------
+    name : str
+    width, height : float
+        Size of the chart, mm.
+    elements : tuple of Bar, Cells, LinePairs, Marker, Text
+        Later ones cover earlier ones.
 
     Raises
     ------
@@ -240,7 +350,22 @@ class Layout:
 
 
 def to_json(layout):
-    """Return a layout as JSON text; :func:`from_json` reads it back unchanged."""
+    """Return a layout as JSON text; :func:`from_json` reads it back unchanged.
+
+    Parameters
+    ----------
+    layout : Layout
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> text = to_json(Layout("one bar", 100, 50, (Bar("a", 10, 10, 5, 30),)))
+    >>> json.loads(text)["elements"][0]["kind"]
+    'Bar'
+    """
     elements = [
         {"kind": type(element).__name__, **dataclasses.asdict(element)}
         for element in layout.elements
@@ -251,6 +376,14 @@ def to_json(layout):
 
 def from_json(text):
     """Return the layout that JSON text describes.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Layout
 
     Raises
     ------

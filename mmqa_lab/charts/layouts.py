@@ -128,6 +128,11 @@ def point_chart(*, seed=0, cells=100, square=200.0):
     -------
     Layout
 
+    Raises
+    ------
+    ValueError
+        If a count is below its least value, or the squares overlap.
+
     Examples
     --------
     >>> chart = point_chart(seed=1)

@@ -61,6 +61,11 @@ def table_4():
     -----
     Rows 8 and 9 cannot come from the stated 4 m (:func:`smallest_spacing`), and no single
     convention gives all rows. To be shown, never to be tested against.
+
+    Examples
+    --------
+    >>> table_4().query("row == 8")[["beta_targ_deg", "point_spacing_mm"]].to_numpy().tolist()
+    [[-30, 6]]
     """
     rows = [(15, 0, 13), (0, 15, 20), (15, 15, 16), (30, 0, 10), (0, 30, 28), (30, 30, 21)]
     rows += [(-30, 0, 34), (0, -30, 6), (-30, -30, 6)]
@@ -96,6 +101,11 @@ def smallest_spacing(
         bounds), ``possible`` (whether the printed value, half a millimetre up, reaches either) and
         ``largest_range_m``, from which it can come at most by the lower bound.
 
+    Raises
+    ------
+    ValueError
+        If range or pulse rate is not above zero.
+
     Examples
     --------
     >>> proof = smallest_spacing()
@@ -126,6 +136,11 @@ def table_5():
     DataFrame
         ``statistic``, ``value_mm``, ``kind`` = published; ``attrs["source"]``,
         ``attrs["missing"]``.
+
+    Examples
+    --------
+    >>> table_5().set_index("statistic")["value_mm"].tolist()
+    [1.0, 2.0]
     """
     rows = [("mean difference of profile spacing", 1.0), ("largest difference", 2.0)]
     table = pd.DataFrame(rows, columns=["statistic", "value_mm"]).assign(kind="published")

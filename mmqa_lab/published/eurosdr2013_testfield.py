@@ -63,6 +63,11 @@ def table_3_4():
     -------
     DataFrame
         ``system``, ``object``, ``mean_mm``, ``min_mm``, ``max_mm``, ``std_mm``, ``rmse_mm``.
+
+    Examples
+    --------
+    >>> bool(table_3_4()["rmse_mm"].isna().all())
+    True
     """
     names = ["object", "mean_mm", "min_mm", "max_mm", "std_mm", "rmse_mm"]
     return _empty(names, "Table 3-4")

@@ -65,6 +65,11 @@ def rounding_check(table=None):
     the density; where the density lies outside of its interval, the pattern is no such lattice or a
     printed value is wrong.
 
+    Parameters
+    ----------
+    table : DataFrame, optional
+        :func:`table_2`, by default.
+
     Returns
     -------
     DataFrame

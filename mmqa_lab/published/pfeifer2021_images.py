@@ -78,6 +78,11 @@ def table_1():
 def systems():
     """Return the cameras of the three systems: megapixels of the panorama as printed.
 
+    Returns
+    -------
+    DataFrame
+        ``system``, ``megapixels``.
+
     Examples
     --------
     >>> systems()["megapixels"].tolist()
@@ -126,6 +131,11 @@ def widths():
 
 def ratio_check(cells=None):
     """Check how many widths one critical number of pixels per line pair can explain.
+
+    Parameters
+    ----------
+    cells : DataFrame, optional
+        :func:`widths`, by default.
 
     Returns
     -------

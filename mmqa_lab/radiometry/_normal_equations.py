@@ -32,6 +32,12 @@ class Priors:
     haze : (float, float)
         In the unit of R. Without control targets haze cannot be told from a brighter ground; it is
         then to be fixed.
+
+    Examples
+    --------
+    >>> known = Priors(radial=(0.1, 0.02))
+    >>> known.gain_std == FREE, known.haze[1] == FIXED
+    (True, True)
     """
 
     gain_std: float = FREE

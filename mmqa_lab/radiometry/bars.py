@@ -44,6 +44,15 @@ def read_bars(image, groups, *, dark, bright, noise):
     ------
     ValueError
         If bright is not above dark or the noise is not above zero.
+
+    Examples
+    --------
+    >>> x = np.arange(80)[None, :].repeat(40, axis=0)
+    >>> bright = 20 + 60 * ((x - 10) // 4 % 2 == 0) * (x >= 10) * (x < 50)
+    >>> group = {"period_px": 8.0, "x_px": 27.5, "y_px": 20.0, "angle_deg": 0.0, "bars": 5}
+    >>> found = read_bars(bright, pd.DataFrame([group]), dark=20, bright=80, noise=1.0)
+    >>> bool(found["resolved"].item()), round(found["counted"].item())
+    (True, 5)
     """
     image = np.asarray(image, dtype=np.float64)
     contrast = check_positive(bright - dark, "contrast of bright and dark")

@@ -65,6 +65,16 @@ class BlockAdjustment:
     absolute : bool
         Whether control targets gave the scale.
     iterations : int
+
+    Examples
+    --------
+    >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
+    >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
+    ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
+    >>> block = adjust_block(seen, priors=Priors(anisotropy_std=FIXED))
+    >>> corrected = block.correct(seen)
+    >>> bool(np.allclose(corrected[:2], corrected[2:]))
+    True
     """
 
     gains: pd.DataFrame
@@ -138,6 +148,15 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     References
     ----------
     EuroSDR 2013, image radiometry: relative and absolute block equalisation.
+
+    Examples
+    --------
+    >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
+    >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
+    ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
+    >>> gain = adjust_block(seen, priors=Priors(anisotropy_std=FIXED)).gains["gain"]
+    >>> round(float(gain[1] / gain[0]), 6)
+    1.1
     """
     check_count(rounds, "rounds")
     problem, names = block_problem(observations, control, priors, relative_std)

@@ -29,6 +29,12 @@ class WalthallFit:
         Of the residuals, in reflectance, with the degrees of freedom taken off.
     n : int
         Observations.
+
+    Examples
+    --------
+    >>> fit = WalthallFit(np.array([0.1, 0.05, 0.3]), np.zeros((3, 3)), "walthall", 0.0, 20)
+    >>> round(float(fit.reflectance(45, 0, 0)), 6), float(fit.anisotropy(45, 30, 0)) > 1
+    (0.3, True)
     """
 
     coefficients: np.ndarray
@@ -59,6 +65,15 @@ def walthall_terms(sun_zenith, view_zenith, azimuth, *, form="walthall"):
         Walthall et al. 1985: v^2, v cos(a), 1, for one position of the sun. Nilson and Kuusk 1989:
         s^2 v^2, s^2 + v^2, s v cos(a), 1, the same whichever of sun and camera is where.
         s, v, a are the sun's zenith, the view's zenith, the azimuth, in radians.
+
+    Returns
+    -------
+    array, shape (..., 3 or 4)
+
+    Raises
+    ------
+    ValueError
+        If the form is another.
 
     References
     ----------

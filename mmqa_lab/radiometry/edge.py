@@ -44,6 +44,12 @@ class EdgeFit:
         Of the residuals, in grey values.
     n : int
         Pixels.
+
+    Examples
+    --------
+    >>> fit = EdgeFit("logistic", 10, 200, 5.0, 0.0, 1.0, 0.01, 0.5, 900)
+    >>> float(fit.esf(0.0)), float(fit.mtf(fit.mtf50).round(6))
+    (0.5, 0.5)
     """
 
     shape: str
@@ -206,6 +212,16 @@ def dependence(edges):
     ----------
     EuroSDR 2013, image radiometry: resolution by radial, tangential, flight and cross-flight
     direction.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rng = np.random.default_rng(1)
+    >>> (x, y), angle = rng.uniform(-1, 1, (2, 50)), rng.uniform(0, 180, 50)
+    >>> width = np.sqrt(2.0 + 0.5 * np.sin(np.radians(angle)) ** 2)  # motion along the flight
+    >>> edges = pd.DataFrame({"x_px": x, "y_px": y, "angle_deg": angle, "fwhm_px": width})
+    >>> np.abs(dependence(edges)["estimate"]).round(6).tolist()
+    [2.0, 0.0, 0.0, 0.5]
     """
     import pandas as pd
     from statsmodels.regression.linear_model import OLS

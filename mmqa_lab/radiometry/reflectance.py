@@ -23,6 +23,12 @@ class EmpiricalLine:
         Of (slope, intercept); NaN from two targets without known uncertainty.
     residuals : array, shape (n,)
         Known minus computed reflectance of the targets.
+
+    Examples
+    --------
+    >>> line = empirical_line([100, 500], [0.05, 0.45])
+    >>> round(float(line.reflectance(300)), 6), line.n
+    (0.25, 2)
     """
 
     slope: float
@@ -61,6 +67,15 @@ def reflectance_factor(radiance, irradiance, *, path_radiance=0.0, transmittance
         What the air between ground and sensor adds, unit of the radiance.
     transmittance : float
         Of the air between ground and sensor, 0 to 1.
+
+    Returns
+    -------
+    float or array
+
+    Raises
+    ------
+    ValueError
+        If the irradiance is not above zero or the transmittance lies outside 0 to 1.
 
     References
     ----------
@@ -199,6 +214,11 @@ def ndvi(near_infrared, red, *, std_near_infrared=0.0, std_red=0.0, correlation=
     -------
     ndvi, std : array
         First-order propagation.
+
+    Raises
+    ------
+    ValueError
+        If the correlation lies outside -1 to 1.
 
     Examples
     --------

@@ -32,6 +32,12 @@ class SensorFit:
         DN minus the line for every given target, NaN for the saturated ones.
     saturated : int
         Targets left out because they were saturated.
+
+    Examples
+    --------
+    >>> fit = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820])
+    >>> round(fit.gain, 6), round(fit.offset, 6), round(float(fit.radiance(520)), 6)
+    (10.0, 20.0, 50.0)
     """
 
     gain: float
@@ -83,6 +89,15 @@ def relative_exposure(time_s, f_number, *, reference=(0.01, 4.0)):
     reference : (float, float)
         Exposure time (s) and f-number at which the relative exposure is 1.
 
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If a setting is not above zero.
+
     Examples
     --------
     >>> relative_exposure(0.02, 8.0)
@@ -107,6 +122,11 @@ def saturation_level(dn):
     Returns
     -------
     float
+
+    Raises
+    ------
+    ValueError
+        If there are no pixels.
 
     Examples
     --------
@@ -145,6 +165,13 @@ def patch_statistics(image, patches, *, full_scale=np.inf):
     ------
     ValueError
         If a patch holds fewer than two pixels or leaves the image.
+
+    Examples
+    --------
+    >>> image = np.array([[10.0, 12.0, 255.0, 255.0]] * 2)
+    >>> found = patch_statistics(image, [[0, 2, 0, 2], [0, 2, 2, 4]], full_scale=255)
+    >>> found["mean_dn"].tolist(), found["saturated_share"].tolist()
+    ([11.0, 255.0], [0.0, 1.0])
     """
     image = np.asarray(image, dtype=np.float64)
     rows = []
@@ -240,6 +267,11 @@ def stability(fits):
         ``setting``, ``gain``, ``gain_std``, ``difference_percent`` from the weighted mean,
         ``difference_std_percent``, and ``p``: the p-value of no difference. If exposure time and
         f-number did what their labels say, all differences would be zero.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two settings.
 
     Examples
     --------

@@ -100,6 +100,13 @@ def mean_sharpness(maps):
     -------
     Dataset
         The medians, and ``n``: images that were measurable there.
+
+    Examples
+    --------
+    >>> maps = [xr.Dataset({"sharpness": ("x", values)}) for values in ([1.0, 2.0], [3.0, np.nan])]
+    >>> middle = mean_sharpness(maps)
+    >>> middle["sharpness"].values.tolist(), middle["n"].values.tolist()
+    ([2.0, 2.0], [2, 1])
     """
     stack = xr.concat(list(maps), dim="image")
     middle = stack.median("image")

@@ -13,7 +13,23 @@ STRIP = 0.4579
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """y = factor x^exponent, fitted to the logarithms, with standard errors of ln and exponent."""
+    """y = factor x^exponent, fitted to the logarithms, with standard errors of ln and exponent.
+
+    Parameters
+    ----------
+    exponent, standard_error : float
+        The latter of the former.
+    factor : float
+        y at x = 1.
+    n : int
+        Pairs fitted.
+
+    Examples
+    --------
+    >>> law = power_law([1, 2, 4], [5.0, 20.0, 80.0])
+    >>> round(law.exponent, 9), round(law.standard_error, 9), round(law.factor, 9)
+    (2.0, 0.0, 5.0)
+    """
 
     exponent: float
     standard_error: float
@@ -45,6 +61,11 @@ def strip_law(*, density, area, click, influence=1.0):
     -------
     float
 
+    Raises
+    ------
+    ValueError
+        If density or area is not above zero or ``click`` is negative.
+
     Notes
     -----
     For a Poisson pattern; points on scan lines come in whole lines and vary otherwise.
@@ -75,6 +96,11 @@ def contaminated_sigma_mad(share):
     -------
     float
 
+    Raises
+    ------
+    ValueError
+        If the share lies outside 0 to 0.49.
+
     Examples
     --------
     >>> [round(contaminated_sigma_mad(share), 3) for share in (0, 0.05, 0.1)]
@@ -92,6 +118,20 @@ def contaminated_sigma_mad(share):
 
 def power_law(x, y):
     """Fit y = factor x^exponent by least squares on the logarithms.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        Above zero, n >= 3.
+
+    Returns
+    -------
+    PowerLaw
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three pairs or one is not above zero.
 
     Examples
     --------

@@ -84,6 +84,11 @@ def with_strays(points, *, share, depths, seed):
     array, shape (m, 3)
         The points, then the strays: copies of random points, moved.
 
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points or the share lies outside 0 to 0.5.
+
     Examples
     --------
     >>> surface = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
@@ -115,6 +120,19 @@ def evaluate_selections(points, polygons, *, thickness=0.1, axes="principal", ra
     -------
     DataFrame
         A row per polygon: ``selection`` and the figures of ``CloudQuality.to_frame``.
+
+    Raises
+    ------
+    ValueError
+        As :func:`mmqa_lab.chart_cloud.evaluate_cloud`: too few points in a polygon, and the like.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(50) * 0.02)
+    >>> cloud = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    >>> square = np.array([[0.1, 0.1, 0], [0.9, 0.1, 0], [0.9, 0.9, 0], [0.1, 0.9, 0]]) - 0.01
+    >>> evaluate_selections(cloud, [square, square + [0.04, 0, 0]])["n"].tolist()
+    [1600, 1600]
     """
     points = check_points(points, minimum=3)
     choices = {"thickness": thickness, "axes": axes, "radius": radius}

@@ -29,6 +29,12 @@ class Repeatability:
         95 % interval of s_r, bootstrap over the selections within each scan.
     groups, n : int
         Scans, and results in all.
+
+    Examples
+    --------
+    >>> found = Repeatability(100.0, 1.0, 0.0, 0.0, 0.0, 0.2, 0.8, 1.2, groups=4, n=40)
+    >>> found.r, found.reproducibility_limit
+    (2.8, 2.8)
     """
 
     mean: float

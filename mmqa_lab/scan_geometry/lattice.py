@@ -42,6 +42,15 @@ class Lattice:
     nearest : array, shape (..., 3)
         Step to the pulse of the next profile that is ``b`` up to half a step of the mirror: with
         ``a`` it spans the points, also where PRR / Mf is not whole.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_geometry import ScanSetup, Target, scan_lattice
+    >>> scanner = {"pulse_rate_hz": 1e6, "mirror_frequency_hz": 200, "scanner_tilt_deg": 45}
+    >>> setup = ScanSetup(**scanner, speed_m_s=10)
+    >>> there = scan_lattice(setup, Target(range_m=5).patch(setup))
+    >>> float(there.density_per_m2.round(6)), float(there.profile_spacing_horizontal_m.round(6))
+    (4501.581581, 0.05)
     """
 
     setup: ScanSetup
@@ -219,7 +228,28 @@ def scan_lattice(setup, patch):
 
 
 def crossing_angle(first, second):
-    """Return the angle between the profiles of two lattices on one surface, 0 to 90 degrees."""
+    """Return the angle between the profiles of two lattices on one surface, 0 to 90 degrees.
+
+    Parameters
+    ----------
+    first, second : Lattice
+        At the same places.
+
+    Returns
+    -------
+    float or array
+        Degrees.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from mmqa_lab.scan_geometry import ScanSetup, Target, scan_lattice
+    >>> slow = ScanSetup(pulse_rate_hz=1e8, mirror_frequency_hz=200, speed_m_s=0.1)
+    >>> left, right = (replace(slow, scanner_tilt_deg=tilt) for tilt in (-30, 30))
+    >>> pair = [scan_lattice(setup, Target(range_m=5).patch(setup)) for setup in (left, right)]
+    >>> round(float(crossing_angle(*pair)), 2)
+    60.0
+    """
     cosine = np.abs(_dot(first.a, second.a)) / (first.point_spacing_m * second.point_spacing_m)
     return np.degrees(np.arccos(np.minimum(cosine, 1)))
 
@@ -241,6 +271,11 @@ def lattice_distances(a, b):
     array, shape (..., 4)
         In the unit of the steps; NaN where a step is not finite or the two are parallel. d1 = d2
         and d3 = d4, for a lattice looks the same from behind.
+
+    Raises
+    ------
+    ValueError
+        If the last axis of a step is not two long.
 
     References
     ----------

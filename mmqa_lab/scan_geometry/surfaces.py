@@ -66,6 +66,11 @@ class Target:
     height_difference_m : float
         Height of the evaluated spot above the scanner (h_targ - h_scan).
 
+    Raises
+    ------
+    ValueError
+        If a value is not finite or the range is not above zero.
+
     Examples
     --------
     >>> Target(heading_deg=15, tilt_deg=30, range_m=5).normal.round(4).tolist()
@@ -135,6 +140,11 @@ def cylinder_patch(axis_point, radius, *, azimuths_deg, heights_m):
     Patch
         Of shape (m, n, 3), normals outwards.
 
+    Raises
+    ------
+    ValueError
+        If the radius is not above zero or a place is not finite.
+
     Examples
     --------
     >>> post = cylinder_patch([5, 0], 0.15, azimuths_deg=[180], heights_m=[0])
@@ -166,6 +176,11 @@ def mesh_patch(vertices, faces):
     -------
     Patch, array of shape (m,)
         Centroids with outward normals; areas in m2. Density times area is the expected count.
+
+    Raises
+    ------
+    ValueError
+        If a vertex is not finite or a face names one that is not there.
 
     Examples
     --------

@@ -49,6 +49,11 @@ def sensitivities(setup, target, *, inputs=INPUTS):
         jump when another point becomes the nearest): change of the quantity in its unit per unit
         of the input.
 
+    Raises
+    ------
+    ValueError
+        If an input is unknown.
+
     Examples
     --------
     >>> from mmqa_lab.scan_geometry import ScanSetup, Target
@@ -91,6 +96,11 @@ def propagate(setup, target, *, sigmas, method="first_order", draws=20_000, seed
         A row per quantity: ``quantity``, ``predicted``, ``std``, ``low`` and ``high`` (2.5 % and
         97.5 %), ``n`` draws (0 for first order), ``method``. First order has NaN for d1..d4 and f,
         which jump from lattice point to lattice point.
+
+    Raises
+    ------
+    ValueError
+        If an input is unknown, a deviation negative, or ``draws`` below 100.
 
     Examples
     --------
