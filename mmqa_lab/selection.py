@@ -75,6 +75,21 @@ def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radi
     -------
     SelectionTool or matplotlib.figure.Figure
         The tool, or its picture where there is no screen.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the polygon selects too few of them.
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> cloud = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    >>> with patch.dict("os.environ", MMQA_HEADLESS="1"):
+    ...     figure = select_polygon(cloud)
+    >>> figure.axes[0].get_title().split(",")[-1]
+    ' f 2.00'
     """
     points = cloud.points if isinstance(cloud, Cloud) else check_points(cloud, minimum=3)
     choices = {"thickness": thickness, "axes": axes, "radius": radius}
@@ -109,6 +124,18 @@ class SelectionTool:
         What it selects; None while it selects too little.
     box : ipywidgets.VBox
         What is shown.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> tool = SelectionTool(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> tool.vertices.shape, round(tool.quality.f, 2)
+    ((4, 3), 2.0)
     """
 
     def __init__(self, points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
@@ -178,6 +205,14 @@ class SelectionTool:
 
 def summary(quality):
     """Return the quality in one line.
+
+    Parameters
+    ----------
+    quality : CloudQuality
+
+    Returns
+    -------
+    str
 
     Examples
     --------

@@ -22,6 +22,10 @@ def student_cell(source):
         Code of a cell tagged ``solution``; its first line is a comment that begins with the
         exercise's number.
 
+    Returns
+    -------
+    str
+
     Raises
     ------
     ValueError
@@ -81,6 +85,14 @@ def write_student_notebooks(studies, folder):
     ------
     ValueError
         If a notebook of that name is there already: it may hold a student's work.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
+    ['05_mimic.ipynb']
     """
     targets = [Path(folder) / study.path.name for study in studies]
     there = [path for path in targets if path.exists()]

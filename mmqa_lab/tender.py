@@ -33,6 +33,10 @@ def check_criteria(criteria):
         ``threshold`` (a number, or a mark a, b, c); optionally ``distance_m``, ``view`` and
         ``direction``, where empty means all.
 
+    Returns
+    -------
+    DataFrame
+
     Raises
     ------
     ValueError
@@ -66,10 +70,20 @@ def check_results(results):
         where not measured); optionally ``sigma`` (standard deviation), ``distance_m``, ``view``,
         ``direction``.
 
+    Returns
+    -------
+    DataFrame
+
     Raises
     ------
     ValueError
         If a column is missing, or a value is neither number nor mark.
+
+    Examples
+    --------
+    >>> rows = pd.DataFrame([("A", "f", 2.4)], columns=["system", "quantity", "value"])
+    >>> check_results(rows)["sigma"].tolist()  # not known
+    [nan]
     """
     results = _with_columns(results, RESULTS, "results")
     for row in results.itertuples():
@@ -97,6 +111,11 @@ def verdicts(criteria, results):
         ``distance_m``, ``view``, ``direction``, ``value``, ``sigma``, ``relation``, ``threshold``,
         ``margin`` (positive inside; in the quantity's unit, for marks in steps) and ``verdict``:
         *met*, *not met*, *undecided* (within 1.96 sigma of the threshold) or *not measured*.
+
+    Raises
+    ------
+    ValueError
+        As :func:`check_criteria` and :func:`check_results`.
 
     Examples
     --------
@@ -135,6 +154,13 @@ def qualification(table):
         ``system``, ``verdict`` (*qualifies* when all figures meet their criteria; *fails* when one
         does not; else *open*), the numbers of figures ``met``, ``not_met``, ``undecided``,
         ``not_measured``, and ``because``: the criteria that are not met, or leave it open.
+
+    Examples
+    --------
+    >>> from mmqa_lab.published import pfeifer2021_images as published
+    >>> table = qualification(verdicts(published.tender_criteria(2), published.results()))
+    >>> int((table["verdict"] == "qualifies").sum())
+    2
     """
     rows = []
     for system, part in table.groupby("system", sort=False):

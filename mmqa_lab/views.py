@@ -42,7 +42,20 @@ def can_render():
 
 
 def is_headless():
-    """Return whether this runs where nobody can turn a view: a notebook run as a batch job."""
+    """Return whether this runs where nobody can turn a view: a notebook run as a batch job.
+
+    Returns
+    -------
+    bool
+        Whether the environment variable ``MMQA_HEADLESS`` is set.
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> with patch.dict(os.environ, MMQA_HEADLESS="1"):
+    ...     is_headless()
+    True
+    """
     return bool(os.environ.get("MMQA_HEADLESS"))
 
 
@@ -64,6 +77,14 @@ def show_cloud(cloud, values, *, label):
     Returns
     -------
     pyvista viewer or matplotlib figure
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> with patch(f"{__name__}.can_render", return_value=False):
+    ...     figure = show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)")
+    >>> figure.axes[-1].get_ylabel()
+    'height (m)'
     """
     points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
     local = points - points.mean(axis=0)
@@ -74,7 +95,25 @@ def show_cloud(cloud, values, *, label):
 
 
 def save_cloud(path, cloud, values, *, label):
-    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above."""
+    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above.
+
+    Parameters
+    ----------
+    path : path
+        Its ending says the format; an existing file is replaced.
+    cloud, values, label
+        See :func:`show_cloud`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from unittest.mock import patch
+    >>> cannot = patch(f"{__name__}.can_render", return_value=False)
+    >>> with tempfile.TemporaryDirectory() as folder, cannot:
+    ...     save_cloud(f"{folder}/c.png", [[0, 0, 0], [1, 0, 0]], [0.0, 1.0], label="f")
+    ...     os.listdir(folder)
+    ['c.png']
+    """
     from mmqa_lab.io import write_atomically
 
     points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)

@@ -28,11 +28,16 @@ def explore(function, **controls):
 
     Examples
     --------
+    >>> from unittest.mock import patch
     >>> def draw(speed):
     ...     figure, ax = plt.subplots()
     ...     ax.plot([0, speed])
     ...     return figure
-    >>> box = explore(draw, speed=slider("speed", 10, 1, 20, 1, unit="m/s"))
+    >>> with patch.dict("os.environ", MMQA_HEADLESS="1"):
+    ...     figure = explore(draw, speed=slider("speed", 10, 1, 20, 1, unit="m/s"))
+    >>> figure.axes[0].lines[0].get_ydata().tolist()
+    [0, 10]
+    >>> plt.close(figure)
     """
     if is_headless():
         return function(**{name: control.value for name, control in controls.items()})
@@ -53,7 +58,26 @@ def explore(function, **controls):
 
 
 def slider(name, value, low, high, step, *, unit=""):
-    """Return a slider whose label has the unit; it reports when it is let go."""
+    """Return a slider whose label has the unit; it reports when it is let go.
+
+    Parameters
+    ----------
+    name : str
+    value, low, high, step : float or int
+        Where it starts, its ends and its step; whole numbers where the step is one.
+    unit : str
+
+    Returns
+    -------
+    IntSlider or FloatSlider
+        Of ipywidgets.
+
+    Examples
+    --------
+    >>> speed = slider("speed", 40.0, 10.0, 80.0, 5.0, unit="km/h")
+    >>> speed.description, speed.value
+    ('speed (km/h)', 40.0)
+    """
     kind = ipywidgets.IntSlider if isinstance(step, int) else ipywidgets.FloatSlider
     return kind(
         value=value,
@@ -68,7 +92,23 @@ def slider(name, value, low, high, step, *, unit=""):
 
 
 def choice(name, options):
-    """Return a drop-down list that starts with the first option."""
+    """Return a drop-down list that starts with the first option.
+
+    Parameters
+    ----------
+    name : str
+    options : sequence of str
+
+    Returns
+    -------
+    Dropdown
+        Of ipywidgets.
+
+    Examples
+    --------
+    >>> choice("pattern", ["lattice", "poisson"]).value
+    'lattice'
+    """
     return ipywidgets.Dropdown(
         options=options, description=name, style={"description_width": "14em"}
     )

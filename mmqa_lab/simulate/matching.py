@@ -48,6 +48,17 @@ class MatchingCamera:
         Viewing direction in the vehicle: degrees clockwise from travel, degrees above the horizon.
     lever_arm_m : tuple of 3
         Camera in the vehicle's frame.
+
+    Raises
+    ------
+    ValueError
+        If a field is out of its range.
+
+    Examples
+    --------
+    >>> camera = MatchingCamera(focal_px=1000, width_px=100, height_px=100, base_m=1.0)
+    >>> camera.rays([[0, 0]]).round(9).tolist()  # looks to the right of the vehicle
+    [[1.0, 0.0, 0.0]]
     """
 
     focal_px: float

@@ -37,6 +37,14 @@ def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflec
     ------
     ValueError
         If an opening does not lie within the wall.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> front = Scene(wall((5, 0, 0), (0, 9, 0), 6, openings=[(4, 1, 1, 2)]))
+    >>> hits = front.cast([[0, 4.5, 2], [0, 7, 2]], [[1, 0, 0]] * 2)
+    >>> [front.surfaces[k].label for k in hits.surface], hits.range_m.round(6).tolist()
+    (['pane', 'wall'], [5.2, 5.0])
     """
     corner, along = vector(corner, "corner"), vector(along, "along")
     up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
@@ -120,9 +128,23 @@ def chart(
     -------
     Surface
 
+    Raises
+    ------
+    ValueError
+        If there are fewer than five cells, the border is wider than a quarter or a reflectance lies
+        outside 0 to 1.
+
     References
     ----------
     After Pfeifer et al. 2021, section 3 (doi:10.3390/rs13020237); the pattern is our own.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> there = Scene([chart((5, 0, 1), heading=-90)])
+    >>> corners = [[0, 0.35, 0.65], [0, -0.35, 0.65]]  # the plain squares below, left and right
+    >>> there.cast(corners, [[1, 0, 0]] * 2).reflectance.tolist()
+    [0.8, 0.1]
     """
     n = check_count(cells, "cells", low=5)
     border = check_number(border, "border", low=0, high=0.25)
@@ -138,6 +160,21 @@ def chart(
 
 def chart_corners(centre, *, heading, size=1.0):
     """Return the corners of a chart, (4, 3), from the lower left around, as one looks at its front.
+
+    Parameters
+    ----------
+    centre, heading, size
+        See :func:`chart`.
+
+    Returns
+    -------
+    array, shape (4, 3)
+        Metres.
+
+    Raises
+    ------
+    ValueError
+        If the size is not above zero or the heading is not finite.
 
     Examples
     --------

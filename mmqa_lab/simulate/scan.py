@@ -70,6 +70,15 @@ def scan(
     Notes
     -----
     The time of flight is neglected: at 100 m and 20 m/s it moves a point by 0.007 mm.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import ProfileScanner, Scene, ground, straight
+    >>> scanner = ProfileScanner(pulse_rate_hz=36_000, mirror_frequency_hz=100)
+    >>> drive = straight(5, 10, start=(0, 0, 2))
+    >>> blocks = list(scan(Scene([ground()]), scanner, drive, seed=1, block_s=0.25))
+    >>> [len(cloud) for cloud in blocks]  # 9 000 pulses each, the upper half into the sky
+    [4475, 4475]
     """
     heads = [scanner] if isinstance(scanner, Scanner) else list(scanner)
     if not heads or not all(isinstance(head, Scanner) for head in heads):
@@ -96,6 +105,17 @@ def scan(
 
 def scan_all(scene, scanner, trajectory, *, seed, **options):
     """Return the whole drive as one ``Cloud``; arguments as for ``scan``.
+
+    Parameters
+    ----------
+    scene, scanner, trajectory, seed
+        See :func:`scan`.
+    **options
+        See :func:`scan`.
+
+    Returns
+    -------
+    Cloud
 
     Examples
     --------

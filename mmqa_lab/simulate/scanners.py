@@ -80,6 +80,17 @@ class Scanner:
         Share of pulses lost for no reason of the scene.
     name, source, status : str
         Model, where the numbers come from, and "nominal" (data-sheet) or "calibrated".
+
+    Raises
+    ------
+    ValueError
+        If a field is out of its range.
+
+    Examples
+    --------
+    >>> scanner = Scanner(pulse_rate_hz=1e6, heading_deg=90)
+    >>> (scanner.mounting @ [0, 1, 0]).round(9).tolist()  # its forward is the vehicle's left
+    [-1.0, 0.0, 0.0]
     """
 
     pulse_rate_hz: float
@@ -167,6 +178,11 @@ class ProfileScanner(Scanner):
     **scanner
         See ``Scanner``.
 
+    Raises
+    ------
+    ValueError
+        If a field is out of its range.
+
     Examples
     --------
     >>> scanner = ProfileScanner(pulse_rate_hz=4e5, mirror_frequency_hz=100, tilt_deg=30)
@@ -224,6 +240,18 @@ class MultiBeamScanner(Scanner):
         Of the beams in the order of firing, degrees above the plane of rotation.
     **scanner
         See ``Scanner``.
+
+    Raises
+    ------
+    ValueError
+        If a field is out of its range.
+
+    Examples
+    --------
+    >>> scanner = MultiBeamScanner(pulse_rate_hz=3600, spin_hz=10, elevations_deg=(-10, 10))
+    >>> firing, _ = scanner.fire(np.arange(4))
+    >>> firing.ring.tolist(), firing.elevation.tolist()
+    ([0, 1, 0, 1], [-10.0, 10.0, -10.0, 10.0])
     """
 
     spin_hz: float

@@ -25,6 +25,13 @@ class Hits:
     incidence_deg : array, shape (n,)
         Angle between ray and normal, 0 to 90.
     reflectance : array, shape (n,)
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import ground
+    >>> hits = Scene([ground()]).cast([[0, 0, 2.0]], [[0, 1, -1], [0, 0, 1]])
+    >>> hits.incidence_deg.round(6).tolist(), hits.surface.tolist()
+    ([45.0, nan], [0, -1])
     """
 
     range_m: np.ndarray
@@ -49,6 +56,11 @@ class Scene:
     origin : array, shape (3,)
         The coordinates' mean, taken off before anything is multiplied.
     tree : simulate.tree.Tree
+
+    Raises
+    ------
+    ValueError
+        If there are no surfaces.
 
     Examples
     --------

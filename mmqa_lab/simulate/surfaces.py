@@ -25,10 +25,19 @@ class Surface:
     kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
         Kind of each primitive, its centre in metres, its shape numbers (``tree.Tree``), the
         half extents of its box.
+    outline, cells : arrays of int, shapes (n, 2), (n, 3)
+        Where each primitive's edges begin and end in ``edges``; where its cells begin in
+        ``reflectance``, and how many rows and columns of them there are.
     edges : array, shape (m, 4)
         Edges of the outline and the holes of a polygon, in its own plane.
-    reflectance : array, shape (rows, columns)
-        Of the cells of each primitive, between 0 and 1; (1, 1) where it is plain.
+    reflectance : array, shape (k,)
+        Of all cells, between 0 and 1; one cell where a primitive is plain.
+
+    Examples
+    --------
+    >>> car = box((0, 0, 0), (1.8, 4.2, 1.5))
+    >>> len(car), car.label, car.centre[:, 2].max().item()  # six faces
+    (6, 'car', 1.5)
     """
 
     label: str
@@ -56,10 +65,21 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     reflectance : float or array_like, shape (rows, columns)
         Of the whole, or of cells: rows from the corner upwards, columns along.
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     ValueError
         If the sides are parallel or a reflectance lies outside 0 to 1.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> halves = Scene([rectangle((0, 5, 0), (2, 0, 0), (0, 0, 1), reflectance=[[0.1, 0.9]])])
+    >>> halves.cast([[0.5, 0, 0.5], [1.5, 0, 0.5]], [[0, 1, 0]] * 2).reflectance.tolist()
+    [0.1, 0.9]
     """
     corner, along, up = (
         vector(v, n) for v, n in ((corner, "corner"), (along, "along"), (up, "up"))
@@ -73,7 +93,33 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
 def ground(
     height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), label="ground", reflectance=0.2
 ):
-    """Return a level rectangle: ``height``, ``centre`` (x, y) and ``size`` (x, y) in metres."""
+    """Return a level rectangle: ``height``, ``centre`` (x, y) and ``size`` (x, y) in metres.
+
+    Parameters
+    ----------
+    height : float
+        Metres.
+    centre, size : (float, float)
+        Along x and y, metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If the height is not finite or a size is not above zero.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> flat = Scene([ground(-0.5)])
+    >>> float(flat.cast([0, 0, 2], [[0, 0, -1]]).range_m[0])
+    2.5
+    """
     height = check_number(height, "height", unit="m")
     a, b = check_positive(size[0], "size", unit="m"), check_positive(size[1], "size", unit="m")
     corner = (centre[0] - a / 2, centre[1] - b / 2, height)
@@ -92,10 +138,22 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
     label : str
     reflectance : float
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     ValueError
         If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> square, hole = np.array([[0, 5, 0], [4, 5, 0], [4, 5, 4], [0, 5, 4.0]]), [1, 0, 1]
+    >>> front = Scene([polygon(square, holes=[square / [2, 1, 2] + hole])])
+    >>> front.cast([[2, 0, 2], [0.5, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
+    [-1, 0]
     """
     rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
     middle = rings[0].mean(axis=0)
@@ -113,7 +171,33 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
 
 
 def disc(centre, normal, radius, *, label="board", reflectance=0.5):
-    """Return a flat disc from its centre, its normal (any length) and its radius in metres."""
+    """Return a flat disc from its centre, its normal (any length) and its radius in metres.
+
+    Parameters
+    ----------
+    centre, normal : array_like, shape (3,)
+        Metres; the normal of any length.
+    radius : float
+        Metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If the radius or the normal's length is not above zero.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> sign = Scene([disc((0, 5, 2), (0, -1, 0), 0.3)])
+    >>> sign.cast([[0.29, 0, 2], [0.31, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
+    [0, -1]
+    """
     centre, normal = vector(centre, "centre"), _unit(normal, "normal")
     radius = check_positive(radius, "radius", unit="m")
     u, v = radius * _perpendicular(normal[None])[0]
@@ -137,6 +221,22 @@ def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflec
     label : str
     reflectance : float or array_like, shape (rows, columns)
         Rows from the bottom up, columns from left to right as one looks at the front.
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If a size is not above zero or an angle is not finite.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> sign = Scene([board((0, 5, 2), 1, 1, heading=180)])
+    >>> float(sign.cast([0, 0, 2], [[0, 1, 0]]).range_m[0])
+    5.0
     """
     centre = vector(centre, "centre")
     h, t = np.radians([check_number(heading, "heading"), check_number(lean, "lean")])
@@ -160,6 +260,22 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
         Whether discs close the ends.
     label : str
     reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If the radius is not above zero, ``top_radius`` is negative or the ends are one.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> cone = Scene([cylinder((0, 5, 0), (0, 5, 2), 1.0, top_radius=0.0)])
+    >>> round(float(cone.cast([0, 0, 1], [[0, 1, 0]]).range_m[0]), 9)  # half way up
+    4.5
     """
     base, top = vector(base, "base"), vector(top, "top")
     radius = check_positive(radius, "radius", unit="m")
@@ -186,6 +302,22 @@ def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
         Degrees clockwise from +y.
     label : str
     reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If a size is not above zero or the heading is not finite.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> car = Scene([box((0, 10, 0), (2, 4, 1.5))])
+    >>> float(car.cast([0, 0, 1], [[0, 1, 0]]).range_m[0])
+    8.0
     """
     base = vector(base, "base")
     width, length, height = (check_positive(s, "size", unit="m") for s in size)
@@ -200,7 +332,33 @@ def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
 
 
 def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
-    """Return a solid ellipsoid with axes along x, y, z; ``radii`` in metres, one or three."""
+    """Return a solid ellipsoid with axes along x, y, z; ``radii`` in metres, one or three.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    radii : float or array_like, shape (3,)
+        Half axes, metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If a half axis is not above zero.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> ball = Scene([ellipsoid((0, 5, 0), (1, 2, 1))])
+    >>> round(float(ball.cast([0, 0, 0], [[0, 1, 0]]).range_m[0]), 9)
+    3.0
+    """
     centre = vector(centre, "centre")
     radii = _radii(radii)
     shape = np.diag(1 / radii).ravel()
@@ -224,6 +382,23 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     seed : int
     label : str
     reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If there are no leaves or a size is not above zero.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> crown = Scene([foliage((0, 0, 5), 2.0, leaves=500, leaf_radius=0.1, seed=1)])
+    >>> low, high = crown.table()[["z_min_m", "z_max_m"]].iloc[0]
+    >>> bool(2.9 < low < high < 7.1)  # no leaf ends beyond its radius outside the crown
+    True
     """
     rng = np.random.default_rng(seed)
     n = check_count(leaves, "leaves")
@@ -238,7 +413,24 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
 
 
 def group(surfaces, *, label):
-    """Return one surface, with one id, of several."""
+    """Return one surface, with one id, of several.
+
+    Parameters
+    ----------
+    surfaces : iterable of Surface
+        May hold lists of them.
+    label : str
+
+    Returns
+    -------
+    Surface
+
+    Examples
+    --------
+    >>> lamp = group([cylinder((0, 0, 0), (0, 0, 5), 0.1), ellipsoid((0, 0, 5), 0.3)], label="lamp")
+    >>> len(lamp), lamp.label
+    (2, 'lamp')
+    """
     surfaces = list(flattened(surfaces))
     return Surface(label=label, **merged(surfaces))
 

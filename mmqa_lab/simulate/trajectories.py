@@ -153,6 +153,13 @@ class NavigationErrors:
         Roll, pitch, heading, degrees.
     correlation_s : float
         Correlation time of the drift (first-order Gauss-Markov), seconds.
+
+    Examples
+    --------
+    >>> errors = NavigationErrors(bias_m=(0.03, 0.0, -0.02))
+    >>> path = measured(straight(20, 10), errors, seed=1)
+    >>> path.position[-1].round(6).tolist()
+    [0.03, 20.0, -0.02]
     """
 
     bias_m: tuple = 0.0
@@ -182,6 +189,15 @@ def straight(
     start_time : float
         Seconds.
 
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        If length or speed is not above zero.
+
     Examples
     --------
     >>> straight(20.0, 10.0, heading=90).position[-1].round(9).tolist()
@@ -208,9 +224,24 @@ def with_speed_variation(trajectory, *, share, seed, correlation_s=0.5, interval
     correlation_s, interval_s : float
         Correlation time of the speed (first-order Gauss-Markov) and step of the rows, seconds.
 
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    ValueError
+        If the share lies outside 0 to 0.3.
+
     Notes
     -----
     The path ends where it ended; its duration changes by what the speed did on average.
+
+    Examples
+    --------
+    >>> path = with_speed_variation(straight(100, 10), share=0.05, seed=1)
+    >>> path.position[-1].round(6).tolist(), 9 < path.duration_s < 11
+    ([0.0, 100.0, 0.0], True)
     """
     share = check_number(share, "share", low=0, high=0.3)
     n = int(np.ceil(trajectory.duration_s / interval_s)) + 1
@@ -240,6 +271,12 @@ def measured(trajectory, errors, *, seed, interval_s=0.01):
     Trajectory
         To hand to ``scan`` as ``measured=``: rays leave from the truth, points are computed
         from this.
+
+    Examples
+    --------
+    >>> path = measured(straight(200, 10), NavigationErrors(white_m=0.02), seed=1)
+    >>> len(path.time), bool(0.019 < path.position[:, 0].std() < 0.021)
+    (2001, True)
     """
     rng = np.random.default_rng(seed)
     n = max(int(np.ceil(trajectory.duration_s / interval_s)) + 1, 2)

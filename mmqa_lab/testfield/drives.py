@@ -23,6 +23,11 @@ def split_drives(gps_time, *, gap_s=GAP_S):
     array of int, shape (n,)
         Counted from 0 in the order of time.
 
+    Raises
+    ------
+    ValueError
+        If a time is not finite or the gap is not above zero.
+
     Examples
     --------
     >>> split_drives([5.0, 90_000.0, 6.0, 90_001.0]).tolist()
@@ -56,6 +61,14 @@ def between_drives(first, second):
     ------
     ValueError
         If the reference points are not the same.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> place = {"x_m": [0.0], "y_m": 0.0, "reference_m": 5.0}
+    >>> first = pd.DataFrame(place | {"dz_m": 0.5, "reason": ""})
+    >>> between_drives(first, first.assign(dz_m=0.25))["dz_m"].tolist()
+    [0.25]
     """
     places = ["x_m", "y_m", "reference_m"]
     if len(first) != len(second) or not np.array_equal(first[places], second[places]):

@@ -115,6 +115,11 @@ def height_accuracy(table):
         ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the difference that 90 %
         of all stay within.
 
+    Raises
+    ------
+    ValueError
+        If a column is missing.
+
     Notes
     -----
     The shift kept is absolute accuracy, and hangs on the reference's own height system; removed, it

@@ -48,10 +48,23 @@ def pole_positions(points, poles, *, heights=POLE_HEIGHTS, search=0.4):
         One row a pole and height: ``pole``, ``height_m`` (middle), ``n``, ``dx_m``, ``dy_m``
         (cloud minus reference), ``std_m`` (of a centre coordinate), ``reason`` there is none.
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite or ``search`` is not above zero.
+
     Notes
     -----
     Seen from one side, points cover less than half of the circle: with a free diameter centre and
     radius trade off along the line of sight, and a few centimetres are lost on a thin pole.
+
+    Examples
+    --------
+    >>> turn, height = np.meshgrid(np.arange(0, 6.2, 0.1), np.arange(0, 6, 0.05))
+    >>> post = np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), height], axis=-1).reshape(-1, 3)
+    >>> pole = pd.DataFrame({"x_m": [0.03], "y_m": 0.0, "z_m": 0.0, "diameter_m": 0.2})
+    >>> pole_positions(post, pole)["dx_m"].round(6).unique().tolist()
+    [-0.03]
     """
     points = check_points(points)
     check_positive(search, "search", unit="m")
@@ -98,6 +111,20 @@ def corner_positions(points, corners, *, search=2.0, gate=0.5, tolerance=0.03, s
     DataFrame
         ``corner``, ``kind``, ``n`` (points of both lines), ``dx_m``, ``dy_m``, ``angle_deg``
         between the lines, ``reason`` there is no corner.
+
+    Raises
+    ------
+    ValueError
+        If a point is not finite, or tolerance or gate is not above zero.
+
+    Examples
+    --------
+    >>> along, height = np.meshgrid(np.arange(0, 2, 0.02), np.arange(0.5, 4, 0.1))
+    >>> face = np.stack([along, 0 * along, height], axis=-1).reshape(-1, 3)
+    >>> cloud = np.concatenate([face, face[:, [1, 0, 2]]]) + [0.02, 0.0, 0.0]
+    >>> corner = pd.DataFrame({"x_m": [0.0], "y_m": 0.0, "z_m": 0.0, "kind": "building"})
+    >>> corner_positions(cloud, corner)[["dx_m", "dy_m", "angle_deg"]].round(6).to_numpy().tolist()
+    [[0.02, 0.0, 90.0]]
     """
     points = check_points(points)
     check_positive(tolerance, "tolerance", unit="m")

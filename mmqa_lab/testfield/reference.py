@@ -37,6 +37,11 @@ def ground_reference(
     DataFrame
         ``x_m``, ``y_m``, ``z_m`` (on the fitted plane), ``rms_m``, ``slope_deg``, ``n``.
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite, a length is not above zero or ``fewest`` is below four.
+
     References
     ----------
     EuroSDR 2013, mobile laser scanning, chapter 3: ground grid, thinning, deviation limit 5 mm.
@@ -83,6 +88,15 @@ def thinned(points, side):
     points : array_like, shape (n, 3)
     side : float
         Of the squares, m.
+
+    Returns
+    -------
+    array, shape (m, 3)
+
+    Raises
+    ------
+    ValueError
+        If a point is not finite or the side is not above zero.
 
     Examples
     --------

@@ -21,6 +21,12 @@ class Trend:
     p : float
         P-value of no slope.
     n : int
+
+    Examples
+    --------
+    >>> line = trend([0, 10, 20, 30], [1.0, 2.0, 3.0, 4.0])
+    >>> round(line.slope, 6), round(float(line.at(50)), 6)
+    (0.1, 6.0)
     """
 
     slope: float
@@ -97,6 +103,17 @@ def trend(distance, values, *, confidence=0.95):
 def trend_columns(distance, values_mm):
     """Return the trend of errors in mm as columns of a table; NaN of fewer than three errors.
 
+    Parameters
+    ----------
+    distance : array_like, shape (n,)
+        Metres.
+    values_mm : array_like, shape (n,)
+
+    Returns
+    -------
+    dict of str to float
+        ``trend_mm_per_m`` and the ends of its interval.
+
     Examples
     --------
     >>> round(trend_columns([5, 10, 15], [1.0, 2.0, 3.0])["trend_mm_per_m"], 6)
@@ -126,6 +143,11 @@ def distance_to_path(points, path):
     Returns
     -------
     array, shape (n,)
+
+    Raises
+    ------
+    ValueError
+        If the path has fewer than two vertices or a value is not finite.
 
     Examples
     --------
