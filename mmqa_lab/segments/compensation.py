@@ -85,6 +85,14 @@ class DisplacedMatch:
     displacement : Displacement
     evidence : float
         Log of how much likelier the pairs are than chance, per pair; NaN without pairs.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate.canyon import canyon
+    >>> surveys = canyon(1).surveys
+    >>> match = match_displaced(surveys["C1"].segments, surveys["TLS"].segments)
+    >>> bool(match.displacement.n == match.pairs.sum()), bool(match.evidence > 0)
+    (True, True)
     """
 
     pairs: np.ndarray

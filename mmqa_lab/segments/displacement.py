@@ -44,6 +44,12 @@ class DriftPrior:
     median_m : float
     spread : float
         Standard deviation of the natural logarithm.
+
+    Examples
+    --------
+    >>> prior = DriftPrior(median_m=0.2, spread=0.5)
+    >>> round(float(prior.median_m * np.exp(prior.spread)), 2)  # one of six drifts is larger
+    0.33
     """
 
     median_m: float = 0.2
@@ -66,6 +72,12 @@ class Displacement:
         Standard deviation of a line's place, per axis.
     n : int
         Number of pairs.
+
+    Examples
+    --------
+    >>> moved = Displacement(np.array([0.3, 0.0, 0.4]), np.eye(3) * 1e-4, 0.05, 0.02, 40)
+    >>> moved.length
+    0.5
     """
 
     vector: np.ndarray
@@ -93,6 +105,11 @@ def fit_displacement(test, model, pairs):
     -------
     Displacement
         The vector is NaN when there are fewer than three pairs or all of them are parallel.
+
+    Raises
+    ------
+    ValueError
+        If a segment is not finite or has no length.
 
     Notes
     -----

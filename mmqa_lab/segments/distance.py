@@ -38,6 +38,17 @@ class Components:
         d_theta, d_par and d_perp, m.
     shift : array, shape (p, q)
         Midpoint of the test segment along the line that stays, from the model's midpoint, m.
+
+    Raises
+    ------
+    ValueError
+        If a weight is negative.
+
+    Examples
+    --------
+    >>> parts = components([[[0, 0, 0], [4, 0, 0]]], [[[0, 3, 0], [4, 3, 0]]])
+    >>> float(parts.perpendicular[0, 0]), float(parts.distance(10)[0, 0])
+    (3.0, 3.0)
     """
 
     angle: np.ndarray

@@ -136,7 +136,29 @@ class Segments:
 
 
 def check_segments(segments, *, name="segments"):
-    """Return ``segments`` as :class:`Segments`, made from an array where it is none yet."""
+    """Return ``segments`` as :class:`Segments`, made from an array where it is none yet.
+
+    Parameters
+    ----------
+    segments : Segments or array_like, shape (n, 2, 3)
+        Metres.
+    name : str
+        For the message.
+
+    Returns
+    -------
+    Segments
+
+    Raises
+    ------
+    ValueError
+        If the array has another shape, a value is not finite or a segment has no length.
+
+    Examples
+    --------
+    >>> check_segments([[[0, 0, 0], [3, 4, 0]]]).lengths.tolist()
+    [5.0]
+    """
     return segments if isinstance(segments, Segments) else Segments(segments, name=name)
 
 

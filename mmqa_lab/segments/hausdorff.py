@@ -41,6 +41,15 @@ class Directed:
         Source segment of each pair.
     coverage : float
         Share of the source set's length that is paired.
+
+    Examples
+    --------
+    >>> model = np.array([[[x, 0, 0], [x, 0, 6]] for x in range(0, 60, 10)], dtype=float)
+    >>> test = model + [0, 0.1, 0]
+    >>> test[-1, :, 1] += 40  # of this one there is no partner
+    >>> forward = lhd(test, model, matcher="mutual").test_model
+    >>> forward.n, round(float(forward.coverage), 3)  # 30 m of 36 m
+    (5, 0.833)
     """
 
     threshold: Threshold
@@ -102,6 +111,20 @@ class LHD:
         Of the test set from the model set, from the pairs of ``test_model``.
     asked : str
         The matcher that was asked for; differs when the displaced matcher gave way.
+
+    Raises
+    ------
+    ValueError
+        If a weight is negative, or level or repeats of :meth:`interval` are out of range.
+
+    Examples
+    --------
+    >>> model = np.array([[[x, 0, 0], [x, 0, 6]] for x in range(0, 60, 10)], dtype=float)
+    >>> test = model + [0, 0.1, 0]
+    >>> test[-1, :, 1] += 40  # of this one there is no partner
+    >>> result = lhd(test, model, matcher="mutual")
+    >>> round(result.value, 3), round(result.perpendicular_only, 3), result.test_model.n
+    (0.1, 0.1, 5)
     """
 
     weight: float
@@ -277,6 +300,11 @@ def olhd(distances, pairs, lengths, *, norm="pairs"):
     -------
     float
         Metres; NaN without pairs.
+
+    Raises
+    ------
+    ValueError
+        If the norm is another.
 
     References
     ----------

@@ -14,6 +14,12 @@ class PairingScores:
     ----------
     tp, fp, fn, tn : int
         True and false, positives and negatives.
+
+    Examples
+    --------
+    >>> scores = PairingScores(tp=8, fp=2, fn=2, tn=88)
+    >>> scores.precision, scores.recall, scores.detection_rate, scores.null_rate
+    (0.8, 0.8, 0.96, 0.9)
     """
 
     tp: int
@@ -109,6 +115,19 @@ def pairing_scores(pairs, truth):
 
 def scores_from_counts(*, p, q, pairs, fn, fp):
     """Scores of a table that prints p, q, the number of true pairs, FN and FP.
+
+    Parameters
+    ----------
+    p, q : int
+        Segments of either set.
+    pairs : int
+        True pairs.
+    fn, fp : int
+        Missed and wrong pairs.
+
+    Returns
+    -------
+    PairingScores
 
     Examples
     --------

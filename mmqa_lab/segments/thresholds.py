@@ -25,6 +25,12 @@ class Threshold:
         The nearest distances in ascending order, m.
     peak : int or None
         Index of the peak in the differences of ``nearest``.
+
+    Examples
+    --------
+    >>> found = peak_threshold([0.3, 0.4, 0.5])
+    >>> found.delta, found.fallback  # no jump: the largest
+    (0.5, True)
     """
 
     delta: float
@@ -58,6 +64,11 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
     -------
     Threshold
 
+    Raises
+    ------
+    ValueError
+        If the sensitivity is not above zero, or ``order`` or ``at`` is another.
+
     References
     ----------
     Poreba & Goulette 2013 (hal-00846334), section 2.3 and figure 3.
@@ -85,12 +96,49 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
 
 
 def fixed_threshold(nearest, *, delta):
-    """A threshold chosen beforehand, m."""
+    """A threshold chosen beforehand, m.
+
+    Parameters
+    ----------
+    nearest : array_like, shape (n,)
+        The least distance of each segment to the other set, m.
+    delta : float
+        Metres.
+
+    Returns
+    -------
+    Threshold
+
+    Raises
+    ------
+    ValueError
+        If ``delta`` is not above zero.
+
+    Examples
+    --------
+    >>> fixed_threshold([0.7, 0.2, 3.0], delta=1.0).nearest.tolist()
+    [0.2, 0.7, 3.0]
+    """
     return Threshold(check_positive(delta, "delta", unit="m"), False, _sorted(nearest))
 
 
 def mad_threshold(nearest):
-    """Median plus three sigma_MAD; fails where fewer than half of the rows have a partner."""
+    """Median plus three sigma_MAD; fails where fewer than half of the rows have a partner.
+
+    Parameters
+    ----------
+    nearest : array_like, shape (n,)
+        The least distance of each segment to the other set, m.
+
+    Returns
+    -------
+    Threshold
+
+    Examples
+    --------
+    >>> round(mad_threshold([0.1, 0.2, 0.3, 0.4, 9.0]).delta, 3)  # 0.3 + 3 x 1.4826 x 0.1
+    0.745
+    """
     nearest = _sorted(nearest)
     if not len(nearest):
         return _without_jump(nearest)
@@ -102,9 +150,23 @@ def mad_threshold(nearest):
 def otsu_threshold(nearest):
     """Split of the logarithms of the distances with the largest variance between the classes.
 
+    Parameters
+    ----------
+    nearest : array_like, shape (n,)
+        The least distance of each segment to the other set, m.
+
+    Returns
+    -------
+    Threshold
+
     References
     ----------
     Otsu 1979, doi:10.1109/TSMC.1979.4310076, on the sample instead of a histogram.
+
+    Examples
+    --------
+    >>> otsu_threshold([0.1, 0.2, 0.15, 0.18, 5.0, 6.0, 7.0]).delta
+    0.2
     """
     nearest = _sorted(nearest)
     if len(nearest) < 2:
@@ -120,6 +182,27 @@ def mixture_threshold(nearest, *, rounds=200):
     """Where the nearer of two normal distributions of the log distances ceases to be the likelier.
 
     Expectation-maximisation from the split of :func:`otsu_threshold`; ``rounds`` at most.
+
+    Parameters
+    ----------
+    nearest : array_like, shape (n,)
+        The least distance of each segment to the other set, m.
+    rounds : int
+        Most iterations.
+
+    Returns
+    -------
+    Threshold
+
+    Raises
+    ------
+    ValueError
+        If ``rounds`` is below one.
+
+    Examples
+    --------
+    >>> mixture_threshold([0.1, 0.2, 0.15, 0.18, 5.0, 6.0, 7.0]).delta
+    0.2
     """
     rounds = check_count(rounds, "rounds")
     start = otsu_threshold(nearest)
