@@ -84,6 +84,19 @@ def test_sizes_repeat_within_their_sigma():
     assert ((ratio > 0.3) & (ratio < 2.2)).all()
 
 
+def test_ends_of_bars_three_pixels_wide_are_found_in_noise():
+    layout = charts.imaging_chart(horizontal_bar="black")
+    photo, image = photo_of(13.0, noise=0.064, shot_share=0.0, layout=layout, seed=1)
+    levels = chart_image.tones(image, layout, photo.chart_map)
+    table = chart_image.pixel_sizes(levels, layout, photo.chart_map)
+    truth = table["length_mm"] / table["expected_mm"]
+    assert (np.abs(table["length_px"] - truth) < 4 * table["length_sigma_px"]).all()
+    # a step of ten times the noise behind a spread of 0.67 px, integrated over the ends
+    share = 3.07 - 2 * 0.67 / np.sqrt(np.pi)
+    bound = 0.1 * np.sqrt(2 * 2 * np.sqrt(np.pi) * 0.67 / share)
+    assert (table["length_sigma_px"] < 1.4 * bound).all()
+
+
 def test_a_bar_outside_the_image_is_not_measured():
     photo, image = photo_of(8.0)
     short = image[:, :-40]

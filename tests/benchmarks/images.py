@@ -183,7 +183,7 @@ def sizes(count):
 def _sizes_of(layout, bar, pixel, heading, noise, count):
     """One line of the table of pixel sizes."""
     camera = cameras.PanoramaCamera(2 * round(5000 * np.pi / pixel))
-    errors = {"h": [], "v": []}
+    errors, sigmas = {"h": [], "v": []}, {"h": [], "v": []}
     for seed in range(count):
         rng = np.random.default_rng(seed)
         view = cameras.chart_view(
@@ -211,12 +211,14 @@ def _sizes_of(layout, bar, pixel, heading, noise, count):
         truth = chart_image.pixel_sizes(levels, layout, photo.chart_map)["expected_mm"]
         for row, expected in zip(found.itertuples(), truth, strict=True):
             errors[row.direction].append(row.length_px - row.length_mm / expected)
+            sigmas[row.direction].append(row.length_sigma_px)
     words = []
     for direction, values in errors.items():
         length_px = (600 if direction == "h" else 800) / pixel
         words.append(
             f"{direction} bias {-100 * np.nanmean(values) / length_px:+.3f} % "
-            f"sd {np.nanstd(values):.3f} px, {np.isnan(values).sum()} not measured"
+            f"sd {np.nanstd(values):.3f} px (stated {np.nanmean(sigmas[direction]):.3f}), "
+            f"{np.isnan(values).sum()} not measured"
         )
     print(f"{bar:5} bar, {pixel:4} mm, {heading:2d} deg, noise {noise}: {'; '.join(words)}")
 
