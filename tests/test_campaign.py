@@ -147,6 +147,25 @@ def test_a_damaged_file_is_named_the_others_are_mapped_and_it_can_follow(tmp_pat
     assert_same(campaign.open_map(tmp_path / "run"), chart_map(paths))
 
 
+@pytest.mark.parametrize("kind", ["octree", "points"])
+def test_a_damaged_copc_file_is_named_and_the_others_are_mapped(tmp_path, kind):
+    copc = samples.path("chart_b_5m")
+    (tmp_path / "clouds").mkdir()
+    content = bytearray(copc.read_bytes())
+    half = len(content) // 2
+    if kind == "octree":  # at the end of the file
+        content = content[:-10]
+    else:
+        content[half : half + 2000] = bytes(2000)
+    (tmp_path / "clouds" / "bad.copc.laz").write_bytes(bytes(content))
+    (tmp_path / "clouds" / "good.copc.laz").write_bytes(copc.read_bytes())
+    choices = {"cell": 0.25, "workers": 1, "radius": 0.25}
+    found = campaign.map_campaign([tmp_path / "clouds"], tmp_path / "a.run", **choices)
+    assert [("bad.copc.laz" in problem) for problem in found.problems] == [True]
+    campaign.map_campaign([copc], tmp_path / "b.run", **choices)
+    assert_same(*(campaign.open_map(tmp_path / f"{name}.run") for name in "ab"))
+
+
 def test_points_outside_of_the_header_are_damage(tmp_path):
     path = tmp_path / "wild.las"
     write_cloud(path, Cloud(np.random.default_rng(1).random((100, 3)) * 10))

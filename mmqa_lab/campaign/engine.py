@@ -6,6 +6,15 @@ import os
 
 from mmqa_lab._checks import check_count
 
+SPAWN = "distributed.nanny.pre-spawn-environ."
+KEEP_MEMORY = {
+    f"{SPAWN}MALLOC_TRIM_THRESHOLD_": 2**30,
+    f"{SPAWN}MALLOC_MMAP_THRESHOLD_": 2**29,
+    f"{SPAWN}MALLOC_ARENA_MAX": 1,
+}
+"""Workers keep what arrays leave instead of giving it back and asking anew for each one, which took
+a seventh of their time."""
+
 
 @contextlib.contextmanager
 def workers(count=None, *, scheduler=None):
@@ -34,10 +43,12 @@ def workers(count=None, *, scheduler=None):
     if scheduler is None and count == 1:
         yield _here
         return
+    import dask
     from distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
         if scheduler is None:
+            stack.enter_context(dask.config.set(KEEP_MEMORY))
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,

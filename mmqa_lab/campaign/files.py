@@ -47,6 +47,17 @@ class Source:
     copc: bool
 
 
+class Damaged(ValueError):
+    """A file whose points cannot be had; ``source`` tells which."""
+
+    def __init__(self, source, sentence):
+        super().__init__(source, sentence)
+        self.source = source
+
+    def __str__(self):
+        return self.args[1]
+
+
 def find_files(paths):
     """Return the LAS, LAZ and COPC files among files and folders, in the order of their names.
 
@@ -118,6 +129,7 @@ def unpack(source, folder, origin):
     """
     folder = Path(folder)
     if source.copc:
+        _check_octree(source)
         low, high = np.array(source.low) - origin - 0.01, np.array(source.high) - origin + 0.01
         boxes, counts = np.concatenate([low[:2], high[:2]])[None], np.array([source.n])
     else:
@@ -162,7 +174,7 @@ def read_box(sources, folder, origin, box):
 
     Raises
     ------
-    ValueError
+    Damaged
         If a COPC file is damaged there.
     """
     parts = [np.empty((0, 3))]
@@ -215,18 +227,34 @@ def _query(source, origin, box):
     high = np.minimum(np.array(box[2:]) + origin[:2] + 0.01, source.high[:2])
     if (low > high).any():
         return np.empty((0, 3))
-    try:
-        with laspy.CopcReader.open(source.path) as reader:
-            found = reader.query(laspy.copc.Bounds(low, high))
+    with _complete(source), laspy.CopcReader.open(source.path) as reader:
+        found = reader.query(laspy.copc.Bounds(low, high))
         points = np.stack([found.x, found.y, found.z], axis=1).astype(np.float64) - origin
+    points = points[_within(points, box)]
+    return points[np.lexsort(points.T)]
+
+
+def _check_octree(source):
+    """Whether a COPC file's octree, which lies at its end, knows all of its points."""
+    from laspy.copc import CopcReader, load_octree_for_query
+
+    with _complete(source), CopcReader.open(source.path) as reader:
+        nodes = load_octree_for_query(reader.source, reader.copc_info, reader.root_page)
+        known = sum(node.point_count for node in nodes)
+        if known != source.n:
+            raise ValueError(f"{known} points in its octree where the header says {source.n}")
+
+
+@contextlib.contextmanager
+def _complete(source):
+    """Turn whatever the reader of a COPC file raises into :class:`Damaged`."""
+    try:
+        yield
     except BaseException as error:  # the Rust reader of LAZ panics outside of Exception
         if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
             raise
-        raise ValueError(
-            f"Invalid cloud {source.path}: {_line(error)}. Must be a complete COPC file."
-        ) from error
-    points = points[_within(points, box)]
-    return points[np.lexsort(points.T)]
+        sentence = f"Invalid cloud {source.path}: {_line(error)}. Must be a complete COPC file."
+        raise Damaged(source, sentence) from error
 
 
 def _within(points, box):

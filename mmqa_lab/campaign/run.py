@@ -132,24 +132,28 @@ class _Run:
         sources = self._sources(found)
         grid = self._begin(sources)
         missing = [s for s in sources if not (self.files / f"{s.key}.npz").is_file()]
-        sources = self._unpack(sources, missing, grid, engine)
-        index = {source: files.read_index(source, self.files) for source in sources}
-        boxes = np.concatenate([boxes for boxes, _ in index.values()])
-        counts = np.concatenate([counts for _, counts in index.values()])
-        if not grid.tile:
-            grid = replace(grid, tile=fitting_tile(boxes, counts, cell=self.cell))
-        tiles = self._tiles(index, boxes, grid)
-        self._write_record(sources, grid, tiles=list(tiles), cells=_extent(boxes, grid))
-        todo = {place: near for place, near in tiles.items() if not self._is_done(place, near)}
-        needed = dict.fromkeys(source for near in todo.values() for source in near)
-        packed = [s for s in needed if not files.is_unpacked(s, self.files)]
-        self._unpack(sources, packed, grid, engine)
-        self._evaluate(todo, grid, engine)
+        sound, sources, computed = self._unpack(sources, missing, grid, engine), None, set()
+        while sound != sources:  # damage inside of a COPC file is found when a tile reads it
+            sources = sound
+            index = {source: files.read_index(source, self.files) for source in sources}
+            boxes, counts = (np.concatenate(arrays) for arrays in zip(*index.values(), strict=True))
+            if not grid.tile:
+                grid = replace(grid, tile=fitting_tile(boxes, counts, cell=self.cell))
+            tiles = self._tiles(index, boxes, grid)
+            self._write_record(sources, grid, tiles=list(tiles), cells=_extent(boxes, grid))
+            todo = {place: near for place, near in tiles.items() if not self._is_done(place, near)}
+            computed |= todo.keys()
+            needed = dict.fromkeys(source for near in todo.values() for source in near)
+            packed = [s for s in needed if not files.is_unpacked(s, self.files)]
+            sound = self._unpack(sources, packed, grid, engine)
+            if sound == sources:
+                sound = self._evaluate(sources, todo, grid, engine)
+        points = int(counts.sum())
         if not self.problems:
+            self._count(tiles, points)
             for unpacked in self.files.glob("*.xyz"):
                 unpacked.unlink()
-        points = int(counts.sum())
-        return Outcome(self.folder, len(tiles), len(todo), points, tuple(self.problems))
+        return Outcome(self.folder, len(tiles), len(computed), points, tuple(self.problems))
 
     def _begin(self, sources):
         """Make or clean the folder; the grid of the run in it, or that of a new one."""
@@ -209,6 +213,10 @@ class _Run:
                 named = source.path in str(problem)
                 self.problems.append(str(problem) if named else f"{source.path}: {problem}")
                 damaged.add(source)
+        return self._without(damaged, sources)
+
+    def _without(self, damaged, sources):
+        """The sources that are not damaged."""
         sound = [source for source in sources if source not in damaged]
         if not sound:
             raise ValueError(self.problems[0])
@@ -229,15 +237,29 @@ class _Run:
             return False
         return str(files.read_array(path, "sources")) == _mark(near)
 
-    def _evaluate(self, todo, grid, engine):
-        """Compute the tiles."""
+    def _evaluate(self, sources, todo, grid, engine):
+        """Compute the tiles; the sources without those that turned out to be damaged."""
         tasks = [
             (place, near, self.folder, grid, self.choices) for place, near in sorted(todo.items())
         ]
+        damaged, failed = {}, []
         for (place, *_), problem in engine(_evaluate_place, tasks, "tiles"):
-            if problem is not None:
+            if isinstance(problem, files.Damaged):
+                damaged[problem.source] = str(problem)
+            elif problem is not None:
                 x, y, *_ = np.array(grid.box(place)) + np.tile(grid.origin[:2], 2)
-                self.problems.append(f"Tile at {x:.0f} {y:.0f} not computed: {problem}")
+                failed.append(f"Tile at {x:.0f} {y:.0f} not computed: {problem}")
+        self.problems += damaged.values()
+        if not damaged:  # else the next round tries these tiles again
+            self.problems += failed
+        return self._without(damaged, sources)
+
+    def _count(self, tiles, points):
+        """Whether every point is in a tile: damage may move points of a COPC file out of reach."""
+        arrays = (files.read_array(self.tiles / tile_name(place), "n") for place in tiles)
+        lost = points - sum(int(n.sum()) for n in arrays)
+        if lost:
+            self.problems.append(f"{lost} of {points} points are in no tile: a file is damaged.")
 
     def _write_record(self, sources, grid, *, tiles=(), cells=()):
         """Write what the run is, for those who resume and those who put it together."""

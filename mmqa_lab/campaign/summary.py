@@ -42,15 +42,17 @@ def summarise(dataset, *, below=None):
     below = {} if below is None else below
     names = [name for name in dataset.data_vars if name not in ("n", "area")]
     check_thresholds(below, names)
-    rows = []
-    for layer in dataset["layer"].values:
-        area = dataset["area"].sel(layer=layer).values
-        for name in names:
-            values = dataset[name].sel(layer=layer).values
-            known = np.isfinite(values) & (area > 0)
-            row = {"layer": str(layer), "variable": name, "unit": dataset[name].attrs["units"]}
-            rows.append(row | _figures(values[known], area[known], below.get(name, np.nan)))
-    table = pd.DataFrame(rows)
+    layers = dataset["layer"].values
+    area = dataset["area"].transpose("layer", ...).values
+    rows = {}
+    for name in names:
+        figures = dataset[name].transpose("layer", ...).values
+        for k, layer in enumerate(layers):
+            known = np.isfinite(figures[k]) & (area[k] > 0)
+            found = _figures(figures[k][known], area[k][known], below.get(name, np.nan))
+            about = {"layer": str(layer), "variable": name, "unit": dataset[name].attrs["units"]}
+            rows[k, name] = about | found
+    table = pd.DataFrame([rows[k, name] for k in range(len(layers)) for name in names])
     return table[table["n"] > 0].reset_index(drop=True)
 
 

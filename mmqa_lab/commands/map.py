@@ -28,6 +28,9 @@ On a cluster the workers need this package, and files and --out under the same p
   dask worker tcp://10.0.0.5:8786 --nthreads 1 --nworkers 8
 """
 
+IN_MEMORY = 2**30
+"""Maps of fewer bytes than this are read once, larger ones piece by piece at each use."""
+
 METRICS = ("density", "linear_point_distance", "spacing", "f", "sigma_mad", "void_share")
 
 
@@ -93,6 +96,8 @@ def run(options):
     folder = options.out.with_suffix(".run")
     outcome = campaign.map_campaign(options.cloud, folder, progress=True, **choices)
     dataset = campaign.open_map(folder, crs=options.crs)
+    if dataset.nbytes < IN_MEMORY:
+        dataset = dataset.persist()
     table = campaign.summarise(dataset, below=options.below)
     campaign.write_map(dataset, options.out)
     _write_report(options, outcome, dataset, table)
