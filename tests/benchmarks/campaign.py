@@ -5,7 +5,7 @@ files of a million points each. Every run is ``mmqa map`` in a process of its ow
 time, with that of its workers, stands beside that of laspy reading the same files whole. Each size
 is measured with one worker and with two.
 
-    python tests/benchmarks/campaign.py --points 1e6 1e7 --folder /tmp/campaign
+    python tests/benchmarks/campaign.py --points 1e6 1e7 1e8 --markdown README.md
 """
 
 import argparse
@@ -25,8 +25,13 @@ import numpy as np
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
 from mmqa_lab.maps import METRICS
+from mmqa_lab.readme import replaced
 
 PER_FILE = 1_000_000
+
+HEAD = (
+    *("points", "surface", "workers", "wall s", "CPU s", "us a point", "reading", "x laspy", "MB"),
+)
 
 READ_ALL = """
 import sys, laspy
@@ -119,9 +124,10 @@ def main():
     parser.add_argument("--surface", nargs="+", default=["local", "horizontal"])
     parser.add_argument("--metrics", default=",".join(METRICS))
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "campaign")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write between its marks")
     options = parser.parse_args()
-    head = f"{'points':>11} {'surface':11} {'workers':>7} {'wall s':>8} {'cpu s':>8} {'cpu/M':>7}"
-    print(f"{head} {'reading':>8} {'laspy cpu':>9} {'map/laspy':>9} {'MB':>6}")
+    print("  ".join(f"{text:>12}" for text in HEAD))
+    rows = []
     for points in options.points:
         paths = write_files(options.folder / "files", points)
         names = list(map(str, paths))
@@ -132,12 +138,17 @@ def main():
                 run = options.folder / "run"
                 wall, cpu = measure(paths, surface, workers, options.metrics, run)
                 n = len(paths) * PER_FILE
-                print(
-                    f"{n:11,} {surface:11} {workers:7} {wall:8.1f} {cpu:8.1f} {1e6 * cpu / n:7.2f} "
-                    f"{ours_cpu / cpu:8.2f} {laspy_cpu:9.1f} {cpu / laspy_cpu:9.2f} "
-                    f"{peak_megabytes():6.0f}",
-                    flush=True,
+                row = (
+                    *(f"{n:,}", surface, str(workers), f"{wall:.1f}", f"{cpu:.1f}"),
+                    *(f"{1e6 * cpu / n:.2f}", f"{ours_cpu / cpu:.2f}", f"{cpu / laspy_cpu:.1f}"),
+                    f"{peak_megabytes():.0f}",
                 )
+                print("  ".join(f"{text:>12}" for text in row), flush=True)
+                rows.append(row)
+    if options.markdown:
+        text = options.markdown.read_text(encoding="utf-8")
+        table = "\n".join(f"| {' | '.join(row)} |" for row in (HEAD, ["---"] * len(HEAD), *rows))
+        options.markdown.write_text(replaced(text, "campaign", table), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -35,9 +35,9 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.neighbourhoods import quadrant_distances
 from mmqa_lab.planes import PAPER_SCALE
+from mmqa_lab.readme import replaced
 
 CHART_POINTS = 30_000
-MARKS = ("<!-- peers.py writes from here -->", "<!-- to here -->")
 NEAR_M = 0.05
 
 OCTAVE = """
@@ -308,16 +308,7 @@ def markdown(rows):
     ]
     for task, n, who, what, cost, ratio in rows:
         lines.append(f"| {task} | {n:,} | {who} | {what} | {cost:.3f} | {ratio:.1f} |")
-    return "\n".join(lines) + "\n"
-
-
-def write(path, table):
-    """Write the table; where the file has the marks, between them."""
-    text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    if MARKS[0] in text:
-        before, rest = text.split(MARKS[0])
-        table = f"{before}{MARKS[0]}\n{table}{MARKS[1]}{rest.split(MARKS[1])[1]}"
-    path.write_text(table, encoding="utf-8")
+    return "\n".join(lines)
 
 
 def main():
@@ -325,16 +316,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--points", type=int, nargs="+", default=[1_000_000])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="write the table here, or between its marks"
-    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write between its marks")
     options = parser.parse_args()
     print(f"Python {sys.version.split()[0]}, one thread")
     rows = compare("chart", CHART, chart(CHART_POINTS), max(options.repeats, 5))
     for n in options.points:
         rows += compare("neighbours", NEIGHBOURS, street(n), options.repeats)
     if options.markdown:
-        write(options.markdown, markdown(rows))
+        text = options.markdown.read_text(encoding="utf-8")
+        options.markdown.write_text(replaced(text, "peers", markdown(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":
