@@ -64,6 +64,15 @@ class EdgeResponse:
         Cycles per pixel and transfer.
     remark : str
         What speaks against the value; empty if nothing does.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image.spread import spread_edge
+    >>> rows, columns = np.mgrid[:60, :40]
+    >>> distance = (columns - 20 + 0.1 * rows - 3) / np.hypot(1, 0.1)
+    >>> edge = edge_response(spread_edge(distance, 0.7, np.arctan(0.1)))
+    >>> round(edge.sigma_px, 2), edge.remark
+    (0.7, '')
     """
 
     mtf50: float

@@ -47,6 +47,17 @@ class ImageQuality:
         Of :func:`mmqa_lab.chart_image.read_pairs`.
     edges : DataFrame
         Of :func:`mmqa_lab.chart_image.bar_edges`.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> quality.resolution("h").n, quality.to_frame()["pixel_v_mm"].round(3).item()
+    (10, 4.0)
     """
 
     chart_map: ChartMap
@@ -113,6 +124,17 @@ def evaluate_image(image, layout, chart_map, *, aligned=True):
     References
     ----------
     Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> quality.to_frame()[["pixel_h_mm", "pixel_v_mm"]].round(3).to_numpy().tolist()
+    [[4.0, 4.0]]
     """
     if aligned:
         chart_map = align(image, layout, chart_map)
@@ -141,6 +163,17 @@ def bar_edges(levels, layout, chart_map):
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
         standing bars), and the fields of :class:`mmqa_lab.chart_image.EdgeResponse`; NaN and a
         ``remark`` where the edge could not be measured.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> edges = bar_edges(tones(image, layout, there), layout, there)
+    >>> sorted(set(edges["name"])), sorted(set(edges["direction"]))
+    (['bar_horizontal', 'bar_left', 'bar_right'], ['h', 'v'])
     """
     rows = []
     for bar in layout.of_kind(Bar):

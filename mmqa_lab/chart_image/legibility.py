@@ -49,6 +49,17 @@ class Crop:
         Original pixels, linear light.
     cap_px : float
         Height of the capitals, pixels.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> crop = text_crops(image, layout, there)[0]
+    >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
+    ('Halteverbot', 50, 2)
     """
 
     name: str
@@ -88,6 +99,16 @@ def text_crops(image, layout, chart_map):
     -------
     list of Crop
         In the layout's order; without the lines that reach over the image's edge.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> [crop.text for crop in text_crops(image, layout, there)][:2]
+    ['Halteverbot', 'Mo.–Fr. 6–19 h']
     """
     crops = []
     for element in layout.of_kind(Text):
@@ -184,6 +205,11 @@ def quality_index(cap_mm, width_mm):
     float or array
         About 3 barely legible, 3.6 marginal, 5 good, 8 excellent in the reading of documents.
 
+    Raises
+    ------
+    ValueError
+        If ``cap_mm`` is not above zero.
+
     References
     ----------
     ANSI/AIIM MS23; Kenney and Chapman 1996, Digital Resolution Requirements, Cornell University.
@@ -213,6 +239,12 @@ def reader(engine="auto"):
     ------
     ImportError
         If the engine is not installed.
+
+    Examples
+    --------
+    >>> reader("eyes")
+    Traceback (most recent call last):
+    ValueError: Invalid engine 'eyes'. Must be one of auto, rapidocr, tesseract.
     """
     check_choice(engine, "engine", ("auto", *ENGINES))
     engines = {"rapidocr": _rapidocr, "tesseract": _tesseract}
@@ -243,6 +275,12 @@ def read_crops(crops, read):
         Per line: ``element``, ``text`` as printed, ``read``, ``error`` (edits per letter, at best
         over the enlargements), ``cap_px`` and ``ocr_mark``: a without errors, b up to a fifth,
         else c. The mark is a stand-in: readers know the language, a letter on its own they miss.
+
+    Examples
+    --------
+    >>> crop = Crop("sign", "Wien", np.ones((20, 60)), 12.0)
+    >>> read_crops([crop], lambda image: "Wien")[["error", "ocr_mark"]].to_numpy().tolist()
+    [[0.0, 'a']]
     """
     rows = []
     for crop in crops:
@@ -260,6 +298,16 @@ def character_error(read, text):
     """Return the edits that turn what was read into the text, per letter.
 
     Spaces are left out, and all dashes are one letter.
+
+    Parameters
+    ----------
+    read, text : str
+        What was read and what is printed.
+
+    Returns
+    -------
+    float
+        0 where they agree.
 
     Examples
     --------

@@ -39,6 +39,17 @@ class Tones:
         Share of the plain pixels at zero or full scale.
     n_black, n_white : int
         Plain pixels the levels come from.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> levels = tones(0.1 + 0.6 * image, layout, there)
+    >>> round(levels.black, 6), round(levels.white, 6), levels.values.max().round(6).item()
+    (0.1, 0.7, 1.0)
     """
 
     values: np.ndarray
@@ -70,6 +81,17 @@ def tones(image, layout, chart_map):
     ------
     ValueError
         If the image is no grey image, or black and white cannot be told apart at these places.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> found = tones(0.05 + 0.5 * image, layout, there)
+    >>> bool(np.allclose(found.values, image, atol=1e-6)), found.n_white > 1000
+    (True, True)
     """
     image = check_image(image)
     inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)

@@ -68,6 +68,17 @@ class PairReading:
     resolved : bool
     reason : str
         Why not; empty when resolved.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap, tones
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> reading = read_pattern(tones(image, layout, there), layout["pairs_h_40"], there)
+    >>> reading.resolved, round(reading.width_px, 6), round(reading.contrast, 2)
+    (True, 10.0, 1.0)
     """
 
     name: str
@@ -100,6 +111,15 @@ class Resolution:
         where the ladder does not enclose it.
     n : int
         Patterns read.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = [("h", 20, True, 0.9, 8.0), ("h", 10, True, 0.5, 4.0), ("h", 5, False, 0.0, 2.0)]
+    >>> names = ["direction", "width_mm", "resolved", "contrast", "width_px"]
+    >>> found = resolution(pd.DataFrame(rows, columns=names), "h")
+    >>> found.width_mm, found.next_mm, found.n
+    (10.0, 5.0, 3)
     """
 
     width_mm: float
@@ -123,6 +143,17 @@ def read_pairs(tones, layout, chart_map):
     -------
     DataFrame
         A row per pattern with the fields of :class:`PairReading`, by direction from coarse to fine.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap, tones
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> pairs = read_pairs(tones(image, layout, there), layout, there)
+    >>> resolution(pairs, "v").width_mm  # 2.5 pixels; 8 mm are 2
+    10.0
     """
     readings = [read_pattern(tones, pairs, chart_map) for pairs in layout.of_kind(LinePairs)]
     table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
@@ -151,6 +182,17 @@ def read_pattern(tones, pairs, chart_map):
     References
     ----------
     Pfeifer et al. 2021, section 4.2 (definitely discriminated). doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap, tones
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> reading = read_pattern(tones(image, layout, there), layout["pairs_v_30"], there)
+    >>> round(reading.bars), reading.resolved
+    (8, True)
     """
     across, along, values, width_px, length_px = _pixels(tones, pairs, chart_map)
     known = {
@@ -195,6 +237,14 @@ def resolution(readings, direction):
     Returns
     -------
     Resolution
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = [("v", 20, True, 0.9, 8.0), ("v", 10, False, 0.1, 4.0), ("v", 5, True, 0.2, 2.0)]
+    >>> names = ["direction", "width_mm", "resolved", "contrast", "width_px"]
+    >>> resolution(pd.DataFrame(rows, columns=names), "v").width_mm  # 5 mm does not count
+    20.0
     """
     ladder = readings[readings["direction"] == direction].sort_values("width_mm", ascending=False)
     widths, resolved = ladder["width_mm"].to_numpy(), ladder["resolved"].to_numpy(dtype=bool)
@@ -221,6 +271,10 @@ def expected_contrast(width_px, sigma_px, blur_px=0.0):
         Standard deviation of the point spread, pixels, without the pixel itself.
     blur_px : float
         Length of the motion blur, pixels.
+
+    Returns
+    -------
+    float or array
 
     Examples
     --------

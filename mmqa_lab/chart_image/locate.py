@@ -71,6 +71,15 @@ def locate_markers(image, layout, *, camera=None, offset=(0.0, 0.0)):
     45 degrees, all four targets of 90 mm were found in five and some of them in all at pixels of
     5.4 mm, some in six at 8 mm. Two targets alone extrapolate badly; :func:`align` then says that
     the chart is not there.
+
+    Examples
+    --------
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = np.pad(255 * reflectance(layout, cell=4)[::-1], 20, constant_values=255)
+    >>> found = locate_markers(image.astype(np.uint8), layout)
+    >>> found.source, bool(np.abs(found.pixels([[0, 0]]) - [19.5, 269.5]).max() < 0.5)
+    ('4 coded targets', True)
     """
     image = check_image(image, convert=False)
     if image.dtype not in (np.uint8, np.uint16):
@@ -123,6 +132,14 @@ def locate_corners(corners, layout, *, camera=None, offset=(0.0, 0.0)):
     ------
     ValueError
         If there are not four corners, or they are not in this order.
+
+    Examples
+    --------
+    >>> from mmqa_lab.charts import imaging_chart
+    >>> layout = imaging_chart()  # 1000 mm x 1000 mm
+    >>> there = locate_corners([[100, 350], [350, 350], [350, 100], [100, 100]], layout)
+    >>> there.pixels([[0, 0], [500, 500]]).round(6).tolist()
+    [[100.0, 350.0], [225.0, 225.0]]
     """
     corners = check_points(corners, name="corners", columns=2, minimum=4)
     if len(corners) != 4:
@@ -160,6 +177,19 @@ def align(image, layout, chart_map):
     References
     ----------
     Evangelidis and Psarakis 2008, doi:10.1109/TPAMI.2008.113.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> wrong = ChartMap(there.matrix + [[0, 0, 0.8], [0, 0, -0.6], [0, 0, 0]])
+    >>> right = align(image, layout, wrong)
+    >>> off = np.abs(right.pixels(layout.corners()) - there.pixels(layout.corners()))
+    >>> bool(off.max() < 0.1)
+    True
     """
     import cv2
 

@@ -29,6 +29,17 @@ class FrameCamera:
         Principal point, column and row; the middle of the image when not given.
     distortion : sequence of float
         k1, k2, p1, p2 and k3 as OpenCV defines them.
+
+    Raises
+    ------
+    ValueError
+        If a size or the principal distance is not above zero, or the distortion has not five terms.
+
+    Examples
+    --------
+    >>> camera = FrameCamera(4000, 3000, focal_px=3000)
+    >>> camera.pixels([[0, 0, 1], [1, 0, 10]]).tolist()
+    [[1999.5, 1499.5], [2299.5, 1499.5]]
     """
 
     width: int
@@ -84,6 +95,16 @@ class PanoramaCamera:
     """An equirectangular panorama: columns are equal steps of azimuth, rows of elevation.
 
     The middle of the image is the z axis. ``height`` is half of ``width``.
+
+    Parameters
+    ----------
+    width : int
+        Pixels of the whole turn.
+
+    Raises
+    ------
+    ValueError
+        If the width is below four.
 
     Examples
     --------
@@ -145,6 +166,17 @@ class Pose:
         East, north, height, metres.
     rotation : array_like, shape (3, 3)
         Rows are the camera's x (right), y (down) and z (view) axis in the world.
+
+    Raises
+    ------
+    ValueError
+        From its makers: if the view is plumb or an angle is not finite.
+
+    Examples
+    --------
+    >>> pose = Pose.looking((0, 0, 2), (10, 0, 2))
+    >>> pose.to_camera([[10, -1, 3]]).round(9).tolist()  # 1 m right, 1 m up, 10 m ahead
+    [[1.0, -1.0, 10.0]]
     """
 
     position: tuple
@@ -208,6 +240,17 @@ class ChartMap:
     residuals_px : array, shape (n,)
         Distances of the points it was fitted to from where it puts them; empty if none are left
         over.
+
+    Raises
+    ------
+    ValueError
+        From its makers: if points do not fit one chart, or lie behind the camera.
+
+    Examples
+    --------
+    >>> there = ChartMap(np.array([[0.25, 0, 0], [0, -0.25, 250], [0, 0, 1]]))
+    >>> there.pixels([[100, 200]]).tolist(), there.pixel_sizes_mm([[100, 200]]).round(6).tolist()
+    ([[25.0, 200.0]], [[4.0, 4.0]])
     """
 
     matrix: np.ndarray

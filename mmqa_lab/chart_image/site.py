@@ -30,6 +30,17 @@ class Limits:
         Largest angle between heading and the chart's plane.
     reach_m : float
         The drive counts so far before and after the chart.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not above zero.
+
+    Examples
+    --------
+    >>> limits = Limits(distance_m=5)
+    >>> limits.speed_kmh - limits.speed_tolerance_kmh
+    35.0
     """
 
     distance_m: float
@@ -69,6 +80,11 @@ def chart_site(*, distances=(5.0, 10.0), spacing=10.0, height=1.5, size=1.0):
         A row per chart: ``chart``, ``kind``, ``axis_m`` (distance), ``corners`` (array (4, 3) from
         the lower left as seen from the axis, metres: easting, northing, height).
 
+    Raises
+    ------
+    ValueError
+        If a distance is not above zero.
+
     Examples
     --------
     >>> chart_site()["chart"].tolist()
@@ -107,9 +123,22 @@ def choose_images(stations, corners, *, distance):
         ``stations``; None where no image qualifies), ``distance_m`` and ``direction_deg`` against
         the chart's normal, positive before the chart is passed.
 
+    Raises
+    ------
+    ValueError
+        If the distance is not above zero.
+
     References
     ----------
     Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> stations = pd.DataFrame({"time_s": range(5), "northing_m": [-8.0, -4.0, 0.0, 4.0, 8.0]})
+    >>> stations = stations.assign(easting_m=0.0, height_m=1.5)
+    >>> corners = chart_site(distances=[5.0])["corners"][0]
+    >>> choose_images(stations, corners, distance=5)["station"].tolist()
+    [1, 2, 3]
     """
     distance = check_positive(distance, "distance", unit="m")
     table = _around(stations, corners)
@@ -146,6 +175,15 @@ def check_drive(trajectory, corners, limits):
     ------
     ValueError
         If fewer than two poses lie near the chart.
+
+    Examples
+    --------
+    >>> along = np.linspace(-20, 20, 41)
+    >>> drive = {"time_s": along / 10, "easting_m": 0.0, "northing_m": along, "height_m": 1.5}
+    >>> corners = chart_site(distances=[5.0])["corners"][0]
+    >>> found = check_drive(pd.DataFrame(drive), corners, Limits(distance_m=5))
+    >>> found["high"].round(6).tolist(), found["passed"].tolist()
+    ([5.0, 36.0], [True, True])
     """
     frame = _chart_frame(corners)
     places = trajectory[COLUMNS[1:]].to_numpy(dtype=float) - frame[0]
@@ -178,6 +216,21 @@ def check_drive(trajectory, corners, limits):
 
 def view_name(direction_deg):
     """Return the view's name by its direction against the chart's normal, positive ahead.
+
+    Parameters
+    ----------
+    direction_deg : float
+        -90 to 90.
+
+    Returns
+    -------
+    str
+        forward, orthogonal or backward.
+
+    Raises
+    ------
+    ValueError
+        If the direction lies outside -90 to 90 degrees.
 
     Examples
     --------
