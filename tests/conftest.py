@@ -6,10 +6,29 @@ os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("MMQA_HEADLESS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for each other
 
+import ipaddress
+import socket
+
 import numpy as np
 import pytest
 
 from mmqa_lab import samples
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_network():
+    """Refuse connections beyond this machine: everything works without a network."""
+    connect = socket.socket.connect
+
+    def connect_here(self, address):
+        here = self.family == socket.AF_UNIX or address[0] == "localhost"
+        if not here and not ipaddress.ip_address(address[0].split("%")[0]).is_loopback:
+            raise OSError(f"Invalid address {address}. Must be on this machine.")
+        return connect(self, address)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "connect", connect_here)
+        yield
 
 
 @pytest.fixture
