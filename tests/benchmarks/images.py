@@ -96,54 +96,70 @@ def _defocused(rng, settings):
 
 
 def steps(count):
-    """Stepwise width on whole charts against the noise-free limit of the closed form."""
+    """Stepwise width on whole charts against two noise-free limits of modulation.
+
+    One is the closed form for optics and pixels; the other is read in a photograph without noise
+    through the same chain, at the true place: demosaicing takes contrast, sharpening adds some.
+    """
     layout = charts.imaging_chart()
     for chain, settings in CAMERA_CHAINS.items():
-        within, missing = Counter(), 0
+        within, missing = {"optics": Counter(), "chain": Counter()}, 0
         rng = np.random.default_rng(7)
         for seed in range(count):
-            pixel, sigma = rng.uniform(2.5, 11), rng.uniform(0.4, 1.0)
-            camera = cameras.PanoramaCamera(2 * round(5000 * np.pi / pixel))
-            view = cameras.chart_view(
-                camera,
-                distance=5,
-                layout=layout,
-                roll_deg=rng.uniform(-2, 2),
-                heading_deg=rng.uniform(-30, 30),
-                aim_deg=rng.uniform(0, 3),
-            )
-            photo = cameras.photograph(
-                layout,
-                view,
-                optics=cameras.Optics(sigma),
-                sensor=cameras.Sensor(noise=0.02, **settings),
-                seed=seed,
-                supersampling=4,
-            )
-            image = grey(photo.image, settings.get("gamma", "linear"))
-            corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
-            there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
+            photo, plain, there, sigma = _whole_chart(layout, rng, seed, settings)
+            gamma = settings.get("gamma", "linear")
             try:
-                quality = chart_image.evaluate_image(image, layout, there)
+                quality = chart_image.evaluate_image(grey(photo.image, gamma), layout, there)
             except ValueError:
                 missing += 1
                 continue
+            levels = chart_image.tones(grey(plain.image, gamma), layout, plain.chart_map)
+            seen = chart_image.read_pairs(levels, layout, plain.chart_map)
             for direction in "hv":
-                readings = quality.pairs[quality.pairs["direction"] == direction]
-                widths = readings["width_mm"].to_numpy()
-                good = chart_image.expected_contrast(readings["width_px"], sigma) >= SMALLEST_GAP
-                good &= readings["width_px"].to_numpy() >= SMALLEST_PAIR_PX
-                limit = int(np.argmin(good)) if not good.all() else len(widths)
+                readings = seen[seen["direction"] == direction]
+                widths = list(readings["width_mm"])
                 found = quality.resolution(direction).width_mm
-                place = -1 if np.isnan(found) else list(widths).index(found)
-                within[place - (limit - 1)] += 1
-        total = sum(within.values())
-        near = sum(within[step] for step in (-1, 0, 1))
-        print(
-            f"{chain:34} {near} of {total} within one step; {dict(sorted(within.items()))} "
-            f"(positive: finer); {missing} charts not found",
-            flush=True,
+                place = -1 if np.isnan(found) else widths.index(found)
+                optics = chart_image.expected_contrast(readings["width_px"], sigma)
+                for name, contrast in (("optics", optics), ("chain", readings["contrast"])):
+                    good = (contrast >= SMALLEST_GAP) & (readings["width_px"] >= SMALLEST_PAIR_PX)
+                    limit = len(widths) if good.all() else int(np.argmin(good))
+                    within[name][place - (limit - 1)] += 1
+        for name, found in within.items():
+            near = sum(found[step] for step in (-1, 0, 1))
+            print(
+                f"{chain:34} {near} of {sum(found.values())} within one step of the limit of the "
+                f"{name}; {dict(sorted(found.items()))} (positive: finer); {missing} not found",
+                flush=True,
+            )
+
+
+def _whole_chart(layout, rng, seed, settings):
+    """A photograph of a chart with noise and without, where it is thought to be, and its spread."""
+    pixel, sigma = rng.uniform(2.5, 11), rng.uniform(0.4, 1.0)
+    camera = cameras.PanoramaCamera(2 * round(5000 * np.pi / pixel))
+    view = cameras.chart_view(
+        camera,
+        distance=5,
+        layout=layout,
+        roll_deg=rng.uniform(-2, 2),
+        heading_deg=rng.uniform(-30, 30),
+        aim_deg=rng.uniform(0, 3),
+    )
+    photo, plain = (
+        cameras.photograph(
+            layout,
+            view,
+            optics=cameras.Optics(sigma),
+            sensor=cameras.Sensor(noise=noise, **settings),
+            seed=seed,
+            supersampling=4,
         )
+        for noise in (0.02, 0.0)
+    )
+    corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
+    there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
+    return photo, plain, there, sigma
 
 
 def edges(count):
