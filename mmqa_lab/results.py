@@ -17,6 +17,10 @@ from mmqa_lab.io import write_atomically
 ROOT_VARIABLE = "MMQA_RESULTS"
 FORMATS = ("pdf", "svg", "png")
 
+KINDS = ("published", "predicted", "fitted", "measured")
+"""What a number can be: printed in a paper, from specifications alone, from parameters chosen so
+that it comes close, or taken from a real or simulated cloud or image."""
+
 TOUCHING_PX = 1.5
 """Boxes of texts include the room of letters that are not there; so much of it may be shared."""
 
@@ -85,7 +89,7 @@ class Run:
     >>> import tempfile
     >>> os.environ["MMQA_RESULTS"] = tempfile.mkdtemp()
     >>> run = Run("example", parameters={"seed": 1})
-    >>> run.save_value("f_poisson", 3.257, "1")
+    >>> run.save_value("f_poisson", 3.257, "1", "predicted")
     >>> run.finish()
     >>> sorted(path.name for path in run.folder.iterdir())
     ['run.json', 'values.csv']
@@ -105,8 +109,24 @@ class Run:
         for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
             left.unlink()
 
-    def save_table(self, frame, name):
-        """Write a DataFrame as ``<name>.csv``."""
+    def save_table(self, frame, name, *, kind=""):
+        """Write a DataFrame as ``<name>.csv``.
+
+        A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
+        where it does not, ``kind`` becomes such a column.
+
+        Raises
+        ------
+        ValueError
+            If the table has numbers, and neither it nor ``kind`` says of which kind they are.
+        """
+        if kind:
+            frame = frame.assign(**{"kind_of_number" if "kind" in frame else "kind": kind})
+        if not _says_kind(frame):
+            raise ValueError(
+                f"Invalid table {name}: nothing says which kind its numbers are. "
+                f"Must be one of {', '.join(KINDS)}."
+            )
         self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False))
 
     def save_figure(self, figure, name):
@@ -123,9 +143,9 @@ class Run:
         if found := overlapping_texts(figure):
             self._overlaps[name] = found
 
-    def save_value(self, name, value, unit):
-        """Keep a named number; all of them are written as ``values.csv`` by :meth:`finish`."""
-        self._values.append({"name": name, "value": float(value), "unit": unit})
+    def save_value(self, name, value, unit, kind):
+        """Keep a named number of a kind; :meth:`finish` writes all of them as ``values.csv``."""
+        self._values.append({"name": name, "value": float(value), "unit": unit, "kind": kind})
 
     def save_answer(self, sentence, *, figure):
         """Keep the study's answer with its numbers, and the figure that shows it.
@@ -144,7 +164,7 @@ class Run:
         """
         self._claims = list(claims)
         frame = pd.DataFrame([asdict(claim) for claim in self._claims])
-        self.save_table(frame, "claims")
+        self._write("claims.csv", lambda path: frame.to_csv(path, index=False))
         broken = [claim for claim in self._claims if not claim.holds]
         if broken:
             self.finish()
@@ -175,6 +195,17 @@ class Run:
         write_atomically(self.folder / name, write)
         if name not in self._files:
             self._files.append(name)
+
+
+def _says_kind(frame):
+    """Whether a table says of which kind its numbers are, or has none."""
+    words = frame.select_dtypes(exclude=["number", "bool"])
+    if len(words.columns) == len(frame.columns):
+        return True
+    if any(kind in str(name) for name in frame for kind in KINDS):
+        return True
+    pattern = "|".join(KINDS)
+    return any(words[name].astype(str).str.contains(pattern).all() for name in words)
 
 
 def overlapping_texts(figure):

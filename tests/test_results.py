@@ -20,7 +20,7 @@ def run(tmp_path, monkeypatch):
 
 def test_record_tables_values(run):
     run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "table")
-    run.save_value("f_poisson", 3.257, "1")
+    run.save_value("f_poisson", 3.257, "1", "predicted")
     run.save_claims([Claim("f exceeds 2", True, "3.257", "closed form")])
     run.finish()
     record = json.loads((run.folder / "run.json").read_text())
@@ -29,6 +29,31 @@ def test_record_tables_values(run):
     assert (record["claims"], record["claims_that_hold"]) == (1, 1)
     assert record["versions"]["numpy"]
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind", "columns"),
+    [
+        ({"f": [2.0]}, "measured (simulated)", ["f", "kind"]),
+        ({"f": [2.0], "kind": ["upright"]}, "fitted", ["f", "kind", "kind_of_number"]),
+        ({"f_measured": [2.0], "f_predicted": [2.1]}, "", ["f_measured", "f_predicted"]),
+        ({"f": [2.0, 3.0], "kind": ["published", "fitted"]}, "", ["f", "kind"]),
+        ({"symbol": ["f"], "meaning": ["inhomogeneity"]}, "", ["symbol", "meaning"]),
+    ],
+)
+def test_a_table_says_of_which_kind_its_numbers_are(run, frame, kind, columns):
+    run.save_table(pd.DataFrame(frame), "table", kind=kind)
+    assert list(pd.read_csv(run.folder / "table.csv")) == columns
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind"),
+    [({"f": [2.0]}, ""), ({"f": [2.0]}, "true"), ({"f": [2.0] * 2, "kind": ["fitted", ""]}, "")],
+)
+def test_a_table_of_an_unknown_kind_is_refused(run, frame, kind):
+    with pytest.raises(ValueError, match=r"Invalid table table: nothing says.*one of published, "):
+        run.save_table(pd.DataFrame(frame), "table", kind=kind)
+    assert not (run.folder / "table.csv").exists()
 
 
 def test_a_claim_that_fails_is_written_and_named(run):
