@@ -120,7 +120,7 @@ def table_replicas(seeds):
     Returns
     -------
     DataFrame
-        A row for each comparison, direction and ``kind_of_number`` (published, simulated): ``p``,
+        A row for each comparison, direction and ``kind_of_number`` (published, measured): ``p``,
         ``q``, ``pairs``, ``fn``, ``fp``, ``detection_rate_percent``, ``f1``, ``olhd_m``,
         ``coverage``, ``displacement_m``.
     """
@@ -152,7 +152,7 @@ def table_replicas(seeds):
     columns = [*keys, "p", "q", "pairs", "fn", "fp", "detection_rate_percent", "f1", "olhd_m"]
     both = [
         printed[columns].assign(kind_of_number="published"),
-        simulated.assign(kind_of_number="simulated", scenes=len(seeds)),
+        simulated.assign(kind_of_number="measured (simulated)", scenes=len(seeds)),
     ]
     return pd.concat(both, ignore_index=True)
 
