@@ -209,9 +209,13 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
         Metres.
     ax : Axes
     values : array, shape (n,), optional
-        Colours the points; ``label`` names it with its unit on the colour bar.
+        Colours the points.
+    label : str
+        Names the value with its unit on the colour bar.
     limits : pair of float, optional
         Range of the colours.
+    cmap : str
+        Map of the colours, in matplotlib.
 
     Returns
     -------
@@ -283,6 +287,9 @@ def draw_spacing_histogram(distances_mm, *, ax, d1_mm, d4_mm):
     ----------
     distances_mm : array, shape (n, 4)
         Sorted quadrant distances, NaN where a quadrant is empty.
+    ax : Axes
+    d1_mm, d4_mm : float
+        Their medians, mm.
 
     Returns
     -------

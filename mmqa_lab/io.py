@@ -68,7 +68,7 @@ def read_cloud(path, *, columns=None):
 def iterate_cloud(path, *, columns=None, chunk=1_000_000):
     """Yield a cloud file in pieces of at most ``chunk`` points, for files larger than memory.
 
-    Parameters and errors are those of :func:`read_cloud`; PLY files arrive in one piece.
+    PLY files arrive in one piece.
 
     Parameters
     ----------
@@ -76,6 +76,10 @@ def iterate_cloud(path, *, columns=None, chunk=1_000_000):
         See :func:`read_cloud`.
     chunk : int
         Most points of a piece.
+
+    Yields
+    ------
+    Cloud
 
     Raises
     ------

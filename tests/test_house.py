@@ -62,6 +62,7 @@ LAYERS = {
     "jury": 6,
     "headless": 6,
     "gallery": 6,
+    "names": 6,
     "teaching": 6,
     "readme": 6,
     "commands": 6,

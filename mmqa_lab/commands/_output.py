@@ -22,7 +22,7 @@ def print_rows(frame, options):
     if options.json:
         print_json(frame.astype(object).to_dict(orient="records"))
     else:
-        print(frame.to_string(index=False, float_format=_figure))
+        print(_texts_left(frame).to_string(index=False, float_format=_figure))
 
 
 def print_json(value):
@@ -31,6 +31,19 @@ def print_json(value):
 
     json.dump(_plain(value), sys.stdout, indent=1, allow_nan=False)
     print()
+
+
+def _texts_left(frame):
+    """The table with texts, and their headings, at the left of their columns."""
+    padded = {}
+    for name in frame:
+        column = frame[name]
+        if len(column) and all(isinstance(value, str) for value in column):
+            width = max(len(name), column.str.len().max())
+            padded[name.ljust(width)] = column.str.ljust(width)
+        else:
+            padded[name] = column
+    return type(frame)(padded)
 
 
 def _figure(value):

@@ -132,8 +132,9 @@ def intersect_patches(points, patches, *, size=2.0, angle=20.0, support=20):
 
 
 def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=200, angle=20.0, support=20, seed=0):
-    """Detect planes and intersect those that meet: :func:`detect_planes`, then
-    :func:`intersect_patches`, with their parameters.
+    """Detect planes and intersect those that meet.
+
+    :func:`detect_planes`, then :func:`intersect_patches`, with their parameters.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class PatternMeasurement:
         The mean gap between neighbouring profiles over the patch; the angle from the horizontal
         line and the spacing of points along a profile at the reference point.
         NaN where not measurable.
-    *_std : float
+    profile_spacing_perpendicular_std, profile_angle_std, point_spacing_std : float
         Their standard deviations.
     covariance : float
         Of the errors of gap (m) and angle (rad).
