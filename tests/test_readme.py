@@ -1,11 +1,16 @@
 """The README's numbers come from results, and from full ones only."""
 
 import json
+import re
+import tomllib
+from importlib import metadata
 
 import pytest
 
 from mmqa_lab import readme
 from mmqa_lab.__main__ import main
+from mmqa_lab.neighbourhoods import poisson_spacing
+from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 
 
@@ -49,3 +54,20 @@ def test_check_tells_another_readme_and_writes_nothing(results):
 def test_missing_marks_are_named():
     with pytest.raises(ValueError, match="no marks <!-- x --> and <!-- end x -->"):
         readme.replaced("nothing here", "x", "new")
+
+
+def test_numbers_in_the_text_are_those_of_the_code():
+    root = notebooks_folder().parent
+    text = (root / "README.md").read_text(encoding="utf-8")
+    nearest, *_, farthest = poisson_spacing(1)
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    python = re.search(r"[0-9.]+", project["requires-python"])[0]
+    for expected in (
+        f"f = {farthest / nearest:.3f} at every density",
+        f"{CONSISTENT_SCALE:.4f} x the median distance",
+        f"The paper's code has {PAPER_SCALE}",
+        f"`python3` ({python} or newer)",
+        f"with 1 cm, d1 is 10 mm or {10 * 2**0.5:.1f} mm",
+        f"**{metadata.version('mmqa_lab')}**",
+    ):
+        assert expected in text
