@@ -103,7 +103,7 @@ def test_image_says_what_is_wrong_and_writes_nothing(photo, capsys, monkeypatch,
 def test_chart_writes_what_its_ending_says(capsys, tmp_path, ending):
     out = tmp_path / f"chart.{ending}"
     assert main(["chart", "--out", str(out), "--bar", "black", "--widths-v", "20,10"]) == 0
-    assert "1000 mm x 1000 mm" in capsys.readouterr().out
+    assert "imaging chart, black bar" in capsys.readouterr().out
     layout = charts.imaging_chart(horizontal_bar="black", widths_v=(20, 10))
     writer = {
         "pdf": charts.to_pdf,

@@ -1,5 +1,6 @@
-"""What all commands share: where rows of figures go."""
+"""The manners of all commands: what is printed, what is written, what is said meanwhile."""
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -7,22 +8,46 @@ from pathlib import Path
 def add_output_arguments(parser):
     """Add ``--json`` and ``--csv`` to a command's parser."""
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
+    parser.add_argument(
+        "--csv", type=output_file, metavar="FILE", help="also write the rows to this file"
+    )
 
 
-def print_rows(frame, options):
+def output_file(text):
+    """A file to write to; a folder of that name is refused before any work."""
+    if Path(text).is_dir():
+        raise argparse.ArgumentTypeError(f"Invalid file {text}: a folder. Must be a file.")
+    return Path(text)
+
+
+def with_progress(items, unit):
+    """Go through items under a bar on stderr; there is none where that is no terminal."""
+    from tqdm import tqdm
+
+    return tqdm(items, unit=unit, disable=None, leave=False)
+
+
+def print_rows(frame, options, *, upright=None):
     """Print a DataFrame as a table or as JSON, and write it where ``--csv`` says.
 
-    JSON is a list with an object for each row, null where a figure is not measurable.
+    JSON is a list with an object for each row, null where a figure is not measurable. ``upright``
+    names the column that heads the table when each row is printed as a column.
     """
+    write_rows(frame, options)
+    if options.json:
+        print_json(frame.astype(object).to_dict(orient="records"))
+        return
+    if upright is not None:
+        frame = frame.set_index(upright).T.rename_axis("figure").reset_index()
+    print(_texts_left(frame).to_string(index=False, float_format=_figure))
+
+
+def write_rows(frame, options):
+    """Write a DataFrame where ``--csv`` says."""
     if options.csv is not None:
         from mmqa_lab.io import write_atomically
 
         write_atomically(options.csv, lambda path: frame.to_csv(path, index=False))
-    if options.json:
-        print_json(frame.astype(object).to_dict(orient="records"))
-    else:
-        print(_texts_left(frame).to_string(index=False, float_format=_figure))
 
 
 def print_json(value):

@@ -9,9 +9,8 @@ check points' own survey (--reference-std) together; drive against drive is rela
 """
 
 import sys
-from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows
 
 SUMMARY = "height accuracy of a cloud against reference points or a raster"
 
@@ -83,7 +82,11 @@ def add_arguments(parser):
         help="time without points that separates drives, default %(default).0f s",
     )
     parser.add_argument(
-        "--differences", type=Path, metavar="FILE", help="also write each difference to this CSV"
+        "--out",
+        "--differences",
+        type=output_file,
+        metavar="FILE",
+        help="write each difference to this CSV",
     )
     add_output_arguments(parser)
 
@@ -103,9 +106,9 @@ def run(options):
     columns = ("gps_time",) if options.drives else ()
     tables = _compared(read_cloud(options.cloud, columns=columns), reference, options)
     rows = [_rows(name, table, path, options.reference_std) for name, table in tables.items()]
-    if options.differences is not None:
+    if options.out is not None:
         differences = pd.concat([table.assign(drive=name) for name, table in tables.items()])
-        write_atomically(options.differences, lambda file: differences.to_csv(file, index=False))
+        write_atomically(options.out, lambda file: differences.to_csv(file, index=False))
     summary = pd.concat(rows, ignore_index=True)
     if summary["n"].min() < CHECKPOINTS:
         print(

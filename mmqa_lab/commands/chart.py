@@ -6,7 +6,7 @@ legibility and coded targets for its place; the point chart has random cells and
 layout itself is written, for mmqa image --chart.
 """
 
-from pathlib import Path
+from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows
 
 SUMMARY = "write a test chart to print, as PDF or SVG"
 
@@ -21,7 +21,7 @@ example:
 def add_arguments(parser):
     """Declare the arguments."""
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help=".pdf, .svg or .json"
+        "--out", type=output_file, required=True, metavar="FILE", help=".pdf, .svg or .json"
     )
     parser.add_argument("--points", action="store_true", help="the point-distribution chart")
     parser.add_argument("--bar", choices=("grey", "black"), help="tone of the lying bar: grey")
@@ -38,12 +38,19 @@ def add_arguments(parser):
         metavar="N",
         help="number of the lower left target, so that charts differ",
     )
-    parser.add_argument("--seed", type=int, help="of the point chart's cells, 0 if not given")
-    parser.add_argument("--layout", type=Path, metavar="FILE", help="also write the layout as JSON")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="of the point chart's cells, default 0"
+    )
+    parser.add_argument(
+        "--layout", type=output_file, metavar="FILE", help="also write the layout as JSON"
+    )
+    add_output_arguments(parser)
 
 
 def run(options):
-    """Write the chart and, where asked for, its layout."""
+    """Write the chart and, where asked for, its layout, and say what it is."""
+    import pandas as pd
+
     from mmqa_lab import charts
     from mmqa_lab._checks import check_choice
     from mmqa_lab.io import write_atomically
@@ -61,7 +68,9 @@ def run(options):
         if file is not None:
             text = write(layout)
             write_atomically(file, lambda path, text=text: path.write_bytes(text))
-    print(f"{options.out}: {layout.name}, {layout.width:g} mm x {layout.height:g} mm")
+    size = {"width_mm": layout.width, "height_mm": layout.height}
+    row = {"file": str(options.out), "chart": layout.name, **size, "elements": len(layout.elements)}
+    print_rows(pd.DataFrame([row]), options)
 
 
 def _layout(options):

@@ -7,15 +7,19 @@ doi 10.3390/rs13020237). Without --polygon the whole cloud is taken for the surf
 """
 
 import argparse
-from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import (
+    add_output_arguments,
+    output_file,
+    print_rows,
+    with_progress,
+)
 
 SUMMARY = "point density, planarity and point spacing of a surface in a cloud"
 
 EPILOG = """\
 example:
-  mmqa evaluate data_samples/road_patch.laz --figure patch.pdf
+  mmqa evaluate data_samples/road_patch.laz --out patch.pdf
   mmqa evaluate chart.laz --polygon "0,0,0; 1,0,0; 1,0,1; 0,0,1" --json
 """
 
@@ -57,7 +61,11 @@ def add_arguments(parser):
     )
     parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
     parser.add_argument(
-        "--figure", type=Path, metavar="FILE", help="draw the last cloud: .pdf, .svg or .png"
+        "--out",
+        "--figure",
+        type=output_file,
+        metavar="FILE",
+        help="draw the last cloud: .pdf, .svg or .png",
     )
     add_output_arguments(parser)
 
@@ -71,18 +79,18 @@ def run(options):
     from mmqa_lab.io import read_cloud, read_polygon
     from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 
-    if options.figure is not None:
-        check_choice(options.figure.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
+    if options.out is not None:
+        check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
     polygon = None if options.polygon is None else read_polygon(options.polygon)
     scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
     rows = []
-    for file in options.cloud:
+    for file in with_progress(options.cloud, "cloud"):
         points = read_cloud(file, columns=()).points
         choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
         quality = evaluate_cloud(points, polygon=polygon, scale=scale, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
-    if options.figure is not None:
-        _draw(quality, options.figure)
+    if options.out is not None:
+        _draw(quality, options.out)
     print_rows(pd.concat(rows)[list(COLUMNS)], options)
 
 

@@ -14,14 +14,19 @@ corners, four [east, north, height].
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import (
+    add_output_arguments,
+    output_file,
+    print_rows,
+    with_progress,
+)
 
 SUMMARY = "pixel size, resolved line pairs and MTF of a photographed chart"
 
 EPILOG = """\
 example:
   mmqa chart --out chart.pdf --layout chart.json
-  mmqa image IMG_0001.jpg --chart chart.json --figure reading.png
+  mmqa image IMG_0001.jpg --chart chart.json --out reading.png
   mmqa image pano.jpg --chart grey --panorama --json \\
       --corners "2010,1390; 2350,1392; 2352,1050; 2008,1049"
 """
@@ -42,10 +47,14 @@ def add_arguments(parser):
     parser.add_argument("--linear", action="store_true", help="grey values are linear in light")
     parser.add_argument("--text", action="store_true", help="read the texts automatically, too")
     parser.add_argument(
-        "--patterns", type=Path, metavar="FILE", help="write every pattern's reading as CSV"
+        "--patterns", type=output_file, metavar="FILE", help="write every pattern's reading as CSV"
     )
     parser.add_argument(
-        "--figure", type=Path, metavar="FILE", help="draw the last image: .pdf, .svg or .png"
+        "--out",
+        "--figure",
+        type=output_file,
+        metavar="FILE",
+        help="draw the last image: .pdf, .svg or .png",
     )
     add_output_arguments(parser)
 
@@ -58,8 +67,8 @@ def run(options):
     from mmqa_lab._checks import check_choice
     from mmqa_lab.io import write_atomically
 
-    if options.figure is not None:
-        check_choice(options.figure.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
+    if options.out is not None:
+        check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
     layout = imagery.read_layout(options.chart)
     read = chart_image.reader() if options.text else None
     choices = {
@@ -70,7 +79,7 @@ def run(options):
     if options.orientation is not None:
         choices["orientation"] = imagery.read_orientation(options.orientation)
     rows, patterns = [], []
-    for file in options.image:
+    for file in with_progress(options.image, "image"):
         quality, window = imagery.evaluate_file(file, layout, **choices)
         row = quality.to_frame().assign(file=str(file))
         if read is not None:
@@ -83,13 +92,10 @@ def run(options):
     if options.patterns is not None:
         table = pd.concat(patterns)
         write_atomically(options.patterns, lambda path: table.to_csv(path, index=False))
-    if options.figure is not None:
-        _draw(window, quality, layout, options.figure)
-    table = pd.concat(rows)
-    if not options.json:
-        # one figure per line reads better than twenty columns
-        table = table.set_index("file").T.rename_axis("figure").reset_index()
-    print_rows(table, options)
+    if options.out is not None:
+        _draw(window, quality, layout, options.out)
+    # one figure per line reads better than twenty columns
+    print_rows(pd.concat(rows), options, upright="file")
 
 
 def _draw(window, quality, layout, file):

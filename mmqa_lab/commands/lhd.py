@@ -9,7 +9,12 @@ well as displacement: compare it with the perpendicular part and the displacemen
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import print_json
+from mmqa_lab.commands._output import (
+    add_output_arguments,
+    print_json,
+    with_progress,
+    write_rows,
+)
 
 SUMMARY = "line-segment Hausdorff distance of two edge sets or two clouds"
 
@@ -17,7 +22,7 @@ EPILOG = """\
 example:
   mmqa lhd course.csv reference.csv
   mmqa lhd course.csv reference.csv --matcher displaced --json
-  mmqa lhd course.laz reference.laz --tolerance 0.05 --size 2 --edges .
+  mmqa lhd course.laz reference.laz --tolerance 0.05 --size 2 --out edges
 """
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments", "displaced")
@@ -69,16 +74,22 @@ def add_arguments(parser):
         help="points of a plane, default %(default)s",
     )
     clouds.add_argument(
-        "--edges", type=Path, metavar="FOLDER", help="write extracted edges there as CSV"
+        "--out", "--edges", type=Path, metavar="FOLDER", help="write extracted edges there as CSV"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of planes and interval, default 0"
+    )
+    add_output_arguments(parser)
 
 
 def run(options):
-    """Read or extract both sets, compare and print."""
+    """Read or extract both sets, compare, print and write."""
+    from mmqa_lab._checks import check_count
     from mmqa_lab.segments import lhd
 
-    test, model = (_segments(path, options) for path in (options.test, options.model))
+    check_count(options.seed, "seed", low=0)
+    files = with_progress((options.test, options.model), "set")
+    test, model = (_segments(path, options) for path in files)
     result = lhd(
         test,
         model,
@@ -87,10 +98,14 @@ def run(options):
         matcher=options.matcher,
         radius=options.radius,
     )
+    interval = result.interval(seed=options.seed)
+    values = result.to_dict() | dict(zip(("lhd_low_m", "lhd_high_m"), interval, strict=True))
+    if options.csv is not None:
+        write_rows(_row(options, values), options)
     if options.json:
-        print_json(result.to_dict())
+        print_json(values)
     else:
-        print("\n".join(_lines(result)))
+        print("\n".join(_lines(result, interval)))
 
 
 def _segments(path, options):
@@ -104,20 +119,30 @@ def _segments(path, options):
 
     points = read_cloud(path, columns=()).points
     sizes = {"tolerance": options.tolerance, "size": options.size, "minimum": options.minimum}
-    edges = extract_edges(points, **sizes)
+    edges = extract_edges(points, **sizes, seed=options.seed)
     if not len(edges):
         raise ValueError(f"Invalid cloud {path}: no edges between planes. Must have some.")
-    if options.edges is not None:
+    if options.out is not None:
         from mmqa_lab.segment_files import write_segments
 
-        write_segments(options.edges / f"{path.stem}_edges.csv", edges.segments)
+        write_segments(options.out / f"{path.stem}_edges.csv", edges.segments)
     return edges.segments
 
 
-def _lines(result):
+def _row(options, values):
+    """The figures as one row; pairs and covariances are left to JSON."""
+    import pandas as pd
+
+    vector = dict(zip("xyz", values["displacement_m"], strict=True))
+    plain = {name: value for name, value in values.items() if not isinstance(value, list)}
+    plain |= {f"displacement_{axis}_m": value for axis, value in vector.items()}
+    return pd.DataFrame([{"test": options.test, "model": options.model, **plain}])
+
+
+def _lines(result, interval):
     """What the table says."""
     forward, backward = result.test_model, result.model_test
-    low, high = result.interval()
+    low, high = interval
     covariance = result.displacement.covariance
     vector = " ".join(f"{value:8.3f}" for value in result.displacement.vector)
     sigma = " ".join(f"{value**0.5:8.3f}" for value in covariance.diagonal())

@@ -94,7 +94,7 @@ def run(options):
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
-    outcome = campaign.map_campaign(options.cloud, folder, progress=True, **choices)
+    outcome = campaign.map_campaign(options.cloud, folder, progress=sys.stderr.isatty(), **choices)
     dataset = campaign.open_map(folder, crs=options.crs)
     if dataset.nbytes < IN_MEMORY:
         dataset = dataset.persist()

@@ -10,6 +10,8 @@ After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a re
 
 import argparse
 
+from mmqa_lab.commands._output import add_output_arguments, print_json, write_rows
+
 SUMMARY = "profile spacing, point spacing, density and f of a scan before it is driven"
 
 EPILOG = """\
@@ -51,14 +53,15 @@ def add_arguments(parser):
         metavar="QUANTITY=LIMIT",
         help="predict at the largest speed that keeps the limit, and name it",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_output_arguments(parser)
 
 
 def run(options):
-    """Predict and print."""
+    """Predict, print and write."""
     from dataclasses import replace
 
-    from mmqa_lab.commands._output import print_json
+    import pandas as pd
+
     from mmqa_lab.scan_geometry import QUANTITIES, Target, largest_speed, scan_lattice
 
     setup = _setup(options)
@@ -80,6 +83,7 @@ def run(options):
             f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
             "or profile passes beside it. Must be struck less obliquely."
         )
+    write_rows(pd.DataFrame([answer]), options)
     if options.json:
         print_json(answer)
         return

@@ -9,7 +9,14 @@ diameter_m; detections and references are matched one to one within --gate.
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import print_json, print_rows
+from mmqa_lab.commands._output import (
+    add_output_arguments,
+    output_file,
+    print_json,
+    print_rows,
+    with_progress,
+    write_rows,
+)
 
 SUMMARY = "detect poles, and score them against a reference"
 
@@ -37,33 +44,36 @@ def add_arguments(parser):
     parser.add_argument(
         "--explain", action="store_true", help="list every candidate and what rejected it"
     )
-    parser.add_argument("--csv", type=Path, metavar="OUT", help="also write the poles to this file")
-    parser.add_argument("--geojson", type=Path, metavar="OUT", help="write the poles as GeoJSON")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument(
+        "--out", "--geojson", type=output_file, metavar="FILE", help="write the poles as GeoJSON"
+    )
+    add_output_arguments(parser)
 
 
 def run(options):
     """Detect, write, score and print."""
     from mmqa_lab import poles
+    from mmqa_lab._checks import check_positive
     from mmqa_lab.io import read_cloud, read_trajectory
 
-    path = None
+    path, gate = None, check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
         table = read_trajectory(options.trajectory)
         path = table[["easting_m", "northing_m"]].to_numpy()
     reference = None if options.reference is None else _read_reference(options.reference)
     choices = {"method": options.method, "trajectory": path, "corridor": options.corridor}
-    found = poles.detect(read_cloud(options.cloud), explain=options.explain, **choices)
+    for file in with_progress([options.cloud], "cloud"):
+        found = poles.detect(read_cloud(file), explain=options.explain, **choices)
     columns = [*COLUMNS, "rejected_by"] if options.explain else COLUMNS
     shown = found[columns]
-    if options.geojson is not None:
-        _write_geojson(options.geojson, shown)
+    if options.out is not None:
+        _write_geojson(options.out, shown)
     if reference is None:
         print_rows(shown, options)
         return
     accepted = found[found["rejected_by"] == ""] if options.explain else found
     scope = {"corridor": options.corridor, "trajectory": path} if options.corridor else {}
-    scores = poles.score(accepted, reference, gate=options.gate, **scope)
+    scores = poles.score(accepted, reference, gate=gate, **scope)
     if not options.json:
         print_rows(shown, options)
         print(
@@ -74,8 +84,7 @@ def run(options):
         return
     rates = {"recall": vars(scores.recall), "precision": vars(scores.precision), "f1": scores.f1}
     rates["duplicates"] = scores.duplicates
-    if options.csv is not None:
-        _write_csv(options.csv, shown)
+    write_rows(shown, options)
     print_json({"poles": shown.astype(object).to_dict(orient="records"), "scores": rates})
 
 
@@ -94,13 +103,6 @@ def _read_reference(path):
             f"Invalid reference {path}: columns {', '.join(table)}. Must have x_m and y_m."
         )
     return table
-
-
-def _write_csv(path, table):
-    """Write the poles as CSV."""
-    from mmqa_lab.io import write_atomically
-
-    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
 
 
 def _write_geojson(path, table):
