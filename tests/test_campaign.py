@@ -253,12 +253,12 @@ def test_a_cluster_that_loses_a_worker_completes_the_same_map(street, tmp_path, 
     with Client(address) as client:
         client.wait_for_workers(2, timeout=120)
     run, outcomes = tmp_path / "run", []
-    arguments = {"cell": CELL, "tile": 1.5, "scheduler": address}
+    arguments = {"cell": CELL, "tile": 1.0, "scheduler": address}
     thread = threading.Thread(
         target=lambda: outcomes.append(campaign.map_campaign([folder], run, **arguments))
     )
     thread.start()
-    wait_for(lambda: len(tiles_of(run)) >= 15)
+    wait_for(lambda: len(tiles_of(run)) >= 5)
     os.kill(workers[0].pid, signal.SIGKILL)
     done = len(tiles_of(run))
     thread.join(timeout=240)
