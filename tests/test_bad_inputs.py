@@ -31,6 +31,17 @@ CASES = [
     ("evaluate broken.ply", "broken.ply"),
     ("evaluate nan.xyz", "no points. Must hold one or more."),
     ("evaluate two_columns.xyz", "two_columns.xyz"),
+    ("evaluate nothing", "no such file. Must exist."),
+    ("evaluate empty.xyz", "Must be rows of columns."),
+    ("evaluate words.xyz", "Must be rows of numbers"),
+    ("evaluate two.xyz", "2 given. Must be 3 or more."),
+    ("evaluate line.xyz", "Must span a plane."),
+    ("evaluate one.las", "1 given. Must be 3 or more."),
+    ("evaluate PATCH --radius 0", "Invalid radius 0.0. Must be > 0 m."),
+    ("evaluate PATCH --radius nan", "Invalid radius nan. Must be"),
+    ("evaluate PATCH --axes up", "Must be principal, horizontal or degrees."),
+    ("evaluate PATCH --axes inf", "Invalid axes inf. Must be finite."),
+    ("evaluate PATCH --out figure.docx", "Must be one of .pdf, .svg, .png."),
     ("poles none.laz", "no such file. Must exist."),
     ("poles small.xyz --corridor 0 --trajectory path.csv", "corridor"),
     ("poles PATCH --corridor -3 --trajectory path.csv", "-3"),
@@ -56,6 +67,8 @@ CASES = [
     ("evaluate PATCH --polygon none.csv", "no such file. Must exist."),
     ("evaluate PATCH --polygon words.csv", "words.csv"),
     ("evaluate PATCH --polygon broken.json", "broken.json"),
+    ("evaluate PATCH --polygon object.json", "Must be GeoJSON"),
+    ("evaluate PATCH --polygon '0,0,0; 1,0,0; 1,1,0'", "inside the polygon: 0 given. Must be 3"),
     ("evaluate PATCH --polygon '0,0,0; 1,0,0'", "Must be 3 or more."),
     ("evaluate PATCH --polygon '0,0,0; 1,0,0; 1,1,inf'", "inf"),
     ("evaluate PATCH --polygon '0,0,0; 1,1,0; 1,0,0; 0,1,0'", "Must be an outline that encloses"),
@@ -133,6 +146,11 @@ def folder(tmp_path_factory):
         "small.xyz": "".join(f"{k % 5} {k // 5} 0\n" for k in range(25)),
         "broken.ply": "ply\nformat ascii 1.0\nelement vertex 9\nend_header\n1 2 3\n",
         "broken.json": '{"elements": [',
+        "object.json": "{}",
+        "empty.xyz": "",
+        "words.xyz": "x y z\na b c\n",
+        "two.xyz": "0 0 0\n1 0 0\n",
+        "line.xyz": "".join(f"{k} {k} {k}\n" for k in range(9)),
         "broken.tif": "no raster",
         "broken.npz": "no arrays",
         "segments.csv": SEGMENTS,
@@ -151,6 +169,7 @@ def folder(tmp_path_factory):
     (folder / "cut.laz").write_bytes(whole[:30_000])
     (folder / "four_bytes.laz").write_bytes(b"LASF")
     laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "empty.las")
+    write_cloud(folder / "one.las", Cloud(np.zeros((1, 3))))
     write_cloud(folder / "lying.las", Cloud(np.zeros((5, 3))))
     lying = bytearray((folder / "lying.las").read_bytes())
     lying[247:255] = (10**12).to_bytes(8, "little")  # the header's count of points
@@ -162,8 +181,11 @@ def folder(tmp_path_factory):
 
 
 def words(line):
-    """The arguments of a line, quoted ones whole."""
-    return [PATCH if word == "PATCH" else word for word in shlex.split(line)]
+    """The arguments of a line, quoted ones whole; files are asked for that must not appear."""
+    given = [PATCH if word == "PATCH" else word for word in shlex.split(line)]
+    if given[0] in ("evaluate", "image") and "--out" not in given:
+        given += ["--out", "figure.pdf"]
+    return given if given[0] in ("studies", "student", "dance") else [*given, "--csv", "rows.csv"]
 
 
 @pytest.mark.parametrize(("line", "part"), CASES, ids=[line for line, _ in CASES])
