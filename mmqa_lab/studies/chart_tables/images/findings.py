@@ -101,7 +101,10 @@ def _verdict_claims(legibility, verdicts):
         Claim(
             "No system qualifies in the first scenario, B and C do in the second.",
             1 not in qualified and qualified.get(2) == ["B", "C"],
-            f"{qualified.to_dict()}",
+            "; ".join(
+                f"scenario {number}: {' and '.join(qualified.get(number, ['none']))}"
+                for number in published.SCENARIOS
+            ),
             "counted; the second scenario's criteria are a reading of the paper",
         ),
         Claim(
