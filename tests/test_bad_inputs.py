@@ -55,6 +55,7 @@ CASES = [
     ("map PATCH --out m.docx", "'.docx'. Must be one of .nc, .zarr, .tif."),
     ("map PATCH --out m.tif", "no coordinate reference system in the files"),
     ("map PATCH --out m.nc --crs EPSG:0", "Invalid crs 'EPSG:0'. Must be known"),
+    ("map PATCH one.las --out m.nc", "Must lie within 5e+09 cells of 0.5 m."),
     ("map PATCH --out m.nc --cell 0", "Invalid cell 0.0. Must be > 0 m."),
     ("map PATCH --out m.nc --cell nan", "Invalid cell nan"),
     ("map PATCH --out m.nc --tile -5", "Invalid tile -5.0. Must be > 0 m."),

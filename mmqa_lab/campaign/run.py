@@ -15,6 +15,9 @@ from mmqa_lab.campaign.grid import Grid, cells_of, corner, fitting_tile, occupie
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps import METRICS, evaluate_tile, reach
 
+MOST_CELLS = 5e9
+"""Cells of the raster over a campaign, most of them empty: 35 km x 35 km of half metres."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -202,6 +205,7 @@ class _Run:
                 f"Invalid coordinate reference systems: {one} and {other} have different ones. "
                 "Must be the same."
             )
+        _check_extent(sources, self.cell)
         return sources
 
     def _unpack(self, sources, missing, grid, engine):
@@ -275,6 +279,19 @@ class _Run:
         }
         text = json.dumps(record, indent=1)
         write_atomically(self.folder / "run.json", lambda path: path.write_text(text, "utf-8"))
+
+
+def _check_extent(sources, cell):
+    """Refuse files that lie too far apart for one raster, as local coordinates beside national."""
+    low, high = (np.array([getattr(s, end)[:2] for s in sources]) for end in ("low", "high"))
+    wide = high.max(axis=0) - low.min(axis=0)
+    if np.prod(wide / cell) > MOST_CELLS:
+        axis = wide.argmax()
+        first, last = (sources[k].path for k in (low[:, axis].argmin(), high[:, axis].argmax()))
+        raise ValueError(
+            f"Invalid campaign, {wide[0] / 1000:.0f} km x {wide[1] / 1000:.0f} km from {first} "
+            f"to {last}. Must lie within {MOST_CELLS:.0e} cells of {cell} m."
+        )
 
 
 def _extent(boxes, grid):
