@@ -20,7 +20,10 @@ DRAWN = {
 """The variables to draw, the first four of those that a map has, and their labels."""
 
 PIXELS = 600
-"""Cells drawn along the longer side; larger maps are drawn by the means of blocks."""
+"""Cells drawn along a side; larger maps are drawn by the means of blocks."""
+
+SLIMMEST = 4
+"""Length over width of a panel; maps of streets are longer, and stretched to that."""
 
 TERMS = """
 <dl>
@@ -50,12 +53,13 @@ def draw_map(dataset):
     figures.use_style()
     names = [name for name in DRAWN if name in dataset][:4]
     layers = [k for k in dataset["layer"].values if (dataset["area"].sel(layer=k) > 0).any()]
-    step = max(1, int(np.ceil(max(dataset.sizes["x"], dataset.sizes["y"]) / PIXELS)))
+    steps = {axis: int(np.ceil(dataset.sizes[axis] / PIXELS)) for axis in ("x", "y")}
     small = dataset[[*names, "area"]]
-    if step > 1:
-        small = small.coarsen(x=step, y=step, boundary="pad").mean()
+    if max(steps.values()) > 1:
+        small = small.coarsen(steps, boundary="pad").mean()
     rows, columns = max(len(layers), 1), max(len(names), 1)
-    shape = dataset.sizes["y"] / dataset.sizes["x"]
+    shape = float(np.clip(dataset.sizes["y"] / dataset.sizes["x"], 1 / SLIMMEST, SLIMMEST))
+    scale = "" if shape == dataset.sizes["y"] / dataset.sizes["x"] else ", stretched"
     height = rows * float(np.clip(178 / columns * shape, 45, 150))
     figure, axes = figures.subplots(
         rows, columns, width="double", height_mm=min(height, 230), squeeze=False, sharex=True,
@@ -64,9 +68,11 @@ def draw_map(dataset):
     for row, layer in zip(axes, layers, strict=False):
         for ax, name in zip(row, names, strict=False):
             _draw_panel(small[name].sel(layer=layer), ax, DRAWN[name])
-        row[0].set_ylabel(f"{layer}\nnorthing (m)" if layer != "horizontal" else "northing (m)")
+            ax.set_aspect("auto" if scale else "equal")
+        north = "northing (m)" + scale * (dataset.sizes["y"] < dataset.sizes["x"])
+        row[0].set_ylabel(f"{layer}\n{north}" if layer != "horizontal" else north)
     for ax in axes[-1]:
-        ax.set_xlabel("easting (m)")
+        ax.set_xlabel("easting (m)" + scale * (dataset.sizes["x"] < dataset.sizes["y"]))
     return figure
 
 
