@@ -298,7 +298,8 @@ def thicket(rng, n=500):
 
 def test_a_trunk_among_leaves_is_a_stack_of_groups(rng):
     cloud = scene(post(0.4, -0.3, radius=0.1), thicket(rng), rng=rng)
-    made = groups.line_groups(cloud.points, cloud["scan_line"], cloud["pulse"], lambda at: at[:, 2])
+    lines = profiles.in_order(cloud.points, cloud["scan_line"], cloud["pulse"])
+    made = groups.line_groups(lines, lambda at: at[:, 2])
     found = groups.candidates(made)
     # the front half's middle lies 0.06 m in front of the axis
     assert np.hypot(*(found - [0.4, -0.36]).T).min() < 0.05
@@ -317,7 +318,8 @@ def test_groups_are_cut_as_finely_as_points_lie():
         x = np.concatenate([np.arange(10) * spacing, 9 * spacing + 0.06 + np.arange(10) * spacing])
         x = x[: 20 if spacing < 0.05 else 12]
         points = np.column_stack([x, 0 * x, 0 * x + 1])
-        made = groups.line_groups(points, 0 * x, np.arange(len(x)), lambda at: at[:, 2])
+        lines = profiles.in_order(points, 0 * x, np.arange(len(x)))
+        made = groups.line_groups(lines, lambda at: at[:, 2])
         assert len(made.middle) == pieces
         assert made.count.sum() == len(x)
 

@@ -72,15 +72,13 @@ class Groups(NamedTuple):
     free: np.ndarray
 
 
-def line_groups(points, line, pulse, height_of):
+def line_groups(lines, height_of):
     """Return the groups of scan lines.
 
     Parameters
     ----------
-    points : array, shape (n, 3)
+    lines : mmqa_lab.poles.profiles.Lines
         Metres from an origin nearby.
-    line, pulse : array, shape (n,)
-        Scan line, and pulse along it.
     height_of : callable
         Heights above ground (m,) of points (m, 3).
 
@@ -88,11 +86,11 @@ def line_groups(points, line, pulse, height_of):
     -------
     Groups
     """
-    order = np.lexsort([pulse, line])
-    first, last, free = _cut(points[order], line[order], pulse[order])
+    points, line, pulse = lines[:3]
+    first, last, free = _cut(points, line, pulse)
     count = last - first + 1
-    ends = points[order[last]] - points[order[first]]
-    middle = np.add.reduceat(points[order], first, axis=0) / count[:, None]
+    ends = points[last] - points[first]
+    middle = np.add.reduceat(points, first, axis=0) / count[:, None]
     kept = (count >= 2) & (np.sqrt((ends**2).sum(axis=1)) <= WIDEST_M)
     kept = np.flatnonzero(kept)
     height = height_of(middle[kept])

@@ -1,6 +1,9 @@
 """Scan lines of a cloud: as recorded, or recovered from time and scan angle."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit, prange
 
 from mmqa_lab.patterns import revolutions_from_time
 
@@ -67,6 +70,45 @@ def pulse_numbers(line, place):
     steps = steps[steps > 0]
     step = np.median(steps) if len(steps) else 1.0
     return np.round((place - place.min()) / step)
+
+
+class Lines(NamedTuple):
+    """Points in the order in which they were measured.
+
+    ``points`` (n, 3), ``line`` (n,) numbered from 0, ``pulse`` (n,), ``near`` (lines, 2): a place
+    in plan near the scanner at each line.
+    """
+
+    points: np.ndarray
+    line: np.ndarray
+    pulse: np.ndarray
+    near: np.ndarray
+
+
+def in_order(points, line, place):
+    """Return the ``Lines`` of points (n, 3) with their line and place, as of ``scan_lines``."""
+    pulse = pulse_numbers(line, place)
+    order = np.lexsort([pulse, line])
+    points, line, pulse = points[order], line[order], pulse[order]
+    number = np.cumsum(np.diff(line, prepend=line[:1]) != 0)
+    start = np.searchsorted(number, np.arange(number.max(initial=-1) + 2))
+    return Lines(points, number, pulse, _nearest(points, pulse, start))
+
+
+@njit(cache=True, parallel=True)
+def _nearest(points, pulse, start):
+    """Where the points of each line lie closest: the foot of the scanner, or not far from it."""
+    near = np.zeros((len(start) - 1, 2))
+    for k in prange(len(near)):
+        low, high = start[k], start[k + 1]
+        gap = np.full(high - low, np.inf)
+        for i in range(low, high - 1):
+            if pulse[i + 1] - pulse[i] == 1:
+                gap[i - low] = np.sqrt(((points[i + 1] - points[i]) ** 2).sum())
+        chosen = gap <= np.sort(gap)[len(gap) // 10]
+        for axis in range(2):
+            near[k, axis] = points[low:high, axis][chosen].mean()
+    return near
 
 
 def _source(cloud):

@@ -25,6 +25,7 @@ QUICK = {
     "factor_length": 12.0,
     "factor_names": ("no shrubs",),
     "fgi_changes": {"maximum_width": (0.70,)},
+    "tiles": 1,
     "folds": 0,
 }
 """Small parameters for the tests."""

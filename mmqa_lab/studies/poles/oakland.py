@@ -33,10 +33,16 @@ TARGETS = {
 UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
 """Pole-like, not asked for: support pole, hydrant, pylon, lamp, lights, column."""
 
+UNKNOWN = (1000, 1001, 9999)
+"""Points whose class the labels leave open: whether a pole stands there is not known."""
 
-def cloud():
-    """Return all clouds of the folder that MMQA_DATA names as one, shuffled, with ``label``."""
-    parts = [io.read_cloud(samples.real_path(name)) for name in FILES]
+FOOT_M = 2.0
+"""A reference is where its lowest 2 m stand: a board or a lamp hangs beside its post."""
+
+
+def cloud(tiles=None):
+    """Return the first or all tiles in the folder of MMQA_DATA, shuffled, with ``label``."""
+    parts = [io.read_cloud(samples.real_path(name)) for name in FILES[:tiles]]
     whole = Cloud.concatenate(parts, name="Oakland part 2")
     return whole.select(np.random.default_rng(0).permutation(len(whole)))
 
@@ -44,8 +50,8 @@ def cloud():
 def references(whole, *, link=0.35, minimum_points=8):
     """Return the poles that the labels define.
 
-    Connected components in plan of the points of ``TARGETS``; of ``UNASKED`` likewise, to be
-    ignored.
+    Connected components in plan of the points of ``TARGETS``; of ``UNASKED`` and of ``UNKNOWN``
+    likewise, to be ignored.
 
     Parameters
     ----------
@@ -59,13 +65,17 @@ def references(whole, *, link=0.35, minimum_points=8):
     Returns
     -------
     DataFrame
-        ``x_m``, ``y_m`` (medians), ``z_base_m``, ``height_m``, ``class``, ``points``, ``ignore``.
+        ``x_m``, ``y_m`` (medians of the lowest 2 m), ``z_base_m``, ``height_m``, ``class``,
+        ``points``, ``ignore``.
     """
     tables = []
-    for labels, ignored in ((tuple(TARGETS), False), (UNASKED, True)):
+    for labels, ignored in ((tuple(TARGETS), False), (UNASKED, True), (UNKNOWN, True)):
         chosen = whole.select(np.isin(whole["label"], labels))
         if len(chosen):
             tables.append(_components(chosen, link, minimum_points, ignored))
+    # what is unknown is ignored where it could be a target: a few stray points are no pole
+    small = (tables[-1]["points"] < minimum_points) | (tables[-1]["height_m"] < 1.0)
+    tables[-1] = tables[-1][~small]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -80,10 +90,11 @@ def _components(chosen, link, minimum_points, ignored):
     for _, one in frame.groupby(part):
         height = one["z"].max() - one["z"].min()
         few = len(one) < minimum_points or height < 1.0
+        foot = one[one["z"] <= one["z"].min() + FOOT_M]
         rows.append(
             {
-                "x_m": one["x"].median(),
-                "y_m": one["y"].median(),
+                "x_m": foot["x"].median(),
+                "y_m": foot["y"].median(),
                 "z_base_m": one["z"].min(),
                 "height_m": height,
                 "class": TARGETS.get(int(one["label"].mode().iloc[0]), "unasked"),

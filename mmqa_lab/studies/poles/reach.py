@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import accuracy
+from mmqa_lab.results import Claim
 from mmqa_lab.studies.poles import surveys as tables
 
 POSTS = ("sign", "lamp", "other")
@@ -24,6 +25,10 @@ REAL_F1 = (("other blocks", 0.88), ("simulated streets", 0.80))
 
 DIAMETER_MM = (6.0, 1.0)
 """Largest root mean square error and largest bias of posts within 12.5 m."""
+
+SLACK = 0.10
+ENOUGH = 30
+"""A rate of so many poles may miss its aim by that much before the study says so aloud."""
 
 
 def table(*, plain, balconies, dense, real=None):
@@ -61,6 +66,24 @@ def table(*, plain, balconies, dense, real=None):
     frame["verdict"] = np.where(frame["value"].isna(), "not measured", "missed")
     frame.loc[good, "verdict"] = "reached"
     return frame
+
+
+def claims(reached):
+    """Test that no aim is missed by much, and name those that are missed."""
+    rates = reached[(reached["unit"] == "1") & (reached["n"] >= ENOUGH)]
+    missed = reached[reached["verdict"] == "missed"]
+    named = [
+        f"{row.setting}, {row.quantity} {row.value:.3f} for {row.aim:g}"
+        for row in missed.itertuples()
+    ]
+    return [
+        Claim(
+            f"No rate of the learned method lies more than {SLACK:.2f} below its aim.",
+            bool((rates["value"] >= rates["aim"] - SLACK).all()),
+            f"missed {len(named)} of {len(reached)}: {'; '.join(named)}",
+            f"two standard deviations of a rate of 0.9 of {ENOUGH} poles are 0.11",
+        )
+    ]
 
 
 def _row(setting, quantity, aim, value, low=np.nan, high=np.nan, n=0, unit="1"):
