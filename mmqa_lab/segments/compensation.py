@@ -4,7 +4,8 @@ Two parallel neighbours half a metre apart cannot be told from each other while 
 displaced by more than that. But true pairs agree on one slowly varying displacement, and false
 ones do not. Hypotheses from pairs of crossing lines are scored by how many lines they bring
 together; the best are refined by turns (a displacement field from the pairs, pairs from the
-field); the most likely outcome is kept.
+field); the outcomes are weighed by their evidence, and a pair stands that more than half of the
+weight speaks for.
 """
 
 from dataclasses import dataclass
@@ -39,9 +40,19 @@ NEAR_M = 40.0
 """Two lines so near to each other are displaced alike."""
 
 SCORE_WIDTH_M = 0.35
-FIRST_ROUNDS, ROUNDS, REFINED = 3, 10, 2
-CLUTTER_PER_M2 = 0.05
+FIRST_ROUNDS, ROUNDS, REFINED = 3, 10, 4
+AGREEING_ENDS = (0.6, 0.37)
+"""Share of the ends that lie at one place: of true pairs, and of false ones, which often share the
+ground or the building."""
+
+END_NOISE_M, CUT_M = 0.55, 5.0
+"""Standard deviation of the gap between ends at one place; mean gap where one line is cut short."""
+
+CLUTTER_PER_M2 = 0.1
 """Density of parallel unrelated lines that the evidence of an outcome is reckoned against."""
+
+TEMPER = 4.0
+"""Divides the evidence before outcomes are weighed: their pairs are not independent."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,8 @@ class DisplacedMatch:
     pairs : array of bool, shape (p, q)
     displacement : Displacement
     evidence : float
-        Log of how much likelier the pairs are than chance, per pair; NaN without pairs.
+        Log of how much likelier the pairs are than chance, by what lies across them and by their
+        ends, per pair; NaN without pairs.
 
     Examples
     --------
@@ -154,8 +166,9 @@ def match_displaced(test, model, *, radius=4.0, seed=0):
         pairs = np.zeros((len(test), len(model)), dtype=bool)
         return DisplacedMatch(pairs, fit_displacement(test, model, pairs), np.nan)
     best = max(outcomes, key=lambda outcome: outcome.evidence)
-    displacement = fit_displacement(test, model, best.pairs)
-    return DisplacedMatch(best.pairs, displacement, best.evidence / best.pairs.sum())
+    pairs = _agreed(outcomes, best)
+    displacement = fit_displacement(test, model, pairs)
+    return DisplacedMatch(pairs, displacement, best.evidence / best.pairs.sum())
 
 
 class _Refinement:
@@ -174,7 +187,8 @@ class _Refinement:
     def round(self):
         """One turn; False when fewer than three pairs remain."""
         seen = self.lines.observe(self.expected)
-        density = self._log_densities(seen)
+        self.ends = _log_ratio_of_ends(self.lines.end_gaps(self.expected))
+        density = self._log_densities(seen) + self.ends
         clutter = self.search.clutter_per_m2 * min(1.0, self.search.ease * 2.0**self.rounds)
         allowed = np.flatnonzero(density > np.log(clutter))
         stretches = [part[allowed] for part in self.lines.stretches(self.expected)]
@@ -210,10 +224,18 @@ class _Refinement:
         posterior = self.field.climb(self.drift, self.noise)
         self.drift, self.noise = self.field.drift, self.field.noise
         per_pair = posterior / len(self.members) - np.log(CLUTTER_PER_M2)
-        self.evidence = per_pair * len(self._accepted)
+        self.evidence = per_pair * len(self._accepted) + self.ends[self._accepted].sum()
         if self.field.drift < self.search.least_drift_m:
             self.field.set(self.search.least_drift_m, self.noise)
         self.expected, self.covariance = self.field.at(seen.place)
+
+
+def _log_ratio_of_ends(gaps):
+    """How much likelier true pairs leave these gaps (n, 2) between their ends than false ones."""
+    agree = np.sqrt(2 / np.pi) / END_NOISE_M * np.exp(-((gaps / END_NOISE_M) ** 2) / 2)
+    cut = np.exp(-gaps / CUT_M) / CUT_M
+    true, false = (share * agree + (1 - share) * cut for share in AGREEING_ENDS)
+    return np.log(true / false).sum(axis=1)
 
 
 def _candidates(test, model, radius):
@@ -280,3 +302,12 @@ def _refined(starts, lines, rows, columns, shape, search):
         else:
             outcomes.append(trial)
     return outcomes
+
+
+def _agreed(outcomes, best):
+    """The pairs that outcomes of more than half of the weight hold, or the best one's if few."""
+    different = {outcome.pairs.tobytes(): outcome for outcome in outcomes}.values()
+    weights = [np.exp((outcome.evidence - best.evidence) / TEMPER) for outcome in different]
+    shares = np.average([outcome.pairs for outcome in different], axis=0, weights=weights)
+    pairs = shares > 0.5
+    return pairs if pairs.sum() >= 3 else best.pairs

@@ -18,7 +18,7 @@ APART_M = 100.0
 """Sets whose nearest segments are farther apart than this are in different frames."""
 
 FEW_PAIRS = 5
-AGREED_SHARE, WEAK_EVIDENCE = 0.6, 4.0
+AGREED_SHARE, WEAK_EVIDENCE = 0.6, 3.5
 """The displaced matcher gives way when it finds less than this share of the pairs that the
 fragments matcher finds, and its own pairs are no likelier than this (log per pair)."""
 

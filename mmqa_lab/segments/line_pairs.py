@@ -66,6 +66,11 @@ class LinePairs:
         low = np.maximum(s - self.test_half, -self.model_half)
         return s, low, np.minimum(s + self.test_half, self.model_half)
 
+    def end_gaps(self, expected):
+        """Gaps between the ends of both lines, along the model line, (n, 2), m."""
+        s, longer = self.common(expected)[0], self.test_half - self.model_half
+        return np.abs(np.stack([s - longer, s + longer], axis=1))
+
     def stretches(self, expected):
         """The stretches (n, 2) that each pair covers of its test and of its model segment, m."""
         s, low, high = self.common(expected)
