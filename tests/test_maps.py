@@ -91,7 +91,7 @@ def test_horizontal_cells_equal_the_functions_of_a_chart(rng):
 
 def test_a_cell_of_a_wall_equals_the_functions_of_a_chart(rng):
     """One cube of a wall: its own regression plane, the points near it, horizontal axes."""
-    wall = sheet(rng, 20_000, axes=turned(90, 15), noise=0.004)
+    wall = sheet(rng, 20_000, axes=turned(90, 15), noise=0.004) + [0.25, 0.25, 0]
     found = evaluate_tile(wall, Window(0, 0, 1, 1), cell=0.5, radius=0.3)
     inside = (np.floor(wall[:, :2] / 0.5) == 0).all(axis=1)
     parts, residuals = [], []
@@ -114,6 +114,44 @@ def test_a_cell_of_a_wall_equals_the_functions_of_a_chart(rng):
         )
     sigma = 1000 * sigma_mad(np.concatenate(residuals))
     assert found["sigma_mad"][UPRIGHT, 0, 0] == pytest.approx(sigma, rel=1e-6)
+
+
+@pytest.mark.parametrize("turn", [0.0, 10.0, 30.0, 45.0, 77.0])
+@pytest.mark.parametrize("lean", [0.0, 15.0, 40.0, 70.0, 85.0])
+def test_density_of_a_plane_does_not_depend_on_its_place_among_the_cells(rng, turn, lean):
+    density, noise = 2000.0, 0.004
+    flat = rng.uniform(-5, 5, (int(density * 100), 2))
+    c, s, turn, lean = np.cos, np.sin, np.radians(turn), np.radians(lean)
+    along = np.array([c(turn), s(turn), 0])
+    steepest = np.array([-s(turn) * s(lean), c(turn) * s(lean), c(lean)])
+    exact = flat @ [along, steepest] + [0.11, 0.23, 0.17]
+    inside = (np.abs(exact) < 2.5).all(axis=1)  # so that every cube with points is full of them
+    normal = np.cross(along, steepest)
+    points = exact[inside] + rng.normal(0, noise, (inside.sum(), 1)) * normal
+    found = evaluate_tile(points, Window(-6, -6, 12, 12), cell=0.5)
+    assert found["n"][[LEVEL, UPRIGHT]].sum() > 0.99 * len(points)
+    # Corners with few points and noise across the outer borders: up to 2 % of the area.
+    assert found["area"].sum() == pytest.approx(len(points) / density, rel=0.025)
+    known = found["area"] > 0
+    values, area = found["density"][known], found["area"][known]
+    order = np.argsort(values)
+    median = values[order][np.searchsorted(np.cumsum(area[order]), area.sum() / 2)]
+    assert median == pytest.approx(density, rel=0.015)
+
+
+@pytest.mark.parametrize("offset", [-0.01, -0.003, 0.0, 0.004, 0.01])
+def test_a_wall_on_a_border_keeps_its_density_and_its_dispersion(rng, offset):
+    flat = rng.uniform(-3, 3, (72_000, 2))
+    points = np.stack([flat[:, 0], rng.normal(offset, 0.005, len(flat)), flat[:, 1]], axis=1)
+    found = evaluate_tile(points, Window(-6, -2, 12, 4), cell=0.5)
+    assert found["n"][UPRIGHT].sum() == len(points)
+    assert found["area"].sum() == pytest.approx(36, abs=1e-3)  # each cube's part in one of two
+    known = found["area"] > 0
+    # 500 points in a cube: a standard error of 4.5 %.
+    assert np.median(found["density"][known]) == pytest.approx(2000, rel=0.03)
+    # Half the points of each column at least: 3000, of which 1.17 / sqrt(2 n) is 1.5 %.
+    assert np.nanmedian(found["sigma_mad"][known]) == pytest.approx(5, rel=0.03)
+    assert np.average(found["void_share"][known], weights=found["area"][known]) < 0.01
 
 
 def test_layers_part_road_wall_and_foliage_and_lose_no_point(rng):
@@ -155,7 +193,7 @@ def test_any_cut_into_tiles_gives_the_same_bits(seed, cut, surface, cell, radius
     points = street(np.random.default_rng(seed), 1500)
     choices = {"cell": cell, "surface": surface, "radius": radius}
     whole = evaluate_tile(points, Window(-14, -14, 28, 28), **choices)
-    halo = reach(surface, radius=radius)
+    halo = reach(surface, cell=cell, radius=radius)
     for low, high in ((-14, cut), (cut, 14)):
         near = (points[:, 0] >= low * cell - halo) & (points[:, 0] <= high * cell + halo)
         part = evaluate_tile(points[near], Window(low, -14, high - low, 28), **choices)

@@ -230,7 +230,7 @@ class _Run:
         """Every tile with points, and the sources of its points and of those around it."""
         tiles = {}
         for place in occupied_tiles(boxes, grid):
-            box = grid.box(place, _halo(self.choices))
+            box = grid.box(place, _halo(grid, self.choices))
             tiles[place] = [s for s, (pieces, _) in index.items() if _any_overlap(pieces, box)]
         return tiles
 
@@ -321,7 +321,7 @@ def _evaluate_place(place, sources, folder, grid, choices):
     numba.set_num_threads(1)
     path = folder / "tiles" / tile_name(place)
     try:
-        box = grid.box(place, _halo(choices))
+        box = grid.box(place, _halo(grid, choices))
         points = files.read_box(sources, folder / "files", grid.origin, box)
     except (ValueError, OSError) as error:
         path.unlink(missing_ok=True)  # what an earlier run left there is out of date
@@ -332,10 +332,10 @@ def _evaluate_place(place, sources, folder, grid, choices):
     return None
 
 
-def _halo(choices):
+def _halo(grid, choices):
     """How far around a tile points matter, m."""
     near = {name: choices[name] for name in ("radius", "thickness")}
-    return reach(choices["surface"], **near)
+    return reach(choices["surface"], cell=grid.cell, **near)
 
 
 def _mark(sources):

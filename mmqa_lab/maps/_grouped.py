@@ -47,6 +47,16 @@ def signed_distances(xyz, starts, centres, normals):
 
 
 @njit(cache=True)
+def farthest(xyz, starts, chosen, centres, normals):
+    """Largest distance of the points of each chosen group from a plane of its own."""
+    most = np.zeros(len(chosen))
+    for k in range(len(chosen)):
+        for i in range(starts[chosen[k]], starts[chosen[k] + 1]):
+            most[k] = max(most[k], abs(_along(xyz, i, centres[k], normals[k])))
+    return most
+
+
+@njit(cache=True)
 def group_medians(values, starts):
     """Median of each group's numbers, NaN left out; NaN where there are none."""
     medians = np.empty(len(starts) - 1)
@@ -67,18 +77,31 @@ def group_mads(values, starts, medians):
 
 
 @njit(cache=True)
-def occupied_squares(xyz, starts, index, face, cell, side):
-    """Squares with a point, of side x side squares on the face of each group's cell."""
-    occupied = np.zeros(len(face), np.int64)
+def surface_squares(xyz, starts, index, face, centres, normals, extent, cell, side):
+    """Squares where a patch's plane lies in it, and how many of those have a point, shape (m, 2).
+
+    Of side x side squares on the face of each patch, those over whose centre the plane is within
+    the patch's extent, shape (m, 2), along the axis across the face.
+    """
+    found = np.zeros((len(face), 2), np.int64)
     for g in range(len(face)):
+        c = face[g]
+        a, b = (0, 1) if c == 2 else (1 - c, 2)
+        centre, normal = centres[g], normals[g]
         seen = np.zeros((side, side), np.bool_)
-        a, b = (0, 1) if face[g] == 2 else (1 - face[g], 2)
         for i in range(starts[g], starts[g + 1]):
             column = int((xyz[a, i] / cell - index[g, a]) * side)
             row = int((xyz[b, i] / cell - index[g, b]) * side)
             seen[min(max(column, 0), side - 1), min(max(row, 0), side - 1)] = True
-        occupied[g] = seen.sum()
-    return occupied
+        for column in range(side):
+            for row in range(side):
+                u = (index[g, a] + (column + 0.5) / side) * cell - centre[a]
+                v = (index[g, b] + (row + 0.5) / side) * cell - centre[b]
+                place = centre[c] - (normal[a] * u + normal[b] * v) / normal[c]
+                if extent[g, 0] <= place <= extent[g, 1]:
+                    found[g, 0] += 1
+                    found[g, 1] += seen[column, row]
+    return found
 
 
 @njit(cache=True)

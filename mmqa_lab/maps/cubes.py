@@ -19,17 +19,28 @@ class Cubes:
         Place of each cube, in cells from the origin.
     cell : float
         Their side, m.
+    wider : array, shape (m, 2)
+        How far points that joined a cube lie outside of it, before and behind, m.
     """
 
     xyz: np.ndarray
     starts: np.ndarray
     index: np.ndarray
     cell: float
+    wider: np.ndarray
 
     @property
     def counts(self):
         """Points in each cube."""
         return np.diff(self.starts)
+
+    def find(self, index):
+        """Return the numbers of the cubes at some places, shape (k, 3); -1 where there is none."""
+        first = self.index.min(axis=0) - 1
+        wide = self.index.max(axis=0) - first + 2
+        keys, wanted = _key((self.index - first).T, wide), _key((index - first).T, wide)
+        found = np.searchsorted(keys, wanted)
+        return np.where(keys[np.minimum(found, len(keys) - 1)] == wanted, found, -1)
 
 
 def sort_into_cubes(points, cell, *, columns=False):
@@ -50,9 +61,27 @@ def sort_into_cubes(points, cell, *, columns=False):
     key = _key(index - first[:, None], wide)
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.append(True, np.diff(key[order]) > 0))
-    return Cubes(
-        xyz[:, order], np.append(starts, len(order)), index[:, order[starts]].T.copy(), cell
-    )
+    index = index[:, order[starts]].T.copy()
+    starts, wider = np.append(starts, len(order)), np.zeros((len(starts), 2))
+    return Cubes(xyz[:, order], starts, index, cell, wider)
+
+
+def moved(cubes, target, reach):
+    """Move the points of cubes to others, whose numbers are in ``target``, shape (m,).
+
+    The cubes that points were moved to become wider by ``reach`` on that side.
+    """
+    gone = np.flatnonzero(target != np.arange(len(target)))
+    if not len(gone):
+        return cubes
+    number = np.repeat(target, cubes.counts)
+    order = np.argsort(number, kind="stable")
+    kept = np.unique(target)
+    starts = np.append(np.searchsorted(number[order], kept), len(order))
+    wider = cubes.wider.copy()
+    behind = (cubes.index[gone] > cubes.index[target[gone]]).any(axis=1)
+    wider[target[gone], behind.astype(int)] = reach
+    return Cubes(cubes.xyz[:, order], starts, cubes.index[kept], cubes.cell, wider[kept])
 
 
 def join(cubes, with_next):
@@ -68,7 +97,8 @@ def join(cubes, with_next):
     first = np.flatnonzero(np.append(True, ~with_next))
     ends = np.append(first[1:], len(cubes.index))
     starts = cubes.starts[np.append(first, len(cubes.index))]
-    return Cubes(cubes.xyz, starts, cubes.index[first], cubes.cell), cubes.index[ends - 1, 2]
+    joined = Cubes(cubes.xyz, starts, cubes.index[first], cubes.cell, cubes.wider[first])
+    return joined, cubes.index[ends - 1, 2]
 
 
 def ranges_around(cubes, low, top, reach):

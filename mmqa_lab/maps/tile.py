@@ -65,13 +65,13 @@ class Window:
     rows: int
 
 
-def reach(surface, *, radius=0.5, thickness=0.1):
+def reach(surface, *, cell, radius=0.5, thickness=0.1):
     """How far around a tile points matter to its cells, m.
 
     Parameters
     ----------
     surface : {"local", "horizontal"}
-    radius, thickness : float
+    cell, radius, thickness : float
         As for :func:`evaluate_tile`, m.
 
     Returns
@@ -80,10 +80,10 @@ def reach(surface, *, radius=0.5, thickness=0.1):
 
     Examples
     --------
-    >>> reach("horizontal", radius=0.5), reach("local", radius=0.5, thickness=0.1)
+    >>> reach("horizontal", cell=0.25, radius=0.5), reach("local", cell=0.25, radius=0.5)
     (0.5, 0.7)
     """
-    return radius + 2 * thickness if surface == "local" else radius
+    return max(radius + 2 * thickness, 2 * cell) if surface == "local" else radius
 
 
 def evaluate_tile(
@@ -137,9 +137,9 @@ def evaluate_tile(
 
     Notes
     -----
-    ``area`` is that of the cell over the cosine of the surface's tilt, for each surface in it; of
-    an upright one, for each cube. A wall that lies on the border of two cells shows in both, each
-    with a part of its points and with less dispersion than it has. The quadrants' axes are east and
+    ``area`` is that of the tangent planes within the cell; on horizontal maps, of the cell. A wall
+    on the border of two cells counts in the one that holds more of it, where the rest lies within
+    ``thickness`` of the border. The quadrants' axes are east and
     north, on upright planes the horizontal and the line of greatest slope; f depends on them.
     d1..d4 are medians over the cell's points that have a neighbour of that rank, as in
     :func:`mmqa_lab.neighbourhoods.spacing`. sigma_MAD is about the cubes' planes (on horizontal
@@ -175,8 +175,8 @@ def evaluate_tile(
 
 def _fill(result, points, window, cell, surface, lengths):
     """Enter the figures of every layer's cells that hold points."""
-    from mmqa_lab.maps.cubes import join, ranges_around, sort_into_cubes
-    from mmqa_lab.maps.tangents import OTHER, one_surface, tangent_planes
+    from mmqa_lab.maps.cubes import join, moved, ranges_around, sort_into_cubes
+    from mmqa_lab.maps.tangents import OTHER, fuller_parts, one_surface, tangent_planes
     from mmqa_lab.maps.unfolding import distances_in_planes
     from mmqa_lab.neighbourhoods import quadrant_distances
 
@@ -185,7 +185,8 @@ def _fill(result, points, window, cell, surface, lengths):
     cubes = sort_into_cubes(points, cell, columns=not local)
     tangents, patches, top = tangent_planes(cubes), cubes, cubes.index[:, 2]
     if local:
-        patches, top = join(cubes, one_surface(cubes, tangents, thickness))
+        cubes = moved(cubes, fuller_parts(cubes, tangents, thickness), thickness)
+        patches, top = join(cubes, one_surface(cubes, tangent_planes(cubes), thickness))
         tangents = tangent_planes(patches)
     column, row = patches.index[:, 0] - window.column, patches.index[:, 1] - window.row
     inside = (column >= 0) & (column < window.columns) & (row >= 0) & (row < window.rows)
@@ -205,7 +206,7 @@ def _fill(result, points, window, cell, surface, lengths):
     for k in range(result["n"].shape[0]):
         chosen = np.flatnonzero(inside & (layer == k))
         if len(chosen):
-            figures = _Layer(patches, tangents, chosen, distances, local, void)
+            figures = _Layer(patches, top, tangents, chosen, distances, local, void)
             place = (k, row[chosen[figures.first]], column[chosen[figures.first]])
             result["n"][place] = figures.n
             if not local or k != OTHER:
@@ -215,10 +216,12 @@ def _fill(result, points, window, cell, surface, lengths):
 class _Layer:
     """The patches of one layer, gathered into cells."""
 
-    def __init__(self, patches, tangents, chosen, distances, local, void):
+    def __init__(self, patches, top, tangents, chosen, distances, local, void):
         self.patches, self.tangents, self.chosen, self.local = patches, tangents, chosen, local
+        self.top = top
         self.side = max(1, round(patches.cell / void))
-        columns = patches.index[chosen, :2]
+        self.index = patches.index[chosen]
+        columns = self.index[:, :2]
         self.first = np.flatnonzero(np.append(True, (np.diff(columns, axis=0) != 0).any(axis=1)))
         counts = patches.counts[chosen]
         self.n = np.add.reduceat(counts, self.first)
@@ -243,19 +246,30 @@ class _Layer:
 
     def _faces(self, with_voids):
         """Area of the surface in each cell, m2, and the share of it that is void."""
-        from mmqa_lab.maps._grouped import occupied_squares
+        from mmqa_lab.maps._grouped import surface_squares
+        from mmqa_lab.maps.tangents import surface_areas
 
-        patches, chosen = self.patches, self.chosen
-        secant = self.tangents.secant[chosen] if self.local else np.ones(len(chosen))
-        area = patches.cell**2 * np.add.reduceat(secant, self.first)
+        patches, tangents, index = self.patches, self.tangents.select(self.chosen), self.index
+        face, normals = tangents.face, tangents.axes[:, 2]
+        if self.local:
+            high = np.where(face == 2, self.top[self.chosen], index[np.arange(len(face)), face])
+            low = index[np.arange(len(face)), face]
+            extent = patches.cell * np.stack([low, high + 1], axis=1)
+            extent = extent + patches.wider[self.chosen] * [-1, 1]
+            area = np.add.reduceat(surface_areas(tangents, index, extent, patches.cell), self.first)
+        else:
+            face, normals = np.full(len(face), 2), np.tile([0.0, 0.0, 1.0], (len(face), 1))
+            extent = np.tile([-np.inf, np.inf], (len(face), 1))
+            area = np.full(len(self.first), patches.cell**2)
         if not with_voids:
             return area, None
-        face = self.tangents.face[chosen] if self.local else np.full(len(chosen), 2)
-        starts = np.append(0, np.cumsum(patches.counts[chosen]))
-        xyz, index = patches.xyz[:, self.points], patches.index[chosen]
-        seen = occupied_squares(xyz, starts, index, face, patches.cell, self.side)
-        squares = np.diff(np.append(self.first, len(chosen))) * self.side**2
-        return area, 1 - np.add.reduceat(seen, self.first) / squares
+        starts = np.append(0, np.cumsum(patches.counts[self.chosen]))
+        planes = tangents.centres, normals, extent
+        xyz, squares = patches.xyz[:, self.points], (patches.cell, self.side)
+        counts = surface_squares(xyz, starts, index, face, *planes, *squares)
+        whole, seen = np.add.reduceat(counts, self.first).T
+        with np.errstate(invalid="ignore"):
+            return area, 1 - seen / whole
 
     def _spacing(self):
         """d1..d4 in mm, f, and the share of points without four neighbours."""
