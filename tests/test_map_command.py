@@ -67,7 +67,8 @@ def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):
 
 
 def test_a_damaged_file_gives_status_1_and_its_name(tmp_path, capsys):
-    (tmp_path / "cut.laz").write_bytes(samples.path("road_patch").read_bytes()[:60_000])
+    whole = samples.path("road_patch").read_bytes()
+    (tmp_path / "cut.laz").write_bytes(whole[: len(whole) // 2])
     out = tmp_path / "map.nc"
     arguments = ["map", PATCH, str(tmp_path / "cut.laz"), "--out", str(out), *QUICK]
     assert main(arguments) == 1
