@@ -139,9 +139,9 @@ class SelectionTool:
     """
 
     def __init__(self, points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
-        from ipympl.backend_nbagg import Canvas, FigureManager
         from matplotlib.widgets import PolygonSelector
 
+        Canvas, FigureManager = _ipympl()
         self.points = check_points(points, minimum=3)
         self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
         self.view = View(self.points)
@@ -226,6 +226,18 @@ def summary(quality):
         f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
         f"d1 {quality.d1_mm:.1f} mm, d4 {quality.d4_mm:.1f} mm, f {quality.f:.2f}"
     )
+
+
+def _ipympl():
+    """Canvas and manager of ipympl, which on import takes over the figures of the whole session."""
+    import matplotlib
+
+    backend = matplotlib.get_backend()
+    from ipympl.backend_nbagg import Canvas, FigureManager
+
+    if matplotlib.get_backend() != backend:
+        matplotlib.use(backend)
+    return Canvas, FigureManager
 
 
 def _panels(figure, xy):

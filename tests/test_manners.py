@@ -6,7 +6,6 @@ import shlex
 import sys
 
 import cv2
-import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -68,7 +67,6 @@ def call(folder, tmp_path, monkeypatch, capfd):
     for file in folder.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     monkeypatch.chdir(tmp_path)
-    matplotlib.use("agg")  # once imported, ipympl takes all figures
 
     def run(line):
         patch = str(samples.path("road_patch"))

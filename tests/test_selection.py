@@ -1,6 +1,8 @@
 """The polygon tool without a browser: what it computes, keeps and says."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -53,6 +55,15 @@ def test_tool_shows_what_evaluate_cloud_finds(tool, wall):
     assert tool.quality.n == quality.n
     assert tool.quality.f == quality.f
     assert selection.summary(quality) in tool.text.value
+
+
+def test_other_figures_stay_with_their_backend():
+    code = (
+        "import matplotlib; matplotlib.use('svg'); from mmqa_lab.selection import SelectionTool; "
+    )
+    code += "SelectionTool([[0, 0, 0], [1, 0, 0], [0, 0, 1]]); print(matplotlib.get_backend())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "svg"
 
 
 def test_the_polygon_is_in_the_picture(tool):
