@@ -420,7 +420,7 @@ def _finite_cloud(path, points, attributes):
     if not np.isfinite(points).all():
         finite = np.isfinite(points).all(axis=1)
         warnings.warn(
-            f"Dropped {(~finite).sum()} of {len(points)} points of {path} with coordinates that are "
+            f"Dropped {(~finite).sum()} of {len(points)} points of {path} whose coordinates are "
             "not finite.",
             stacklevel=3,
         )

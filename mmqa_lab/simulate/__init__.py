@@ -29,19 +29,8 @@ from mmqa_lab.simulate.objects import chart, chart_corners, kerb, wall
 from mmqa_lab.simulate.scan import scan, scan_all
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
 from mmqa_lab.simulate.scenes import Hits, Scene
-from mmqa_lab.simulate.surfaces import (
-    Surface,
-    board,
-    box,
-    cylinder,
-    disc,
-    ellipsoid,
-    foliage,
-    ground,
-    group,
-    polygon,
-    rectangle,
-)
+from mmqa_lab.simulate.solids import box, cylinder, ellipsoid, foliage
+from mmqa_lab.simulate.surfaces import Surface, board, disc, ground, group, polygon, rectangle
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
     Trajectory,
