@@ -53,7 +53,7 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     axis = (top - base) / length
     shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
     half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
-    return primitives(label, tree.FRUSTUM, (base + top) / 2, shape, half, reflectance)
+    return primitives(label, tree.FRUSTUM, (base + top) / 2, shape, half, reflectance=reflectance)
 
 
 def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
@@ -129,7 +129,7 @@ def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
     centre = vector(centre, "centre")
     radii = _radii(radii)
     shape = np.diag(1 / radii).ravel()
-    return primitives(label, tree.ELLIPSOID, centre, shape, radii, reflectance)
+    return primitives(label, tree.ELLIPSOID, centre, shape, radii, reflectance=reflectance)
 
 
 def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflectance=0.4):
@@ -176,7 +176,7 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
     half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
     points = vector(centre, "centre") + ball * _radii(radii)
-    return primitives(label, tree.ELLIPSE, points, shape, half, reflectance)
+    return primitives(label, tree.ELLIPSE, points, shape, half, reflectance=reflectance)
 
 
 def _radii(values):

@@ -35,6 +35,7 @@ class Surface:
 
     Examples
     --------
+    >>> from mmqa_lab.simulate import box
     >>> car = box((0, 0, 0), (1.8, 4.2, 1.5))
     >>> len(car), car.label, car.centre[:, 2].max().item()  # six faces
     (6, 'car', 1.5)
@@ -87,7 +88,9 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     u, v = along / 2, up / 2
     shape = _planar_shape(u, v)
     half = np.abs(u) + np.abs(v)
-    return primitives(label, tree.PARALLELOGRAM, corner + u + v, shape, half, reflectance)
+    return primitives(
+        label, tree.PARALLELOGRAM, corner + u + v, shape, half, reflectance=reflectance
+    )
 
 
 def ground(
@@ -166,7 +169,7 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
     reach = np.abs(flat[0]).max(axis=0)
     half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
     shape = np.concatenate([u, v, normal])
-    made = primitives(label, tree.POLYGON, middle, shape, half, reflectance)
+    made = primitives(label, tree.POLYGON, middle, shape, half, reflectance=reflectance)
     return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
 
 
@@ -202,7 +205,9 @@ def disc(centre, normal, radius, *, label="board", reflectance=0.5):
     radius = check_positive(radius, "radius", unit="m")
     u, v = radius * perpendicular(normal[None])[0]
     half = radius * np.sqrt(1 - normal**2)
-    return primitives(label, tree.ELLIPSE, centre, _planar_shape(u, v), half, reflectance)
+    return primitives(
+        label, tree.ELLIPSE, centre, _planar_shape(u, v), half, reflectance=reflectance
+    )
 
 
 def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflectance=0.8):
@@ -262,6 +267,7 @@ def group(surfaces, *, label):
 
     Examples
     --------
+    >>> from mmqa_lab.simulate import cylinder, ellipsoid
     >>> lamp = group([cylinder((0, 0, 0), (0, 0, 5), 0.1), ellipsoid((0, 0, 5), 0.3)], label="lamp")
     >>> len(lamp), lamp.label
     (2, 'lamp')
@@ -270,7 +276,7 @@ def group(surfaces, *, label):
     return Surface(label=label, **merged(surfaces))
 
 
-def primitives(label, kind, centre, shape, half, reflectance):
+def primitives(label, kind, centre, shape, half, *, reflectance):
     """A surface of primitives of one kind that share their cells."""
     centre, shape, half = (np.atleast_2d(np.asarray(a, np.float64)) for a in (centre, shape, half))
     cells = np.atleast_2d(np.asarray(reflectance, dtype=np.float64))
