@@ -11,6 +11,7 @@ from mmqa_lab import segments
 from mmqa_lab.__main__ import main
 from mmqa_lab.segment_files import read_segments, write_segments
 from mmqa_lab.segments import Segments, correspond, lhd, match_displaced, olhd, pairing_scores
+from mmqa_lab.segments.line_pairs import LinePairs
 from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
 
 
@@ -206,6 +207,32 @@ def test_the_displaced_matcher_beats_the_published_one(kind):
             gains.append(pairing_scores(ours, truth).f1 - pairing_scores(literal, truth).f1)
     # 0.15 in both kinds over hundreds of scenes
     assert np.mean(gains) > 0.05
+
+
+def test_gaps_between_ends_do_not_depend_on_their_order():
+    model, test = [[[0, 0, 0], [0, 0, 9]]], [[[0.5, 0, 7], [0.5, 0, 1]]]
+    for a, b in ((test, model), (np.flip(test, 1), model), (test, np.flip(model, 1))):
+        lines = LinePairs(Segments(a), Segments(b), [0], [0])
+        assert sorted(lines.end_gaps(np.zeros(3))[0]) == pytest.approx([1, 2])
+        # a test line that was moved up by half a metre began at 0.5 m
+        assert sorted(lines.end_gaps(np.array([0, 0, 0.5]))[0]) == pytest.approx([0.5, 2.5])
+
+
+def test_of_two_neighbours_the_one_with_the_same_ends_is_paired(rng):
+    same_ends = []
+    for _ in range(6):
+        places, heights = rng.uniform(0, 60, (12, 2)), rng.uniform(6, 15, 12)
+        uprights = np.zeros((12, 2, 3))
+        uprights[:, :, :2], uprights[:, 1, 2] = places[:, None], heights
+        along = [[[x, y, 9], [x + 7, y, 9]] for x, y in rng.uniform(0, 60, (8, 2))]
+        # as far from the test lines on either side: only their ends tell them apart
+        aside = np.resize([-0.06, 0.06], 12)[:, None, None] * [1.0, 0.0, 0.0]
+        same, other = uprights + aside, uprights - aside
+        other[:, 1, 2] += rng.choice([-4.0, 4.0], 12)
+        found = match_displaced([*uprights, *along], [*same, *along, *other]).pairs
+        same_ends.append(found[:12, :12].trace() - found[:12, 20:].trace())
+    # of twelve; a matcher blind to ends takes six of either
+    assert np.mean(same_ends) > 4
 
 
 def test_the_displaced_matcher_knows_the_displacement():

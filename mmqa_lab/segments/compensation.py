@@ -69,7 +69,7 @@ class Search:
     reach_m : float
         Largest remaining offset.
     clutter_per_m2 : float
-        A pair is accepted where its density exceeds this.
+        A pair is accepted where its density, times the ratio of its ends, exceeds this.
     ease : float
         Factor of the clutter in the first round, doubled each round up to one.
     """
@@ -95,8 +95,8 @@ class DisplacedMatch:
     pairs : array of bool, shape (p, q)
     displacement : Displacement
     evidence : float
-        Log of how much likelier the pairs are than chance, by what lies across them and by their
-        ends, per pair; NaN without pairs.
+        Log of how much likelier the pairs of the best outcome are than chance, by what lies across
+        them and by their ends, per pair; NaN without pairs.
 
     Examples
     --------
