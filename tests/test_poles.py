@@ -16,6 +16,7 @@ from mmqa_lab.poles import (
     itc,
     ours,
     profiles,
+    rays,
     trees,
     walls,
 )
@@ -329,6 +330,59 @@ def test_candidates_without_lines_have_no_stack(street):
     local = cloud.points - np.floor(cloud.points.min(axis=0))
     values, _, _ = ours.described(local, ours.Settings())
     assert (values[:, len(features.NAMES) :] == -1).all()
+
+
+def fans(depth_of, *, step=0.003, scanner=(3.0, -2.0)):
+    """Scan lines 0.1 m apart in height from a scanner; its feet, then rays over what they hit.
+
+    ``depth_of`` gives the distance of what rays hit from their angles; rays at 0 look along +y.
+    """
+    parts, line = [], []
+    for number, z in enumerate(np.arange(0.25, 3.0, 0.1)):
+        turn = np.concatenate([np.pi / 2 + step * np.arange(60), step * np.arange(-40, 41)])
+        depth = np.concatenate([np.ones(60), depth_of(turn[60:])])
+        x, y = scanner[0] + depth * np.sin(turn), scanner[1] + depth * np.cos(turn)
+        parts.append(np.stack([x, y, np.full(len(turn), z)], axis=1))
+        line.append(np.full(len(turn), number))
+    line = np.concatenate(line)
+    return profiles.in_order(np.concatenate(parts), line, np.arange(len(line)))
+
+
+def test_a_post_stops_all_rays_and_leaves_let_some_through(rng):
+    def post_of(turn):
+        """A post 10 m away, a wall 5 m behind it."""
+        return np.where(np.abs(turn) < 0.01, 9.95, 15.0)
+
+    def leaves_of(turn):
+        return np.where(rng.random(len(turn)) < 0.5, 10 + rng.uniform(-0.05, 0.05, len(turn)), 15.0)
+
+    axis, ground = np.array([[3.0, 8.0, 0.0, 0.0, 1.5]]), np.zeros(1)
+    values = []
+    for depth_of in (post_of, leaves_of):
+        row = rays.describe(fans(depth_of), axis, ground)[0]
+        values.append(dict(zip(rays.NAMES, row, strict=True)))
+    solid, loose = values
+    assert solid["solid_m"] == solid["solid_run_m"] == pytest.approx(2.75, abs=0.25)
+    assert solid["rays_through"] == solid["rays_before"] == 0
+    assert solid["beside_open"] == solid["beside_closed"] == 1
+    assert solid["solid_rival_m"] == 0
+    # half the rays pass: of about nine in a bin hardly ever all are stopped
+    assert loose["solid_m"] < 0.75
+
+
+def test_rays_from_the_other_side_say_the_same():
+    axis = np.array([[3.0, 8.0, 0.0, 0.0, 1.5]])
+
+    def post_of(turn):
+        return np.where(np.abs(turn) < 0.01, 9.95, 15.0)
+
+    made = fans(post_of)
+    turned = made._replace(
+        points=2 * axis[0, [0, 1, 4]] * [1, 1, 0] + made.points * [-1, -1, 1],
+        near=2 * axis[0, :2] - made.near,
+    )
+    first, second = (rays.describe(lines, axis, np.zeros(1)) for lines in (made, turned))
+    assert np.allclose(first, second)
 
 
 def test_a_hollow_cylinder_is_told_from_a_full_one(rng):

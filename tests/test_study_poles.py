@@ -163,6 +163,11 @@ def test_verdicts_on_what_was_to_be_reached(surveyed):
     )
     assert (known["verdict"] == np.where(good, "reached", "missed")).all()
     assert (table.loc[table["value"].isna(), "verdict"] == "not measured").all()
+    assert all(claim.holds for claim in reach.claims(table))
+    worse = table.assign(value=table["aim"] - 0.2, n=100, unit="1", verdict="missed")
+    (claim,) = reach.claims(worse)
+    assert not claim.holds
+    assert claim.obtained.startswith(f"missed {len(table)} of {len(table)}")
     one = table[(table["setting"] == "chosen street, 30 m") & (table["quantity"] == "recall")]
     assert one["value"].item() == made[0].score("ours", corridor=30.0).recall.value
 

@@ -2,7 +2,8 @@
 
 Works without scan lines: the cloud is thinned, columns that hold points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
-stands around it (``features``), and a sum of small decision trees, trained on simulated streets
+stands around it (``features``), on scan lines also by how its points stack up (``groups``) and by
+the rays it stops (``rays``), and a sum of small decision trees, trained on simulated streets
 alone, gives the probability that it is a pole (``trees``, ``model.json``).
 """
 

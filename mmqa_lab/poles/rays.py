@@ -128,46 +128,50 @@ def _view(points, line, pulse, near, close, ax, ay):
 def _rays(points, line, pulse, close, view, axis, ground):
     """Distance beside the axis, depth behind it and height bin of each ray, (m, 3)."""
     n = len(close)
-    u, s, h = np.empty(n), np.empty(n), np.empty(n)
+    u, h = np.empty(n), np.empty(n)
     for m in range(n):
         h[m] = points[close[m], 2] - ground
         dx = points[close[m], 0] - axis[0] - axis[2] * (h[m] - axis[4])
         dy = points[close[m], 1] - axis[1] - axis[3] * (h[m] - axis[4])
-        u[m], s[m] = view[0] * dy - view[1] * dx, view[0] * dx + view[1] * dy
+        u[m] = view[0] * dy - view[1] * dx
     slope = _slope(line, pulse, close, u)
-    out = np.empty((64, 3))
-    size = 0
-    if slope == 0:
-        return out[:0]
-    first = 0
-    while first < n:
+    out, size, first = np.empty((64, 3)), 0, 0
+    while slope != 0 and first < n:
         best, last = first, first
         while last < n and line[close[last]] == line[close[first]]:
             best = last if abs(u[last]) < abs(u[best]) else best
             last += 1
         first = last
-        if abs(u[best]) > NEAREST_M:
-            continue
-        at, bin_ = close[best], np.floor(h[best] / BIN_M)
-        middle = pulse[at] - u[best] / slope
-        shift_x = axis[0] + axis[2] * (h[best] - axis[4])
-        shift_y = axis[1] + axis[3] * (h[best] - axis[4])
-        for way in (-1, 1):
-            i = at if way < 0 else at + 1
-            while 0 <= i < len(line) and line[i] == line[at]:
-                side = (pulse[i] - middle) * slope
-                if abs(side) > WINDOW_M:
-                    break
-                if size == len(out):
-                    grown = np.empty((2 * size, 3))
-                    grown[:size] = out
-                    out = grown
-                dx, dy = points[i, 0] - shift_x, points[i, 1] - shift_y
-                out[size, 0], out[size, 1] = side, view[0] * dx + view[1] * dy
-                out[size, 2] = bin_
-                size += 1
-                i += way
+        if abs(u[best]) <= NEAREST_M:
+            rise = h[best] - axis[4]
+            foot = np.array([axis[0] + axis[2] * rise, axis[1] + axis[3] * rise])
+            middle = pulse[close[best]] - u[best] / slope
+            added = size
+            out, size = _read(
+                points, line, pulse, close[best], middle, slope, foot, view, out, size
+            )
+            out[added:size, 2] = np.floor(h[best] / BIN_M)
     return out[:size]
+
+
+@njit(cache=True)
+def _read(points, line, pulse, at, middle, slope, foot, view, out, size):
+    """Append the rays of one line, from point ``at`` to both sides; ``middle`` is at the axis."""
+    for way in (-1, 1):
+        i = at if way < 0 else at + 1
+        while 0 <= i < len(line) and line[i] == line[at]:
+            side = (pulse[i] - middle) * slope
+            if abs(side) > WINDOW_M:
+                break
+            if size == len(out):
+                grown = np.empty((2 * size, 3))
+                grown[:size] = out
+                out = grown
+            dx, dy = points[i, 0] - foot[0], points[i, 1] - foot[1]
+            out[size, 0], out[size, 1] = side, view[0] * dx + view[1] * dy
+            size += 1
+            i += way
+    return out, size
 
 
 @njit(cache=True)
