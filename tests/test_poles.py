@@ -281,6 +281,18 @@ def test_near_axis_is_the_brute_force(rng):
         assert set(found.order[near]) == set(np.flatnonzero(inside))
 
 
+def test_no_point_near_a_place_is_left_out(rng):
+    points = rng.uniform([-5, -7, 0], [6, 4, 3], (3000, 3))
+    xy = rng.uniform([-7, -7], [6, 5], (6, 2))  # some lie beyond the points
+    for reach in (0.4, 1.0, 1.7):
+        chosen = columns.beside(points, xy, reach)
+        away = np.hypot(*(points[:, None, :2] - xy).transpose(2, 0, 1)).min(axis=1)
+        assert set(np.flatnonzero(away <= reach)) <= set(chosen)
+        # two cells' diagonals at most beside the reach
+        assert away[chosen].max() < np.ceil(reach) * 2**0.5 + 2**0.5
+    assert len(columns.beside(points, xy[:0], 1.0)) == 0
+
+
 def test_candidates_do_not_depend_on_tiles(rng):
     spots = rng.uniform(0, 200, (60, 2))
     points = np.concatenate([post(x, y)[0] for x, y in spots])

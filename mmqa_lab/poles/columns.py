@@ -71,6 +71,34 @@ def near_axis(points, start, base, x, y, radius):
     return out[:n]
 
 
+def beside(points, xy, reach):
+    """Return the numbers of points (n, 3) that may lie within ``reach`` of a place xy (k, 2), m.
+
+    Told by cells of 1 m: none within reach is left out, some farther ones are among them.
+    """
+    if not len(xy):
+        return np.empty(0, np.int64)
+    pad = int(np.ceil(reach))
+    low = np.floor(xy.min(axis=0)) - pad
+    place = np.floor(xy - low).astype(np.int64)
+    grid = np.zeros(place.max(axis=0) + pad + 1, dtype=bool)
+    for i in range(-pad, pad + 1):
+        for j in range(-pad, pad + 1):
+            grid[place[:, 0] + i, place[:, 1] + j] = True
+    return np.flatnonzero(_in_cells(points, grid, low))
+
+
+@njit(cache=True)
+def _in_cells(points, grid, low):
+    """Which points lie in a set cell of 1 m."""
+    inside = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        i, j = int(np.floor(points[k, 0] - low[0])), int(np.floor(points[k, 1] - low[1]))
+        if 0 <= i < grid.shape[0] and 0 <= j < grid.shape[1]:
+            inside[k] = grid[i, j]
+    return inside
+
+
 def base(found):
     """Northing where row 0 of sorted points begins."""
     if not len(found.points):

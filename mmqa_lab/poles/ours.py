@@ -14,7 +14,7 @@ import numpy as np
 from mmqa_lab.poles import groups, rays
 from mmqa_lab.poles.axes import chord_diameter
 from mmqa_lab.poles.candidates import candidates
-from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.columns import base, beside, near_axis, rows
 from mmqa_lab.poles.features import NAMES, describe
 from mmqa_lab.poles.ground import height_above_ground
 from mmqa_lab.poles.profiles import in_order
@@ -176,15 +176,18 @@ def _diameters(points, lines, table, radius):
     """Diameters of the accepted candidates, from chords of scan lines or from the width in plan."""
     diameter = np.full(len(radius), np.nan)
     accepted = np.flatnonzero(table["rejected_by"] == "")
-    found = rows(points) if len(accepted) else None
+    xy = np.column_stack([table["x_m"], table["y_m"]])[accepted]
+    reaches = WIDEST_M if lines is not None else radius
+    reaches = reaches + np.hypot(table["lean_x"], table["lean_y"]) * table["height_m"] / 2
+    chosen = beside(points, xy, reaches[accepted].max(initial=0))
+    found = rows(points[chosen])
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
         lean = np.array([table["lean_x"][k], table["lean_y"][k]])
-        reach = (WIDEST_M if lines is not None else radius[k]) + np.hypot(*lean) * h / 2
-        near = near_axis(found.points, found.start, base(found), x, y, reach)
+        near = near_axis(found.points, found.start, base(found), x, y, reaches[k])
         part = found.points[near]
         inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
-        part, number = part[inside], found.order[near[inside]]
+        part, number = part[inside], chosen[found.order[near[inside]]]
         off = part[:, :2] - [x, y] - lean * (part[:, 2] - z - h / 2)[:, None]
         if lines is None:
             diameter[k] = _width(off)

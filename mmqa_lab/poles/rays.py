@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.columns import base, beside, near_axis, rows
 from mmqa_lab.poles.features import longest_run
 
 REACH_M = 0.7
@@ -69,9 +69,10 @@ def describe(lines, axes, ground):
     ground : array, shape (k,)
         Height of the ground at each.
     """
-    found = rows(lines.points)
+    chosen = beside(lines.points, axes[:, :2], REACH_M)
+    found = rows(lines.points[chosen])
     features = np.zeros((len(axes), len(NAMES)))
-    where = (found.points, found.start, base(found), found.order)
+    where = (found.points, found.start, base(found), chosen[found.order])
     _all(*lines, *where, np.ascontiguousarray(axes[:, :5]), ground, features)
     return features
 
