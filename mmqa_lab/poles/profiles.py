@@ -105,7 +105,7 @@ def _nearest(points, pulse, start):
         for i in range(low, high - 1):
             if pulse[i + 1] - pulse[i] == 1:
                 gap[i - low] = np.sqrt(((points[i + 1] - points[i]) ** 2).sum())
-        chosen = gap <= np.sort(gap)[len(gap) // 10]
+        chosen = gap <= np.partition(gap, len(gap) // 10)[len(gap) // 10]
         for axis in range(2):
             near[k, axis] = points[low:high, axis][chosen].mean()
     return near

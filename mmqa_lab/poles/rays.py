@@ -199,10 +199,10 @@ def _slope(line, pulse, close, u):
 
 
 @njit(cache=True)
-def _solid(rays, step, side, depth):
+def _solid(rays, side, depth):
     """Bits of the height bins in which rays are stopped at a place and none passes it."""
     stopped, through = np.uint64(0), np.uint64(0)
-    for k in range(0, len(rays), step):
+    for k in range(len(rays)):
         if abs(rays[k, 0] - side) <= HALF_M and rays[k, 1] >= depth - DEPTH_M:
             bit = np.uint64(1) << np.uint64(rays[k, 2])
             if rays[k, 1] <= depth + DEPTH_M:
@@ -219,14 +219,16 @@ def _judge(rays, out):
     value = np.zeros((2 * SIDES + 1, 2 * DEPTHS + 1))
     best, chosen, place = -1.0, 0, 0
     for i in range(2 * SIDES + 1):
+        side = (i - SIDES) * SIDE_M
+        tried = rays[::step]
+        tried = tried[np.abs(tried[:, 0] - side) <= HALF_M]
         for j in range(2 * DEPTHS + 1):
-            side, depth = (i - SIDES) * SIDE_M, (j - DEPTHS) * DEEP_M
-            value[i, j] = set_bits(_solid(rays, step, side, depth))
+            value[i, j] = set_bits(_solid(tried, side, (j - DEPTHS) * DEEP_M))
             rank = value[i, j] - 0.01 * (abs(i - SIDES) + abs(j - DEPTHS))
             if abs(i - SIDES) <= SHIFTS and rank > best:
                 best, chosen, place = rank, i, j
     side, depth = (chosen - SIDES) * SIDE_M, (place - DEPTHS) * DEEP_M
-    bits = _solid(rays, 1, side, depth)
+    bits = _solid(rays, side, depth)
     flags = np.zeros(BINS, np.bool_)
     for k in range(BINS):
         flags[k] = (bits >> np.uint64(k)) & np.uint64(1)
