@@ -151,6 +151,13 @@ def test_the_bar_is_for_terminals(monkeypatch):
         assert ("cloud" in stream.getvalue()) == seen
 
 
+def test_no_rows_are_said_to_be_none(call):
+    status, printed, _ = call("poles PATCH --method itc")
+    assert status == 0
+    assert printed.splitlines()[1] == "none"
+    assert printed.startswith("x_m y_m z_base_m height_m")
+
+
 def test_same_seed_same_interval(call):
     line = "lhd course.csv model.csv --json"
     texts = [call(f"{line} --seed {seed}")[1] for seed in (1, 1, 2)]

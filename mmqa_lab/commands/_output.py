@@ -39,6 +39,9 @@ def print_rows(frame, options, *, upright=None):
         return
     if upright is not None:
         frame = frame.set_index(upright).T.rename_axis("figure").reset_index()
+    if frame.empty:
+        print(f"{' '.join(frame.columns)}\nnone")
+        return
     print(_texts_left(frame).to_string(index=False, float_format=_figure))
 
 
