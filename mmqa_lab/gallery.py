@@ -113,8 +113,8 @@ small, details {{ color: #555; font-size: 13px; overflow-wrap: anywhere }}
 td {{ padding: 0 .8em .2em 0; vertical-align: top; overflow-wrap: anywhere }}
 .answer {{ font-weight: bold }}
 </style></head><body><h1>mmqa_lab: results</h1>
-<p>What each study asked and what this run found. Where numbers of several kinds meet, tables say
-which are published, predicted from specifications, fitted or measured.</p>
+<p>What each study asked and what this run found. Every table says which
+of its numbers are published, predicted from specifications, fitted or measured.</p>
 {cards}</body></html>
 """
 

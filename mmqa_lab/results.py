@@ -113,7 +113,7 @@ class Run:
         """Write a DataFrame as ``<name>.csv``.
 
         A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
-        where it does not, ``kind`` becomes such a column.
+        where it does not, ``kind`` becomes such a column, and tells of the columns without a word.
 
         Raises
         ------

@@ -6,6 +6,7 @@ import inspect
 import json
 import pkgutil
 import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -209,3 +210,9 @@ def test_at_most_five_required_arguments():
             and parameter.kind is parameter.POSITIONAL_OR_KEYWORD
         ]
         assert len(required) <= 5, name
+
+
+def test_no_test_reaches_beyond_this_machine():
+    # 192.0.2.1 belongs to nobody (RFC 5737).
+    with pytest.raises(OSError, match=r"Must be on this machine\."):
+        socket.create_connection(("192.0.2.1", 80), timeout=1)

@@ -10,6 +10,7 @@ EPILOG = """\
 example:
   mmqa test
   mmqa test -- -k planes
+  mmqa test -- --cov --cov-report term-missing
 """
 
 

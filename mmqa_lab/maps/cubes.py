@@ -69,7 +69,8 @@ def sort_into_cubes(points, cell, *, columns=False):
 def moved(cubes, target, reach):
     """Move the points of cubes to others, whose numbers are in ``target``, shape (m,).
 
-    The cubes that points were moved to become wider by ``reach`` on that side.
+    The cubes that points were moved to become wider by ``reach`` on that side. Where none moves,
+    the cubes themselves come back.
     """
     gone = np.flatnonzero(target != np.arange(len(target)))
     if not len(gone):

@@ -185,8 +185,10 @@ def _fill(result, points, window, cell, surface, lengths):
     cubes = sort_into_cubes(points, cell, columns=not local)
     tangents, patches, top = tangent_planes(cubes), cubes, cubes.index[:, 2]
     if local:
-        cubes = moved(cubes, fuller_parts(cubes, tangents, thickness), thickness)
-        patches, top = join(cubes, one_surface(cubes, tangent_planes(cubes), thickness))
+        whole = moved(cubes, fuller_parts(cubes, tangents, thickness), thickness)
+        if whole is not cubes:
+            cubes, tangents = whole, tangent_planes(whole)
+        patches, top = join(cubes, one_surface(cubes, tangents, thickness))
         tangents = tangent_planes(patches)
     column, row = patches.index[:, 0] - window.column, patches.index[:, 1] - window.row
     inside = (column >= 0) & (column < window.columns) & (row >= 0) & (row < window.rows)
@@ -252,8 +254,8 @@ class _Layer:
         patches, tangents, index = self.patches, self.tangents.select(self.chosen), self.index
         face, normals = tangents.face, tangents.axes[:, 2]
         if self.local:
-            high = np.where(face == 2, self.top[self.chosen], index[np.arange(len(face)), face])
             low = index[np.arange(len(face)), face]
+            high = np.where(face == 2, self.top[self.chosen], low)
             extent = patches.cell * np.stack([low, high + 1], axis=1)
             extent = extent + patches.wider[self.chosen] * [-1, 1]
             area = np.add.reduceat(surface_areas(tangents, index, extent, patches.cell), self.first)

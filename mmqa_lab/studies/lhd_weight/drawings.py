@@ -259,7 +259,7 @@ def draw_targets(table, *, axes):
                 ls=style,
                 label=f"{name}: mean {values.mean():.3f}",
             )
-        ax.set(xlabel=f"F1, {kind}", ylabel="comparisons", xlim=(0.3, 1.02))
+        ax.set(xlabel=f"F1, {kind}, measured", ylabel="simulated comparisons", xlim=(0.3, 1.02))
         ax.legend(loc="upper left")
     return axes
 

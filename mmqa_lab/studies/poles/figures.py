@@ -216,7 +216,7 @@ def draw_reach(table, *, ax):
     own = table[table["unit"] == "1"].reset_index(drop=True)
     places = np.arange(len(own))
     bars = np.nan_to_num([own["value"] - own["low"], own["high"] - own["value"]])
-    style = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": COLOURS["blue"], "label": "obtained"}
+    style = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": COLOURS["blue"], "label": "measured"}
     ax.errorbar(own["value"], places, xerr=np.maximum(bars, 0), **style)
     ax.plot(own["aim"], places, "|", ms=9, mew=1.5, color=COLOURS["vermilion"], label="aim")
     names = [f"{row.setting}: {row.quantity}" for row in own.itertuples()]
