@@ -40,7 +40,7 @@ SETTINGS = {
 }
 """All cells stay in the page; no news pop up."""
 
-NOTEBOOKS = ("02_repeatability", "03_anisotropy")
+NOTEBOOKS = ("02_repeatability", "03_anisotropy", "04_lhd_weight")
 
 
 def pytest_collection_modifyitems(items):

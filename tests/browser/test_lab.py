@@ -4,6 +4,7 @@ import io
 import re
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 from playwright.sync_api import expect
@@ -54,8 +55,11 @@ def test_dragging_a_vertex_changes_numbers_and_picture(ran):
     assert outline_corner(canvas.screenshot()) != (x, y)
 
 
-def test_moving_a_slider_changes_numbers_and_picture(ran):
-    page = ran("03_anisotropy")
+@pytest.mark.parametrize(
+    ("notebook", "start", "then"), [("03_anisotropy", "5", "6"), ("04_lhd_weight", "5.00", "5.50")]
+)
+def test_moving_a_slider_changes_numbers_and_picture(ran, notebook, start, then):
+    page = ran(notebook)
     handle = page.locator(".jupyter-widgets .noUi-handle").first
     expect(handle).to_be_visible(timeout=RUN_MS)
     explorer = page.locator(".jp-OutputArea-output", has=page.locator(".noUi-handle")).first
@@ -63,8 +67,8 @@ def test_moving_a_slider_changes_numbers_and_picture(ran):
     expect(picture).to_be_visible(timeout=RUN_MS)
     before = picture.get_attribute("src")
     readout = explorer.locator(".widget-readout").first
-    expect(readout).to_have_text("5")
+    expect(readout).to_have_text(start)
     handle.focus()
     page.keyboard.press("ArrowRight")
-    expect(readout).to_have_text("6")
+    expect(readout).to_have_text(then)
     expect(picture).not_to_have_attribute("src", before, timeout=20_000)
