@@ -301,6 +301,24 @@ def test_candidates_do_not_depend_on_tiles(rng):
     assert gap.max() < 0.2
 
 
+@pytest.mark.parametrize("degrees", [0, 33, 117])
+def test_a_wall_behind_a_post_is_measured(degrees):
+    turn = np.radians(degrees)
+    cloud = scene(post(0, 0, radius=0.05), wall(-3, 3, 0.9))
+    c, s = np.cos(turn), np.sin(turn)
+    points = cloud.points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    values, found, _ = ours.described(points, ours.Settings())
+    nearest = np.argmin(np.hypot(found[:, 0], found[:, 1]))
+    measured = dict(zip(ours.FEATURES, values[nearest], strict=True))
+    # the strip is 0.3 m wide, cells are 0.2 m
+    assert measured["wall_off_m"] == pytest.approx(0.9, abs=0.15)
+    assert measured["wall_share"] > 0.8  # a turned wall touches cells beside the strip
+    assert measured["wall_cells"] > 15  # of the 18 that 3.5 m of wall within 2 m touch at least
+    assert measured["wall_bins"] == pytest.approx(16, abs=1)
+    bare = ours.described(scene(post(0, 0)).points, ours.Settings())[0]
+    assert (bare[:, ours.FEATURES.index("wall_cells")] == 0).all()
+
+
 def thicket(rng, n=500):
     """Scattered leaves 1.2 m around the origin, pairs of points on scan lines of their own."""
     leaf = rng.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 3.0], (n, 3))

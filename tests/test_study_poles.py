@@ -1,6 +1,7 @@
 """The study's tables: what it changes, what it counts, what it sets side by side."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -46,10 +47,14 @@ def test_every_target_is_a_surface_of_its_class():
     assert (made.labels[made.targets["surface"]] == made.targets["class"]).all()
 
 
-def test_visible_targets_count_the_points_of_the_shaft(surveyed):
+def test_visible_targets_count_the_points_of_the_shaft_below_the_crown(surveyed):
     survey = surveyed[0][0]
-    shaft = survey.targets["surface"].iloc[0]
-    assert survey.targets["points"].iloc[0] == (survey.cloud["surface"] == shaft).sum()
+    for kind in ("lamp", "tree"):
+        one = survey.targets[survey.targets["class"] == kind].nlargest(1, "points").iloc[0]
+        height = survey.cloud.points[survey.cloud["surface"] == one["surface"], 2] - one["z_base_m"]
+        assert one["points"] == (height <= one["clear_height_m"]).sum() > 10
+        whole = one["clear_height_m"] == one["height_m"]
+        assert whole == (kind == "lamp")
 
 
 def test_rates_are_those_of_the_scores(surveyed):
@@ -119,6 +124,27 @@ def test_the_model_of_the_package_is_what_the_training_module_describes():
     assert str(training.FIRST_SEED) in model.notes["trained on"]
 
 
+def test_quiet_streets_have_no_balconies():
+    quiet, usual = (
+        plan(np.random.default_rng(3)) for plan in (training.quiet_plan, training.random_plan)
+    )
+    assert quiet.balcony_share == 0 < usual.balcony_share
+    assert quiet.columns_per_100m == pytest.approx(usual.columns_per_100m / 5)
+    model = training.quiet_model()
+    assert model.features == ours.FEATURES
+    assert model.notes["trained on"].startswith(
+        f"{training.QUIET_EXAMPLES} quiet simulated streets"
+    )
+
+
+def test_a_model_of_ones_own_decides(surveyed):
+    survey = surveyed[0][0]
+    nobody = replace(trees.read_model(), base=-1e9)
+    assert len(poles.detect(survey.cloud, model=nobody)) == 0
+    with pytest.raises(ValueError, match="Must be one of ours"):
+        poles.detect(survey.cloud, method="fgi", model=nobody)
+
+
 def test_false_alarms_are_counted_per_100_m(surveyed):
     (survey,), _ = surveyed
     causes = surveys.causes([survey], ("fgi", "itc"))
@@ -154,6 +180,7 @@ def test_facades_are_classed_as_walls(surveyed):
 
 def test_verdicts_on_what_was_to_be_reached(surveyed):
     made = surveyed[0]
+    made[0].detect("ours", name=reach.QUIET, model=training.quiet_model())
     table = reach.table(plain=made, balconies=made, dense=made)
     known = table[table["value"].notna()]
     good = np.where(

@@ -23,7 +23,16 @@ METHODS = ("ours", "fgi", "itc")
 __all__ = ["METHODS", "curve", "detect", "match", "score", "settings_of"]
 
 
-def detect(points, *, method="ours", trajectory=None, corridor=None, explain=False, **thresholds):
+def detect(
+    points,
+    *,
+    method="ours",
+    trajectory=None,
+    corridor=None,
+    explain=False,
+    model=None,
+    **thresholds,
+):
     """Detect poles.
 
     Parameters
@@ -39,6 +48,8 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
         Metres; 15 m for the component method and 30 m for the others where left out.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
+    model : mmqa_lab.poles.trees.Trees, optional
+        Verifier of the learned method, one's own for instance; others have none.
     **thresholds
         Fields of the method's settings, see :func:`settings_of`.
 
@@ -52,7 +63,8 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     Raises
     ------
     ValueError
-        If a threshold is unknown or not a number, or a corridor comes without a trajectory.
+        If a threshold is unknown or not a number, a corridor comes without a trajectory, or a model
+        with another method than ``ours``.
 
     Notes
     -----
@@ -70,6 +82,8 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     [[5.0, 5.0]]
     """
     check_choice(method, "method", METHODS)
+    if model is not None:
+        check_choice(method, "method with a model", ("ours",))
     cloud = points if isinstance(points, Cloud) else Cloud(check_points(points, minimum=0))
     lines = None
     if method != "itc":
@@ -92,7 +106,7 @@ def detect(points, *, method="ours", trajectory=None, corridor=None, explain=Fal
     elif method == "itc":
         found = module.detect(local, settings, explain=explain)
     else:
-        found = module.detect(local, settings, lines=lines, explain=explain)
+        found = module.detect(local, settings, lines=lines, explain=explain, model=model)
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 

@@ -40,6 +40,7 @@ def shaft(rng, at, kind, *, radius, top_radius, height, lean_deg=1.0):
         "y_m": middle[1],
         "z_base_m": at[2],
         "height_m": height,
+        "clear_height_m": height,
         "lean_x": lean[0],
         "lean_y": lean[1],
         "diameter_base_m": 2 * radius,
@@ -96,7 +97,7 @@ def tree(rng, at, plan):
         for (r, turn, z), size, seed in zip(spots, sizes, seeds[1:6], strict=True):
             spot = at + [r * np.cos(turn), r * np.sin(turn), z]
             leaves.append(crown(spot, size, 1.5 * plan.crown_density, seed))
-    return [trunk, group(leaves, label="crown")], truth
+    return [trunk, group(leaves, label="crown")], truth | {"clear_height_m": base}
 
 
 def other(rng, at, side):
@@ -131,11 +132,11 @@ def shrub(rng, at):
     return crown(at + shift, radii, density, int(rng.integers(2**31)), "shrub")
 
 
-def thicket(rng, at, densities):
-    """Undergrowth around a foot: 1-2 m in radius, 2-4 m high, of a density between two."""
-    radius, height = rng.uniform(1.0, 2.0), rng.uniform(2.0, 4.0)
+def thicket(rng, at, plan):
+    """Undergrowth around a foot, 1-2 m in radius, as high and as dense as the plan says."""
+    radius, height = rng.uniform(1.0, 2.0), rng.uniform(*plan.thicket_height_m)
     shift = np.array([*rng.normal(0, 0.3, 2), 0.45 * height])
-    density = rng.uniform(*densities)
+    density = rng.uniform(*plan.thicket_density)
     radii = (radius, radius, 0.55 * height)
     return crown(at + shift, radii, density, int(rng.integers(2**31)), "thicket")
 

@@ -59,9 +59,9 @@ class Plan:
     shrub_share : float
         Share of poles with a shrub around the foot.
     thicket_share : float
-        Share of the poles beyond 12.5 m that stand in undergrowth up to 4 m high.
-    thicket_density : tuple of 2
-        Least and largest density of undergrowth.
+        Share of the poles beyond 12.5 m that stand in undergrowth.
+    thicket_density, thicket_height_m : tuple of 2
+        Least and largest density and height of undergrowth.
     low_crown_share, low_branch_share : float
         Share of trees whose crown begins at 0.7-1.5 m; share with branches around the trunk.
     trunk_radius_m : tuple of 2
@@ -94,6 +94,7 @@ class Plan:
     shrub_share: float = 0.35
     thicket_share: float = 0.6
     thicket_density: tuple = (1.5, 5.0)
+    thicket_height_m: tuple = (2.0, 4.0)
     low_crown_share: float = 0.2
     low_branch_share: float = 0.3
     trunk_radius_m: tuple = (0.06, 0.2)
@@ -123,7 +124,18 @@ class Plan:
 
 
 PLANS = {
-    "table-4-1": Plan(thicket_share=0.95, thicket_density=(4.0, 10.0), hedges_per_100m=6.0),
+    "table-4-1": Plan(
+        trees_per_100m=12.0,
+        others_per_100m=9.0,
+        shrub_share=0.45,
+        thicket_share=0.6,
+        thicket_density=(10.0, 30.0),
+        thicket_height_m=(1.0, 5.0),
+        low_crown_share=0.1,
+        low_branch_share=0.45,
+        hedges_per_100m=6.0,
+        balcony_share=0.12,
+    ),
     "quiet": Plan(
         shrub_share=0.1,
         thicket_share=0.1,
@@ -144,8 +156,9 @@ PLANS = {
     ),
     "green": Plan(shrub_share=0.7, low_crown_share=0.6, low_branch_share=0.8, hedges_per_100m=5.0),
 }
-"""Streets by name. ``table-4-1`` was CHOSEN so that the scan-line method scores near Table 4-1 and
-that the cloud shows about three in four poles, as in the field."""
+"""Streets by name. ``table-4-1`` was CHOSEN, on other seeds than those of the study and by the
+scan-line method alone, so that its rates come near Table 4-1, by class too, and that the cloud
+shows about three in four poles, as in the field."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +171,8 @@ class Street:
     targets : DataFrame
         One row a pole: ``class`` (tree, sign, lamp, other), the axis at half height ``x_m``,
         ``y_m``, its lean ``lean_x``, ``lean_y`` (m/m), ``z_base_m``, ``height_m``,
-        ``diameter_base_m``, ``diameter_top_m``, ``surface`` (id of the shaft in the scene).
+        ``clear_height_m`` (of a tree up to its crown, else the same), ``diameter_base_m``,
+        ``diameter_top_m``, ``surface`` (id of the shaft in the scene).
     length_m : float
     plan : Plan
     """
@@ -251,7 +265,8 @@ def visible_targets(made, cloud, *, minimum_points=10, minimum_sweeps=5, minimum
     minimum_points, minimum_sweeps : int
         A visible pole has at least that many points on its shaft, from that many scan lines,
     minimum_span : float
-        over that height (2nd to 98th percentile), metres.
+        over that height (2nd to 98th percentile), metres. Trunks count up to the crown only: what
+        the crown holds is not pole-like.
 
     Returns
     -------
@@ -259,11 +274,12 @@ def visible_targets(made, cloud, *, minimum_points=10, minimum_sweeps=5, minimum
         The targets with ``points``, ``sweeps``, ``span_m``, ``visible``, and ``distance_m`` from
         the vehicle's path.
     """
-    by_surface = pd.DataFrame(
+    points = pd.DataFrame(
         {"surface": cloud["surface"], "line": cloud["scan_line"], "z": cloud.points[:, 2]}
     )
-    by_surface = by_surface[by_surface["surface"].isin(made.targets["surface"])]
-    grouped = by_surface.groupby("surface")
+    points = points[points["surface"].isin(made.targets["surface"])]
+    top = made.targets.set_index("surface")[["z_base_m", "clear_height_m"]].sum(axis=1)
+    grouped = points[points["z"] <= points["surface"].map(top)].groupby("surface")
     seen = pd.DataFrame(
         {
             "points": grouped.size(),
@@ -330,7 +346,7 @@ def _poles(plan, length, seed, blocks):
             if shrubby:
                 parts.append(street_parts.shrub(own, at))
             if hidden and abs(at[0]) >= FAR_M:
-                parts.append(street_parts.thicket(own, at, plan.thicket_density))
+                parts.append(street_parts.thicket(own, at, plan))
             yield parts, truth
 
 

@@ -1,20 +1,24 @@
 """Training of the verifier of "ours", on simulated streets alone.
 
-``python -m mmqa_lab.studies.poles.training`` writes ``mmqa_lab/poles/model.json`` anew; the same
-seed gives the same file. Streets, scanners and errors are drawn widely, so that the verifier learns
-poles and not a street: every example has its own plan, scanner, speed, noise and thinning.
+``python -m mmqa_lab.studies.poles.training`` writes ``mmqa_lab/poles/model.json`` anew, and
+``quiet.json`` beside this module, which has seen quiet streets alone; the same seed gives the same
+files. Streets, scanners and errors are drawn widely, so that the verifier learns poles and not a
+street: every example has its own plan, scanner, speed, noise and thinning.
 """
 
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 
+from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
 from mmqa_lab.poles.profiles import scan_lines
 from mmqa_lab.poles.trees import Trees
 from mmqa_lab.simulate import streets
 
 EXAMPLES = 240
+QUIET_EXAMPLES = 80
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
@@ -26,7 +30,9 @@ SETUPS = (
     ("roamer", 150.0, (5.0, 14.0)),
     ("push-broom", 140.0, (3.0, 9.0)),
     ("dense-profiler", 50.0, (8.0, 14.0)),
+    ("roamer", 150.0, (5.0, 14.0)),
     ("push-broom", 140.0, (3.0, 9.0)),
+    ("roamer", 150.0, (5.0, 14.0)),
 )
 """Scanner, length of the street (m) and range of speeds (m/s), by turns."""
 
@@ -39,16 +45,17 @@ SCATTER_M = (0.0, 0.0, 0.01, 0.03)
 
 def random_plan(rng):
     """Return a street plan drawn at random between few and many of everything."""
-    setback = rng.uniform(7, 20)
+    setback, thinnest = rng.uniform(7, 20), rng.uniform(1, 10)
     return streets.Plan(
         trees_per_100m=rng.uniform(8, 20),
         signs_per_100m=rng.uniform(5, 14),
         lamps_per_100m=rng.uniform(3, 8),
         others_per_100m=rng.uniform(5, 14),
-        far_share=rng.uniform(0.1, 0.7),
+        far_share=rng.uniform(0.1, 0.8),
         shrub_share=rng.uniform(0, 0.7),
         thicket_share=rng.uniform(0, 1),
-        thicket_density=(rng.uniform(1, 4), rng.uniform(4, 10)),
+        thicket_density=(thinnest, thinnest + rng.uniform(0, 20)),
+        thicket_height_m=(2.0, rng.uniform(3, 8)),
         low_crown_share=rng.uniform(0, 0.7),
         low_branch_share=rng.uniform(0, 0.9),
         trunk_radius_m=(0.05, rng.uniform(0.15, 0.4)),
@@ -69,14 +76,22 @@ def random_plan(rng):
     )
 
 
-def example(number, *, seed=FIRST_SEED, stretch=1.0):
+def quiet_plan(rng):
+    """Return such a plan without balconies and with a fifth of the columns and pipes."""
+    plan = random_plan(rng)
+    few = {name: getattr(plan, name) / 5 for name in ("columns_per_100m", "pipes_per_100m")}
+    return replace(plan, balcony_share=0.0, **few)
+
+
+def example(number, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0):
     """Return the street, the cloud and the targets of a training example.
 
-    The cloud is degraded by thinning, scatter and rounding; ``stretch`` multiplies the length.
+    The street is of the plan that ``plan`` makes of a random generator; the cloud is degraded by
+    thinning, scatter and rounding; ``stretch`` multiplies the length.
     """
     rng = np.random.default_rng([seed, number])
     name, length, speeds = SETUPS[number % len(SETUPS)]
-    made = streets.street(random_plan(rng), length=stretch * length, seed=seed + number)
+    made = streets.street(plan(rng), length=stretch * length, seed=seed + number)
     scanner = streets.SCANNERS[name]
     beam = rng.choice(BEAMS_MRAD.get(name, (0.0,)))
     scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
@@ -119,8 +134,8 @@ def labels(axes, targets, *, near=0.3, far=0.6):
     return label
 
 
-def examples(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True):
-    """Return the features and the labels of many training examples; arguments of :func:`train`.
+def examples(numbers, *, progress=True, **choices):
+    """Return the features and the labels of many training examples; choices as for ``example``.
 
     Each cloud comes twice, with its scan lines and without, so that one verifier serves both.
 
@@ -133,7 +148,7 @@ def examples(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True):
 
     parts = []
     for number in tqdm(numbers, unit="street", disable=not progress):
-        _, cloud, targets = example(number, seed=seed, stretch=stretch)
+        _, cloud, targets = example(number, **choices)
         origin = np.floor(cloud.points.min(axis=0))
         for lines in (None, scan_lines(cloud)):
             where = ours.described(cloud.points - origin, ours.Settings(), lines=lines)
@@ -183,13 +198,15 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, notes=None)
     return Trees(ours.FEATURES, base, np.array(nodes, float), np.array(roots), notes or {})
 
 
-def train(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
+def train(numbers, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
     """Return the verifier that the given training examples make: from seeds to ``Trees``.
 
     Parameters
     ----------
     numbers : iterable of int
         Of the examples; the model of the package is ``train(range(EXAMPLES))``.
+    plan : callable
+        ``random_plan`` or ``quiet_plan``.
     seed : int
     stretch : float
         Multiplies the length of every street.
@@ -198,9 +215,10 @@ def train(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
         Handed to :func:`fit`.
     """
     numbers = list(numbers)
-    data = examples(numbers, seed=seed, stretch=stretch, progress=progress)
+    data = examples(numbers, plan=plan, seed=seed, stretch=stretch, progress=progress)
+    kind = "quiet " if plan is quiet_plan else ""
     notes = {
-        "trained on": f"{len(numbers)} simulated streets, seeds from {seed}",
+        "trained on": f"{len(numbers)} {kind}simulated streets, seeds from {seed}",
         "candidates": len(data[1]),
         "poles": int(data[1].sum()),
         "program": "python -m mmqa_lab.studies.poles.training",
@@ -208,14 +226,22 @@ def train(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
     return fit(*data, notes=notes, **choices)
 
 
+def quiet_model():
+    """Return the verifier that has seen no balcony."""
+    text = resources.files("mmqa_lab.studies.poles").joinpath("quiet.json").read_text("utf-8")
+    return Trees.from_json(text)
+
+
 def main():
-    """Train on all examples and write the model; takes about half an hour."""
-    from importlib import resources
+    """Train on all examples and write the models; takes about three quarters of an hour."""
+    _write(train(range(EXAMPLES)), "mmqa_lab.poles", "model.json")
+    _write(train(range(QUIET_EXAMPLES), plan=quiet_plan), "mmqa_lab.studies.poles", "quiet.json")
 
-    from mmqa_lab.io import write_atomically
 
-    text = train(range(EXAMPLES)).to_json()
-    target = resources.files("mmqa_lab.poles").joinpath("model.json")
+def _write(model, package, name):
+    """Write a model into a package."""
+    text = model.to_json()
+    target = resources.files(package).joinpath(name)
     write_atomically(target, lambda path: path.write_text(text, encoding="utf-8"))
 
 
