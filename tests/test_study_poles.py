@@ -109,6 +109,24 @@ def test_a_fitted_model_is_that_of_scikit_learn_and_reproducible():
     assert right.mean() > 0.95  # one feature decides: three small trees suffice
 
 
+def test_a_wary_model_believes_less_at_walls_and_the_same_elsewhere():
+    rng = np.random.default_rng(1)
+    features = np.zeros((4000, len(ours.FEATURES)))
+    at_wall = rng.random(4000) < 0.5
+    for name, least in training.WALL.items():
+        features[at_wall, ours.FEATURES.index(name)] = least + 1
+    label = (rng.random(4000) < 0.5).astype(int)
+    group = np.zeros(4000, int)
+    plain, wary = (
+        training.fit(features, label, group, rounds=200, wary=k).probability(features)
+        for k in (1, 20)
+    )
+    # the odds are those of the weights: 1 to 1, and 1 to 20 at walls
+    assert plain[at_wall].mean() == pytest.approx(label[at_wall].mean(), abs=0.01)
+    assert wary[at_wall].mean() == pytest.approx(1 / 21, abs=0.01)
+    assert wary[~at_wall].mean() == pytest.approx(label[~at_wall].mean(), abs=0.01)
+
+
 def test_a_small_training_run_reproduces_itself():
     choices = {"stretch": 0.12, "rounds": 4, "progress": False}
     first = training.train((1, 3), **choices)
@@ -124,17 +142,17 @@ def test_the_model_of_the_package_is_what_the_training_module_describes():
     assert str(training.FIRST_SEED) in model.notes["trained on"]
 
 
-def test_quiet_streets_have_no_balconies():
+def test_the_quiet_model_has_seen_no_balconies():
     quiet, usual = (
         plan(np.random.default_rng(3)) for plan in (training.quiet_plan, training.random_plan)
     )
     assert quiet.balcony_share == 0 < usual.balcony_share
     assert quiet.columns_per_100m == pytest.approx(usual.columns_per_100m / 5)
+    assert quiet.trees_per_100m == usual.trees_per_100m
     model = training.quiet_model()
     assert model.features == ours.FEATURES
-    assert model.notes["trained on"].startswith(
-        f"{training.QUIET_EXAMPLES} quiet simulated streets"
-    )
+    assert model.notes["plans"] == "quiet_plan"
+    assert model.notes["trained on"].startswith(f"{training.QUIET_EXAMPLES} simulated streets")
 
 
 def test_a_model_of_ones_own_decides(surveyed):
