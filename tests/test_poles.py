@@ -239,6 +239,25 @@ def test_chords_that_leaves_cut_short_do_not_count(rng):
     assert found == pytest.approx(0.30, abs=0.015)
 
 
+def test_chords_beside_which_something_stands_do_not_count():
+    chord = np.column_stack([np.arange(5) * 0.02, np.zeros(5), np.zeros(5)])
+    points, line, place = [], [], []
+    for k in range(4):
+        points.append(chord + [0, 0, 0.1 * k])
+        line += [k] * 5
+        place += [*range(10, 15)]
+    # line 1: the next pulse hits a leaf in front; line 2: a thing that many pulses lie between
+    points.append(np.array([[0.1, -0.3, 0.1], [0.3, 0, 0.2]]))
+    line, place = np.array([*line, 1, 2]), np.array([*place, 15, 40])
+    points = np.concatenate(points)
+    which, lines = ours._shaft(points, points[:, :2] - [0.04, 0], line, place)
+    assert sorted(set(lines)) == [0, 2, 3]
+    assert len(which) == 15
+    alone = line == 0
+    which, _ = ours._shaft(points[alone], points[alone, :2] - [0.04, 0], line[alone], place[alone])
+    assert len(which) == 0  # one chord agrees with no other
+
+
 def test_circle_diameter_of_a_whole_circle_is_exact():
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), 0.01 * turn])

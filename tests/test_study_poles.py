@@ -157,7 +157,7 @@ def test_the_quiet_model_has_seen_no_balconies():
 
 def test_a_model_of_ones_own_decides(surveyed):
     survey = surveyed[0][0]
-    nobody = replace(trees.read_model(), base=-1e9)
+    nobody = replace(trees.read_model(), base=-500.0)
     assert len(poles.detect(survey.cloud, model=nobody)) == 0
     with pytest.raises(ValueError, match="Must be one of ours"):
         poles.detect(survey.cloud, method="fgi", model=nobody)

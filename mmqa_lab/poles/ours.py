@@ -31,6 +31,11 @@ GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
 
 
+LEAST_CHORDS = 2
+"""Fewer chords tell no diameter. A chord counts where the pulses right before and after it hit
+nothing nearby: what stands in front cuts it short, what touches it makes it longer."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Choices of the learned method; all are ours.
@@ -198,7 +203,7 @@ def _diameters(points, lines, table, radius):
 
 
 def _shaft(points, off, line, place):
-    """Points of the group nearest to the axis on each scan line, and their lines."""
+    """Points of the group nearest to the axis on each scan line, untouched, and their lines."""
     if not len(points):
         return np.empty(0, np.int64), line
     order = np.lexsort([place, line])
@@ -212,10 +217,22 @@ def _shaft(points, off, line, place):
     owner = line[order[first]]
     ranked = np.lexsort([away, owner])
     nearest = ranked[np.unique(owner[ranked], return_index=True)[1]]
-    chord = np.linalg.norm(off[order[first]] - off[order[first + count - 1]], axis=1)
+    last = first + count - 1
+    chord = np.linalg.norm(off[order[first]] - off[order[last]], axis=1)
     nearest = nearest[(away[nearest] <= WIDEST_M / 2) & (chord[nearest] <= WIDEST_M)]
+    nearest = nearest[~_touched(line[order], place[order], first, last)[nearest]]
+    if len(nearest) < LEAST_CHORDS:
+        nearest = nearest[:0]
     which = order[np.isin(group, nearest)]
     return which, line[which]
+
+
+def _touched(line, place, first, last):
+    """Whether a pulse right before or after each group of a sorted line hits something nearby."""
+    before, after = np.maximum(first - 1, 0), np.minimum(last + 1, len(line) - 1)
+    left = (first > 0) & (line[before] == line[first]) & (place[first] - place[before] <= 2)
+    right = (last < len(line) - 1) & (line[after] == line[last])
+    return left | (right & (place[after] - place[last] <= 2))
 
 
 def _width(off):

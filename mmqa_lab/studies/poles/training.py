@@ -169,7 +169,7 @@ def examples(numbers, *, progress=True, **choices):
     return features[kept], label[kept], group[kept]
 
 
-def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, notes=None):
+def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, more=(), notes=None):
     """Return the ``Trees`` of a gradient boosting of the log loss; each street weighs the same.
 
     Parameters
@@ -180,6 +180,8 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, n
         Number of trees, leaves of each, learning rate.
     wary : float
         Weight of what is no pole and stands at a wall (``WALL``).
+    more : tuple of str
+        Names of columns that follow those of :func:`examples`.
     """
     from sklearn.ensemble import HistGradientBoostingClassifier
 
@@ -209,7 +211,7 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, n
                 sides = node["left"] + first, node["right"] + first
                 nodes.append([node["feature_idx"], node["num_threshold"], *sides, 0])
     base = float(model._baseline_prediction.ravel()[0])
-    return Trees(ours.FEATURES, base, np.array(nodes, float), np.array(roots), notes or {})
+    return Trees(ours.FEATURES + more, base, np.array(nodes, float), np.array(roots), notes or {})
 
 
 def train(numbers, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
