@@ -253,9 +253,22 @@ def test_chords_beside_which_something_stands_do_not_count():
     which, lines = ours._shaft(points, points[:, :2] - [0.04, 0], line, place)
     assert sorted(set(lines)) == [0, 2, 3]
     assert len(which) == 15
-    alone = line == 0
-    which, _ = ours._shaft(points[alone], points[alone, :2] - [0.04, 0], line[alone], place[alone])
-    assert len(which) == 0  # one chord agrees with no other
+    few = line < 2
+    which, _ = ours._shaft(points[few], points[few, :2] - [0.04, 0], line[few], place[few])
+    assert len(which) == 0  # fewer than three
+
+
+def test_a_box_on_its_post_does_not_widen_the_post():
+    rng = np.random.default_rng(5)
+    points, line = [], []
+    for k in range(40):
+        width = 0.10 if k < 14 else 0.35  # the box has the most chords
+        x = np.arange(-width / 2 + rng.uniform(0, 0.02), width / 2, 0.02)
+        points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
+        line += [k] * len(x)
+    given = np.concatenate(points), np.array([0, 0, 1.0]), np.array(line)
+    assert axes.chord_diameter(*given, whole=True) == pytest.approx(0.10, abs=0.006)
+    assert axes.chord_diameter(*given) == pytest.approx(0.35, abs=0.006)
 
 
 def test_circle_diameter_of_a_whole_circle_is_exact():

@@ -8,7 +8,7 @@ from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.planes import sigma_mad
 
 
-def chord_diameter(points, axis_direction, line, *, minimum_points=2):
+def chord_diameter(points, axis_direction, line, *, minimum_points=2, whole=False):
     """Return the diameter from the chords that scan lines cut: mean chord plus one ray spacing.
 
     A ray every ``s`` metres meets a post of diameter d between floor(d / s) and ceil(d / s) times,
@@ -24,6 +24,10 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
         Scan line of each.
     minimum_points : int
         Lines with fewer hits do not count.
+    whole : bool
+        Whether no chord is cut short by what stands in front: then the narrowest chords that agree,
+        a quarter of all at least, are the shaft's, for boards and boxes are wider than their post;
+        else the most that agree.
 
     Returns
     -------
@@ -58,17 +62,18 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2):
         return np.nan
     chords, spacing = np.array(chords), np.median(spacings)
     # chords through a board or a branch agree with no others; a taper stays within the factor
-    chords = chords[chords <= 2.5 * _usual(chords, 1.5 * spacing) + 2 * spacing]
+    chords = chords[chords <= 2.5 * _usual(chords, 1.5 * spacing, whole) + 2 * spacing]
     spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
     usual = np.abs(chords - np.median(chords)) <= spread
     return float(chords[usual].mean() + spacing)
 
 
-def _usual(chords, window):
-    """Median of the most chords that agree within a window, the narrowest of equally many."""
+def _usual(chords, window, narrowest):
+    """Median of the most chords that agree within a window, or of the narrowest quarter."""
     chords = np.sort(chords)
     agree = np.searchsorted(chords, chords + window, side="right") - np.arange(len(chords))
-    first = np.argmax(agree)
+    enough = agree >= min(agree.max(), max(2, len(chords) / 4))
+    first = np.argmax(enough if narrowest else agree)
     return np.median(chords[first : first + agree[first]])
 
 

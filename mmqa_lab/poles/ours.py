@@ -31,7 +31,7 @@ GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
 
 
-LEAST_CHORDS = 2
+LEAST_CHORDS = 3
 """Fewer chords tell no diameter. A chord counts where the pulses right before and after it hit
 nothing nearby: what stands in front cuts it short, what touches it makes it longer."""
 
@@ -198,7 +198,7 @@ def _diameters(points, lines, table, radius):
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
             which, line = _shaft(part, off, *(values[number] for values in lines))
-            diameter[k] = chord_diameter(part[which], direction, line)
+            diameter[k] = chord_diameter(part[which], direction, line, whole=True)
     return diameter
 
 
