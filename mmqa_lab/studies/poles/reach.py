@@ -74,9 +74,8 @@ def table(*, plain, balconies, dense, real=None):
 
 
 def claims(reached):
-    """Test that the package's verifier misses no aim by much, and name all that are missed."""
-    shifted = reached["setting"] == "balconies, trained on quiet streets"
-    rates = reached[(reached["unit"] == "1") & (reached["n"] >= ENOUGH) & ~shifted]
+    """Test that no aim is missed by much, and name those that are missed."""
+    rates = reached[(reached["unit"] == "1") & (reached["n"] >= ENOUGH)]
     missed = reached[reached["verdict"] == "missed"]
     named = [
         f"{row.setting}, {row.quantity} {row.value:.3f} for {row.aim:g}"
@@ -84,7 +83,7 @@ def claims(reached):
     ]
     return [
         Claim(
-            f"No rate of the package's own verifier lies more than {SLACK:.2f} below its aim.",
+            f"No rate of the learned method lies more than {SLACK:.2f} below its aim.",
             bool((rates["value"] >= rates["aim"] - SLACK).all()),
             f"missed {len(named)} of {len(reached)}: {'; '.join(named)}",
             f"two standard deviations of a rate of 0.9 of {ENOUGH} poles are 0.11",
