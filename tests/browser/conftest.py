@@ -1,10 +1,7 @@
 """JupyterLab on copies of the study notebooks, driven by Chromium."""
 
-import contextlib
 import json
-import math
 import os
-import re
 import shutil
 import socket
 import subprocess
@@ -29,10 +26,15 @@ ARGUMENTS = (
 """Runs as root, calls nobody, draws WebGL in software."""
 
 RUN_S = 120
-"""For the first cell, on a machine that may be busy."""
+"""Until the kernel of a notebook answers, on a machine that may be busy."""
 
-LOST_S = 10
-"""A command that did nothing for so long was given while the kernel was still connecting."""
+CONNECTED = """() => {
+    const context = window.jupyterapp?.shell.currentWidget?.sessionContext;
+    return context?.isReady && context.session?.kernel?.connectionStatus === "connected";
+}"""
+
+RUN_ALL = "() => jupyterapp.commands.execute('notebook:run-all-cells').then(() => true)"
+"""What the menu runs; before the kernel answers, it would ask for one at every cell."""
 
 SETTINGS = {
     "notebook-extension/tracker": {"windowingMode": "none"},
@@ -103,6 +105,7 @@ def lab(lab_folder):
     options = (
         *("--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}"),
         *("--IdentityProvider.token=", f"--ServerApp.root_dir={copies}"),
+        "--expose-app-in-browser",
     )
     log = folder / "server.log"
     with log.open("w") as said:
@@ -156,29 +159,9 @@ def ran(browser, lab, tmp_path):
 
     def run(name):
         """The page of a notebook whose cells have all run."""
-        from playwright.sync_api import TimeoutError
-
-        asked = page.locator(".jp-Dialog", has_text="Select Kernel")  # when it is not ready to run
-        select = page.locator(".jp-Dialog button", has_text=re.compile("^Select$"))
-        page.add_locator_handler(asked, lambda: select.click())
         page.goto(f"{lab}/lab/tree/{name}.ipynb?reset")
-        page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=90_000)
-        idle = "document.querySelector('.jp-Notebook-ExecutionIndicator')?.dataset.status==='idle'"
-        page.wait_for_function(f"() => {idle}", timeout=90_000)
-        first = page.locator(".jp-CodeCell .jp-InputPrompt").first
-        until, asked_at = time.monotonic() + RUN_S, -math.inf
-        while not re.search(r"\d", first.inner_text()) and time.monotonic() < until:
-            waits = "*" not in first.inner_text()
-            if waits and time.monotonic() - asked_at > LOST_S:
-                with contextlib.suppress(TimeoutError):  # a dialog took the menu away
-                    page.locator(".lm-MenuBar-itemLabel", has_text=re.compile("^Run$")).click()
-                    page.locator(".lm-Menu-itemLabel", has_text="Run All Cells").first.click(
-                        timeout=5000
-                    )
-                    asked_at = time.monotonic()
-            page.wait_for_timeout(500)
-        page.wait_for_timeout(1000)
-        page.wait_for_function(f"() => {idle}", timeout=2000 * RUN_S)  # also when asked twice
+        page.wait_for_function(CONNECTED, timeout=1000 * RUN_S)
+        page.evaluate(RUN_ALL)
         return page
 
     yield run

@@ -19,7 +19,8 @@ RUN_MS = 120_000
 
 
 def test_a_juror_marks_crops_in_order(ran, lab_folder):
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)])
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)"}}
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)], metadata=kernel)
     nbformat.write(notebook, lab_folder / "jury.ipynb")
     page = ran("jury")
     line = page.locator(".widget-label", has_text="first:")
