@@ -7,8 +7,17 @@ import numpy as np
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.planes import sigma_mad
 
+LEAST_CHORDS = 3
+"""That agree; fewer tell no diameter of a shaft."""
 
-def chord_diameter(points, axis_direction, line, *, minimum_points=2, whole=False):
+TAPERS = np.arange(0, 0.031, 0.003)
+"""By how much a shaft may narrow upwards, m/m."""
+
+TAPER_GAIN = 0.01
+"""A taper must win one more chord for each so many m/m."""
+
+
+def chord_diameter(points, axis_direction, line):
     """Return the diameter from the chords that scan lines cut: mean chord plus one ray spacing.
 
     A ray every ``s`` metres meets a post of diameter d between floor(d / s) and ceil(d / s) times,
@@ -22,17 +31,11 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2, whole=Fals
         Unit vector of the axis.
     line : array of int, shape (n,)
         Scan line of each.
-    minimum_points : int
-        Lines with fewer hits do not count.
-    whole : bool
-        Whether no chord is cut short by what stands in front: then the narrowest chords that agree,
-        a quarter of all at least, are the shaft's, for boards and boxes are wider than their post;
-        else the most that agree.
 
     Returns
     -------
     float
-        Metres; NaN where no line has enough hits.
+        Metres; NaN where no line hits the shaft twice.
 
     Notes
     -----
@@ -46,35 +49,80 @@ def chord_diameter(points, axis_direction, line, *, minimum_points=2, whole=Fals
     """
     from scipy.stats import median_abs_deviation
 
-    if not len(points):
+    chords, _, spacing = _chords(points, axis_direction, line)
+    if not len(chords):
         return np.nan
-    cross = np.eye(3) - np.outer(axis_direction, axis_direction)
-    flat = (points - points.mean(axis=0)) @ cross
-    order = np.argsort(line, kind="stable")
-    first = np.flatnonzero(np.diff(line[order], prepend=line[order[0]] - 1))
-    chords, spacings = [], []
-    for part in np.split(flat[order], first[1:]):
-        if len(part) >= minimum_points:
-            wide = np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2][0]
-            chords.append(np.ptp(part @ wide))
-            spacings.append(chords[-1] / (len(part) - 1))
-    if not chords:
-        return np.nan
-    chords, spacing = np.array(chords), np.median(spacings)
     # chords through a board or a branch agree with no others; a taper stays within the factor
-    chords = chords[chords <= 2.5 * _usual(chords, 1.5 * spacing, whole) + 2 * spacing]
+    ranked, agree = _agreeing(chords, 1.5 * spacing)
+    first = np.argmax(agree)
+    chords = chords[chords <= 2.5 * np.median(ranked[first : first + agree[first]]) + 2 * spacing]
     spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
     usual = np.abs(chords - np.median(chords)) <= spread
     return float(chords[usual].mean() + spacing)
 
 
-def _usual(chords, window, narrowest):
-    """Median of the most chords that agree within a window, or of the narrowest quarter."""
-    chords = np.sort(chords)
-    agree = np.searchsorted(chords, chords + window, side="right") - np.arange(len(chords))
-    enough = agree >= min(agree.max(), max(2, len(chords) / 4))
-    first = np.argmax(enough if narrowest else agree)
-    return np.median(chords[first : first + agree[first]])
+def shaft_diameter(points, axis_direction, line):
+    """Return the diameter halfway up a shaft that may taper: of chords that agree, plus a spacing.
+
+    A straight line of chord over height is sought of whose chords the most agree within two ray
+    spacings. Boards and boxes are wider than their post: the narrowest chords that agree, a quarter
+    of all at least, are the shaft's. As for :func:`chord_diameter`, whose arguments these are, one
+    spacing is added to the mean.
+
+    Returns
+    -------
+    float
+        Metres; NaN where fewer than three chords agree.
+
+    References
+    ----------
+    The estimator is ours.
+    """
+    chords, height, spacing = _chords(points, axis_direction, line)
+    best = 0, np.nan
+    for taper in TAPERS if len(chords) >= LEAST_CHORDS else ():
+        upright = chords + taper * (height - (height.min() + height.max()) / 2)
+        ranked, agree = _agreeing(upright, 2 * spacing)
+        enough = agree >= min(agree.max(), max(2, len(chords) / 4))
+        narrow = ranked <= ranked[np.argmax(enough)] + 2 * spacing
+        first = np.argmax(np.where(enough & narrow, agree, 0))
+        usual = np.median(ranked[first : first + agree[first]])
+        shaft = np.abs(upright - usual) <= 2 * spacing
+        won = agree[first] - taper / TAPER_GAIN
+        if won > best[0] and shaft.sum() >= LEAST_CHORDS:
+            best = won, upright[shaft].mean() + spacing
+    return float(best[1])
+
+
+def _chords(points, axis_direction, line):
+    """Length and height along the axis of each line's chord, and the median ray spacing.
+
+    A chord is measured in the direction in which it and its two neighbours scatter the most: noise
+    in depth would turn and lengthen a short one.
+    """
+    if not len(points):
+        return np.empty(0), np.empty(0), np.nan
+    centred = points - points.mean(axis=0)
+    flat = centred @ (np.eye(3) - np.outer(axis_direction, axis_direction))
+    order = np.argsort(line, kind="stable")
+    first = np.flatnonzero(np.diff(line[order], prepend=line[order[0]] - 1))
+    parts = [part for part in np.split(order, first[1:]) if len(part) >= 2]
+    if not parts:
+        return np.empty(0), np.empty(0), np.nan
+    offs = [flat[part] - flat[part].mean(axis=0) for part in parts]
+    scatter = np.pad([off.T @ off for off in offs], ((1, 1), (0, 0), (0, 0)))
+    _, axes = np.linalg.eigh(scatter[:-2] + scatter[1:-1] + scatter[2:])
+    chords = np.array([np.ptp(off @ wide) for off, wide in zip(offs, axes[:, :, 2], strict=True)])
+    height = np.array([(centred[part] @ axis_direction).mean() for part in parts])
+    spacing = np.median(chords / [len(part) - 1 for part in parts])
+    return chords, height, spacing
+
+
+def _agreeing(values, window):
+    """Sorted values, and how many lie within a window from each on."""
+    ranked = np.sort(values)
+    last = np.searchsorted(ranked, ranked + window, side="right")
+    return ranked, last - np.arange(len(ranked))
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):

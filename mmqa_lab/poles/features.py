@@ -21,11 +21,8 @@ NARROW = 0.6
 SECTORS = 12
 REACH_M = 2.0
 CELL_M = 0.2
-GRID = 20
-TALL_BINS = 6
-WALL_TURNS = 18
-WALL_M = 0.15
-"""Directions in which walls are looked for, and half the depth of one in plan."""
+HALF = 5
+"""Slabs are looked for in plan cells of 0.2 m, within 1 m of the axis."""
 
 HOLLOW_RADII_M = np.array([0.04, 0.07, 0.10, 0.14, 0.18, 0.23])
 HOLLOW_STEP_M = 0.04
@@ -47,22 +44,17 @@ NAMES = (
     *("mean_across", "spread_across", "median_across_m", "wide_across_m", "taper"),
     *("tilt_deg", "wobble_m", "sectors_near", "empty_arc", "opposite_near"),
     *("beside_050", "beside_100", "beside_200", "sectors_100", "sectors_200", "opposite_200"),
-    *("flatness", "off_line_m", "tall_100", "tall_200", "tall_flatness"),
-    *("above_core", "above_shell", "below_shell", "slab_above", "slab_below"),
-    *("highest_200_m", "wall_cells", "wall_off_m", "wall_share", "wall_bins"),
-    *("inner_count_share", "elongation"),
+    *("flatness", "off_line_m", "above_core", "above_shell", "below_shell"),
+    *("slab_above", "slab_below", "highest_200_m", "inner_count_share", "elongation"),
     *("hollow_bins", "hollow_share", "hollow_radius_m", "hollow_contrast", "crowd"),
 )
 """What the columns of :func:`describe` mean; ``across`` is the distance from the axis.
 
 ``beside_R``: share of the run's height bins with points between the last radius and R cm;
-``tall_R``: plan cells of 0.2 m with 6 or more occupied bins; ``flatness``: how much what stands
-beside lies on a line in plan; ``off_line_m``: how far the axis stands from that line; ``wall``: the
-straight strip in plan with the most such cells, how far the axis stands from it, its share of the
-cells and the mean number of their occupied bins; ``slab``: share of the plan around occupied right
-above or below the run; ``hollow``: of the cylinder near the axis with the most height bins that
-hold points on its surface and none inside, up to 5 m above the ground; ``crowd``: log of the points
-around it.
+``flatness``: how much what stands beside lies on a line in plan; ``off_line_m``: how far the axis
+stands from that line; ``slab``: share of the plan around occupied right above or below the run;
+``hollow``: of the cylinder near the axis with the most height bins that hold points on its surface
+and none inside, up to 5 m above the ground; ``crowd``: log of the points around it.
 """
 
 
@@ -195,7 +187,7 @@ def _describe(x, y, h, xy, given, out, axis):
     out[f + 17] = _wobble(dx, dy, across, level, low, high, radius)
     _beside(dx, dy, across, level, low, high, radius, out[f + 18 :])
     _around(dx, dy, across, level, low, high, radius, core, shell, out[f + 27 :])
-    out[f + 42] = core.sum() / max(n, 1)
+    out[f + 35] = core.sum() / max(n, 1)
     axis[0], axis[1], axis[2], axis[3], axis[4] = ax, ay, lx, ly, middle
     axis[5], axis[6], axis[7] = low * BIN_M, high * BIN_M, radius
 
@@ -252,77 +244,34 @@ def _beside(dx, dy, across, level, low, high, radius, out):
 
 
 @njit(cache=True)
-def _add(sums, u, v):
-    """Add a plan position to a sum of moments."""
-    for k, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
-        sums[k] += value
-
-
-@njit(cache=True)
 def _around(dx, dy, across, level, low, high, radius, core, shell, out):
-    """Lines, walls and slabs around the run, and what is above and below it: 15 numbers."""
-    cells = np.zeros((GRID, GRID), np.uint64)
-    above, below = np.zeros((GRID, GRID), np.bool_), np.zeros((GRID, GRID), np.bool_)
+    """Lines and slabs around the run, and what is above and below it: 8 numbers."""
+    above, below = (
+        np.zeros((2 * HALF, 2 * HALF), np.bool_),
+        np.zeros((2 * HALF, 2 * HALF), np.bool_),
+    )
     sums, highest = np.zeros(6), 0
     for k in range(len(dx)):
-        i, j = int(dx[k] / CELL_M + GRID / 2), int(dy[k] / CELL_M + GRID / 2)
+        i, j = int(np.floor(dx[k] / CELL_M)), int(np.floor(dy[k] / CELL_M))
         highest = max(highest, level[k])
-        if 0 <= i < GRID and 0 <= j < GRID:
-            cells[i, j] |= np.uint64(1) << np.uint64(level[k])
-            above[i, j] |= high <= level[k] < high + 2
-            below[i, j] |= low - 2 <= level[k] < low
+        if -HALF <= i < HALF and -HALF <= j < HALF:
+            above[i + HALF, j + HALF] |= high <= level[k] < high + 2
+            below[i + HALF, j + HALF] |= low - 2 <= level[k] < low
         if low <= level[k] < high and across[k] > radius + 0.03:
-            _add(sums, dx[k], dy[k])
+            u, v = dx[k], dy[k]
+            for m, moment in enumerate((1.0, u, v, u * u, u * v, v * v)):
+                sums[m] += moment
     out[0], out[1] = 0.0, REACH_M
     if sums[0] >= 5:
         m = sums / sums[0]
         out[0], turn = _flatness(m[3] - m[1] ** 2, m[4] - m[1] * m[2], m[5] - m[2] ** 2)
         out[1] = abs(m[1] * np.sin(turn) - m[2] * np.cos(turn))
-    tall, size = np.empty((GRID * GRID, 3)), 0
-    sums, near = np.zeros(6), 0
-    for i in range(GRID):
-        for j in range(GRID):
-            u, v = (i + 0.5 - GRID / 2) * CELL_M, (j + 0.5 - GRID / 2) * CELL_M
-            away, bins = np.hypot(u, v), set_bits(cells[i, j])
-            if away > max(0.3, radius + 0.15) and away <= REACH_M and bins >= TALL_BINS:
-                near += away <= 1.0
-                _add(sums, u, v)
-                tall[size] = (u, v, float(bins))
-                size += 1
-    out[2], out[3], out[4] = near, size - near, 0.0
-    if size >= 3:
-        m = sums / size
-        out[4] = _flatness(m[3] - m[1] ** 2, m[4] - m[1] * m[2], m[5] - m[2] ** 2)[0]
-    _wall(tall[:size], out[11:])
     top = min(high + 8, BINS)
-    out[5] = (core[high:top] > 0).sum() / 8
-    out[6] = (shell[high:top] > 0).sum() / 8
-    out[7] = (shell[:low] > 0).sum() / max(low, 1)
-    middle = GRID // 2
-    out[8] = above[middle - 5 : middle + 5, middle - 5 : middle + 5].sum() / 100
-    out[9] = below[middle - 5 : middle + 5, middle - 5 : middle + 5].sum() / 100
-    out[10] = highest * BIN_M
-
-
-@njit(cache=True)
-def _wall(tall, out):
-    """Write cells, distance, share and mean bins of the strip with the most tall cells."""
-    steps = int(2 * REACH_M / WALL_M) + 1
-    out[0], out[1], out[2], out[3] = 0.0, REACH_M, 0.0, 0.0
-    count, bins = np.zeros(steps + 1), np.zeros(steps + 1)
-    for turn in range(WALL_TURNS):
-        c, s = np.cos(np.pi * turn / WALL_TURNS), np.sin(np.pi * turn / WALL_TURNS)
-        count[:] = 0
-        bins[:] = 0
-        for u, v, b in tall:
-            k = int((u * s - v * c + REACH_M) / WALL_M)
-            count[k] += 1
-            bins[k] += b
-        for k in range(steps):
-            n = count[k] + count[k + 1]
-            if n > out[0]:
-                out[0], out[1] = n, abs((k + 1) * WALL_M - REACH_M)
-                out[2], out[3] = n / len(tall), (bins[k] + bins[k + 1]) / n
+    out[2] = (core[high:top] > 0).sum() / 8
+    out[3] = (shell[high:top] > 0).sum() / 8
+    out[4] = (shell[:low] > 0).sum() / max(low, 1)
+    out[5], out[6] = above.sum() / above.size, below.sum() / below.size
+    out[7] = highest * BIN_M
 
 
 @njit(cache=True, parallel=True)
@@ -363,8 +312,8 @@ def _candidate(points, height, start, base, xy, given, out, axis):
     for k in range(n):
         x[k], y[k], h[k] = points[near[k], 0], points[near[k], 1], height[near[k]]
     _describe(x, y, h, xy, given, out, axis)
-    out[49] = _elongation(x, y, h, axis)
-    _hollow(x, y, h, axis, out[50:])
+    out[42] = _elongation(x, y, h, axis)
+    _hollow(x, y, h, axis, out[43:])
 
 
 @njit(cache=True)

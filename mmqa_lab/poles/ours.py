@@ -2,17 +2,17 @@
 
 Works without scan lines: the cloud is thinned, columns that hold points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
-stands around it (``features``), on scan lines also by how its points stack up (``groups``) and by
-the rays it stops (``rays``), and a sum of small decision trees, trained on simulated streets
-alone, gives the probability that it is a pole (``trees``, ``model.json``).
+stands around it (``features``, ``facades``), on scan lines also by how its points stack up
+(``groups``) and by the rays it stops (``rays``), and a sum of small decision trees, trained on
+simulated streets alone, gives the probability that it is a pole (``trees``, ``model.json``).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.axes import chord_diameter
+from mmqa_lab.poles import facades, groups, rays
+from mmqa_lab.poles.axes import shaft_diameter
 from mmqa_lab.poles.candidates import candidates
 from mmqa_lab.poles.columns import base, beside, near_axis, rows
 from mmqa_lab.poles.features import NAMES, describe
@@ -21,7 +21,7 @@ from mmqa_lab.poles.profiles import in_order
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
 from mmqa_lab.poles.trees import read_model
 
-FEATURES = NAMES + groups.NAMES + rays.NAMES
+FEATURES = NAMES + facades.NAMES + groups.NAMES + rays.NAMES
 """Of a candidate; those of stacks and rays on scan lines are -1 where there are no lines."""
 
 WIDEST_M = 0.45
@@ -29,11 +29,6 @@ WIDEST_M = 0.45
 
 GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
-
-
-LEAST_CHORDS = 3
-"""Fewer chords tell no diameter. A chord counts where the pulses right before and after it hit
-nothing nearby: what stands in front cuts it short, what touches it makes it longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +112,7 @@ def described(points, settings, *, lines=None):
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, base(sorted_thin))
     features, axes = describe(*where, xy, given)
     ground = _ground_at(thin, height, axes)
+    features = np.column_stack([features, facades.describe(thin, height, axes)])
     on_lines = np.full((len(xy), len(groups.NAMES + rays.NAMES)), -1.0)
     if stacks is not None:
         beside, ends = groups.describe(stacks, axes)
@@ -198,12 +194,16 @@ def _diameters(points, lines, table, radius):
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
             which, line = _shaft(part, off, *(values[number] for values in lines))
-            diameter[k] = chord_diameter(part[which], direction, line, whole=True)
+            diameter[k] = shaft_diameter(part[which], direction, line)
     return diameter
 
 
 def _shaft(points, off, line, place):
-    """Points of the group nearest to the axis on each scan line, untouched, and their lines."""
+    """Points of the group nearest to the axis on each scan line, and their lines.
+
+    A group counts where the pulses right before and after it hit nothing nearby: what stands in
+    front cuts a chord short, what touches it makes it longer.
+    """
     if not len(points):
         return np.empty(0, np.int64), line
     order = np.lexsort([place, line])
@@ -221,8 +221,6 @@ def _shaft(points, off, line, place):
     chord = np.linalg.norm(off[order[first]] - off[order[last]], axis=1)
     nearest = nearest[(away[nearest] <= WIDEST_M / 2) & (chord[nearest] <= WIDEST_M)]
     nearest = nearest[~_touched(line[order], place[order], first, last)[nearest]]
-    if len(nearest) < LEAST_CHORDS:
-        nearest = nearest[:0]
     which = order[np.isin(group, nearest)]
     return which, line[which]
 

@@ -83,12 +83,13 @@ def quiet_plan(rng):
     return replace(plan, balcony_share=0.0, **few)
 
 
-WARY = 20.0
+WARY = 50.0
 """Weight, on quiet streets, of what is no pole and stands at a wall: who has seen little there must
 be wary."""
 
-WALL = {"wall_cells": 8, "wall_bins": 10}
-"""Least features of a candidate at a wall: 1.6 m long, 2.5 m high."""
+WALL_M = 3.0
+WALL_OFF_M = 2.0
+"""Something stands at a wall when so much of one is seen no farther than that from its axis."""
 
 
 def example(number, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0):
@@ -179,7 +180,7 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, m
     rounds, leaves, rate : int, int, float
         Number of trees, leaves of each, learning rate.
     wary : float
-        Weight of what is no pole and stands at a wall (``WALL``).
+        Weight of what is no pole and stands at a wall (``WALL_M``, ``WALL_OFF_M``).
     more : tuple of str
         Names of columns that follow those of :func:`examples`.
     """
@@ -187,15 +188,15 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, m
 
     size = np.bincount(group)[group]
     weight = np.sqrt(np.median(size) / size)
-    columns = [ours.FEATURES.index(name) for name in WALL]
-    at_wall = (features[:, columns] >= list(WALL.values())).all(axis=1)
-    weight[at_wall & (label == 0)] *= wary
+    length, off = (features[:, ours.FEATURES.index(f"facade_{name}m")] for name in ("", "off_"))
+    weight[(length >= WALL_M) & (off <= WALL_OFF_M) & (label == 0)] *= wary
     model = HistGradientBoostingClassifier(
         max_iter=rounds,
         max_leaf_nodes=leaves,
         learning_rate=rate,
         min_samples_leaf=30,
         l2_regularization=1.0,
+        max_features=0.3,  # at each split: on another kind of street a single feature may mislead
         early_stopping=False,
         random_state=0,
     )
