@@ -7,7 +7,7 @@ import numpy as np
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.planes import sigma_mad
 
-LEAST_CHORDS = 3
+LEAST_CHORDS = 5
 """That agree; fewer tell no diameter of a shaft."""
 
 TAPERS = np.arange(0, 0.031, 0.003)
@@ -72,7 +72,7 @@ def shaft_diameter(points, axis_direction, line):
     Returns
     -------
     float
-        Metres; NaN where fewer than three chords agree.
+        Metres; NaN where fewer than five chords agree.
 
     References
     ----------
