@@ -85,7 +85,7 @@ def claims(reached):
         Claim(
             f"No rate of the learned method lies more than {SLACK:.2f} below its aim.",
             bool((rates["value"] >= rates["aim"] - SLACK).all()),
-            f"missed {len(named)} of {len(reached)}: {'; '.join(named)}",
+            "; ".join([f"missed {len(named)} of {len(reached)}", *named]),
             f"two standard deviations of a rate of 0.9 of {ENOUGH} poles are 0.11",
         )
     ]
