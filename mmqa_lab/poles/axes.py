@@ -17,11 +17,15 @@ TAPER_GAIN = 0.01
 """A taper must win one more chord for each so many m/m."""
 
 
-def chord_diameter(points, axis_direction, line):
-    """Return the diameter from the chords that scan lines cut: mean chord plus one ray spacing.
+def shaft_diameter(points, axis_direction, line):
+    """Return the diameter halfway up a shaft, from the chords that scan lines cut.
 
     A ray every ``s`` metres meets a post of diameter d between floor(d / s) and ceil(d / s) times,
-    d / s times on average, and the chord from the first to the last hit is one spacing less.
+    d / s times on average, and the chord from the first to the last hit is one spacing less: the
+    diameter is the mean chord plus one ray spacing. A shaft may taper, and what stands in front of
+    it or is mounted on it has chords of its own: a straight line of chord over height is sought on
+    which the most agree within two spacings. Boards and boxes are wider than their post: the
+    narrowest chords that agree, a quarter of all at least, are the shaft's.
 
     Parameters
     ----------
@@ -35,7 +39,7 @@ def chord_diameter(points, axis_direction, line):
     Returns
     -------
     float
-        Metres; NaN where no line hits the shaft twice.
+        Metres; NaN where fewer than five chords agree.
 
     Notes
     -----
@@ -47,47 +51,17 @@ def chord_diameter(points, axis_direction, line):
     ----------
     The estimator is ours.
     """
-    from scipy.stats import median_abs_deviation
-
-    chords, _, spacing = _chords(points, axis_direction, line)
-    if not len(chords):
-        return np.nan
-    # chords through a board or a branch agree with no others; a taper stays within the factor
-    ranked, agree = _agreeing(chords, 1.5 * spacing)
-    first = np.argmax(agree)
-    chords = chords[chords <= 2.5 * np.median(ranked[first : first + agree[first]]) + 2 * spacing]
-    spread = 3 * max(median_abs_deviation(chords, scale="normal"), spacing)
-    usual = np.abs(chords - np.median(chords)) <= spread
-    return float(chords[usual].mean() + spacing)
-
-
-def shaft_diameter(points, axis_direction, line):
-    """Return the diameter halfway up a shaft that may taper: of chords that agree, plus a spacing.
-
-    A straight line of chord over height is sought of whose chords the most agree within two ray
-    spacings. Boards and boxes are wider than their post: the narrowest chords that agree, a quarter
-    of all at least, are the shaft's. As for :func:`chord_diameter`, whose arguments these are, one
-    spacing is added to the mean.
-
-    Returns
-    -------
-    float
-        Metres; NaN where fewer than five chords agree.
-
-    References
-    ----------
-    The estimator is ours.
-    """
     chords, height, spacing = _chords(points, axis_direction, line)
     best = 0, np.nan
     for taper in TAPERS if len(chords) >= LEAST_CHORDS else ():
         upright = chords + taper * (height - (height.min() + height.max()) / 2)
-        ranked, agree = _agreeing(upright, 2 * spacing)
+        ranked = np.sort(upright)
+        last = np.searchsorted(ranked, ranked + 2 * spacing, side="right")
+        agree = last - np.arange(len(ranked))
         enough = agree >= min(agree.max(), max(2, len(chords) / 4))
         narrow = ranked <= ranked[np.argmax(enough)] + 2 * spacing
         first = np.argmax(np.where(enough & narrow, agree, 0))
-        usual = np.median(ranked[first : first + agree[first]])
-        shaft = np.abs(upright - usual) <= 2 * spacing
+        shaft = np.abs(upright - np.median(ranked[first : last[first]])) <= 2 * spacing
         won = agree[first] - taper / TAPER_GAIN
         if won > best[0] and shaft.sum() >= LEAST_CHORDS:
             best = won, upright[shaft].mean() + spacing
@@ -116,13 +90,6 @@ def _chords(points, axis_direction, line):
     height = np.array([(centred[part] @ axis_direction).mean() for part in parts])
     spacing = np.median(chords / [len(part) - 1 for part in parts])
     return chords, height, spacing
-
-
-def _agreeing(values, window):
-    """Sorted values, and how many lie within a window from each on."""
-    ranked = np.sort(values)
-    last = np.searchsorted(ranked, ranked + window, side="right")
-    return ranked, last - np.arange(len(ranked))
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):

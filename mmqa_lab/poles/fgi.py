@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.axes import chord_diameter, circle_diameter
+from mmqa_lab.poles.axes import circle_diameter, shaft_diameter
 from mmqa_lab.poles.columns import base, near_axis, rows
 from mmqa_lab.poles.profiles import pulse_numbers
 from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
@@ -306,7 +306,7 @@ def _judged(everything, points, line, member, found, settings, explain):
         else:
             stretch[k] = begin, end
     table = _rows(found, stretch, share, reason)
-    fit = circle_diameter if settings.circle_fit else chord_diameter
+    fit = circle_diameter if settings.circle_fit else shaft_diameter
     table["diameter_m"] = _diameters(points, line, member, found, stretch, reason, fit)
     drop_duplicates(table, 2 * settings.merge_distance)
     return pole_table(table, "fgi", explain=explain)
