@@ -85,7 +85,7 @@ def quiet_plan(rng):
 
 WARY = 50.0
 """Weight, on quiet streets, of what is no pole and stands at a wall: who has seen little there must
-be wary."""
+be wary. Chosen on eight streets full of balconies that no result is reported of."""
 
 WALL_M = 3.0
 WALL_OFF_M = 2.0
