@@ -49,6 +49,7 @@ LAYERS = {
     "simulate": 3,
     "_las": 3,
     "io": 3,
+    "bench": 3,
     "samples": 3,
     "results": 3,
     "height_files": 3,
