@@ -148,12 +148,13 @@ def run(cases, methods, *, make, score=None, seeds=(0,), workers=1, client=None,
     results are equal to the last bit on one machine. Methods that draw random numbers must seed
     their own generator.
 
-    A finished cell is found again by a hash of the case, the seed, the method's name and code,
-    the code of ``make`` and ``score``, and the package's version. The code is that of the
-    function, of functions of the same module that it names, and the plain values (numbers,
-    texts, tuples, arrays) among its defaults, closure and named globals. A change in another
-    module, in a list, dict or other object, or in a file that is read is not noticed: delete the
-    folder then. A cell that failed is kept too, except after ImportError, MemoryError and OSError.
+    A finished cell is found again by a hash of the case, the seed, the method's name and code, the
+    code of ``make`` and ``score``, and the package's version. Noticed are the function's own code,
+    that of functions of the same module or notebook that it names, names of functions elsewhere,
+    and the plain values (numbers, texts, tuples, arrays) among its defaults, closure and named
+    globals. Not noticed are changes inside another module, a list, dict or other object, a class,
+    or a file that is read: delete the folder then. Another version of Python computes anew. A cell
+    that failed is kept too, except after ImportError, MemoryError and OSError.
 
     Examples
     --------
@@ -363,10 +364,11 @@ class _Store:
         self.folder = folder and Path(folder)
         if self.folder is None:
             return
-        common = [__version__, fingerprint(bench.make), fingerprint(bench.score)]
+        common = [__version__, _lasting_text(bench.make, "make")]
+        common.append(_lasting_text(bench.score, "score"))
         self.sources = {"": common}
         for name, method in bench.methods.items():
-            self.sources[name] = [*common, name, fingerprint(method)]
+            self.sources[name] = [*common, name, _lasting_text(method, name)]
 
     def read(self, case, seed):
         """The records of a case and seed that are there, by name."""
@@ -385,14 +387,19 @@ class _Store:
 
     def _path(self, case, seed, name):
         """The file of a cell, named by the hash of all that decides it."""
-        known = {key: fingerprint(value) for key, value in sorted(case.items())}
-        if any(" at 0x" in text for text in known.values()):
-            raise ValueError(
-                f"Invalid case {case}: its text changes with every run. Must be numbers, texts or "
-                "objects that name their fields, to be kept in a folder."
-            )
-        text = json.dumps([known, fingerprint(seed), self.sources[name]])
+        known = [(key, _lasting_text(value, key)) for key, value in sorted(case.items())]
+        text = json.dumps([known, seed, self.sources[name]])
         return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
+
+
+def _lasting_text(value, name):
+    """A text that stands for a value or function in this run and the next."""
+    try:
+        return _text_of(value)
+    except RuntimeError as error:
+        raise ValueError(
+            f"Invalid {name} {value}: another in every run. Must be plain values for a folder."
+        ) from error
 
 
 def _read_record(path):
@@ -423,8 +430,8 @@ def failures(results):
     ...     raise ArithmeticError("no signal")
     >>> with warnings.catch_warnings(action="ignore"):
     ...     results = run([{"n": 3}], {"mine": upset}, make=lambda n, seed: n, seeds=(4, 5))
-    >>> failures(results).iloc[0].tolist()
-    ['mine', 'ArithmeticError: no signal', 2, 'n=3, seed=4']
+    >>> failures(results).values.tolist()
+    [['mine', 'ArithmeticError: no signal', 2, 'n=3, seed=4']]
     """
     cells = cell_table(results)
     failed = cells[cells["failure"] != ""]
@@ -464,6 +471,18 @@ def cell_table(results):
         results = results.expand_dims("method")
     others = [name for name in results.dims if name != "method"]
     return results.to_dataframe(dim_order=["method", *others]).reset_index()
+
+
+def figure_names(results):
+    """Return the names of the numbers that methods were measured by.
+
+    Examples
+    --------
+    >>> figure_names(run([{"n": 1}], {"one": lambda n: {"a": 1, "b": 2}}, make=lambda n, seed: n))
+    ('a', 'b')
+    """
+    truths = [name for name in results.data_vars if name == "truth" or name.startswith("truth_")]
+    return tuple(name for name in results.data_vars if name not in (*truths, "failure"))
 
 
 def summary(results, figure=None, *, by=()):
@@ -682,8 +701,7 @@ def _parameters(results):
 
 def _figure(results, figure):
     """The name of a figure that is there; the only one if none is named."""
-    truths = [name for name in results.data_vars if name == "truth" or name.startswith("truth_")]
-    figures = tuple(name for name in results.data_vars if name not in (*truths, "failure"))
+    figures = figure_names(results)
     if figure is None and len(figures) == 1:
         return figures[0]
     return check_choice(figure, "figure", figures)
@@ -691,7 +709,8 @@ def _figure(results, figure):
 
 def _truth_name(results, truth):
     """The parameter or variable of truth of that name."""
-    variables = [name for name in results.data_vars if name == "truth" or name.startswith("truth_")]
+    figures = figure_names(results)
+    variables = [name for name in results.data_vars if name not in (*figures, "failure")]
     known = (*_parameters(results), *variables)
     name = f"truth_{truth}" if f"truth_{truth}" in known and truth not in known else truth
     check_choice(name, "truth", known)
@@ -736,51 +755,26 @@ class Comparison:
         return run(self.cases, self.methods, **whole, **how)
 
 
-def fingerprint(value):
-    """Return a text that changes when a value, or the code of a function, does.
+def _text_of(value, known=None):
+    """A text that changes when a value, or the code of a function, does.
 
-    Parameters
-    ----------
-    value : object
-        A function, ``functools.partial``, number, text, tuple, array, or anything else, of which
-        its ``repr`` counts.
-
-    Returns
-    -------
-    str
-        For a function: its code and the texts of what it names, see the notes of :func:`run`.
-
-    Examples
-    --------
-    >>> fingerprint(np.float64(1.5)) == fingerprint(1.5)
-    True
-    >>> fingerprint(lambda x: x + 1) == fingerprint(lambda x: x + 2)
-    False
+    ``known`` are the functions on the way to it, which may name each other.
     """
-    return _text_of(value, set())
+    from dask.base import tokenize
 
-
-def _text_of(value, known):
-    """A value as text; ``known`` are the functions on the way to it, which may name each other."""
-    function = inspect.unwrap(getattr(value, "py_func", value))  # numba keeps the original there
+    known = set() if known is None else known
     if isinstance(value, functools.partial):
-        return _text_of((value.func, *value.args, *sorted(value.keywords.items())), known)
+        value = (value.func, value.args, tuple(sorted(value.keywords.items())))
     if isinstance(value, tuple):
-        return f"({', '.join(_text_of(part, known) for part in value)})"
-    if isinstance(value, np.ndarray) and value.ndim:
-        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
-    if inspect.ismethod(function):
-        return _text_of((function.__self__, function.__func__), known)
+        return " ".join(_text_of(part, known) for part in value)
+    function = getattr(value, "py_func", getattr(value, "__func__", value))  # of numba, of methods
+    function = inspect.unwrap(function)
     if inspect.isfunction(function):
         return _function_text(function, known)
-    if inspect.isclass(value):
-        own = [part for part in vars(value).values() if inspect.isfunction(part)]
-        return value.__qualname__ + _text_of(tuple(own), known)
-    if callable(value) and hasattr(value, "__name__"):
-        return f"{getattr(value, '__module__', '')}.{value.__name__}"
-    if callable(value):
-        return _text_of((type(value), *sorted(getattr(value, "__dict__", {}).items())), known)
-    return repr(value.item() if isinstance(value, np.generic) else value)
+    if _is_named(value):
+        return _full_name(value)
+    value = value.item() if isinstance(value, np.generic) else value
+    return tokenize(value, ensure_deterministic=True)
 
 
 def _function_text(function, known):
@@ -789,31 +783,31 @@ def _function_text(function, known):
         return function.__qualname__
     known.add(function)
     codes = list(_nested(function.__code__))
-    text = [_code_text(code) for code in codes]
-    closure = [cell.cell_contents for cell in function.__closure__ or () if _is_filled(cell)]
     names = sorted({name for code in codes for name in code.co_names})
-    globals_ = [function.__globals__[name] for name in names if name in function.__globals__]
-    defaults = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
-    for value in (*defaults, *closure, *globals_):
-        if _is_noticed(value, function.__module__):
-            text.append(_text_of(value, known))
-    return "; ".join(text)
+    values = [function.__globals__[name] for name in names if name in function.__globals__]
+    values += [cell.cell_contents for cell in function.__closure__ or ()]
+    values += [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
+    named = (_named_text(value, function.__module__, known) for value in values)
+    return " ".join([*map(_code_text, codes), *named])
 
 
-def _is_noticed(value, module):
-    """Whether a value that a function names counts: plain, or a function of the same module."""
-    plain = (numbers.Number, str, bytes, tuple, np.ndarray, np.generic)
-    if isinstance(value, plain) or value is None:
-        return True
-    return callable(value) and getattr(value, "__module__", None) == module
+def _named_text(value, module, known):
+    """What counts of a value that a function names: of a function elsewhere, its name alone."""
+    plain = numbers.Number | str | tuple | np.ndarray | np.generic | functools.partial | None
+    own = inspect.isfunction(value) and value.__module__ == module
+    if own or isinstance(value, plain):
+        return _text_of(value, known)
+    return _full_name(value) if _is_named(value) else ""
 
 
-def _is_filled(cell):
-    """Whether a variable of a closure has a value yet."""
-    try:
-        return cell.cell_contents is not cell
-    except ValueError:
-        return False
+def _is_named(value):
+    """Whether a value is a function or class with a name."""
+    return callable(value) and hasattr(value, "__name__")
+
+
+def _full_name(value):
+    """Module and name of a function or class."""
+    return f"{getattr(value, '__module__', '')}.{value.__name__}"
 
 
 def _nested(code):
