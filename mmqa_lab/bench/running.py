@@ -343,7 +343,7 @@ def _processes(workers):
     from distributed import Client, LocalCluster
 
     one = {"distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1}
-    quiet = {"memory_limit": 0, "dashboard_address": None, "silence_logs": logging.ERROR}
+    quiet = {"memory_limit": 0, "dashboard_address": ":0", "silence_logs": logging.ERROR}
     with (
         dask.config.set(one),
         LocalCluster(n_workers=workers, threads_per_worker=1, **quiet) as cluster,

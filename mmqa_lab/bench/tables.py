@@ -241,35 +241,32 @@ def rank(results, truth, figure=None, *, resamples=999, seed=0):
     >>> rank(results, truth="n")[["method", "spearman"]].round(2).values.tolist()
     [['exact', 1.0], ['folded', -0.44]]
     """
+    check_count(resamples, "resamples")
     figure, truth = _figure(results, figure), _truth_name(results, truth)
     by_method, cases = _by_method(results, figure)
-    true = _by_method(results, truth)[0]
-    true = next(iter(true.values()))
+    true = next(iter(_by_method(results, truth)[0].values()))
     values = np.stack(list(by_method.values()))
+    picks = _picks(cases, resamples, np.random.default_rng(seed))
     found = _rank_correlations(values, true)
-    members = [np.flatnonzero(cases == case) for case in np.unique(cases)]
-    rng = np.random.default_rng(seed)
-    draws = rng.integers(len(members), size=(check_count(resamples, "resamples"), len(members)))
-    picks = (np.concatenate([members[case] for case in draw]) for draw in draws)
     drawn = np.array([_rank_correlations(values[:, pick], true[pick]) for pick in picks])
     best = np.argmax(np.nan_to_num(np.abs(found), nan=-1))
-    low, high = _percentiles(drawn)
+    columns = {"method": list(by_method), "spearman": found}
+    columns["low"], columns["high"] = _percentiles(drawn)
+    columns["n"] = np.isfinite(values).sum(axis=1)
+    columns["missing"] = np.isnan(values).sum(axis=1)
+    columns["behind_best"] = np.abs(found[best]) - np.abs(found)
     behind = np.abs(drawn[:, [best]]) - np.abs(drawn)
-    behind_low, behind_high = _percentiles(behind)
-    table = pd.DataFrame(
-        {
-            "method": list(by_method),
-            "spearman": found,
-            "low": low,
-            "high": high,
-            "n": np.isfinite(values).sum(axis=1),
-            "missing": np.isnan(values).sum(axis=1),
-            "behind_best": np.abs(found[best]) - np.abs(found),
-            "behind_low": behind_low,
-            "behind_high": behind_high,
-        }
-    )
+    columns["behind_low"], columns["behind_high"] = _percentiles(behind)
+    table = pd.DataFrame(columns)
     return table.sort_values("behind_best", kind="stable").reset_index(drop=True)
+
+
+def _picks(cases, resamples, rng):
+    """Yield the cells of as many cases as there are, drawn with replacement."""
+    members = [np.flatnonzero(cases == case) for case in np.unique(cases)]
+    for _ in range(resamples):
+        draw = rng.integers(len(members), size=len(members))
+        yield np.concatenate([members[case] for case in draw])
 
 
 def _rank_correlations(values, true):
