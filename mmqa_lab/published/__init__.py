@@ -9,8 +9,8 @@ The package's studies set their own figures beside these. The data stand in CSV 
   than the chart, or not measurable); ``not_evaluated`` (an empty cell); ``not_applicable``
   (``n/a``); ``not_available`` (``N/A``); ``not_printed`` (the text announces a number and gives
   none).
-- ``relation`` is ``=``, ``<``, ``<=``, ``>``, ``>=``, ``about``, ``within``, ``up to``, or ``range``
-  (columns ``low`` and ``high``).
+- ``relation`` is ``=``, ``<``, ``<=``, ``>``, ``>=``, ``about``, ``within`` (plus or minus),
+  ``up to``, or ``range`` (columns ``low`` and ``high``).
 - ``role`` parts a ``result`` from the ``set-up`` of the experiment, a ``threshold``, and numbers
   that the source quotes from the ``literature``.
 - Units stand in the names of columns, or in the column ``unit``.
