@@ -145,7 +145,7 @@ def test_catalogue_notebooks_modules_and_readme_agree():
         assert f"notebooks/{study.notebook}.ipynb" in readme
         module = study.module
         assert isinstance(module.QUICK, dict)
-        assert callable(module.claims)
+        assert callable(module.checks)
 
 
 def notebook_cells(path):
@@ -166,7 +166,7 @@ def test_notebook_keeps_the_template(study):
     assert tags.count("parameters") == 1
     assert 2 <= tags.count("solution") <= 4
     assert "doi" in cells[0]["source"].lower()
-    assert "save_claims" in code[-1]["source"] or any("save_claims" in c["source"] for c in code)
+    assert "save_checks" in code[-1]["source"] or any("save_checks" in c["source"] for c in code)
 
 
 def test_samples_are_registered_with_hash_and_licence():

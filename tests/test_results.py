@@ -6,9 +6,9 @@ import re
 import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
+from mmqa_lab.results import Claim, Run, overlapping_texts
 
 from mmqa_lab import figures
-from mmqa_lab.results import Claim, Run, overlapping_texts
 
 
 @pytest.fixture

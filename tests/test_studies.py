@@ -10,12 +10,12 @@ import time
 import nbformat
 import pandas as pd
 import pytest
+from mmqa_lab.readme import masked
+from mmqa_lab.teaching import student_cell
 
 from mmqa_lab import gallery, headless
-from mmqa_lab.readme import masked
-from mmqa_lab.results import Run
+from mmqa_lab.run import Run
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
-from mmqa_lab.teaching import student_cell
 
 
 class Elsewhere(Study):
@@ -54,7 +54,7 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     assert outcome.verdict == "ok"
     folder = tmp_path / study.stem
     record = json.loads((folder / "run.json").read_text())
-    assert record["claims"] == record["claims_that_hold"] > 0
+    assert record["checks"] == record["claims_that_hold"] > 0
     assert record["overlapping_texts"] == {}
     answer = record["answer"]
     assert f"{answer['figure']}.png" in record["files"]

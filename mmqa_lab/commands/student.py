@@ -23,8 +23,8 @@ def add_arguments(parser):
 
 def run(options):
     """Write the copies and name them."""
+    from mmqa_lab.run.students import write_student_notebooks
     from mmqa_lab.studies.catalogue import chosen
-    from mmqa_lab.teaching import write_student_notebooks
 
     for path in write_student_notebooks(chosen(options.name), options.out):
         print(path)

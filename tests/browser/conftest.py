@@ -12,8 +12,8 @@ import urllib.request
 
 import nbformat
 import pytest
-
 from mmqa_lab.headless import _insert_quick
+
 from mmqa_lab.studies.catalogue import notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
