@@ -10,11 +10,11 @@ import time
 import nbformat
 import pandas as pd
 import pytest
-from mmqa_lab.readme import masked
-from mmqa_lab.teaching import student_cell
 
-from mmqa_lab import gallery, headless
 from mmqa_lab.run import Run
+from mmqa_lab.run import notebooks as headless
+from mmqa_lab.run.readme import masked
+from mmqa_lab.run.students import student_cell
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
 
 

@@ -223,7 +223,7 @@ class Run:
     def _write_record(self):
         """Write the run record as it stands."""
         self._record["seconds"] = round(time.time() - self._began, 1)
-        write_text(self.folder / RECORD, json.dumps(self._record, indent=1, default=_plain))
+        write_text(self.folder / RECORD, json.dumps(self._record, indent=1))
 
 
 def read_record(folder):
@@ -263,19 +263,20 @@ def parameter_names(notebook):
     tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
     if not tagged:
         raise ValueError(f"Invalid notebook {notebook}. Must have a cell tagged parameters.")
-    tree = ast.parse("".join(tagged[0]["source"]))
-    nodes = [node for node in tree.body if isinstance(node, ast.Assign)]
-    targets = (name for node in nodes for target in node.targets for name in ast.walk(target))
-    return [name.id for name in targets if isinstance(name, ast.Name)]
+    body = ast.parse("".join(tagged[0]["source"])).body
+    nodes = [node for node in body if isinstance(node, ast.Assign | ast.AnnAssign)]
+    targets = [node.targets if hasattr(node, "targets") else [node.target] for node in nodes]
+    names = [name for target in targets for one in target for name in ast.walk(one)]
+    return [name.id for name in names if isinstance(name, ast.Name)]
 
 
 def _parameters(stem, given):
     """What is recorded of a notebook's names."""
     notebooks = sorted(Path.cwd().glob(f"*{stem}.ipynb"))
     if notebooks:
-        return {name: given.get(name) for name in parameter_names(notebooks[0])}
+        return {name: _plain(given.get(name)) for name in parameter_names(notebooks[0])}
     return {
-        name: value
+        name: _plain(value)
         for name, value in given.items()
         if isinstance(value, PLAIN) and not name.startswith("_")
     }
@@ -351,7 +352,11 @@ def _says_kind(frame):
 
 
 def _plain(value):
-    """What JSON does not know as it knows it."""
-    if isinstance(value, range):
-        return list(value)
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    """A value as JSON knows it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list | set | range):
+        return [_plain(one) for one in value]
+    if hasattr(value, "tolist"):  # of NumPy
+        return value.tolist()
+    return value if isinstance(value, PLAIN) else str(value)
