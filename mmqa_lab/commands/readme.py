@@ -24,8 +24,7 @@ def add_arguments(parser):
 def run(options):
     """Write the README, or compare."""
     from mmqa_lab.io import write_atomically
-    from mmqa_lab.run import readme
-    from mmqa_lab.run.pages import read_ledger
+    from mmqa_lab.run import pages, readme
     from mmqa_lab.run.results import write_text
     from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 
@@ -33,15 +32,15 @@ def run(options):
     folder, path = options.results or notebooks / "results", notebooks.parent / "README.md"
     text = path.read_text(encoding="utf-8")
     new = readme.replaced(text, "studies", readme.studies_table(folder, STUDIES))
-    ledger = read_ledger(folder)
+    ledger = pages.read_ledger(folder)
     if ledger is not None:
-        new = readme.replaced(new, "ledger", readme.ledger_table(ledger.counts))
+        new = readme.replaced(new, "ledger", readme.ledger_table(ledger))
     if options.check:
         return 0 if new == text else 1
     write_text(path, new)
     picture = (folder / readme.KEY_FIGURE).read_bytes()
     write_atomically(notebooks / "key_figure.png", lambda file: file.write_bytes(picture))
     if ledger is not None:
-        figure = readme.draw_ledger(ledger.counts)
+        figure = readme.ledger_figure(ledger)
         write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=150))
     return 0

@@ -1,7 +1,8 @@
-"""Write copies of the notebooks for a class: without the answers, with their checks.
+"""Write copies of the notebooks for a class: without the answers, with their assertions.
 
 Each exercise keeps the assertions of its answer; they fail until the work is done. The teacher's
-lesson plan stays in the original notebook. A folder that holds such notebooks already is refused.
+lesson plan and stored outputs stay in the original notebook. A folder that already contains such
+notebooks is refused.
 """
 
 from pathlib import Path

@@ -5,7 +5,6 @@ results are in ``templates/``.
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -13,6 +12,23 @@ import pandas as pd
 from mmqa_lab.run.results import FORMATS, read_record, write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
+
+SHOWN = [
+    "source",
+    "table",
+    "cell",
+    "role",
+    "printed",
+    "unit",
+    "ours",
+    "ours_low",
+    "ours_high",
+    "kind",
+    "study",
+    "verdict",
+    "note",
+]
+"""Columns of the ledger's page."""
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
@@ -34,7 +50,7 @@ def write_pages(folder, studies, outcomes):
         for study, outcome in zip(studies, outcomes, strict=True)
         if outcome is not None
     ]
-    ledger = read_ledger(folder)
+    ledger = _ledger(folder)
     if ledger is not None:
         write_text(folder / "ledger.html", _filled("ledger.html", ledger=ledger))
     text = _filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
@@ -102,21 +118,7 @@ def _last_figure(files):
 def _checks(folder):
     """The checks of a run."""
     file = folder / "checks.csv"
-    return pd.read_csv(file).fillna("").to_dict("records") if file.is_file() else []
-
-
-@dataclass(frozen=True)
-class Ledger:
-    """The rows of all studies' ledgers, and their counts by source and verdict with sums."""
-
-    rows: pd.DataFrame
-    counts: pd.DataFrame
-
-    @property
-    def records(self):
-        """The rows as dicts of texts, numbers with four digits."""
-        texts = self.rows.map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
-        return texts.astype(object).where(self.rows.notna(), "").to_dict("records")
+    return pd.read_csv(file, keep_default_na=False).to_dict("records") if file.is_file() else []
 
 
 def read_ledger(folder):
@@ -126,6 +128,19 @@ def read_ledger(folder):
         return None
     from mmqa_lab.published import ledger
 
-    rows = ledger.collect(folder)
-    counts = pd.crosstab(rows["source"], rows["verdict"], margins=True, margins_name="all")
-    return Ledger(rows, counts)
+    return ledger.collect(folder)
+
+
+def _ledger(folder):
+    """What the pages show of the ledger: counts and rows, numbers with four digits."""
+    rows = read_ledger(folder)
+    if rows is None:
+        return None
+    from mmqa_lab.published.ledger import summary
+
+    texts = rows[SHOWN].map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
+    return {
+        "counts": summary(rows),
+        "rows": texts.astype(object).where(rows[SHOWN].notna(), "").to_dict("records"),
+        "columns": SHOWN,
+    }

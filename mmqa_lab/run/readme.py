@@ -26,25 +26,24 @@ def studies_table(folder, studies):
     return HEAD + "\n".join(_row(study, Path(folder) / study.stem) for study in studies)
 
 
-def ledger_table(counts):
+def ledger_table(ledger):
     """Return the ledger's counts by source and verdict as Markdown."""
+    from mmqa_lab.published.ledger import summary
+
+    counts = summary(ledger)
     lines = [["source", *counts.columns], ["---"] * (1 + len(counts.columns))]
-    lines += [
-        [source, *map(str, row)]
-        for source, row in zip(counts.index, counts.to_numpy(), strict=True)
-    ]
+    lines += [[source, *map(str, row)] for source, *row in counts.itertuples()]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def draw_ledger(counts):
-    """Return a figure of the ledger: how many results of each source have which verdict."""
-    import matplotlib.pyplot as plt
+def ledger_figure(ledger):
+    """Return a figure of the verdicts on each source's results."""
+    from mmqa_lab.plots import subplots, use_style
+    from mmqa_lab.published.ledger import plot
 
-    figure, ax = plt.subplots(figsize=(7, 0.5 * len(counts) + 0.6), layout="constrained")
-    bars = counts.drop(index="all", columns="all")
-    bars[::-1].plot.barh(stacked=True, ax=ax, edgecolor="white", colormap="cividis")
-    ax.set(xlabel="printed results", ylabel="")
-    ax.legend(loc="outside upper center", ncols=4, frameon=False)
+    use_style()
+    figure, ax = subplots(width="double", height_mm=60)
+    plot(ledger, ax)
     return figure
 
 
