@@ -101,6 +101,16 @@ def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note="")
 def frame(entries):
     """Return entries as the table that a study writes as ``ledger.csv``.
 
+    Parameters
+    ----------
+    entries : list of dict
+        Of :func:`entry`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each entry; columns ``COLUMNS``.
+
     Examples
     --------
     >>> frame([entry("cahalane2014", "table_3", "wall 1 mimic", 0.0816, kind="predicted")]).shape
@@ -231,6 +241,16 @@ def summary(ledger, role="result"):
 
 def gaps(ledger):
     """Return the contradicted rows without an argument and the cells without a reason.
+
+    Parameters
+    ----------
+    ledger : DataFrame
+        Of :func:`collect`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of the ledger with an empty note; none in a complete run.
 
     Examples
     --------
