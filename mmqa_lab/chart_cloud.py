@@ -11,8 +11,8 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.neighbourhoods import spacing
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
+from mmqa_lab.spacing.quadrants import spacing
 
 AXES = ("principal", "horizontal")
 

@@ -25,22 +25,16 @@ LAYERS = {
     "_threads": 0,
     "cloud": 0,
     "published": 0,
-    "_quadrants": 1,
-    "_sectors": 1,
-    "neighbourhoods": 1,
+    "spacing": 1,
     "planes": 1,
-    "segments": 1,
-    "scan_geometry": 1,
-    "mimic": 1,
-    "accuracy": 1,
+    "scan_pattern": 1,
+    "stats": 1,
     "charts": 1,
     "chart_cloud": 2,
     "chart_image": 2,
-    "anisotropy": 2,
-    "calibration": 2,
-    "edges": 2,
-    "maps": 2,
-    "patterns": 2,
+    "mtf": 2,
+    "boresight": 2,
+    "lines": 2,
     "poles": 2,
     "radiometry": 2,
     "repeatability": 2,
@@ -51,22 +45,15 @@ LAYERS = {
     "io": 3,
     "bench": 3,
     "samples": 3,
-    "results": 3,
     "height_files": 3,
     "imagery": 3,
     "segment_files": 3,
-    "figures": 4,
+    "plots": 4,
     "views": 4,
-    "campaign": 4,
+    "maps": 4,
+    "run": 4,
     "studies": 5,
     "widgets": 6,
-    "selection": 6,
-    "jury": 6,
-    "headless": 6,
-    "gallery": 6,
-    "names": 6,
-    "teaching": 6,
-    "readme": 6,
     "commands": 6,
     "__main__": 6,
 }
@@ -146,7 +133,7 @@ def test_catalogue_notebooks_modules_and_readme_agree():
         assert f"notebooks/{study.notebook}.ipynb" in readme
         module = study.module
         assert isinstance(module.QUICK, dict)
-        assert callable(module.claims)
+        assert callable(module.checks)
 
 
 def notebook_cells(path):
@@ -167,7 +154,7 @@ def test_notebook_keeps_the_template(study):
     assert tags.count("parameters") == 1
     assert 2 <= tags.count("solution") <= 4
     assert "doi" in cells[0]["source"].lower()
-    assert "save_claims" in code[-1]["source"] or any("save_claims" in c["source"] for c in code)
+    assert "save_checks" in code[-1]["source"] or any("save_checks" in c["source"] for c in code)
 
 
 def test_samples_are_registered_with_hash_and_licence():
