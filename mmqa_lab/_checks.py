@@ -1,12 +1,29 @@
 """Argument checks with one message pattern: what is wrong, its value, what must hold."""
 
 import numbers
+import os
+import re
 
 import numpy as np
+
+PLAN_NAMES = (
+    ("x", "y"),
+    ("easting", "northing"),
+    ("east", "north"),
+    ("e", "n"),
+    ("rechtswert", "hochwert"),
+)
+"""Columns of tables that are taken for coordinates in plan, the first pair that is there."""
+
+HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "h", "hoehe", "höhe")
+"""Columns of tables that are taken for heights, the first that is there."""
 
 
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
+
+    Takes an array, a Cloud, a DataFrame with named coordinates (see :func:`coordinate_columns`)
+    and the path of a file that ``io.read_cloud`` reads. Two columns of them are those in plan.
 
     Raises
     ------
@@ -23,7 +40,7 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     Traceback (most recent call last):
     ValueError: Invalid points of shape (1, 2). Must have shape (n, 3).
     """
-    values = np.asarray(points)
+    values = np.asarray(_coordinates(points, name, columns))
     if values.dtype.kind not in "fiub":
         raise TypeError(f"Invalid {name} of type {values.dtype}. Must be real numbers.")
     if values.ndim != 2 or values.shape[1] != columns:
@@ -38,6 +55,70 @@ def check_points(points, *, name="points", columns=3, minimum=1):
             f"{int(np.argmax(bad))}. Must be finite coordinates."
         )
     return values
+
+
+def coordinate_columns(names):
+    """Return which of the columns of a table are x, y and z.
+
+    Case, a unit in brackets or behind ``_`` and white space do not count: ``X``, ``x_m`` and
+    ``x [m]`` are x. ``easting``, ``northing`` and ``height`` and a few others are known too.
+
+    Parameters
+    ----------
+    names : sequence
+        The columns' names.
+
+    Returns
+    -------
+    list
+        Three of the names; two, of a table without heights; none, of one without coordinates.
+
+    Examples
+    --------
+    >>> coordinate_columns(["id", "Easting", "Northing", "Height (m)"])
+    ['Easting', 'Northing', 'Height (m)']
+    >>> coordinate_columns(["x_m", "y_m"]), coordinate_columns(["a", "b", "c"])
+    (['x_m', 'y_m'], [])
+    """
+    plain = {}
+    for name in names:
+        plain.setdefault(_plain_name(name), name)
+    plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
+    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
+    return [plain[name] for name in (*plan, height) if name is not None]
+
+
+def is_table(points):
+    """Whether something is a DataFrame, asked without importing pandas."""
+    return hasattr(points, "columns") and hasattr(points, "to_numpy")
+
+
+def _is_cloud(points):
+    """Whether something is a Cloud; that room stands on this one."""
+    return type(points).__name__ == "Cloud" and hasattr(points, "points")
+
+
+def _plain_name(name):
+    """A column's name without case, unit and marks of comment."""
+    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip("/# \"'")).strip()
+
+
+def _coordinates(points, name, columns):
+    """The coordinates of a table or a file; anything else as it is."""
+    if isinstance(points, str | os.PathLike):
+        from mmqa_lab.io import read_cloud
+
+        return read_cloud(points, columns=()).points[:, :columns]
+    if not is_table(points):
+        return points.points[:, :columns] if _is_cloud(points) else points
+    found = coordinate_columns(points.columns)[:columns]
+    if len(found) == columns:
+        return points[found].to_numpy(dtype=np.float64)
+    if found or points.shape[1] != columns:
+        listed = ", ".join(str(column) for column in points.columns)
+        wanted = ", ".join("xyz"[:columns])
+        raise ValueError(f"Invalid {name} with columns {listed}. Must have {wanted}.")
+    return points.to_numpy()
 
 
 def check_number(value, name, *, low=None, high=None, unit=""):

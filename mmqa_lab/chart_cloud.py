@@ -10,9 +10,15 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab.cloud import Cloud
 from mmqa_lab.neighbourhoods import spacing
-from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
+from mmqa_lab.planes import (
+    CONSISTENT_SCALE,
+    Plane,
+    fit_plane,
+    flat_points,
+    sigma_mad,
+    turned_axes,
+)
 
 AXES = ("principal", "horizontal")
 
@@ -156,7 +162,6 @@ def evaluate_cloud(
     >>> quality.n, round(quality.d1_mm), round(quality.d4_mm), round(quality.f, 1)
     (200, 20, 40, 2.0)
     """
-    points = points.points if isinstance(points, Cloud) else points
     points = check_points(points, minimum=3)
     if polygon is not None:
         points = points[inside_polygon(points, polygon, thickness=thickness)]
@@ -290,7 +295,7 @@ def hull_area(xy):
     """
     import shapely
 
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
     return float(shapely.convex_hull(shapely.linestrings(outline)).area)
 

@@ -16,7 +16,7 @@ from importlib import import_module
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
-from mmqa_lab.cloud import Cloud
+from mmqa_lab.cloud import as_cloud
 
 METHODS = ("ours", "fgi", "itc")
 
@@ -84,7 +84,7 @@ def detect(
     check_choice(method, "method", METHODS)
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
-    cloud = points if isinstance(points, Cloud) else Cloud(check_points(points, minimum=0))
+    cloud = as_cloud(points)
     lines = None
     if method != "itc":
         from mmqa_lab.poles.profiles import scan_lines
