@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab.neighbourhoods import spacing
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     Plane,
@@ -19,6 +18,7 @@ from mmqa_lab.planes import (
     sigma_mad,
     turned_axes,
 )
+from mmqa_lab.spacing.quadrants import spacing
 
 AXES = ("principal", "horizontal")
 

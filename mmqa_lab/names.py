@@ -37,7 +37,7 @@ def table(word=""):
     Examples
     --------
     >>> found = table("hausdorff")
-    >>> ("segments", "lhd") in found[["room", "name"]].itertuples(index=False, name=None)
+    >>> ("lines", "lhd") in found[["room", "name"]].itertuples(index=False, name=None)
     True
     """
     rows = [

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.segments import Segments, check_segments
+from mmqa_lab.lines import Segments, check_segments
 
 COLUMNS = ("x1", "y1", "z1", "x2", "y2", "z2")
 

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from mmqa_lab import figures
+from mmqa_lab import plots
 from mmqa_lab.cloud import Cloud
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
@@ -141,7 +141,7 @@ def _plotter(local, values, label, *, off_screen):
         pyvista.PolyData(local),
         scalars=np.asarray(values, dtype=np.float64),
         point_size=4,
-        cmap=figures.MAP,
+        cmap=plots.MAP,
         scalar_bar_args=bar,
     )
     plotter.show_bounds(
@@ -162,7 +162,7 @@ def _plotter(local, values, label, *, off_screen):
 def _figure(local, values, label, limit=20_000):
     """The matplotlib picture of one cloud, thinned to what it can draw."""
     step = max(1, len(local) // limit)
-    figure, ax = figures.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
+    figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
     dots = ax.scatter(*local[::step].T, c=np.asarray(values)[::step], s=1, rasterized=True)
     ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)", aspect="equal")
     if _flat(local):

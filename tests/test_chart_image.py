@@ -13,8 +13,8 @@ from rendered import centre_contrast, grey, pattern_case, slanted_edge, true_mtf
 from mmqa_lab import chart_image, charts, samples
 from mmqa_lab.chart_image import ChartMap, FrameCamera, Limits, PanoramaCamera
 from mmqa_lab.chart_image.line_pairs import PairReading
-from mmqa_lab.chart_image.spread import spread_edge
 from mmqa_lab.charts import Bar, Layout
+from mmqa_lab.mtf.spread import spread_edge
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()

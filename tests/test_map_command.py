@@ -46,13 +46,13 @@ def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):
     import rasterio
     import xarray as xr
 
-    from mmqa_lab import campaign
+    from mmqa_lab import maps
 
     choices = {"cell": 0.25, "metrics": ("density", "spacing"), "workers": 1}
-    campaign.map_campaign([PATCH], tmp_path / "run", tile=2, **choices)
+    maps.map_campaign([PATCH], tmp_path / "run", tile=2, **choices)
     for ending in ("tif", "zarr", "nc"):
-        dataset = campaign.open_map(tmp_path / "run", crs="EPSG:2056")
-        campaign.write_map(dataset, tmp_path / f"m.{ending}")
+        dataset = maps.open_map(tmp_path / "run", crs="EPSG:2056")
+        maps.write_map(dataset, tmp_path / f"m.{ending}")
     with xr.open_zarr(tmp_path / "m.zarr") as zarr, xr.open_dataset(tmp_path / "m.nc") as netcdf:
         np.testing.assert_array_equal(zarr["d4"].values, netcdf["d4"].values)
         expected = netcdf["d4"].sel(layer="level").load()

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.maps import LAYERS, METRICS, UNITS, Window, evaluate_tile, reach
-from mmqa_lab.neighbourhoods import poisson_spacing, quadrant_distances, spacing
 from mmqa_lab.planes import fit_plane, sigma_mad
+from mmqa_lab.spacing.quadrants import poisson_spacing, quadrant_distances, spacing
 
 LEVEL, UPRIGHT, OTHER = range(3)
 

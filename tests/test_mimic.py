@@ -5,7 +5,7 @@ import pytest
 
 from mmqa_lab import mimic
 from mmqa_lab.published import cahalane2014
-from mmqa_lab.scan_geometry import ScanSetup, Target, scan_lattice
+from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
 
 THETA_A = 0.12
 

@@ -91,12 +91,12 @@ def test_names_are_listed_in_one_place(capsys, tmp_path):
         rows == PUBLIC.to_dict("records") == pd.read_csv(tmp_path / "names.csv").to_dict("records")
     )
     listed = {(row["room"], row["name"]) for row in rows}
-    assert {("segments", "lhd"), ("published.pfeifer2021", "table_2"), ("cloud", "Cloud")} <= listed
+    assert {("lines", "lhd"), ("published.pfeifer2021", "table_2"), ("cloud", "Cloud")} <= listed
     assert not any(room.startswith(("studies", "commands", "_")) for room, _ in listed)
 
 
 def test_names_are_found_by_a_word(capsys):
     assert main(["names", "HAUSDORFF"]) == 0
-    assert "segments" in capsys.readouterr().out
+    assert "lines" in capsys.readouterr().out
     assert main(["names", "unobtainium"]) == 2
     assert "Invalid word 'unobtainium'" in capsys.readouterr().err

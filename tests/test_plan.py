@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.scan_geometry import (
+from mmqa_lab.scan_pattern import (
     QUANTITIES,
     ScanSetup,
     Target,

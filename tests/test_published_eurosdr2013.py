@@ -2,8 +2,8 @@
 
 import pytest
 
-from mmqa_lab.accuracy import wilson
 from mmqa_lab.published import eurosdr2013
+from mmqa_lab.stats import wilson
 
 
 def test_classes_add_up_to_all():

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
 
-from mmqa_lab import figures
+from mmqa_lab import plots
 from mmqa_lab.results import Claim, Run, overlapping_texts
 
 
@@ -65,11 +65,11 @@ def test_a_claim_that_fails_is_written_and_named(run):
 
 
 def test_figures_are_equal_to_the_byte(run):
-    figures.use_style()
+    plots.use_style()
     contents = []
     for _ in range(2):
-        figure, ax = figures.subplots(height_mm=40)
-        figures.draw_points([[0, 0], [1, 1], [2, 0]], ax=ax)
+        figure, ax = plots.subplots(height_mm=40)
+        plots.draw_points([[0, 0], [1, 1], [2, 0]], ax=ax)
         run.save_figure(figure, "points")
         plt.close(figure)
         contents.append([(run.folder / f"points.{e}").read_bytes() for e in ("pdf", "svg", "png")])
@@ -77,8 +77,8 @@ def test_figures_are_equal_to_the_byte(run):
 
 
 def test_fonts_are_embedded_as_truetype(run):
-    figures.use_style()
-    figure, ax = figures.subplots(height_mm=40)
+    plots.use_style()
+    figure, ax = plots.subplots(height_mm=40)
     ax.set_xlabel("range (m)")
     run.save_figure(figure, "font")
     plt.close(figure)
@@ -89,8 +89,8 @@ def test_fonts_are_embedded_as_truetype(run):
 
 def drawn(height_mm=40, **choices):
     """A figure with a legend and a title, drawn."""
-    figures.use_style(**choices)
-    figure, ax = figures.subplots(height_mm=height_mm)
+    plots.use_style(**choices)
+    figure, ax = plots.subplots(height_mm=height_mm)
     ax.plot([0.1, 1], [0, 1], label="a line")
     ax.set(xlabel="range (m)", ylabel="error (mm)", title="plain")
     ax.legend()
@@ -114,22 +114,22 @@ def test_texts_on_each_other_or_outside_are_named(run):
     ]
 
 
-@pytest.mark.parametrize("journal", figures.JOURNALS)
-@pytest.mark.parametrize("width", figures.WIDTHS)
+@pytest.mark.parametrize("journal", plots.JOURNALS)
+@pytest.mark.parametrize("width", plots.WIDTHS)
 def test_files_have_the_width_that_the_journal_asks_for(journal, width, run):
     figure, _ = drawn(journal=journal, width=width)
     run.save_figure(figure, "page")
     plt.close(figure)
-    figures.use_style()
+    plots.use_style()
     box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (run.folder / "page.pdf").read_bytes())
     points = float(box.group(1).split()[2])
-    wanted = figures.JOURNALS[journal].widths_mm[figures.WIDTHS.index(width)]
+    wanted = plots.JOURNALS[journal].widths_mm[plots.WIDTHS.index(width)]
     assert points / 72 * 25.4 == pytest.approx(wanted, abs=0.1)  # a third of a point
-    assert figures.JOURNALS[journal].source
+    assert plots.JOURNALS[journal].source
 
 
 def test_an_unknown_journal_or_width_is_refused():
     with pytest.raises(ValueError, match=r"Invalid journal 'Nature'. Must be one of"):
-        figures.use_style(journal="Nature")
+        plots.use_style(journal="Nature")
     with pytest.raises(ValueError, match=r"Invalid width 'triple'. Must be one of"):
-        figures.use_style(width="triple")
+        plots.use_style(width="triple")

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.published import pfeifer2021
-from mmqa_lab.scan_geometry import Patch, ScanSetup, scan_lattice
+from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import presets, systems
 from mmqa_lab.studies.chart_tables.systems import compare, hull_bias, model, pulses_per_revolution
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mmqa_lab import figures
-from mmqa_lab.anisotropy import directional_spacing
-from mmqa_lab.neighbourhoods import spacing
+from mmqa_lab import plots
 from mmqa_lab.simulate.point_patterns import KINDS, point_pattern
+from mmqa_lab.spacing.directional import directional_spacing
+from mmqa_lab.spacing.quadrants import spacing
 from mmqa_lab.studies import anisotropy
 from mmqa_lab.studies.anisotropy import drawings, sweeps
 
@@ -28,9 +28,9 @@ def dataset():
 @pytest.fixture
 def ax():
     """Axes of a figure that is closed again."""
-    figure, axes = figures.subplots()
+    figure, axes = plots.subplots()
     yield axes
-    figures.plt.close(figure)
+    plots.plt.close(figure)
 
 
 def test_sweep_has_every_pattern_and_its_units(dataset):
@@ -116,4 +116,4 @@ def test_explorer_draws_what_its_controls_say():
     assert titles[0] != titles[1]
     assert all("along 20°" in title or "along 19°" in title for title in titles)
     for figure in (few, many):
-        figures.plt.close(figure)
+        plots.plt.close(figure)

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from mmqa_lab import segments
+from mmqa_lab import lines
 from mmqa_lab.published import poreba2013
 from mmqa_lab.simulate.canyon import Conditions, canyon
 from mmqa_lab.studies import lhd_weight as study
@@ -47,7 +47,7 @@ def test_published_tables_and_what_follows_from_them():
     assert round(wrong["recomputed_percent"], 2) == 99.58
     for row in check.itertuples():
         counts = {"p": row.p, "q": row.q, "pairs": row.pairs, "fn": row.fn, "fp": row.fp}
-        scores = segments.scores_from_counts(**counts)
+        scores = lines.scores_from_counts(**counts)
         assert row.f1 == pytest.approx(scores.f1)
         assert row.mcc == pytest.approx(scores.mcc)
         assert row.null_rate_percent == pytest.approx(100 * scores.null_rate)
@@ -62,7 +62,7 @@ def test_sweep_is_the_measure_of_each_comparison(swept):
         canyon(2, conditions=Conditions(bias_m=(0.5, 0.5))), kinds=("absolute",)
     )
     rows = [
-        comparisons.measure(c, weight=10, threshold=segments.peak_threshold, matcher="all")
+        comparisons.measure(c, weight=10, threshold=lines.peak_threshold, matcher="all")
         for c in found
     ]
     here = swept.sel(weight=10, kind="absolute", seed=2).squeeze(drop=True)
@@ -73,8 +73,8 @@ def test_sweep_is_the_measure_of_each_comparison(swept):
 
 
 def test_measure_agrees_with_the_distance_itself(one):
-    found = segments.lhd(one.test, one.model)
-    row = comparisons.measure(one, weight=10, threshold=segments.peak_threshold, matcher="all")
+    found = lines.lhd(one.test, one.model)
+    row = comparisons.measure(one, weight=10, threshold=lines.peak_threshold, matcher="all")
     assert row["lhd_m"] == pytest.approx(found.value)
     assert row["lhd_w0_m"] == pytest.approx(found.at_weight(0))
     assert row["perpendicular_m"] == pytest.approx(found.perpendicular_only)
@@ -83,7 +83,7 @@ def test_measure_agrees_with_the_distance_itself(one):
 def test_oracle_is_the_best_of_all_thresholds(one):
     distances = one.directions[0][0].distance(10)
     best = max(
-        segments.pairing_scores(distances <= delta, one.truth).f1
+        lines.pairing_scores(distances <= delta, one.truth).f1
         for delta in np.unique(distances)[:400]
     )
     assert comparisons.oracle_f1(distances, one.truth) == pytest.approx(best)
@@ -163,7 +163,7 @@ def test_one_to_one_loses_where_edges_are_split():
 
 def test_matchers_and_thresholds_cross():
     table = heldout.matcher_table((1,))
-    assert len(table) == len(heldout.THRESHOLDS) * len(segments.MATCHERS)
+    assert len(table) == len(heldout.THRESHOLDS) * len(lines.MATCHERS)
     assert table["f1"].between(0, 1).all()
 
 

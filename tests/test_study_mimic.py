@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mmqa_lab import figures
-from mmqa_lab.scan_geometry import ScanSetup, Target
+from mmqa_lab import plots
+from mmqa_lab.scan_pattern import ScanSetup, Target
 from mmqa_lab.studies import mimic
 from mmqa_lab.studies.mimic import drawings, measuring, surfaces, validation
 
@@ -14,9 +14,9 @@ PIVOTS_M = (-0.2, -0.1, 0.0, 1.5)
 @pytest.fixture
 def ax():
     """Axes of a figure that is closed again."""
-    figure, axes = figures.subplots()
+    figure, axes = plots.subplots()
     yield axes
-    figures.plt.close(figure)
+    plots.plt.close(figure)
 
 
 def test_table_3_is_cast_as_it_is_predicted():
@@ -126,7 +126,7 @@ def test_explorer_draws_and_says_what_cannot_be(ax):
     blind = drawings.figure_of_pattern(**given, target_heading=-60)
     assert "strike the front" in " ".join(blind.axes[0].texts[-1].get_text().split())
     for drawn in (figure, blind):
-        figures.plt.close(drawn)
+        plots.plt.close(drawn)
 
 
 def test_drawings_have_labels_with_units(ax):

@@ -12,7 +12,6 @@
 Images are arrays of linear light with full scale 1; :mod:`mmqa_lab.imagery` reads them.
 """
 
-from mmqa_lab.chart_image.edges import EdgeResponse, edge_response
 from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
 from mmqa_lab.chart_image.legibility import (
     Crop,
@@ -36,6 +35,7 @@ from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
 from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images, view_name
+from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
 
 __all__ = [
     "ChartMap",

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab.chart_image.spread import spread_edge
 from mmqa_lab.charts import Bar
+from mmqa_lab.mtf.spread import spread_edge
 
 SLENDERNESS = 5.0
 """A bar is long when it is so many times longer than wide."""

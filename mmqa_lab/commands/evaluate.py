@@ -96,25 +96,25 @@ def run(options):
 
 def _draw(quality, file):
     """Write the figure of one evaluated surface."""
-    from mmqa_lab import figures
+    from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
 
-    figures.use_style()
-    figure, axes = figures.subplots(2, 2, width="double", height_mm=130)
+    plots.use_style()
+    figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
     residuals_mm = 1000 * quality.plane.residuals
     limits = (-3 * quality.sigma_mad_mm, 3 * quality.sigma_mad_mm)
-    figures.draw_points(quality.xy, ax=axes[0, 0])
-    figures.draw_points(
+    plots.draw_points(quality.xy, ax=axes[0, 0])
+    plots.draw_points(
         quality.xy,
         ax=axes[0, 1],
         values=residuals_mm,
         label="distance from plane (mm)",
         limits=limits,
-        cmap=figures.DIVERGING_MAP,
+        cmap=plots.DIVERGING_MAP,
     )
     medians = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-    figures.draw_spacing_histogram(quality.distances_mm, ax=axes[1, 0], **medians)
-    figures.draw_residual_histogram(
+    plots.draw_spacing_histogram(quality.distances_mm, ax=axes[1, 0], **medians)
+    plots.draw_residual_histogram(
         residuals_mm, ax=axes[1, 1], std_mm=quality.std_mm, sigma_mad_mm=quality.sigma_mad_mm
     )
     write_atomically(file, figure.savefig)

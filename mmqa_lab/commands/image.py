@@ -100,12 +100,12 @@ def run(options):
 
 def _draw(window, quality, layout, file):
     """Write the figure of one evaluated photograph."""
-    from mmqa_lab import figures
+    from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
     from mmqa_lab.studies.chart_tables import images
 
-    figures.use_style()
-    figure, axes = figures.subplots(1, 2, width="double", height_mm=85)
+    plots.use_style()
+    figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
     images.draw_photo(window.values, quality.chart_map, layout, quality.pairs, ax=axes[0])
     images.draw_contrast(quality.pairs, ax=axes[1])
     write_atomically(file, figure.savefig)

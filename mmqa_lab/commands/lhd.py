@@ -85,7 +85,7 @@ def add_arguments(parser):
 def run(options):
     """Read or extract both sets, compare, print and write."""
     from mmqa_lab._checks import check_count
-    from mmqa_lab.segments import lhd
+    from mmqa_lab.lines import lhd
 
     check_count(options.seed, "seed", low=0)
     files = with_progress((options.test, options.model), "set")
@@ -114,8 +114,8 @@ def _segments(path, options):
         from mmqa_lab.segment_files import read_segments
 
         return read_segments(path)
-    from mmqa_lab.edges import extract_edges
     from mmqa_lab.io import read_cloud
+    from mmqa_lab.lines import extract_edges
 
     points = read_cloud(path, columns=()).points
     sizes = {"tolerance": options.tolerance, "size": options.size, "minimum": options.minimum}

@@ -78,11 +78,11 @@ def run(options):
     """Map, write everything, and say what is missing."""
     import sys
 
-    from mmqa_lab import campaign
-    from mmqa_lab.campaign.files import known_crs
-    from mmqa_lab.campaign.outputs import check_crs, check_ending, check_place
-    from mmqa_lab.campaign.summary import check_thresholds
+    from mmqa_lab import maps
     from mmqa_lab.maps import VARIABLES
+    from mmqa_lab.maps.files import known_crs
+    from mmqa_lab.maps.outputs import check_crs, check_ending, check_place
+    from mmqa_lab.maps.summary import check_thresholds
 
     check_ending(options.out)
     wanted = [name for metric in options.metrics for name in VARIABLES.get(metric, ())]
@@ -94,12 +94,12 @@ def run(options):
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
-    outcome = campaign.map_campaign(options.cloud, folder, progress=sys.stderr.isatty(), **choices)
-    dataset = campaign.open_map(folder, crs=options.crs)
+    outcome = maps.map_campaign(options.cloud, folder, progress=sys.stderr.isatty(), **choices)
+    dataset = maps.open_map(folder, crs=options.crs)
     if dataset.nbytes < IN_MEMORY:
         dataset = dataset.persist()
-    table = campaign.summarise(dataset, below=options.below)
-    campaign.write_map(dataset, options.out)
+    table = maps.summarise(dataset, below=options.below)
+    maps.write_map(dataset, options.out)
     _write_report(options, outcome, dataset, table)
     options.csv = options.csv or options.out.with_suffix(".csv")
     print_rows(table, options)
@@ -110,8 +110,8 @@ def run(options):
 
 def _write_report(options, outcome, dataset, table):
     """The report and its figure."""
-    from mmqa_lab.campaign.report import draw_map, write_report
     from mmqa_lab.io import write_atomically
+    from mmqa_lab.maps.report import draw_map, write_report
 
     points = dataset["n"].sum(dim=("y", "x")).to_series()
     lines = [

@@ -62,7 +62,7 @@ def run(options):
 
     import pandas as pd
 
-    from mmqa_lab.scan_geometry import QUANTITIES, Target, largest_speed, scan_lattice
+    from mmqa_lab.scan_pattern import QUANTITIES, Target, largest_speed, scan_lattice
 
     setup = _setup(options)
     target = Target(
@@ -94,7 +94,7 @@ def run(options):
 
 def _setup(options):
     """The set-up from the preset and from what was given beside it."""
-    from mmqa_lab.scan_geometry import ScanSetup
+    from mmqa_lab.scan_pattern import ScanSetup
 
     given = {name: getattr(options, name) for name in _NAMES}
     preset = {} if options.scanner is None else _preset(options.scanner)

@@ -2,7 +2,7 @@
 
 Each patch is flattened into its plane together with the points around it that lie near the plane.
 The flat pieces stand in a row, farther apart than the search reaches, and one call of
-:func:`mmqa_lab.neighbourhoods.quadrant_distances` searches them all. Coordinates in the planes are
+:func:`mmqa_lab.spacing.quadrant_distances` searches them all. Coordinates in the planes are
 rounded to 2^-30 m, a nanometre, so that shifting a piece along the row changes no bit of a
 distance.
 
@@ -13,7 +13,7 @@ patches with a point that needs more get a wider one in the next, up to the radi
 import numpy as np
 
 from mmqa_lab.maps._grouped import flatten, outline_patches
-from mmqa_lab.neighbourhoods import quadrant_distances
+from mmqa_lab.spacing.quadrants import quadrant_distances
 
 MARGINS = (4.0, 8.0, np.inf)
 """Of the rounds, in mean spacings. Of random points, one quadrant in 300 000 is empty out to the

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.patterns import revolutions_from_time
+from mmqa_lab.scan_pattern import revolutions_from_time
 
 
 def scan_lines(cloud):

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_points, check_positive
-from mmqa_lab.accuracy import Rate, average_precision, errors, f1, wilson
+from mmqa_lab.stats import Rate, average_precision, errors, f1, wilson
 
 GATE_M = 0.5
 

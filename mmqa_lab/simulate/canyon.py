@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number
-from mmqa_lab.segments import Segments
+from mmqa_lab.lines import Segments
 
 COMPARISONS = {
     "repeatability": (("C1", "C2"), ("C1", "C3"), ("C2", "C3")),

@@ -7,7 +7,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.segments import Segments
+from mmqa_lab.lines import Segments
 from mmqa_lab.simulate.canyon import SURVEYS, facade_offset, located
 
 EAVE_M = 0.6

@@ -11,7 +11,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.scan_geometry.setups import rotations
+from mmqa_lab.scan_pattern.setups import rotations
 from mmqa_lab.simulate.scan import FULL_SCALE
 
 

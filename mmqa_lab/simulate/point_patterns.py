@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab.neighbourhoods import poisson_spacing
+from mmqa_lab.spacing.quadrants import poisson_spacing
 
 CORE = 0.7
 """Hard-core patterns: smallest distance in units of sqrt(1 / density)."""
@@ -128,7 +128,7 @@ def expected_f(kind, ratio):
     distances to the nearest points on both neighbouring lines. On a lattice that is a. On scan
     lines with offsets of their own it is sqrt(a^2 + t^2 / 4), t the larger of two uniform numbers,
     its median 1 / sqrt(2). On a hexagonal lattice the next row is sqrt(3)/2 a away and moved by
-    1/2. A Poisson pattern has :func:`mmqa_lab.neighbourhoods.poisson_spacing`, however stretched.
+    1/2. A Poisson pattern has :func:`mmqa_lab.spacing.poisson_spacing`, however stretched.
 
     Returns
     -------

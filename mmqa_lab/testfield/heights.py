@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.accuracy import errors
+from mmqa_lab.stats import errors
 
 CHUNK = 5000
 """Reference points worked on at a time, with the points around them."""

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_points, check_positive
-from mmqa_lab.accuracy import errors
 from mmqa_lab.planes import fit_line
 from mmqa_lab.poles.axes import fit_circle
+from mmqa_lab.stats import errors
 
 POLE_HEIGHTS = ((0.5, 1.5), (4.5, 5.5))
 """Metres above the foot between which points of a pole are taken: near the ground, and 5 m up."""

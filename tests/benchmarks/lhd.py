@@ -10,8 +10,8 @@ import tracemalloc
 
 import numpy as np
 
-from mmqa_lab import segments
-from mmqa_lab.edges import detect_planes, intersect_patches
+from mmqa_lab import lines
+from mmqa_lab.lines import detect_planes, intersect_patches
 from mmqa_lab.simulate.canyon import canyon
 from mmqa_lab.simulate.canyon_cloud import canyon_cloud
 
@@ -32,7 +32,7 @@ def broadcast(test, model, weight=10.0):
 def at_random(rng, n):
     """Segments of some 14 m in a cube of 200 m."""
     first = rng.uniform(0, 200, (n, 3))
-    return segments.Segments(np.stack([first, first + rng.normal(0, 8, (n, 3))], axis=1))
+    return lines.Segments(np.stack([first, first + rng.normal(0, 8, (n, 3))], axis=1))
 
 
 def seconds(function, *arguments, repeats):
@@ -61,10 +61,10 @@ def matrix(rng):
     for p, q, repeats in ((37, 68, 200), (2000, 2000, 7)):
         test, model = at_random(rng, p), at_random(rng, q)
         plain = seconds(broadcast, test, model, repeats=max(3, repeats // 10))
-        ours = seconds(segments.distance_matrix, test, model, repeats=repeats)
-        worst = np.abs(broadcast(test, model) - segments.distance_matrix(test, model)).max()
+        ours = seconds(lines.distance_matrix, test, model, repeats=repeats)
+        worst = np.abs(broadcast(test, model) - lines.distance_matrix(test, model)).max()
         assert worst < 1e-9, worst
-        memory = [peak_mb(f, test, model) for f in (broadcast, segments.distance_matrix)]
+        memory = [peak_mb(f, test, model) for f in (broadcast, lines.distance_matrix)]
         times = f"{1e3 * plain:>11.2f}{1e3 * ours:>10.3f}{plain / ours:>8.0f}"
         print(f"{p:>7} x {q:<4}{times}{memory[0]:>10.1f}{memory[1]:>9.1f}")
 
@@ -73,8 +73,8 @@ def matchers():
     """The whole distance by matcher on one comparison of the canyon."""
     surveys = canyon(1).surveys
     test, model = surveys["C1"].segments, surveys["TLS"].segments
-    for matcher in (*segments.MATCHERS, "displaced"):
-        once = seconds(lambda m=matcher: segments.lhd(test, model, matcher=m), repeats=5)
+    for matcher in (*lines.MATCHERS, "displaced"):
+        once = seconds(lambda m=matcher: lines.lhd(test, model, matcher=m), repeats=5)
         print(f"lhd, {len(test)} x {len(model)}, matcher {matcher:<10}{1e3 * once:>8.1f} ms")
 
 

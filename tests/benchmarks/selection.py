@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
-from mmqa_lab import figures
-from mmqa_lab.selection import SelectionTool
+from mmqa_lab import plots
+from mmqa_lab.widgets.selection import SelectionTool
 
 PROMISE_S = 0.3
 
@@ -47,7 +47,7 @@ def main():
     parser.add_argument("--points", type=int, default=30_000)
     parser.add_argument("--repeats", type=int, default=20)
     options = parser.parse_args()
-    figures.use_style()
+    plots.use_style()
     seconds = updates(options.points, options.repeats)[1:]
     total = seconds[:, :2].sum(axis=1)
     evaluated, drawn, busy = np.median(seconds, axis=0)

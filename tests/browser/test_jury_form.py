@@ -8,7 +8,7 @@ expect.set_options(timeout=30_000)  # a busy machine answers late
 
 CELL = """
 import numpy as np
-from mmqa_lab import jury
+from mmqa_lab import widgets
 
 crops = {name: np.linspace(0, 1, 20 * 50).reshape(20, 50) ** k for k, name in enumerate("xyz", 1)}
 jury.JuryForm(crops, juror="first", file="marks.csv", order=["z", "x", "y"])

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 from playwright.sync_api import expect
 
-from mmqa_lab.figures import COLOURS
+from mmqa_lab.plots import COLOURS
 
 RUN_MS = 400_000
 """Studies run with small parameters, but the machine may be busy."""

@@ -8,14 +8,6 @@ import xarray as xr
 from tqdm.auto import tqdm
 
 from mmqa_lab import io, samples
-from mmqa_lab.anisotropy import (
-    clark_evans,
-    directional_spacing,
-    pair_contrast,
-    structure_tensor_ratio,
-    turned_f,
-)
-from mmqa_lab.neighbourhoods import quadrant_distances, spacing
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.simulate.point_patterns import (
     KINDS,
@@ -24,6 +16,14 @@ from mmqa_lab.simulate.point_patterns import (
     point_pattern,
     true_ratio,
 )
+from mmqa_lab.spacing.directional import (
+    clark_evans,
+    directional_spacing,
+    pair_contrast,
+    structure_tensor_ratio,
+    turned_f,
+)
+from mmqa_lab.spacing.quadrants import quadrant_distances, spacing
 from mmqa_lab.views import is_headless
 
 TURN = tuple(range(0, 90, 15))

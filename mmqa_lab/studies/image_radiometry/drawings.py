@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, DIVERGING_MAP, MAP, subplots
+from mmqa_lab.mtf.edge import fit_edge
+from mmqa_lab.plots import COLOURS, DIVERGING_MAP, MAP, subplots
 from mmqa_lab.radiometry.brdf import WalthallFit
-from mmqa_lab.radiometry.edge import fit_edge
 from mmqa_lab.simulate.targets import PointSpread, render_edge
 
 METHOD_COLOURS = {

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import imagery, samples
-from mmqa_lab.chart_image.edges import edge_response
 from mmqa_lab.chart_image.light import decode
-from mmqa_lab.radiometry.bars import read_bars, resolving_power
-from mmqa_lab.radiometry.edge import dependence, fit_edge
-from mmqa_lab.radiometry.sharpness import haar_sharpness, mean_sharpness
-from mmqa_lab.radiometry.siemens import measure_star
+from mmqa_lab.mtf.bars import read_bars, resolving_power
+from mmqa_lab.mtf.chart_edge import edge_response
+from mmqa_lab.mtf.edge import dependence, fit_edge
+from mmqa_lab.mtf.sharpness import haar_sharpness, mean_sharpness
+from mmqa_lab.mtf.star import measure_star
 from mmqa_lab.simulate.targets import (
     PointSpread,
     blur_over_image,

@@ -6,8 +6,8 @@ import warnings
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import segments
-from mmqa_lab.edges import extract_edges
+from mmqa_lab import lines
+from mmqa_lab.lines import extract_edges
 from mmqa_lab.simulate.canyon import canyon
 from mmqa_lab.simulate.canyon_cloud import canyon_cloud, canyon_edges
 
@@ -84,7 +84,7 @@ def _compared(scene, names, found, matcher):
     test, model = (found[name] for name in names)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # few pairs: the column "pairs" says so
-        result = segments.lhd(test, model, matcher=matcher)
+        result = lines.lhd(test, model, matcher=matcher)
     paired = np.nonzero(result.test_model.pairs)[0]
     true = _true_displacements(scene, names, test.midpoints[paired])
     error = result.displacement.vector - true.mean(axis=0)
@@ -114,7 +114,7 @@ def _true_displacements(scene, names, places):
 
 def _shown(found, true):
     """Extracted edges that show a true one, and which."""
-    parts = segments.components(found, true)
+    parts = lines.components(found, true)
     shorter = np.minimum(found.lengths[:, None], true.lengths)
     parallel = parts.angle < np.sin(np.radians(SAME_DEG)) * shorter
     near = parallel & (parts.perpendicular < SAME_M) & (parts.parallel < SAME_M)

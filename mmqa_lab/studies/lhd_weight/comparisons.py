@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mmqa_lab import segments
+from mmqa_lab import lines
 from mmqa_lab.simulate.canyon import COMPARISONS, Canyon
 
 
@@ -44,8 +44,8 @@ class Comparison:
     @cached_property
     def directions(self):
         """Components, source, target and true pairs of both directions."""
-        forward = segments.components(self.test, self.model)
-        backward = segments.components(self.model, self.test)
+        forward = lines.components(self.test, self.model)
+        backward = lines.components(self.model, self.test)
         return (
             (forward, self.test, self.model, self.truth),
             (backward, self.model, self.test, self.truth.T),
@@ -65,7 +65,7 @@ class Comparison:
         """The LHD by one matcher; scenes with few pairs are part of the statistics."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            return segments.lhd(self.test, self.model, matcher=matcher)
+            return lines.lhd(self.test, self.model, matcher=matcher)
 
     @property
     def true_vector(self):
@@ -129,7 +129,7 @@ def measure(comparison, *, weight, threshold, matcher):
             pairs = pairs.T if number else pairs
         else:
             choices = {"matcher": matcher, "test": source, "model": target}
-            pairs = segments.correspond(distances, found.delta, **choices)
+            pairs = lines.correspond(distances, found.delta, **choices)
         rows.append(_row(parts, target, pairs, truth, found, distances))
     joined = {name: np.array([row[name] for row in rows], dtype=float) for name in MEASURES}
     return {
@@ -147,7 +147,7 @@ def oracle_f1(distances, truth):
 
 def _row(parts, target, pairs, truth, found, distances):
     """The measures of one direction."""
-    scores = segments.pairing_scores(pairs, truth)
+    scores = lines.pairing_scores(pairs, truth)
     lengths = target.lengths
     f1 = 0.0 if np.isnan(scores.f1) else scores.f1
     return {
@@ -159,8 +159,8 @@ def _row(parts, target, pairs, truth, found, distances):
         "detection_rate": scores.detection_rate,
         "null_rate": scores.null_rate,
         "threshold_m": found.delta,
-        "lhd_m": segments.olhd(distances, pairs, lengths),
-        "lhd_w0_m": segments.olhd(parts.distance(0), pairs, lengths),
-        "perpendicular_m": segments.olhd(parts.perpendicular, pairs, lengths),
+        "lhd_m": lines.olhd(distances, pairs, lengths),
+        "lhd_w0_m": lines.olhd(parts.distance(0), pairs, lengths),
+        "perpendicular_m": lines.olhd(parts.perpendicular, pairs, lengths),
         "fallback": found.fallback,
     }

@@ -7,8 +7,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.lines import Line2D
 
-from mmqa_lab import figures, segments
-from mmqa_lab.figures import COLOURS
+from mmqa_lab import lines, plots
+from mmqa_lab.plots import COLOURS
 from mmqa_lab.published import poreba2013
 
 CELLS = {"true pair": "green", "false pair": "vermilion", "missed pair": "orange"}
@@ -69,7 +69,7 @@ def draw_matrix(comparison, *, ax, weight):
 
 def draw_threshold(nearest, *, ax, sensitivity):
     """Draw the sorted nearest distances, their differences, and the threshold at the peak."""
-    found = segments.peak_threshold(nearest, sensitivity=sensitivity)
+    found = lines.peak_threshold(nearest, sensitivity=sensitivity)
     shown = found.nearest
     ax.plot(shown, ".-", color=COLOURS["black"], ms=3, label="nearest distance")
     ax.plot(np.diff(shown), color=COLOURS["sky"], label="first difference")
@@ -191,7 +191,7 @@ def draw_best_weights(table, *, ax):
         noise,
         rule / noise**2,
         "--",
-        color=figures.KIND_COLOURS["fitted"],
+        color=plots.KIND_COLOURS["fitted"],
         label=f"fitted: W = {rule:.1f} / σ²",
     )
     ax.axhline(poreba2013.WEIGHT, color=COLOURS["grey"], ls=":", lw=0.8, label="W = 10 (published)")
@@ -300,10 +300,10 @@ def figure_of_components(angle, shift, offset, length, weight):
     turn = np.radians(angle)
     half = length / 2 * np.array([np.cos(turn), np.sin(turn), 0])
     middle = np.array([shift, offset, 0.0])
-    test = segments.Segments([[middle - half, middle + half]])
-    model = segments.Segments([[[-5.0, 0, 0], [5.0, 0, 0]]])
-    parts = segments.components(test, model)
-    figure, axes = figures.subplots(1, 2, width="double", height_mm=60, width_ratios=(2, 1))
+    test = lines.Segments([[middle - half, middle + half]])
+    model = lines.Segments([[[-5.0, 0, 0], [5.0, 0, 0]]])
+    parts = lines.components(test, model)
+    figure, axes = plots.subplots(1, 2, width="double", height_mm=60, width_ratios=(2, 1))
     for one, colour, name in ((model, "grey", "model"), (test, "black", "test")):
         axes[0].plot(*one.ends[0, :, :2].T, "-o", ms=3, color=COLOURS[colour], label=name)
     along = length / 2 * np.array([-1, 1]) + shift
@@ -336,12 +336,12 @@ def figure_of_settings(comparison, weight, sensitivity):
     parts = comparison.directions[0][0]
     distances = parts.distance(weight)
     nearest = distances.min(axis=1)
-    pairs = distances <= segments.peak_threshold(nearest, sensitivity=sensitivity).delta
-    scores = segments.pairing_scores(pairs, comparison.truth)
-    figure, axes = figures.subplots(1, 2, width="double", height_mm=75)
+    pairs = distances <= lines.peak_threshold(nearest, sensitivity=sensitivity).delta
+    scores = lines.pairing_scores(pairs, comparison.truth)
+    figure, axes = plots.subplots(1, 2, width="double", height_mm=75)
     draw_threshold(nearest, ax=axes[0], sensitivity=sensitivity)
     draw_pairs(comparison, pairs, ax=axes[1])
-    distance = segments.olhd(distances, pairs, comparison.model.lengths)
+    distance = lines.olhd(distances, pairs, comparison.model.lengths)
     figure.suptitle(
         f"F1 {scores.f1:.2f}, detection rate {scores.detection_rate:.1%}, OLHD {distance:.2f} m",
         fontsize=8,
@@ -358,8 +358,8 @@ def _draw_edges(one, colours, width, ax):
     """Draw segments from above in their colours, uprights as dots."""
     upright = np.abs(one.directions[:, 2]) > 0.7
     level = ~upright
-    lines = LineCollection(one.ends[level][..., :2], colors=list(colours[level]), linewidths=width)
-    ax.add_collection(lines)
+    drawn = LineCollection(one.ends[level][..., :2], colors=list(colours[level]), linewidths=width)
+    ax.add_collection(drawn)
     ax.scatter(*one.midpoints[upright, :2].T, s=8 * width, color=list(colours[upright]), lw=0)
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 from tqdm.auto import tqdm
 
-from mmqa_lab import segments
-from mmqa_lab.accuracy import bootstrap
+from mmqa_lab import lines
 from mmqa_lab.published import poreba2013
 from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
+from mmqa_lab.stats import bootstrap
 from mmqa_lab.studies.lhd_weight.comparisons import comparisons, measure
 from mmqa_lab.views import is_headless
 
@@ -27,14 +27,14 @@ CONDITIONS = {
 """What happens to the edges, and which comparisons are made."""
 
 THRESHOLDS = {
-    "peak 0.2 m": partial(segments.peak_threshold, sensitivity=0.2),
-    "peak 0.5 m": segments.peak_threshold,
-    "peak 1.0 m": partial(segments.peak_threshold, sensitivity=1.0),
-    "fixed 1.5 m": partial(segments.fixed_threshold, delta=1.5),
-    "fixed 2.0 m": partial(segments.fixed_threshold, delta=2.0),
-    "mixture": segments.mixture_threshold,
-    "Otsu": segments.otsu_threshold,
-    "median + 3 MAD": segments.mad_threshold,
+    "peak 0.2 m": partial(lines.peak_threshold, sensitivity=0.2),
+    "peak 0.5 m": lines.peak_threshold,
+    "peak 1.0 m": partial(lines.peak_threshold, sensitivity=1.0),
+    "fixed 1.5 m": partial(lines.fixed_threshold, delta=1.5),
+    "fixed 2.0 m": partial(lines.fixed_threshold, delta=2.0),
+    "mixture": lines.mixture_threshold,
+    "Otsu": lines.otsu_threshold,
+    "median + 3 MAD": lines.mad_threshold,
 }
 
 
@@ -129,7 +129,7 @@ def table_replicas(seeds):
         for one in comparisons(canyon(seed)):
             found = one.compared("all")
             for name, part in (("test-model", found.test_model), ("model-test", found.model_test)):
-                scores = segments.pairing_scores(part.pairs, one.truth)
+                scores = lines.pairing_scores(part.pairs, one.truth)
                 rows.append(
                     {
                         "comparison": "-".join(one.names),
@@ -169,7 +169,7 @@ def matcher_table(seeds, *, weight=10.0):
     found = [c for seed in seeds for c in comparisons(canyon(seed))]
     rows = []
     for name, threshold in tqdm(THRESHOLDS.items(), desc="thresholds", disable=is_headless()):
-        for matcher in segments.MATCHERS:
+        for matcher in lines.MATCHERS:
             scores = [
                 measure(c, weight=weight, threshold=threshold, matcher=matcher) for c in found
             ]
@@ -193,7 +193,7 @@ def one_to_one(seeds, *, weight=10.0, matchers=("all", "mutual", "hungarian", "f
         for kind in COMPARISONS:
             these = [c for c in found if c.kind == kind]
             for matcher in matchers:
-                choices = {"weight": weight, "threshold": segments.peak_threshold}
+                choices = {"weight": weight, "threshold": lines.peak_threshold}
                 scores = [measure(c, matcher=matcher, **choices) for c in these]
                 row = {"segmentation": name, "kind": kind, "matcher": matcher}
                 rows.append(row | _summary(scores))
@@ -210,7 +210,7 @@ def readings(seeds, *, weight=10.0):
         the first reading of each question is the default.
     """
     found = [c for seed in seeds for c in comparisons(canyon(seed))]
-    peak = segments.peak_threshold
+    peak = lines.peak_threshold
     rows = []
     for question, reading, choices in (
         ("rotated line", "test", {}),
@@ -238,7 +238,7 @@ def _scored(one, matcher):
     """A row of :func:`evaluate`."""
     found = one.compared(matcher)
     parts = (found.test_model, found.model_test)
-    scores = [segments.pairing_scores(part.pairs, one.truth) for part in parts]
+    scores = [lines.pairing_scores(part.pairs, one.truth) for part in parts]
     error = found.displacement.vector - one.true_vector
     covariance = found.displacement.covariance
     known = np.isfinite(covariance).all()
@@ -334,7 +334,7 @@ def _read(
     *,
     rotate="test",
     within="containment",
-    threshold=segments.peak_threshold,
+    threshold=lines.peak_threshold,
     norm="pairs",
     weights="target",
 ):
@@ -344,14 +344,14 @@ def _read(
         (one.test, one.model, one.truth),
         (one.model, one.test, one.truth.T),
     ):
-        parts = segments.components(source, target, rotate=rotate, within=within)
+        parts = lines.components(source, target, rotate=rotate, within=within)
         distances = parts.distance(weight)
         pairs = distances <= threshold(distances.min(axis=1)).delta
         lengths = target.lengths if weights == "target" else source.lengths[:, None]
         values.append(
             (
-                segments.pairing_scores(pairs, truth).f1,
-                segments.olhd(distances, pairs, lengths, norm=norm),
+                lines.pairing_scores(pairs, truth).f1,
+                lines.olhd(distances, pairs, lengths, norm=norm),
             )
         )
     return values

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab import samples, segments
-from mmqa_lab.edges import extract_edges, fit_outline
+from mmqa_lab import lines, samples
 from mmqa_lab.io import read_cloud
+from mmqa_lab.lines import extract_edges, fit_outline
 
 BOARD_M = np.array([0.85, 0.61])
 """The board's sides (acfr/cam_lidar_calibration)."""
@@ -115,7 +115,7 @@ def sweep_pair(*, tolerance=0.06, size=3.0, minimum=150):
         ("pose applied", model.transformed(matrix[:3, :3], matrix[:3, 3])),
     ):
         for matcher in ("all", "displaced"):
-            result = segments.lhd(test, moved, matcher=matcher)
+            result = lines.lhd(test, moved, matcher=matcher)
             east, north, up = result.displacement.vector
             rows.append(
                 {
@@ -174,7 +174,7 @@ def _edge_row(corners, other, weight):
     test, model = (np.stack([c, np.roll(c, -1, axis=0)], axis=1) for c in (corners, other))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # four edges: no jump to find, and few pairs by nature
-        result = segments.lhd(test, model, weight=weight)
+        result = lines.lhd(test, model, weight=weight)
     return {
         "lhd_m": result.value,
         "perpendicular_m": result.perpendicular_only,

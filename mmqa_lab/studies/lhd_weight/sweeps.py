@@ -8,9 +8,9 @@ import pandas as pd
 import xarray as xr
 from tqdm.auto import tqdm
 
-from mmqa_lab import segments
-from mmqa_lab.accuracy import bootstrap
+from mmqa_lab import lines
 from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
+from mmqa_lab.stats import bootstrap
 from mmqa_lab.studies.lhd_weight.comparisons import MEASURES, comparisons, measure, oracle_f1
 from mmqa_lab.views import is_headless
 
@@ -168,7 +168,7 @@ def angle_noise(test, model, pairs):
     The angle between two noisy directions of the same line is Rayleigh distributed; its median
     is 1.1774 standard deviations per axis, and a direction has two axes.
     """
-    parts = segments.components(test, model)
+    parts = lines.components(test, model)
     rows, columns = np.nonzero(pairs)
     shorter = np.minimum(test.lengths[rows], model.lengths[columns])
     angles = np.degrees(np.arcsin(np.minimum(parts.angle[rows, columns] / shorter, 1)))
@@ -180,7 +180,7 @@ def _scene_values(found, coordinates):
     settings = [coordinates[dim] for dim in SETTINGS]
     rows = []
     for weight, sensitivity, matcher in product(*settings):
-        peak = partial(segments.peak_threshold, sensitivity=sensitivity)
+        peak = partial(lines.peak_threshold, sensitivity=sensitivity)
         each = [measure(c, weight=weight, threshold=peak, matcher=matcher) for c in found]
         rows.append({name: _mean([row[name] for row in each]) for name in MEASURES})
     shape = [len(values) for values in settings]

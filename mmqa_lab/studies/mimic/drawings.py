@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.ticker import NullFormatter
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS, MAP, subplots
+from mmqa_lab.plots import COLOURS, KIND_COLOURS, MAP, subplots
 from mmqa_lab.studies.mimic import surfaces
 
 NAMES = {

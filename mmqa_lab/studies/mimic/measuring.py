@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import simulate
-from mmqa_lab.patterns import measure_pattern
-from mmqa_lab.scan_geometry import Patch, ScanSetup, Target, scan_lattice
+from mmqa_lab.scan_pattern import Patch, ScanSetup, Target, measure_pattern, scan_lattice
 
 
 def _case(pulse_rate, mirror, speed, scanner, target, place):

@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab.io import read_cloud
-from mmqa_lab.patterns import (
+from mmqa_lab.samples import has_real, path, real_path
+from mmqa_lab.scan_pattern import (
     ScanPlanes,
     fit_scan_planes,
     measure_pattern,
     mirror_frequency,
     revolutions_from_time,
 )
-from mmqa_lab.samples import has_real, path, real_path
 
 STREET = "street_profiles/street_0.02_s.laz"
 """0.02 s of a street (jakteristics test data, BSD), in the folder that ``MMQA_DATA`` names."""

@@ -7,7 +7,7 @@ import pandas as pd
 import xarray as xr
 
 from mmqa_lab import simulate
-from mmqa_lab.scan_geometry import (
+from mmqa_lab.scan_pattern import (
     Patch,
     ScanSetup,
     Target,

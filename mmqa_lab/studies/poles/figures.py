@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS, subplots
+from mmqa_lab.plots import COLOURS, KIND_COLOURS, subplots
 from mmqa_lab.published import eurosdr2013
 from mmqa_lab.studies.poles.surveys import accepted_at
 

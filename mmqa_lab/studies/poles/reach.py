@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import accuracy
+from mmqa_lab import stats
 from mmqa_lab.results import Claim
 from mmqa_lab.studies.poles import surveys as tables
 
@@ -111,7 +111,7 @@ def _real(real):
 def _diameters(surveys):
     """The rows of the diameters of posts."""
     residuals = [s.score("ours", corridor=12.5).diameter_residuals(classes=POSTS) for s in surveys]
-    found = accuracy.errors(1000 * np.concatenate(residuals))
+    found = stats.errors(1000 * np.concatenate(residuals))
     for name, aim, value in zip(
         ("RMSE", "bias"), DIAMETER_MM, (found.rmse, found.bias), strict=True
     ):

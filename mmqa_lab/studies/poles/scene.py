@@ -3,7 +3,7 @@
 import numpy as np
 
 from mmqa_lab import views
-from mmqa_lab.figures import COLOURS, subplots
+from mmqa_lab.plots import COLOURS, subplots
 from mmqa_lab.studies.poles import figures
 
 OUTCOMES = (("hit", "blue"), ("miss", "orange"), ("false alarm", "vermilion"))

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy.spatial import cKDTree
 from tqdm.auto import tqdm
 
-from mmqa_lab import accuracy, poles
+from mmqa_lab import poles, stats
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import itc, walls
 from mmqa_lab.poles.table import drop_duplicates
@@ -102,20 +102,20 @@ def rates(surveys, *, corridors, gate=0.5, names=None):
 def _pooled(scores):
     """Rates of several scores together."""
     counts = np.array([(s.recall.k, s.recall.n, s.precision.n) for s in scores])
-    recall = accuracy.wilson(*counts[:, :2].sum(axis=0))
-    precision = accuracy.wilson(counts[:, 0].sum(), counts[:, 2].sum())
+    recall = stats.wilson(*counts[:, :2].sum(axis=0))
+    precision = stats.wilson(counts[:, 0].sum(), counts[:, 2].sum())
     yield {"quantity": "recall", "class": "all", **vars(recall)}
     yield {"quantity": "precision", "class": "all", **vars(precision)}
     low = high = np.nan
     if len(scores) > 1:
-        spread = accuracy.bootstrap(_f1, counts, repeats=500)
+        spread = stats.bootstrap(_f1, counts, repeats=500)
         low, high = spread.low, spread.high
     both = {"quantity": "f1", "class": "all", "k": int(recall.k), "n": int(recall.n)}
     yield {**both, "value": _f1(counts), "low": low, "high": high}
     targets = pd.concat([s.targets[s.targets["target"]] for s in scores])
     for kind in CLASSES:
         own = targets.loc[targets["class"] == kind, "found"]
-        rate = accuracy.wilson(int(own.sum()), len(own))
+        rate = stats.wilson(int(own.sum()), len(own))
         yield {"quantity": "recall", "class": kind, **vars(rate)}
 
 
@@ -178,9 +178,9 @@ def by_range(surveys, names, *, edges=RANGES_M):
         hits = pd.concat([s.detections[s.detections["outcome"] == "hit"] for s in scores])
         for low, high in pairwise(edges):
             inside = (targets["distance_m"] > low) & (targets["distance_m"] <= high)
-            rate = accuracy.wilson(int(targets.loc[inside, "found"].sum()), int(inside.sum()))
+            rate = stats.wilson(int(targets.loc[inside, "found"].sum()), int(inside.sum()))
             near = (hits["x_m"].abs() > low) & (hits["x_m"].abs() <= high)
-            error = accuracy.errors(hits.loc[near, "distance_m"])
+            error = stats.errors(hits.loc[near, "distance_m"])
             rows.append(
                 {
                     "method": name,
@@ -308,7 +308,7 @@ def diameters(surveys, names, *, corridor=12.5):
         scores = [survey.score(name, corridor=corridor) for survey in surveys]
         for kind in CLASSES:
             values = np.concatenate([s.diameter_residuals(classes=[kind]) for s in scores])
-            found = accuracy.errors(1000 * values)
+            found = stats.errors(1000 * values)
             row = {"method": name, "class": kind, "n": found.n, "bias_mm": found.bias}
             rows.append(row | {"rmse_mm": found.rmse, "nmad_mm": found.nmad})
     return pd.DataFrame(rows)

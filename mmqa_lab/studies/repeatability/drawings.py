@@ -3,7 +3,8 @@
 import numpy as np
 
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.figures import (
+from mmqa_lab.planes import fit_plane
+from mmqa_lab.plots import (
     COLOURS,
     MAP,
     draw_points,
@@ -11,7 +12,6 @@ from mmqa_lab.figures import (
     draw_spacing_histogram,
     subplots,
 )
-from mmqa_lab.planes import fit_plane
 from mmqa_lab.repeatability import operator_polygons, with_strays
 from mmqa_lab.studies.repeatability.selections import FIGURES, THROUGH_M
 

@@ -5,7 +5,6 @@ import pandas as pd
 from tqdm.auto import tqdm
 
 from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
-from mmqa_lab.neighbourhoods import quadrant_distances
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.repeatability import (
     contaminated_sigma_mad,
@@ -18,6 +17,7 @@ from mmqa_lab.repeatability import (
     with_strays,
 )
 from mmqa_lab.simulate.point_patterns import point_pattern
+from mmqa_lab.spacing.quadrants import quadrant_distances
 from mmqa_lab.views import is_headless
 
 FIGURES = {

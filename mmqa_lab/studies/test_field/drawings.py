@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS, subplots
+from mmqa_lab.plots import COLOURS, KIND_COLOURS, subplots
 from mmqa_lab.testfield import height_accuracy, height_differences, trend
 
 SYSTEM_COLOURS = dict(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from mmqa_lab.calibration import Calibration, calibrate
+from mmqa_lab.boresight import Calibration, calibrate
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import NavigationErrors, presets
 from mmqa_lab.simulate.testfield import System, drive_testfield

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab.figures import COLOURS, KIND_COLOURS
+from mmqa_lab.plots import COLOURS, KIND_COLOURS
 
 STEEPEST = 20
 """Degrees of tilt; nearer to upright, lines run along the crop and the hull misleads."""

@@ -15,7 +15,7 @@ from mmqa_lab._checks import check_count
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.planes import PAPER_SCALE
 from mmqa_lab.published import pfeifer2021
-from mmqa_lab.scan_geometry import Patch, ScanSetup, scan_lattice
+from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import chart_corners, systems
 
 QUICK = {"candidates": 4, "repeats": 1, "tilts": (25, 32, 45, 53)}

@@ -1,0 +1,21 @@
+"""Boresight and lever arm of scan heads, estimated from a drive in both directions.
+
+What a mounting error does changes its sign with the direction of travel: a wall seen on the way
+there and on the way back lies in two places. Planes and poles that several drives or heads have
+seen are fitted, and the mounting is sought with which they are thinnest (EuroSDR 2013, mobile laser
+scanning, chapter 3). Start here::
+
+    from mmqa_lab.boresight import calibrate
+
+    found = calibrate(drives, lever_arms_m=assumed, poles=poles, control=levelled_points)
+    found.table                                        # estimates with standard errors
+    [found.correct(cloud, path) for cloud, path in drives]
+
+Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresight rolls about y,
+pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
+"""
+
+from mmqa_lab.boresight.adjustment import PARAMETERS
+from mmqa_lab.boresight.mounting import Calibration, calibrate
+
+__all__ = ["PARAMETERS", "Calibration", "calibrate"]

@@ -1,0 +1,453 @@
+"""MIMIC's own equations (Cahalane et al. 2014), as printed and as they must be read.
+
+Sensors 14(6), 9471-9488, doi:10.3390/s140609471. Names follow the paper's symbols; ``symbols()``
+puts ours beside them and ``ambiguities()`` lists what had to be settled. The paper holds
+the scan plane still while the mirror turns; ``scan_geometry`` lets it move. All angles in degrees.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice
+from mmqa_lab.scan_pattern.setups import check_values, turned
+
+SOURCE = "Cahalane et al. 2014, doi:10.3390/s140609471"
+
+READINGS = ("tilt_first", "heading_first")
+"""Equation 1 read with row vectors (the one that gives Table 3), and with column vectors."""
+
+
+def scanner_normal(alpha_scan, gamma_scan, *, reading="tilt_first"):
+    """Equation 1 for the scan plane: its normal, Y before rotation, (..., 3).
+
+    Parameters
+    ----------
+    alpha_scan, gamma_scan : float or array_like
+        Horizontal and vertical rotation of the scanner, degrees.
+    reading : {"tilt_first", "heading_first"}
+        Of the order of rotations that the paper leaves open.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Raises
+    ------
+    ValueError
+        If the reading is another.
+
+    Examples
+    --------
+    >>> scanner_normal(45, 45).round(4).tolist()
+    [-0.5, 0.5, 0.7071]
+    """
+    return _rotation(alpha_scan, "x", gamma_scan, reading)[..., :, 1]
+
+
+def target_normal(alpha_targ, beta_targ, *, reading="tilt_first"):
+    """Equation 1 for the target plane: its normal, X before rotation, (..., 3).
+
+    Parameters
+    ----------
+    alpha_targ, beta_targ : float or array_like
+        Horizontal and vertical rotation of the target, degrees.
+    reading : {"tilt_first", "heading_first"}
+        Of the order of rotations that the paper leaves open.
+
+    Returns
+    -------
+    array, shape (..., 3)
+
+    Raises
+    ------
+    ValueError
+        If the reading is another.
+
+    Examples
+    --------
+    >>> target_normal(90, 0).round(9).tolist(), target_normal(0, 30).round(3).tolist()
+    ([0.0, 1.0, 0.0], [0.866, 0.0, -0.5])
+    """
+    return _rotation(alpha_targ, "y", beta_targ, reading)[..., :, 0]
+
+
+def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
+    """Equations 2 and 3: profile spacing along the target's horizontal line.
+
+    Law of sines in the plan view: d sin(theta_2) / sin(theta_4) for a target turned away
+    (alpha_targ < 0, the paper's d+), d sin(theta_3) / sin(theta_5) for one turned towards the
+    vehicle (d-), with theta_2 = theta_3 = 90 - alpha_scan, theta_4 = 90 - alpha_scan - |alpha_targ|
+    and theta_5 = 90 - alpha_scan + |alpha_targ|. Scanner tilt and target tilt do not enter.
+
+    Parameters
+    ----------
+    d : float
+        Distance driven in a revolution, v / Mf, metres.
+    alpha_scan, alpha_targ : float
+        Degrees.
+
+    Returns
+    -------
+    float or array
+        Metres.
+
+    Raises
+    ------
+    ValueError
+        If the angles do not let the horizontal pulse strike the front of the target.
+
+    References
+    ----------
+    Cahalane et al. 2014, equations 2 and 3, Table 3. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> [round(float(profile_spacing_horizontal(0.1, 45, a)), 6) for a in (15, 0, -15)]
+    [0.08165, 0.1, 0.141421]
+    """
+    _check_strike(alpha_scan, alpha_targ)
+    theta_2 = np.radians(90 - np.asarray(alpha_scan, dtype=np.float64))
+    theta_45 = theta_2 + np.radians(alpha_targ)
+    return d * np.sin(theta_2) / np.sin(theta_45)
+
+
+def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
+    """Angle theta_PrA between the profiles and the target's horizontal line, 0 to 90 degrees.
+
+    The paper cites it and does not print it: tan = |n_s.h| / |n_s.v| with h the target's horizontal
+    line and v its line of greatest slope.
+
+    Parameters
+    ----------
+    alpha_scan, gamma_scan, alpha_targ, beta_targ : float or array_like
+        Rotations of scanner and target, degrees.
+
+    Returns
+    -------
+    float or array
+        Degrees.
+
+    Examples
+    --------
+    >>> round(float(profile_angle(45, 45, 15, 0)), 4)
+    40.8934
+    """
+    normal = scanner_normal(alpha_scan, gamma_scan)
+    rotation = turned("z", alpha_targ) @ turned("y", beta_targ)
+    along = np.abs(np.sum(normal * rotation[..., :, 1], axis=-1))
+    up = np.abs(np.sum(normal * rotation[..., :, 2], axis=-1))
+    return np.degrees(np.arctan2(along, up))
+
+
+def profile_spacing_vertical(d_prsh, theta_pra):
+    """Equation 4: spacing along the line of greatest slope, d_PrSH tan(theta_PrA), metres.
+
+    Parameters
+    ----------
+    d_prsh : float or array_like
+        Horizontal profile spacing, metres.
+    theta_pra : float or array_like
+        Profile angle, degrees.
+
+    Returns
+    -------
+    float or array
+        Metres.
+
+    References
+    ----------
+    Cahalane et al. 2014, equation 4. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> round(float(profile_spacing_vertical(0.1, 45)), 6)
+    0.1
+    """
+    return d_prsh * np.tan(np.radians(theta_pra))
+
+
+def pulse_angle(pulse_rate_hz, mirror_frequency_hz, *, field_of_view_deg=360.0):
+    """Equation 5: theta_A, the field of view over the pulses in it (PpM), degrees.
+
+    PpM is not printed: PRR / Mf for a field of view of 360 degrees, and its share of a smaller one.
+
+    Parameters
+    ----------
+    pulse_rate_hz, mirror_frequency_hz : float
+    field_of_view_deg : float
+
+    Returns
+    -------
+    float
+        Degrees.
+
+    Examples
+    --------
+    >>> round(pulse_angle(300_000, 100), 6)
+    0.12
+    """
+    pulses = pulse_rate_hz / mirror_frequency_hz * field_of_view_deg / 360
+    return field_of_view_deg / pulses
+
+
+def _height_in_scan_plane(height, gamma_scan):
+    """Equations 6 and 7: a height measured inside the tilted scan plane, h / cos(gamma_scan)."""
+    return height / np.cos(np.radians(gamma_scan))
+
+
+def _horizontal_pulse(h_r, alpha_scan):
+    """Equation 8: length r1 of the horizontal pulse, Hr / cos(alpha_scan), metres."""
+    return h_r / np.cos(np.radians(alpha_scan))
+
+
+def _pulse_length(r1, d2, theta_scan):
+    """Equation 9: length r2 of the pulse that strikes d2 away on the profile, metres."""
+    cosine = np.cos(np.radians(theta_scan))
+    return np.sqrt(d2**2 + r1**2 - 2 * d2 * r1 * cosine)
+
+
+def _spacing_from_pulse(r, theta_a, theta_o):
+    """Equation 10: d_PS = r sin(theta_A) / sin(theta_o); r must be r2 and is printed as r1."""
+    return r * np.sin(np.radians(theta_a)) / np.sin(np.radians(theta_o))
+
+
+@dataclass(frozen=True)
+class PointSpacing:
+    """The chain of equations 5 to 10; metres and degrees, symbols of the paper.
+
+    Parameters
+    ----------
+    theta_a : float
+        Angle between pulses, degrees (equation 5).
+    r1 : float
+        Length of the horizontal pulse, metres (equation 8).
+    theta_scan : float
+        Angle between that pulse and the profile, degrees.
+    d2 : float
+        Way along the profile to the evaluated height, metres (equations 6 and 7).
+    r2 : float
+        Length of the pulse there, metres (equation 9).
+    theta_o : float
+        Angle at the next point struck, degrees.
+    d_ps : float
+        Point spacing, metres (equation 10).
+
+    Examples
+    --------
+    >>> chain = point_spacing((0, 0), (0, 0), h_r=5, height_difference=0, theta_a=0.12)
+    >>> bool(np.isclose(chain.d_ps, 5 * np.tan(np.radians(0.12)))), float(chain.r1)
+    (True, 5.0)
+    """
+
+    theta_a: float
+    r1: float
+    theta_scan: float
+    d2: float
+    r2: float
+    theta_o: float
+    d_ps: float
+
+
+def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=False, upwards=True):
+    """Equations 5 to 10: the spacing of points along a profile of a scan plane at rest.
+
+    Parameters
+    ----------
+    scanner, target : pair of float
+        (alpha_scan, gamma_scan) and (alpha_targ, beta_targ), degrees.
+    h_r : float
+        Hr: X of the target where the horizontal pulse strikes it, metres.
+    height_difference : float
+        h_targ - h_scan, metres.
+    theta_a : float
+        Turn of the mirror from pulse to pulse, degrees.
+    literal : bool
+        Equation 10 as printed, with r1.
+    upwards : bool
+        To the pulse above the one that strikes at h_targ, or to that below.
+
+    Returns
+    -------
+    PointSpacing
+
+    Raises
+    ------
+    ValueError
+        If the scan plane is level, or no pulse strikes the target's front.
+
+    Notes
+    -----
+    theta_scan is the angle at the point struck by the horizontal pulse, between the way to the
+    scanner and the way up the profile; theta_o the angle of the triangle of both pulses at the
+    second point struck. The spacing upwards and downwards differs by up to some per cent at
+    grazing incidence.
+
+    References
+    ----------
+    Cahalane et al. 2014, equations 5-10. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> chain = point_spacing((45, 45), (15, 0), h_r=8, height_difference=0, theta_a=0.12)
+    >>> round(1000 * float(chain.d_ps), 3)
+    25.572
+    """
+    (alpha_scan, gamma_scan), (alpha_targ, beta_targ) = scanner, target
+    _check_strike(alpha_scan, alpha_targ)
+    if (np.abs(check_values(gamma_scan, "gamma_scan")) >= 90).any():
+        raise ValueError(f"Invalid gamma_scan {gamma_scan}. Must be between -90 and 90 degrees.")
+    normal, plane = scanner_normal(alpha_scan, gamma_scan), target_normal(alpha_targ, beta_targ)
+    level = turned("z", alpha_scan)[..., :, 0]
+    up = np.cross(normal, plane)
+    up = up * np.sign(up[..., 2:]) / np.linalg.norm(up, axis=-1, keepdims=True)
+    theta_scan = np.degrees(np.arccos(np.clip(-np.sum(level * up, axis=-1), -1, 1)))
+    z_diff = _height_in_scan_plane(height_difference, gamma_scan)
+    r1 = _horizontal_pulse(h_r, alpha_scan)
+    d2 = z_diff / np.sin(np.radians(theta_scan))
+    r2 = _pulse_length(r1, d2, theta_scan)
+    cosine = (d2 - r1 * np.cos(np.radians(theta_scan))) / r2
+    at_first = np.degrees(np.arccos(np.clip(-cosine if upwards else cosine, -1, 1)))
+    theta_o = 180 - theta_a - at_first
+    d_ps = _spacing_from_pulse(r1 if literal else r2, theta_a, theta_o)
+    return PointSpacing(theta_a, r1, theta_scan, d2, r2, theta_o, d_ps)
+
+
+def symbols():
+    """Return a DataFrame: the paper's ``symbol``, its ``meaning``, the name in ``scan_geometry``.
+
+    Returns
+    -------
+    DataFrame
+        ``symbol``, ``meaning``, ``equation``, ``here``.
+
+    Examples
+    --------
+    >>> print(symbols().set_index("symbol").loc["d_PrSH", "here"])
+    Lattice.profile_spacing_horizontal_m
+    """
+    return pd.DataFrame(_SYMBOLS, columns=["symbol", "meaning", "equation", "here"])
+
+
+def ambiguities():
+    """Return a DataFrame of what the paper leaves open or prints wrongly, and how it is read here.
+
+    Columns ``place``, ``printed``, ``reading`` and ``evidence``.
+
+    Returns
+    -------
+    DataFrame
+
+    Examples
+    --------
+    >>> table = ambiguities().set_index("place")
+    >>> table.loc["equation 8", "printed"]
+    'Hr, the horizontal range'
+    """
+    return pd.DataFrame(_AMBIGUITIES, columns=["place", "printed", "reading", "evidence"])
+
+
+def _rotation(heading, tilt_axis, tilt, reading):
+    """Equation 1 in either reading: about the tilt axis first, or about Z first."""
+    check_choice(reading, "reading", READINGS)
+    about_z, about_tilt = turned("z", heading), turned(tilt_axis, tilt)
+    return about_z @ about_tilt if reading == "tilt_first" else about_tilt @ about_z
+
+
+def _check_strike(alpha_scan, alpha_targ):
+    """Refuse angles at which the horizontal pulse misses the target's front."""
+    scan = check_values(alpha_scan, "alpha_scan")
+    between = np.abs(scan - check_values(alpha_targ, "alpha_targ"))
+    if (np.maximum(between, np.abs(scan)) >= 90).any():
+        raise ValueError(
+            f"Invalid alpha_targ {alpha_targ} for alpha_scan {alpha_scan}. "
+            "Must lie less than 90 degrees from it."
+        )
+
+
+_SYMBOLS = (
+    ("v", "speed of the vehicle", "", "ScanSetup.speed_m_s"),
+    ("PRR", "pulse repetition rate", "", "ScanSetup.pulse_rate_hz"),
+    ("Mf", "mirror frequency", "", "ScanSetup.mirror_frequency_hz"),
+    ("alpha_scan", "horizontal rotation of the scanner", "1", "ScanSetup.scanner_heading_deg"),
+    ("gamma_scan", "vertical rotation of the scanner", "1", "ScanSetup.scanner_tilt_deg"),
+    ("alpha_targ", "horizontal rotation of the target", "1", "Target.heading_deg"),
+    ("beta_targ", "vertical rotation of the target", "1", "Target.tilt_deg"),
+    ("Hr", "horizontal range at the horizontal pulse", "8", "Target.range_m"),
+    ("h_targ - h_scan", "height above the scanner", "6, 7", "Target.height_difference_m"),
+    ("d", "distance driven in a revolution", "2, 3", "speed_m_s / mirror_frequency_hz"),
+    ("d_PrSH", "horizontal profile spacing", "2, 3", "Lattice.profile_spacing_horizontal_m"),
+    ("d_PrSV", "vertical profile spacing", "4", "Lattice.profile_spacing_vertical_m"),
+    ("theta_PrA", "profile angle from the horizontal", "4", "Lattice.profile_angle_deg"),
+    ("PpM", "pulses in the field of view", "5", "ScanSetup.pulses_per_revolution"),
+    ("theta_A", "angle between pulses", "5", "ScanSetup.pulse_step_deg"),
+    ("r1", "length of the horizontal pulse", "8", "range_m / cos(scanner_heading_deg)"),
+    ("r2", "length of the pulse at h_targ", "9", "Lattice.range_m"),
+    ("d_PS", "point spacing", "10", "Lattice.point_spacing_m"),
+    ("(not printed)", "gap between profiles", "", "Lattice.profile_spacing_perpendicular_m"),
+    ("(not printed)", "points per square metre", "", "Lattice.density_per_m2"),
+)
+
+_AMBIGUITIES = (
+    (
+        "equation 1",
+        "R = Rx Ry Rz, order of rotation open",
+        "row vectors: tilt first, then heading, for scanner and target",
+        "column vectors give 0.0751, 0.1000, 0.0745, 0.1667, 0.1000 m and not Table 3",
+    ),
+    (
+        "equations 2, 3",
+        "theta_2 to theta_5 only in a figure",
+        "theta_2 = theta_3 = 90 - alpha_scan; 90 - alpha_scan -+ |alpha_targ|",
+        "Table 3; at 45 degrees the complement gives the same, equation 8 settles it",
+    ),
+    (
+        "Table 3",
+        "profile spacing, mirror frequency not stated",
+        "horizontal spacing at 100 Hz",
+        "row 2: 0.100 m at 10 m/s; the other two spacings of a tilted wall differ",
+    ),
+    (
+        "text before equation 6",
+        "beta_targ called the scanner's vertical rotation",
+        "gamma_scan",
+        "equations 6 and 7 use it; heights are measured in the scan plane",
+    ),
+    (
+        "equation 8",
+        "Hr, the horizontal range",
+        "X of the target where the horizontal pulse strikes it, not abeam",
+        "differs for turned targets; with it the chain agrees with ray casting",
+    ),
+    (
+        "equation 10",
+        "r1 sin(theta_A) / sin(theta_o)",
+        "r2 in place of r1",
+        "with r2 the chain agrees with ray casting; r1 is right only where h_targ = h_scan",
+    ),
+    (
+        "equation 10",
+        "theta_o not defined; next pulse up or down open",
+        "angle at the second point struck; next pulse up",
+        "triangle of the two pulses and the spacing",
+    ),
+    (
+        "section 4.1.1",
+        "horizontal and vertical given to axes Y and Z, then the opposite",
+        "horizontal about Z, vertical about the tilt axis",
+        "equations 2, 3 and 8",
+    ),
+    (
+        "all equations",
+        "scan plane at rest during a revolution",
+        "the vehicle moves from pulse to pulse: use scan_geometry",
+        "turns profiles by about d / (2 pi R): 0.08 degrees at 4 m for d = 0.1 m",
+    ),
+    (
+        "real targets",
+        "targets at -60 degrees seen by a scanner at +45 degrees",
+        "cannot have been seen: |alpha_targ| < 90 - alpha_scan on that side",
+        "the horizontal pulse would strike the back",
+    ),
+)

@@ -1,0 +1,268 @@
+"""Selecting a surface by a polygon in the notebook: draw it, drag its vertices, keep it as a file.
+
+The cloud is seen at right angles to its plane. Whatever the polygon selects is evaluated at once,
+as ``mmqa evaluate --polygon`` does with the saved file.
+"""
+
+import ipywidgets
+import numpy as np
+from matplotlib.figure import Figure
+
+from mmqa_lab import plots
+from mmqa_lab._checks import check_points
+from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import write_polygon
+from mmqa_lab.planes import fit_plane
+from mmqa_lab.views import is_headless
+
+SHOWN = 10_000
+"""Points drawn; all of them are evaluated."""
+
+FEW_TICKS = 4
+"""On each axis: most of the time of drawing goes into ticks."""
+
+SIZE_INCHES = (9.0, 4.6)
+
+
+class View:
+    """A cloud as seen at right angles to its plane, upright where it stands.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres, three or more, not on a line.
+
+    Examples
+    --------
+    >>> view = View([[5, 0, 0], [5, 2, 0], [5, 2, 1], [5, 0, 1]])
+    >>> view.to_space([[0.5, 0.25]]).round(3).tolist()
+    [[5.0, 1.5, 0.75]]
+    """
+
+    def __init__(self, points):
+        plane = fit_plane(points, robust=True)
+        self.centre = plane.centre
+        self.axes = plane.axes if abs(plane.normal[2]) > 0.999 else plane.horizontal_axes()
+
+    def to_plane(self, points):
+        """Coordinates in the plane, shape (n, 2), m."""
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T
+
+    def to_space(self, xy):
+        """Points of the plane in space, shape (n, 3), m."""
+        return self.centre + np.asarray(xy, dtype=np.float64) @ self.axes
+
+    def middle_polygon(self, points):
+        """A rectangle about the middle half of the points, shape (4, 3), m."""
+        low, high = np.percentile(self.to_plane(points), [15, 85], axis=0)
+        return self.to_space([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
+    """Show a cloud with a polygon whose vertices can be dragged, and what it selects.
+
+    Parameters
+    ----------
+    cloud : Cloud or array_like, shape (n, 3)
+        A surface and what is around it, metres.
+    polygon : array_like, shape (m, 3), optional
+        Where to start; by default a rectangle about the middle.
+    thickness, axes, radius
+        See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+
+    Returns
+    -------
+    SelectionTool or matplotlib.figure.Figure
+        The tool, or its picture where there is no screen.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the polygon selects too few of them.
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> cloud = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    >>> with patch.dict("os.environ", MMQA_HEADLESS="1"):
+    ...     figure = select_polygon(cloud)
+    >>> figure.axes[0].get_title().split(",")[-1]
+    ' f 2.00'
+    """
+    points = cloud.points if isinstance(cloud, Cloud) else check_points(cloud, minimum=3)
+    choices = {"thickness": thickness, "axes": axes, "radius": radius}
+    if not is_headless():
+        return SelectionTool(points, polygon=polygon, **choices)
+    view = View(points)
+    polygon = view.middle_polygon(points) if polygon is None else polygon
+    figure, panels = _panels(Figure(figsize=SIZE_INCHES), view.to_plane(points))
+    outline = view.to_plane(np.concatenate([polygon, polygon[:1]]))
+    panels[0].plot(*outline.T, color=plots.COLOURS["vermilion"])
+    quality = evaluate_cloud(points, polygon=polygon, **choices)
+    _draw_histograms(panels, quality)
+    panels[0].set_title(summary(quality), fontsize=7)
+    return figure
+
+
+class SelectionTool:
+    """A polygon on a cloud, its vertices, and the quality of what it selects.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    polygon, thickness, axes, radius
+        See :func:`select_polygon`.
+
+    Attributes
+    ----------
+    vertices : array, shape (m, 3)
+        The polygon as it is now, metres.
+    quality : CloudQuality or None
+        What it selects; None while it selects too little.
+    box : ipywidgets.VBox
+        What is shown.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> tool = SelectionTool(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> tool.vertices.shape, round(tool.quality.f, 2)
+    ((4, 3), 2.0)
+    """
+
+    def __init__(self, points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
+        from matplotlib.widgets import PolygonSelector
+
+        Canvas, FigureManager = _ipympl()
+        self.points = check_points(points, minimum=3)
+        self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
+        self.view = View(self.points)
+        self.vertices = self.view.middle_polygon(self.points) if polygon is None else polygon
+        self.quality = None
+        self.text = ipywidgets.HTML()
+        figure = Figure(figsize=SIZE_INCHES, dpi=100)
+        self.canvas = Canvas(figure)
+        self._manager = FigureManager(self.canvas, 0)
+        self.canvas.header_visible = False
+        _, self._panels = _panels(figure, self.view.to_plane(self.points))
+        look = {"color": plots.COLOURS["vermilion"], "linewidth": 1.5}
+        self._selector = PolygonSelector(self._panels[0], self._moved, props=look)
+        self._selector.verts = self.view.to_plane(self.vertices).tolist()
+        self._moved(self._selector.verts)
+        self.box = ipywidgets.VBox([self.canvas, self.text, self._save_row()])
+
+    def _ipython_display_(self):
+        """Show the tool where it is the last value of a cell."""
+        from IPython.display import display
+
+        display(self.box)
+
+    def select(self, vertices):
+        """Move the polygon to ``vertices``, shape (m, 3), and evaluate what it selects."""
+        self._selector.verts = self.view.to_plane(vertices).tolist()
+        self._moved(self._selector.verts)
+
+    def save(self, path):
+        """Write the polygon as GeoJSON for ``mmqa evaluate --polygon`` and ``read_polygon``."""
+        write_polygon(path, self.vertices)
+
+    def _moved(self, vertices):
+        """Evaluate and draw again after a vertex was dragged."""
+        self.vertices = self.view.to_space(vertices)
+        try:
+            self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
+        except ValueError as error:
+            self.quality, self.text.value = None, f"<b>{error}</b>"
+            return
+        self.text.value = f"<b>{summary(self.quality)}</b>"
+        _draw_histograms(self._panels, self.quality)
+        self.canvas.draw_idle()
+
+    def _save_row(self):
+        """A field for the file's name, a button, and what became of it."""
+        name = ipywidgets.Text("polygon.geojson", description="file")
+        button, said = ipywidgets.Button(description="Save polygon"), ipywidgets.HTML()
+
+        def save(_):
+            """Write the file and say so, or why not."""
+            try:
+                self.save(name.value)
+                said.value = f"saved; mmqa evaluate CLOUD --polygon {name.value}"
+            except (OSError, ValueError) as error:
+                said.value = str(error)
+
+        button.on_click(save)
+        return ipywidgets.HBox([name, button, said])
+
+
+def summary(quality):
+    """Return the quality in one line.
+
+    Parameters
+    ----------
+    quality : CloudQuality
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> summary(evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)))
+    '200 points, sigma_MAD 0.00 mm, std 0.00 mm, d1 20.0 mm, d4 40.0 mm, f 2.00'
+    """
+    density = f", {quality.density_polygon_per_m2:.0f} points/m²"
+    return (
+        f"{quality.n} points{density if np.isfinite(quality.area_polygon_m2) else ''}, "
+        f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
+        f"d1 {quality.d1_mm:.1f} mm, d4 {quality.d4_mm:.1f} mm, f {quality.f:.2f}"
+    )
+
+
+def _ipympl():
+    """Canvas and manager of ipympl, which on import takes over the figures of the whole session."""
+    import matplotlib
+
+    backend = matplotlib.get_backend()
+    from ipympl.backend_nbagg import Canvas, FigureManager
+
+    if matplotlib.get_backend() != backend:
+        matplotlib.use(backend)
+    return Canvas, FigureManager
+
+
+def _panels(figure, xy):
+    """The cloud on the left, room for two histograms on the right; fixed, so drawing is quick."""
+    figure.set_layout_engine("none")
+    panels = [
+        figure.add_axes(place)
+        for place in ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
+    ]
+    shown = xy[:: max(1, len(xy) // SHOWN)]
+    mark = "," if len(shown) > SHOWN // 3 else "."  # one pixel each where there are many
+    panels[0].plot(*shown.T, mark, ms=2, color=plots.COLOURS["blue"])
+    panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+    panels[0].locator_params(nbins=FEW_TICKS)
+    return figure, panels
+
+
+def _draw_histograms(panels, quality):
+    """Distances from the plane, and nearest and farthest quadrant distances."""
+    _, residuals, spacings = panels
+    residuals.clear()
+    spacings.clear()
+    measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
+    plots.draw_residual_histogram(1000 * quality.plane.residuals, ax=residuals, **measures)
+    spread = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
+    plots.draw_spacing_histogram(quality.distances_mm, ax=spacings, **spread)
+    for panel in (residuals, spacings):
+        panel.locator_params(nbins=FEW_TICKS)

@@ -1,0 +1,414 @@
+"""Correspondence, scores, the Hausdorff distance and the displaced matcher."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from mmqa_lab import lines
+from mmqa_lab.__main__ import main
+from mmqa_lab.lines import Segments, correspond, lhd, match_displaced, olhd, pairing_scores
+from mmqa_lab.lines.candidates import LinePairs
+from mmqa_lab.segment_files import read_segments, write_segments
+from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A canyon with its surveys."""
+    return canyon(1)
+
+
+def two(scene, names=("C1", "TLS")):
+    """Test and model segments of a comparison."""
+    return [scene.surveys[name].segments for name in names]
+
+
+def test_all_nearest_mutual():
+    d = np.array([[0.1, 0.4, 9.0], [0.2, 0.3, 9.0], [9.0, 9.0, 2.0]])
+    assert correspond(d, 0.4).tolist() == [[True, True, False], [True, True, False], [False] * 3]
+    assert np.argwhere(correspond(d, 0.4, matcher="nearest")).tolist() == [[0, 0], [1, 0]]
+    assert np.argwhere(correspond(d, 0.4, matcher="mutual")).tolist() == [[0, 0]]
+    assert not correspond(d, np.nan).any()
+
+
+def test_hungarian_is_the_best_assignment_of_most_pairs(rng):
+    for _ in range(20):
+        d = rng.uniform(0, 2, (7, 9))
+        pairs = correspond(d, 1.0, matcher="hungarian")
+        assert (pairs.sum(axis=0) <= 1).all()
+        assert (pairs.sum(axis=1) <= 1).all()
+        assert d[pairs].max() <= 1.0
+        gain = (1.0 - d)[pairs].sum()
+        rows, columns = linear_sum_assignment(-np.maximum(1.0 - d, 0))
+        assert gain == pytest.approx(np.maximum(1.0 - d, 0)[rows, columns].sum())
+
+
+def test_hungarian_keeps_a_pair_at_the_very_threshold():
+    assert correspond([[0.5, 3.0]], 0.5, matcher="hungarian").tolist() == [[True, False]]
+
+
+def test_fragments_take_both_pieces_but_not_a_neighbour():
+    model = [[[0, 0, 0], [20, 0, 0]]]
+    pieces = [[[0, 0.1, 0], [9, 0.1, 0]], [[11, 0.1, 0], [20, 0.1, 0]], [[1, 0.8, 0], [8, 0.8, 0]]]
+    d = lines.distance_matrix(pieces, model)
+    choices = {"test": pieces, "model": model}
+    assert correspond(d, 1.0, matcher="fragments", **choices)[:, 0].tolist() == [True, True, False]
+    assert correspond(d, 1.0, matcher="mutual").sum() == 1
+    flipped = Segments(np.array(pieces)[:, ::-1])
+    again = correspond(d, 1.0, matcher="fragments", test=flipped, model=model)
+    assert again[:, 0].tolist() == [True, True, False]
+
+
+def test_correspond_refuses():
+    with pytest.raises(ValueError, match="Must be one of all, nearest"):
+        correspond([[1.0]], 1.0, matcher="best")
+    with pytest.raises(ValueError, match="Must have test and model"):
+        correspond([[1.0]], 1.0, matcher="fragments")
+    with pytest.raises(ValueError, match=r"Must be \(1, 2\)"):
+        correspond(
+            [[1.0]],
+            1.0,
+            matcher="fragments",
+            test=[[0, 0, 0, 1, 0, 0]],
+            model=[[0, 0, 0, 1, 0, 0], [0, 0, 1, 1, 0, 1]],
+        )
+
+
+def test_scores_by_hand():
+    scores = pairing_scores([[True, True], [False, False]], [[True, False], [True, False]])
+    assert (scores.tp, scores.fp, scores.fn, scores.tn) == (1, 1, 1, 1)
+    assert (scores.precision, scores.recall, scores.f1) == (0.5, 0.5, 0.5)
+    assert (scores.detection_rate, scores.null_rate, scores.mcc) == (0.5, 0.5, 0.0)
+    nothing = pairing_scores(np.zeros((3, 4), bool), np.eye(3, 4, dtype=bool))
+    assert np.isnan(nothing.precision)
+    assert nothing.detection_rate == nothing.null_rate == 0.75
+    assert nothing.f1 == 0
+    with pytest.raises(TypeError, match="Must be Boolean"):
+        pairing_scores([[1]], [[True]])
+    with pytest.raises(ValueError, match="Invalid pairs of shape"):
+        pairing_scores([[True]], [[True, False]])
+
+
+def test_mcc_is_the_correlation_of_the_cells(rng):
+    pairs, truth = rng.random((2, 12, 9)) < 0.3
+    expected = np.corrcoef(pairs.ravel(), truth.ravel())[0, 1]
+    assert pairing_scores(pairs, truth).mcc == pytest.approx(expected)
+
+
+def test_norms_of_the_oriented_distance():
+    d = np.array([[1.0, 9.0, 9.0], [3.0, 2.0, 9.0]])
+    pairs = np.array([[True, False, False], [True, True, False]])
+    lengths = [10.0, 5.0, 85.0]
+    total = 10 * 1 + 10 * 3 + 5 * 2
+    assert olhd(d, pairs, lengths) == pytest.approx(total / 25)
+    assert olhd(d, pairs, lengths, norm="matched") == pytest.approx(total / 15)
+    assert olhd(d, pairs, lengths, norm="all") == pytest.approx(total / 100)
+    assert np.isnan(olhd(d, ~pairs & pairs, lengths))
+
+
+def test_lhd_is_the_larger_of_both_directions_by_hand(scene):
+    test, model = two(scene)
+    found = lhd(test, model)
+    values = []
+    for a, b in ((test, model), (model, test)):
+        d = lines.components(a, b).distance(10)
+        pairs = d <= lines.peak_threshold(d.min(axis=1)).delta
+        weights = np.broadcast_to(b.lengths, d.shape)
+        values.append((weights * d)[pairs].sum() / weights[pairs].sum())
+    assert found.value == pytest.approx(max(values))
+    directions = found.test_model.olhd(10), found.model_test.olhd(10)
+    assert directions == pytest.approx(tuple(values))
+    assert found.at_weight(0) <= found.value
+    assert found.perpendicular_only <= found.at_weight(0)
+    np.testing.assert_allclose(found.test_model.shares(10).sum(), 1)
+    assert 0 < found.test_model.coverage < 1
+
+
+def test_exchanging_the_sets_exchanges_the_directions(scene):
+    test, model = two(scene, ("C1", "C3"))
+    there, back = lhd(test, model), lhd(model, test)
+    assert there.value == pytest.approx(back.value)
+    np.testing.assert_array_equal(there.test_model.pairs, back.model_test.pairs.T)
+    pairs = there.test_model.pairs
+    turned = lines.fit_displacement(model, test, pairs.T)
+    # the common stretches are measured along the other set's lines, 0.4 degrees off
+    np.testing.assert_allclose(there.displacement.vector, -turned.vector, atol=0.02)
+
+
+def test_bootstrap_interval_holds_the_value(scene):
+    found = lhd(*two(scene))
+    low, high = found.interval()
+    assert low < found.value < high
+    assert found.interval(seed=0) == (low, high)
+    narrow = found.interval(level=0.5)
+    assert narrow[1] - narrow[0] < high - low
+
+
+@pytest.mark.parametrize("matcher", ["all", "displaced"])
+def test_far_from_the_origin_nothing_changes(scene, matcher):
+    test, model = two(scene)
+    far = [one.moved([651_234.5, 6_862_345.7, 35.0]) for one in (test, model)]
+    here, there = lhd(test, model, matcher=matcher), lhd(*far, matcher=matcher)
+    np.testing.assert_array_equal(here.test_model.pairs, there.test_model.pairs)
+    assert here.value == pytest.approx(there.value, abs=1e-8)
+    # 1e-9 m in the coordinates through the solution of the normal equations
+    np.testing.assert_allclose(here.displacement.vector, there.displacement.vector, atol=1e-6)
+
+
+def test_displacement_of_exact_pairs_is_exact(scene):
+    model = scene.edges
+    for vector in ([0.3, -0.2, 0.1], [2.0, 1.0, -0.5]):
+        found = lines.fit_displacement(model.moved(vector), model, np.eye(len(model), dtype=bool))
+        # the prior of 1 m about the least-squares start pulls by less than a thousandth
+        np.testing.assert_allclose(found.vector, vector, atol=1e-3)
+        assert found.n == len(model)
+
+
+def test_parallel_pairs_leave_the_displacement_open():
+    upright = [[[x, 0, 0], [x, 0, 9]] for x in range(5)]
+    found = lines.fit_displacement(upright, upright, np.eye(5, dtype=bool))
+    assert np.isnan(found.vector).all()
+    few = lines.fit_displacement(upright, upright, np.zeros((5, 5), dtype=bool))
+    assert (few.n, np.isnan(few.covariance).all()) == (0, True)
+
+
+def test_stated_covariance_covers_independent_noise():
+    """Lines with the noise that the estimate believes in: 95 % ellipsoids cover 90 % and more."""
+    rng = np.random.default_rng(3)
+    model = canyon(2).edges
+    inside = []
+    for _ in range(60):
+        noise = rng.normal(0, 0.05, (len(model), 3))
+        drift = np.array([0.4, -0.3, 0.2])
+        found = lines.fit_displacement(
+            model.moved(noise + drift), model, np.eye(len(model), dtype=bool)
+        )
+        error = found.vector - drift
+        inside.append(error @ np.linalg.solve(found.covariance, error) < 7.81)
+    assert np.mean(inside) >= 0.9
+
+
+@pytest.mark.parametrize("kind", list(COMPARISONS))
+def test_the_displaced_matcher_beats_the_published_one(kind):
+    gains = []
+    for seed in (101, 102, 103):
+        scene = canyon(seed, conditions=Conditions(bias_m=(2.0, 2.0)))
+        for names in COMPARISONS[kind]:
+            truth = scene.pairs(*names)
+            test, model = two(scene, names)
+            d = lines.distance_matrix(test, model)
+            literal = d <= lines.peak_threshold(d.min(axis=1)).delta
+            ours = match_displaced(test, model).pairs
+            gains.append(pairing_scores(ours, truth).f1 - pairing_scores(literal, truth).f1)
+    # 0.15 in both kinds over hundreds of scenes
+    assert np.mean(gains) > 0.05
+
+
+def test_gaps_between_ends_do_not_depend_on_their_order():
+    model, test = [[[0, 0, 0], [0, 0, 9]]], [[[0.5, 0, 7], [0.5, 0, 1]]]
+    for a, b in ((test, model), (np.flip(test, 1), model), (test, np.flip(model, 1))):
+        pairs = LinePairs(Segments(a), Segments(b), [0], [0])
+        assert sorted(pairs.end_gaps(np.zeros(3))[0]) == pytest.approx([1, 2])
+        # a test line that was moved up by half a metre began at 0.5 m
+        assert sorted(pairs.end_gaps(np.array([0, 0, 0.5]))[0]) == pytest.approx([0.5, 2.5])
+
+
+def test_of_two_neighbours_the_one_with_the_same_ends_is_paired(rng):
+    same_ends = []
+    for _ in range(6):
+        places, heights = rng.uniform(0, 60, (12, 2)), rng.uniform(6, 15, 12)
+        uprights = np.zeros((12, 2, 3))
+        uprights[:, :, :2], uprights[:, 1, 2] = places[:, None], heights
+        along = [[[x, y, 9], [x + 7, y, 9]] for x, y in rng.uniform(0, 60, (8, 2))]
+        # as far from the test lines on either side: only their ends tell them apart
+        aside = np.resize([-0.06, 0.06], 12)[:, None, None] * [1.0, 0.0, 0.0]
+        same, other = uprights + aside, uprights - aside
+        other[:, 1, 2] += rng.choice([-4.0, 4.0], 12)
+        found = match_displaced([*uprights, *along], [*same, *along, *other]).pairs
+        same_ends.append(found[:12, :12].trace() - found[:12, 20:].trace())
+    # of twelve; a matcher blind to ends takes six of either
+    assert np.mean(same_ends) > 4
+
+
+def test_the_displaced_matcher_knows_the_displacement():
+    scene = canyon(101, conditions=Conditions(bias_m=(3.0, 3.0), drift_m=0.0))
+    found = match_displaced(*two(scene))
+    true = scene.displacements("C1", "TLS").mean(axis=0)
+    assert np.linalg.norm(found.displacement.vector - true) < 0.1
+    assert match_displaced(*two(scene), radius=1.0).pairs.sum() < found.pairs.sum()
+
+
+def test_unrelated_lines_have_no_common_displacement(rng):
+    first = rng.uniform(0, 60, (2, 15, 3))
+    direction = rng.normal(size=(2, 15, 3))
+    test, model = (
+        Segments(np.stack([a, a + 3 * b], axis=1)) for a, b in zip(first, direction, strict=True)
+    )
+    found = match_displaced(test, model)
+    assert found.pairs.sum() < 5
+    with pytest.raises(ValueError, match="Invalid radius 0"):
+        match_displaced(test, model, radius=0)
+
+
+def test_the_displaced_matcher_gives_way(rng):
+    scene = canyon(101, conditions=Conditions(drift_m=3.0))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = lhd(*two(scene, ("C1", "C3")), matcher="displaced", radius=0.3)
+    assert any("matcher 'fragments' is used" in str(warning.message) for warning in caught)
+    assert (found.asked, found.matcher) == ("displaced", "fragments")
+
+
+@pytest.mark.parametrize("sets", [([], [[0, 0, 0, 0, 0, 9]]), ([[0, 0, 0, 0, 0, 9]], []), ([], [])])
+@pytest.mark.parametrize("matcher", ["all", "fragments", "displaced"])
+def test_empty_sets_are_not_measurable(sets, matcher):
+    with pytest.warns(UserWarning, match="nothing to measure"):
+        found = lhd(*sets, matcher=matcher)
+    assert np.isnan(found.value)
+    assert np.isnan(found.interval()).all()
+    plain = found.to_dict()
+    assert (plain["lhd_m"], plain["pairs_test_model"]) == (None, [])
+
+
+def test_doubtful_values_are_warned_of():
+    one = [[0, 0, 0, 0, 0, 9], [0, 0, 9, 8, 0, 9]]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lhd([*one, one[0]], one)
+    said = " ".join(str(warning.message) for warning in caught)
+    assert "Some test segments repeat" in said
+    assert "Only" in said
+    assert "No jump" in said
+
+
+def test_sets_in_different_frames_are_refused():
+    one = Segments([[0, 0, 0, 0, 0, 9], [0, 0, 9, 8, 0, 9]])
+    with pytest.raises(ValueError, match=r"Invalid sets \d+ m apart.*one coordinate system"):
+        lhd(one, one.moved([651_000, 6_862_000, 0]))
+
+
+def test_canyon_counts_are_those_of_the_paper():
+    """Means over 60 scenes within a fifth of the paper's p, q and pairs (36, 28, 41, 64; 11...)."""
+    scenes = [canyon(seed) for seed in range(60)]
+    sizes = {k: np.mean([len(s.surveys[k].segments) for s in scenes]) for k in scenes[0].surveys}
+    paper = {"C1": 36, "C2": 28, "C3": 41, "TLS": 64}
+    assert {k: sizes[k] / paper[k] for k in paper} == pytest.approx(
+        dict.fromkeys(paper, 1), rel=0.2
+    )
+    pairs = {
+        names: np.mean([s.pairs(*names).sum() for s in scenes])
+        for names in (pair for kind in COMPARISONS.values() for pair in kind)
+    }
+    # 29 pairs of the first of two C1-C3 comparisons; the simulator has one
+    for found, paper in zip(pairs.values(), (11, 29, 12, 21, 22, 24), strict=True):
+        assert found == pytest.approx(paper, rel=0.3)
+
+
+def test_canyon_displacements_are_those_of_noiseless_segments():
+    quiet = Conditions(angle_noise_deg=0.0, splits=0.0, truncations=0.0, clutter=0.0)
+    scene = canyon(4, conditions=quiet)
+    survey = scene.surveys["C1"]
+    lines = scene.edges.select(survey.edge)
+    offset = survey.segments.midpoints - lines.midpoints - survey.displacement
+    across = offset - (offset * lines.directions).sum(axis=1, keepdims=True) * lines.directions
+    # position noise 4 cm per axis, and what 0.02 m / length turns
+    assert np.abs(across).max() < 0.25
+    assert np.sqrt((across**2).sum(axis=1).mean()) == pytest.approx(0.04 * np.sqrt(2), rel=0.3)
+    again = canyon(4, conditions=quiet)
+    np.testing.assert_array_equal(
+        again.surveys["C2"].segments.ends, scene.surveys["C2"].segments.ends
+    )
+
+
+@pytest.mark.parametrize(
+    ("choices", "said"),
+    [
+        ({"twins": 1.2}, "Invalid twins 1.2"),
+        ({"drift_m": -0.1}, "Invalid drift_m -0.1"),
+        ({"bias_m": (2.0, 1.0)}, "Invalid bias_m 1.0"),
+    ],
+)
+def test_bad_conditions_are_refused(choices, said):
+    with pytest.raises(ValueError, match=said):
+        Conditions(**choices)
+
+
+def test_segment_files_come_back_to_the_bit(tmp_path, scene):
+    one = scene.surveys["C1"].segments.moved([651_234.56, 6_862_345.67, 0])
+    write_segments(tmp_path / "edges.csv", one)
+    np.testing.assert_array_equal(read_segments(tmp_path / "edges.csv").ends, one.ends)
+    plain = tmp_path / "plain.txt"
+    plain.write_text("# x1 y1 z1 x2 y2 z2\n0 0 0; 0 0 9; 7\n\n1,1,1,2,2,2  # a roof\n")
+    assert read_segments(plain).ends.tolist() == [[[0, 0, 0], [0, 0, 9]], [[1, 1, 1], [2, 2, 2]]]
+    plain.write_text("x1,y1,z1,x2,y2,z2\n")
+    assert len(read_segments(plain)) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0,0,0,1,0,0\n1,2,3,4,5\n", "in line 2"),
+        ("0,0,0,1,0,0\nx1,y1,z1,x2,y2,z2\n", "in line 2"),
+        ("x1,y1,z1,x2,y2,z2\n0,0,0,nan,0,0\n", "in line 2.*six finite numbers"),
+        ("1,1,1,2,2,2\n\n3,3,3,3,3,3\n", "no length in line 3"),
+    ],
+)
+def test_bad_segment_files_name_the_line(tmp_path, text, said):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(ValueError, match=said):
+        read_segments(tmp_path / "bad.csv")
+
+
+def test_missing_and_binary_segment_files(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_segments(tmp_path / "none.csv")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x9c" * 20)
+    with pytest.raises(ValueError, match="no text"):
+        read_segments(tmp_path / "binary.csv")
+
+
+KEYS = {
+    *("weight", "sensitivity_m", "matcher", "p", "q", "lhd_m"),
+    *("olhd_test_model_m", "olhd_model_test_m"),
+    *("threshold_test_model_m", "threshold_model_test_m"),
+    *("pairs_test_model", "pairs_model_test", "perpendicular_only_m"),
+    *("displacement_m", "displacement_covariance_m2", "coverage_test", "coverage_model"),
+}
+
+
+@pytest.mark.parametrize("matcher", ["all", "nearest", "hungarian", "fragments", "displaced"])
+def test_command_prints_json(tmp_path, capsys, scene, matcher):
+    files = [tmp_path / f"{name}.csv" for name in ("C1", "TLS")]
+    for file, one in zip(files, two(scene), strict=True):
+        write_segments(file, one)
+    arguments = ["lhd", *map(str, files), "--json", "--matcher", matcher]
+    assert main(arguments) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) >= KEYS
+    expected = lhd(*two(scene), matcher=matcher)
+    assert printed["lhd_m"] == pytest.approx(expected.value)
+    assert printed["pairs_model_test"] == np.argwhere(expected.model_test.pairs).tolist()
+    assert np.shape(printed["displacement_covariance_m2"]) == (3, 3)
+    assert printed["matcher"] == matcher
+
+
+def test_command_prints_a_table_and_one_sentence_on_bad_input(tmp_path, capsys, scene):
+    files = [str(tmp_path / f"{name}.csv") for name in ("C1", "TLS")]
+    for file, one in zip(files, two(scene), strict=True):
+        write_segments(file, one)
+    assert main(["lhd", *files, "--weight", "3"]) == 0
+    assert "perpendicular only" in capsys.readouterr().out
+    assert main(["lhd", *files, "--weight", "-3"]) == 2
+    assert capsys.readouterr().err.strip() == "mmqa lhd: Invalid weight -3.0. Must be >= 0."
+    assert main(["lhd", files[0], str(tmp_path / "none.csv")]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_no_warning_where_nothing_is_doubtful(scene):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lhd(*two(scene))
+        lhd(*two(scene), matcher="displaced")

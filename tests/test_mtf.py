@@ -1,0 +1,121 @@
+"""Edges, stars, bars and sharpness on rendered targets whose point spread is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab.mtf.bars import read_bars, resolving_power
+from mmqa_lab.mtf.edge import dependence, fit_edge
+from mmqa_lab.mtf.sharpness import haar_sharpness
+from mmqa_lab.mtf.star import measure_star
+from mmqa_lab.simulate.targets import (
+    PointSpread,
+    blur_over_image,
+    render_bars,
+    render_edge,
+    render_star,
+    texture,
+)
+
+
+def test_rendered_edge_is_the_closed_form_across_a_wide_edge():
+    # far from its pixel size a blurred edge is the normal distribution, whatever the grid
+    from scipy.special import ndtr
+
+    image = render_edge((21, 61), PointSpread(4.0), angle_deg=0.0, low=0.0, high=1.0)
+    x = np.arange(61) - 30
+    expected = ndtr(x / np.hypot(4.0, 12**-0.5))
+    assert np.abs(image[10] - expected).max() < 2e-4
+
+
+@pytest.mark.parametrize("sigma", [0.5, 1.0, 2.0])
+def test_edge_fit_within_one_percent_at_one_percent_noise(sigma, rng):
+    spread = PointSpread(sigma)
+    errors = []
+    for _ in range(6):
+        angle = rng.uniform(3, 11)
+        image = render_edge((100, 64), spread, angle_deg=angle)
+        fit = fit_edge(image + 0.005 * rng.standard_normal(image.shape))
+        errors.append((fit.fwhm_px / spread.fwhm(angle) - 1, fit.mtf50 / spread.mtf50(angle) - 1))
+    assert np.abs(errors).max() < 0.01
+
+
+def test_edge_fit_knows_its_own_shapes():
+    fit = fit_edge(render_edge((60, 60), PointSpread(0.8), angle_deg=8.0))
+    x = np.linspace(-4, 4, 2001)
+    assert np.trapezoid(fit.lsf(x), x) == pytest.approx(1, abs=1e-4)
+    assert fit.mtf(fit.mtf50) == pytest.approx(0.5, abs=1e-9)
+    assert fit.lsf(fit.fwhm_px / 2) == pytest.approx(fit.lsf(0.0) / 2, rel=1e-6)
+    turned = fit_edge(render_edge((60, 60), PointSpread(0.8), angle_deg=8.0)[::-1, ::-1])
+    assert turned.width_px == pytest.approx(fit.width_px, rel=1e-4)
+
+
+@pytest.mark.parametrize(("half", "sigma"), [(False, 0.7), (True, 0.7), (False, 1.5)])
+def test_star_within_two_hundredths(half, sigma, rng):
+    spread = PointSpread(sigma)
+    image = render_star((190, 190), spread, cycles=24, radius_px=88, centre=(0.3, -0.2), half=half)
+    image = image + 0.005 * rng.standard_normal(image.shape)
+    part = (-180, 0) if half else (0, 360)
+    star = measure_star(image, (94.0, 95.0), cycles=24, radius_px=88, azimuth_deg=part)
+    low = star.frequency <= 0.45
+    assert np.abs(star.mtf - spread.mtf_mean(star.frequency))[low].max() < 0.02
+    assert np.hypot(star.centre[0] - 94.8, star.centre[1] - 94.3) < 0.15
+    assert star.mtf10 > star.mtf50
+    assert star.fwhm_px == pytest.approx(spread.fwhm(0), rel=0.05)
+    # rendered levels; the middle of the sectors does not reach them under the wider blur
+    assert star.levels == pytest.approx((0.1, 0.6), abs=0.002)
+
+
+def test_bars_are_resolved_down_to_a_width_and_no_further():
+    rows = []
+    for period in (8.0, 5.0, 3.5, 1.9):
+        image = render_bars((64, 64), PointSpread(0.5), period_px=period)
+        group = {"period_px": period, "x_px": 31.5, "y_px": 31.5, "angle_deg": 0.0, "bars": 4}
+        rows.append(read_bars(image, pd.DataFrame([group]), dark=0.1, bright=0.6, noise=0.005))
+    readings = pd.concat(rows)
+    assert readings["resolved"].tolist() == [True, True, True, False]
+    assert resolving_power(readings) == (3.5, 1.9)
+    flat = np.full((64, 64), 0.3)
+    group = {"period_px": 5.0, "x_px": 31.5, "y_px": 31.5, "angle_deg": 0.0, "bars": 4}
+    assert not read_bars(flat, pd.DataFrame([group]), dark=0.1, bright=0.6, noise=0.005)[
+        "resolved"
+    ].item()
+
+
+def test_sharpness_falls_with_blur_and_motion_shows_in_its_direction(rng):
+    scene = 200 * texture((256, 256), seed=3)
+    values = []
+    for sigma in (0.4, 0.7, 1.0, 1.5):
+        image = blur_over_image(scene, np.full(scene.shape, sigma)) + rng.normal(0, 2, scene.shape)
+        values.append(float(haar_sharpness(image, noise_std=2.0)["sharpness"].median()))
+    assert np.all(np.diff(values) < 0)
+    moved = (scene[:-2] + scene[1:-1] + scene[2:])[:252] / 3
+    found = haar_sharpness(moved[:, :252], noise_std=0.0, block=36)
+    assert float(found["along_y"].median()) < 0.8 * float(found["along_x"].median())
+    plain = haar_sharpness(np.full((64, 64), 5.0), noise_std=1.0)
+    assert plain.attrs["not_measurable"] == 1
+
+
+def test_dependence_is_exact_where_variances_add():
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-1000, 1000, 5), np.linspace(-800, 800, 5)))
+    x, y = np.tile(x, 2), np.tile(y, 2)
+    angle = np.repeat([10.0, 100.0], 25)
+    along = np.cos(np.radians(angle) - np.arctan2(y, x)) ** 2
+    r2 = x**2 + y**2
+    square = 2 + 3e-7 * r2 * along + 1e-7 * r2 * (1 - along)
+    square += 0.4 * np.sin(np.radians(angle)) ** 2
+    frame = pd.DataFrame({"x_px": x, "y_px": y, "angle_deg": angle, "fwhm_px": np.sqrt(square)})
+    assert np.allclose(dependence(frame)["estimate"], [2, 3e-7, 1e-7, 0.4], rtol=1e-8)
+
+
+def test_rejects():
+    with pytest.raises(ValueError, match="Invalid region"):
+        fit_edge(np.zeros((4, 4)))
+    with pytest.raises(ValueError, match="one grey value"):
+        fit_edge(np.zeros((20, 20)))
+    with pytest.raises(ValueError, match="Invalid star"):
+        measure_star(np.zeros((60, 60)), (30, 30), cycles=36, radius_px=25)
+    with pytest.raises(ValueError, match="Invalid image"):
+        haar_sharpness(np.zeros((20, 20)))
+    with pytest.raises(ValueError, match="Invalid sigma_px"):
+        PointSpread(-1.0)

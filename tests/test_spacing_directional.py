@@ -1,0 +1,145 @@
+"""Measures of anisotropy: known lattices, a brute force, turns and shifts."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmqa_lab.simulate.point_patterns import expected_g, point_pattern
+from mmqa_lab.spacing.directional import (
+    clark_evans,
+    directional_spacing,
+    pair_contrast,
+    structure_tensor_ratio,
+    turned_f,
+)
+from mmqa_lab.spacing.quadrants import spacing
+
+
+def pattern(kind, seed=1, **choices):
+    """About 900 points."""
+    return point_pattern(kind, **{"density": 2500, "size": 0.6, "seed": seed, **choices})
+
+
+def medians_by_brute_force(xy):
+    """The median nearest distance within 30 degrees of 0, 4, ..., 176, pair by pair."""
+    offsets = xy[None] - xy[:, None]
+    distance = np.linalg.norm(offsets, axis=2)
+    distance[distance == 0] = np.inf
+    step = np.round(np.degrees(np.arctan2(offsets[..., 1], offsets[..., 0])) / 4)
+    apart = [np.abs((step - k + 22) % 45 - 22) for k in range(45)]
+    return [np.median(np.where(a <= 7, distance, np.inf).min(axis=1)) for a in apart]
+
+
+@pytest.mark.parametrize("kind", ["lattice", "hexagonal"])
+@pytest.mark.parametrize("ratio", [1.5, 4, 12])
+def test_lattices(kind, ratio):
+    found = directional_spacing(pattern(kind, ratio=ratio, angle=35, size=1))
+    assert found.g == pytest.approx(expected_g(kind, ratio))
+    assert found.direction_deg == pytest.approx(35, abs=2.1)  # half a step of the directions
+
+
+def test_scan_lines_have_their_closed_form():
+    choices = {"ratio": 5, "angle": 20, "size": 1, "jitter": 0}
+    seen = [directional_spacing(pattern("scan_lines", s, **choices)).g for s in range(12)]
+    error = np.std(seen, ddof=1) / np.sqrt(len(seen))
+    assert abs(np.mean(seen) - expected_g("scan_lines", 5)) < 3 * error
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_chance_in_random_patterns_goes_with_the_root_of_n(size):
+    seen = [directional_spacing(pattern("poisson", s, size=size)).g for s in range(30)]
+    chance = (np.mean(seen) - expected_g("poisson", 1)) * np.sqrt(2500) * size
+    # 1.6 in the docstring; 30 patterns know it to 3 x 0.9 / sqrt(30) = 0.5
+    assert chance == pytest.approx(1.6, abs=0.5)
+
+
+@pytest.mark.parametrize("angle", [0, 0.01, 10, 45, 89])
+def test_g_of_noisy_lines_does_not_know_the_axes_and_f_does(angle):
+    xy = pattern("scan_lines", ratio=15, angle=angle, noise=0.0005, size=1)
+    found = directional_spacing(xy)
+    # noise and jitter shorten the spacing along by a tenth
+    assert found.g == pytest.approx(15, rel=0.15)
+    assert (found.direction_deg - angle + 90) % 180 - 90 == pytest.approx(0, abs=2)
+    aligned = min(angle, 90 - angle) < 1
+    assert (spacing(xy).f < 8) == aligned
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32), count=st.integers(2, 120), flat=st.sampled_from([0.01, 0.3, 1]))
+def test_directional_spacing_equals_brute_force(seed, count, flat):
+    xy = np.random.default_rng(seed).random((count, 2)) * [0.3, 0.3 * flat]
+    expected = np.array(medians_by_brute_force(xy))
+    found = directional_spacing(xy, radius=10).spacing
+    assert found == pytest.approx(np.where(np.isinf(expected), np.nan, expected), nan_ok=True)
+
+
+def test_turn_and_shift():
+    xy = pattern("clusters", ratio=3)
+    before = directional_spacing(xy)
+    turn = np.radians(36)
+    c, s = np.cos(turn), np.sin(turn)
+    turned = directional_spacing(xy @ np.array([[c, s], [-s, c]]))
+    assert turned.g == pytest.approx(before.g, rel=1e-9)
+    assert (turned.direction_deg - before.direction_deg) % 180 == pytest.approx(36)
+    # 10,000 km leave nanometres of a double: medians follow within that
+    far = directional_spacing(xy + [1e7, -1e7])
+    assert far.spacing == pytest.approx(before.spacing, abs=1e-8)
+
+
+def test_repeated_points_count_once():
+    xy = pattern("poisson")
+    repeated = directional_spacing(np.concatenate([xy, xy[:300]]))
+    assert repeated.n == len(xy)
+    assert repeated.g == directional_spacing(xy).g
+
+
+def test_not_measurable_is_nan():
+    one_line = np.stack([np.arange(20) * 0.01, np.zeros(20)], axis=1)
+    found = directional_spacing(one_line)
+    assert found.along == pytest.approx(0.01)
+    assert np.isnan(found.g)
+    assert np.isnan(directional_spacing([[0, 0], [3, 0]]).g)
+
+
+def test_turned_f_equals_turned_points():
+    xy = pattern("scan_lines", ratio=4, angle=12)
+    turn = np.radians(-30)
+    c, s = np.cos(turn), np.sin(turn)
+    by_hand = spacing(xy @ np.array([[c, s], [-s, c]])).f
+    assert turned_f(xy, angles=[0, 30]) == pytest.approx([spacing(xy).f, by_hand])
+
+
+def test_structure_tensor_sees_lines_only_when_it_sees_one():
+    assert structure_tensor_ratio(pattern("scan_lines", ratio=20, noise=1e-5)) > 100
+    assert structure_tensor_ratio(pattern("scan_lines", ratio=5)) < 1.5
+    assert structure_tensor_ratio(pattern("poisson")) == pytest.approx(1.3, abs=0.15)
+
+
+def test_pair_contrast_of_one_line_and_of_none():
+    assert pair_contrast(pattern("scan_lines", ratio=10, noise=1e-5), reach=0.02) > 0.99
+    assert abs(pair_contrast(pattern("poisson", size=1), reach=0.05)) < 0.05
+    assert np.isnan(pair_contrast([[0, 0], [1, 1]], reach=0.1))
+
+
+def test_clark_evans_published_extremes():
+    """2.1491 on a hexagonal lattice and 1 at random (Clark and Evans 1954, p. 447)."""
+    assert clark_evans(pattern("hexagonal", size=3)) == pytest.approx(2.1491, rel=0.01)
+    random = [clark_evans(pattern("poisson", s, size=1)) for s in range(20)]
+    assert abs(np.mean(random) - 1) < 3 * np.std(random, ddof=1) / np.sqrt(20)
+    assert clark_evans(pattern("clusters", size=1)) < 0.85
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: directional_spacing([[0, 0]]), "Invalid xy: 1 given. Must be 2 or more."),
+        (lambda: directional_spacing([[0, 0], [1, 1]], radius=0), "Invalid radius 0. Must be > 0"),
+        (lambda: pair_contrast([[0, 0], [1, 1]], reach=-1), "Invalid reach -1. Must be > 0 m."),
+        (lambda: structure_tensor_ratio([[0, 0, 0, 0]]), "Invalid xy of shape"),
+        (lambda: clark_evans([[0, 0], [1, 1], [2, np.nan]]), "not finite"),
+    ],
+)
+def test_rejects(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

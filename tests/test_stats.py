@@ -1,0 +1,120 @@
+"""Rates and errors: known answers, closed forms, invariance, bad input."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+from statsmodels.stats.proportion import proportion_confint
+
+from mmqa_lab import stats
+
+
+@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_is_that_of_scipy_and_statsmodels(kn):
+    k, n = kn
+    rate = stats.wilson(k, n)
+    scipy_ = binomtest(k, n).proportion_ci(method="wilson")
+    # two independent implementations; 1e-9 is rounding
+    assert rate.low == pytest.approx(scipy_.low, abs=1e-9)
+    assert rate.high == pytest.approx(scipy_.high, abs=1e-9)
+    others = proportion_confint(k, n, method="wilson")
+    assert (rate.low, rate.high) == pytest.approx(others, abs=1e-9)
+    assert 0 <= rate.low <= rate.value <= rate.high <= 1
+
+
+def test_wilson_covers_the_truth_as_often_as_it_says(rng):
+    n, p = 60, 0.8
+    draws = rng.binomial(n, p, 4000)
+    by_k = {k: stats.wilson(k, n) for k in np.unique(draws)}
+    covered = np.mean([by_k[k].low <= p <= by_k[k].high for k in draws])
+    # coverage of Wilson at n = 60 lies within 0.93 to 0.97 for all p between 0.1 and 0.9
+    assert 0.925 < covered < 0.975
+
+
+def test_nothing_tried_is_not_measurable():
+    assert np.isnan(stats.wilson(0, 0).value)
+
+
+def test_errors_of_known_values():
+    found = stats.errors([0.0, 2.0, 4.0, np.nan])
+    assert (found.n, found.missing, found.bias, found.median) == (3, 1, 2.0, 2.0)
+    assert found.std == pytest.approx(2.0)
+    assert found.rmse == pytest.approx(np.sqrt(20 / 3))
+    assert found.nmad == pytest.approx(2 * 1.4826, rel=1e-4)
+
+
+def test_mean_square_is_bias_square_plus_variance(rng):
+    values = rng.normal(3, 2, 1000)
+    found = stats.errors(values)
+    assert found.rmse**2 == pytest.approx(found.bias**2 + found.std**2 * 999 / 1000)
+
+
+def test_nmad_of_normal_errors_is_their_standard_deviation(rng):
+    # standard error of the MAD at n = 40000 is 1.17 / sqrt(n) = 0.6 %; four of them
+    assert stats.errors(rng.normal(5, 2, 40_000)).nmad == pytest.approx(2, rel=0.024)
+
+
+def test_one_error_has_no_spread_and_none_has_nothing():
+    assert np.isnan(stats.errors([1.0]).std)
+    nothing = stats.errors([np.nan])
+    assert (nothing.n, nothing.missing) == (0, 1)
+    assert np.isnan(nothing.rmse)
+
+
+def test_bootstrap_interval_of_a_mean_is_that_of_the_normal_theory(rng):
+    values = rng.normal(size=400)
+    found = stats.bootstrap(np.mean, values, repeats=2000)
+    half = 1.96 * values.std() / 20
+    # 2000 resamples know a 2.5 % quantile to about 5 % of the half width
+    assert found.high - found.value == pytest.approx(half, rel=0.15)
+    assert found.value - found.low == pytest.approx(half, rel=0.15)
+
+
+def test_groups_that_repeat_a_value_widen_the_interval(rng):
+    groups = np.repeat(np.arange(20), 25)
+    values = rng.normal(size=20)[groups]
+    alone = stats.bootstrap(np.mean, values)
+    together = stats.bootstrap(np.mean, values, groups=groups)
+    # 25 copies of a value: the interval widens by 5
+    assert (together.high - together.low) / (alone.high - alone.low) == pytest.approx(5, rel=0.25)
+
+
+def test_bootstrap_is_reproducible_by_seed(rng):
+    values = rng.normal(size=50)
+    assert stats.bootstrap(np.median, values, seed=4) == stats.bootstrap(np.median, values, seed=4)
+
+
+def test_mcnemar_is_a_fair_coin_on_the_things_that_differ():
+    first, second = np.zeros(30, bool), np.zeros(30, bool)
+    first[:8], second[7:10] = True, True  # 7 only first, 2 only second, 1 both
+    assert stats.mcnemar(first, second) == pytest.approx(binomtest(2, 9).pvalue)
+    assert stats.mcnemar(first, first) == 1.0
+
+
+def test_average_precision_of_a_perfect_and_of_a_short_curve():
+    assert stats.average_precision([0.5, 1.0], [1.0, 1.0]) == 1.0
+    assert stats.average_precision([0.5], [1.0]) == 0.5
+
+
+def test_f1():
+    assert stats.f1(0.5, 1.0) == pytest.approx(2 / 3)
+    assert stats.f1(0.0, 0.0) == 0.0
+    assert np.isnan(stats.f1(np.nan, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: stats.wilson(5, 4), r"Invalid k 5. Must be <= n = 4."),
+        (lambda: stats.wilson(1, 2, confidence=2), "Invalid confidence 2."),
+        (lambda: stats.errors([np.inf]), "Invalid errors: infinite."),
+        (lambda: stats.bootstrap(np.mean, []), "Invalid values of lengths"),
+        (lambda: stats.bootstrap(np.mean, [1.0], groups=[1, 2]), "Invalid groups of shape"),
+        (lambda: stats.average_precision([1, 0.5], [1, 1]), "Invalid recall: it falls"),
+        (lambda: stats.mcnemar([1], [1, 0]), "Invalid second of shape"),
+    ],
+)
+def test_bad_input_gets_a_sentence(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()

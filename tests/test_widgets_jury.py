@@ -1,0 +1,139 @@
+"""The jury's form without a browser: order, marks on disk, several jurors, going back."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import chart_image, widgets
+from mmqa_lab.widgets import jury
+
+CROPS = {name: np.linspace(0, 1, 6 * (9 + k)).reshape(6, -1) for k, name in enumerate("xyz")}
+
+
+@pytest.fixture
+def form(tmp_path):
+    """Make a form on one file, for the first juror unless another is named."""
+
+    def make(juror="first", **choices):
+        return widgets.JuryForm(CROPS, juror=juror, file=tmp_path / "marks.csv", **choices)
+
+    return make
+
+
+def on_disk(form):
+    """The file's rows as tuples."""
+    return list(pd.read_csv(form._file).itertuples(index=False, name=None))
+
+
+def test_crops_come_in_the_order_given_and_marks_are_on_disk_at_once(form):
+    one = form(order=["z", "x"])
+    assert one.element == "z"
+    one.mark("b")
+    assert on_disk(one) == [("first", "z", "b")]
+    assert one.element == "x"
+    one.mark("c")
+    assert on_disk(one) == [("first", "z", "b"), ("first", "x", "c")]
+    assert one.element is None
+    one.mark("a")  # nothing is left to mark
+    assert len(on_disk(one)) == 2
+
+
+def test_buttons_do_what_they_say(form):
+    one = form()
+    row = one.box.children[2].children
+    assert [button.description[:1] for button in row[:3]] == ["a", "b", "c"]
+    back = row[3]
+    assert back.disabled
+    row[1].click()
+    row[2].click()
+    assert on_disk(one) == [("first", "x", "b"), ("first", "y", "c")]
+    assert "3 of 3" in one.box.children[0].value
+    back.click()
+    assert on_disk(one) == [("first", "x", "b")]
+    assert one.element == "y"
+    row[0].click()
+    row[0].click()
+    assert all(button.disabled for button in row[:3])
+    assert one.box.children[1].value == b""
+    assert [mark for *_, mark in on_disk(one)] == ["b", "a", "a"]
+
+
+def test_a_form_goes_on_where_it_was_left(form):
+    form().mark("a")
+    assert form().element == "y"
+
+
+def test_jurors_share_a_file_and_see_only_their_own_state(form):
+    jurors = [form(name) for name in ("first", "second", "NA")]
+    for marks in ("abc", "abc", "acc"):
+        for one, mark in zip(jurors, marks, strict=True):
+            one.mark(mark)
+    jurors[1].back()
+    assert [one.element for one in jurors] == [None, "z", None]
+    jurors[1].mark("b")
+    verdict = chart_image.agreement(jurors[0].marks)
+    assert verdict["n"].tolist() == [3, 3, 3]
+    assert verdict["element"].tolist() == ["x", "y", "z"]
+
+
+def test_a_failed_write_leaves_the_marks_as_they_were(form, monkeypatch):
+    one = form()
+    one.mark("a")
+
+    def fail(self, path, **choices):
+        path.write_text("juror,el")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", fail)
+    with pytest.raises(OSError, match="disk full"):
+        one.mark("b")
+    monkeypatch.undo()
+    assert on_disk(one) == [("first", "x", "a")]
+    assert one.element == "y"
+
+
+def test_picture_is_the_crop_enlarged_without_interpolation(form):
+    one = form()
+    shown = cv2.imdecode(np.frombuffer(one.box.children[1].value, np.uint8), cv2.IMREAD_UNCHANGED)
+    zoom = widgets.LARGEST_ZOOM
+    assert shown.shape == (6 * zoom, 9 * zoom)
+    for k in range(1, zoom):
+        assert np.array_equal(shown[::zoom, ::zoom], shown[k::zoom, k::zoom])
+    assert (np.diff(shown[0, ::zoom].astype(int)) >= 0).all()  # brighter stays brighter
+    wide = widgets.JuryForm({"w": np.eye(3, 500)}, juror="first", file=one._file.with_name("w.csv"))
+    assert cv2.imdecode(np.frombuffer(wide.box.children[1].value, np.uint8), 0).shape[1] == 500
+
+
+def test_without_a_screen_the_crop_is_shown(form, monkeypatch):
+    shown = []
+    monkeypatch.setattr(jury, "display", shown.append)
+    one = form()
+    one._ipython_display_()
+    assert shown[0].data == one.box.children[1].value
+    monkeypatch.setenv("MMQA_HEADLESS", "")
+    one._ipython_display_()
+    assert shown[1] is one.box
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        ({"order": ["x", "w"]}, "Invalid crop in order 'w'"),
+        ({"order": ["x", "x"]}, "a crop repeats"),
+        ({"juror": " "}, "Invalid juror ' '"),
+    ],
+)
+def test_bad_input_gets_one_sentence(form, choices, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        form(**choices)
+
+
+def test_a_file_that_holds_something_else_is_kept(form, tmp_path):
+    file = tmp_path / "marks.csv"
+    file.write_text("name,age\nx,1\n")
+    with pytest.raises(ValueError, match="no column 'element'"):
+        form()
+    assert file.read_text() == "name,age\nx,1\n"
+    with pytest.raises(ValueError, match="Invalid mark 'd'"):
+        widgets.JuryForm(CROPS, juror="first", file=tmp_path / "other.csv").mark("d")
