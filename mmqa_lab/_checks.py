@@ -23,7 +23,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
 
     Takes an array, a Cloud, a DataFrame with named coordinates (see :func:`coordinate_columns`)
-    and the path of a file that ``io.read_cloud`` reads. Two columns of them are those in plan.
+    the path of a file that ``io`` reads, and an xarray DataArray of heights over ``x`` and ``y``
+    (its cells that have a height). Two columns of them are those in plan.
 
     Raises
     ------
@@ -93,6 +94,29 @@ def is_table(points):
     return hasattr(points, "columns") and hasattr(points, "to_numpy")
 
 
+def _from_file(path):
+    """The points of a file of points, or of a raster of heights."""
+    from mmqa_lab.io import read_cloud, read_heights
+    from mmqa_lab.io.heights import is_raster
+
+    if os.path.isfile(path) and is_raster(path):
+        return read_heights(path)
+    return read_cloud(path, columns=()).points
+
+
+def _cells(heights, name):
+    """The middles of a DataArray's cells that have a height, as points."""
+    places = [heights.coords[axis] for axis in coordinate_columns(heights.dims)[:2]]
+    raster = heights.squeeze(drop=True)
+    if len(places) < 2 or raster.ndim != 2:
+        return heights.to_numpy()
+    x, y = places
+    values = raster.transpose(y.dims[0], x.dims[0]).to_numpy().astype(np.float64)
+    empty = heights.attrs.get("_FillValue", heights.encoding.get("_FillValue"))
+    rows, columns = np.nonzero(np.isfinite(values) & (values != empty))
+    return np.column_stack([x.to_numpy()[columns], y.to_numpy()[rows], values[rows, columns]])
+
+
 def _is_cloud(points):
     """Whether something is a Cloud; that room stands on this one."""
     return type(points).__name__ == "Cloud" and hasattr(points, "points")
@@ -105,12 +129,16 @@ def _plain_name(name):
 
 def _coordinates(points, name, columns):
     """The coordinates of a table or a file; anything else as it is."""
+    if isinstance(points, np.ndarray):
+        return points
     if isinstance(points, str | os.PathLike):
-        from mmqa_lab.io import read_cloud
-
-        return read_cloud(points, columns=()).points[:, :columns]
+        return _from_file(points)[:, :columns]
+    if _is_cloud(points):
+        return points.points[:, :columns]
+    if hasattr(points, "dims") and hasattr(points, "coords"):
+        return _cells(points, name) if columns == 3 else points
     if not is_table(points):
-        return points.points[:, :columns] if _is_cloud(points) else points
+        return points
     found = coordinate_columns(points.columns)[:columns]
     if len(found) == columns:
         return points[found].to_numpy(dtype=np.float64)

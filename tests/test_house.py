@@ -23,6 +23,7 @@ PACKAGE = ROOT / "mmqa_lab"
 LAYERS = {
     "_checks": 0,
     "_threads": 0,
+    "_polygons": 0,
     "cloud": 0,
     "published": 0,
     "spacing": 1,
@@ -31,6 +32,7 @@ LAYERS = {
     "stats": 1,
     "charts": 1,
     "chart_cloud": 2,
+    "io": 2,
     "chart_image": 2,
     "mtf": 2,
     "boresight": 2,
@@ -41,13 +43,8 @@ LAYERS = {
     "tender": 2,
     "testfield": 2,
     "simulate": 3,
-    "_las": 3,
-    "io": 3,
     "samples": 3,
     "results": 3,
-    "height_files": 3,
-    "imagery": 3,
-    "segment_files": 3,
     "plots": 4,
     "views": 4,
     "maps": 4,
@@ -63,7 +60,7 @@ LAYERS = {
 }
 """A room may import rooms of its own layer and of those below."""
 
-LAZY = {"_checks": {"io"}, "cloud": {"io"}}
+LAZY = {"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}}
 """Whatever takes points takes the path of a file of points, and reads it when it gets one."""
 
 PLOTTING = {"cloud"}

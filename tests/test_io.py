@@ -269,8 +269,8 @@ def test_headers_that_lie_are_found_out_before_anything_is_allocated(
         ("c.docx", "x", "with ending '.docx'. Must be one of .las, .laz, .ply"),
         ("c.xyz", "", "Must be rows of columns"),
         ("c.xyz", "1 2\n3 4\n", "2 columns. Must be rows of numbers, x y z first."),
-        ("c.xyz", "1 2 3\n4 five 6\n", "Must be rows of numbers, x y z first."),
-        ("c.csv", "x,y,z\n", "no points. Must hold one or more."),
+        ("c.xyz", "1 2 3\n4 five 6\n", "Must be rows of numbers, x y z first or named"),
+        ("c.csv", "x,y,z\n", "no points. Must contain one or more."),
         ("c.ply", "ply\nformat ascii 1.0\nend_header\n", "Must be a PLY file with vertices"),
     ],
 )
