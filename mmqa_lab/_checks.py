@@ -58,6 +58,21 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     return values
 
 
+def check_plan(points, *, name="points", minimum=1):
+    """Return the coordinates in plan of points, of a path or of a table of either, shape (n, 2).
+
+    Examples
+    --------
+    >>> check_plan([[1, 2, 3]]).tolist()
+    [[1.0, 2.0]]
+    """
+    values = np.asarray(_coordinates(points, name, 2))
+    in_space = values.ndim == 2 and values.shape[1] == 3
+    return check_points(
+        values[:, :2] if in_space else values, name=name, columns=2, minimum=minimum
+    )
+
+
 def coordinate_columns(names):
     """Return which of the columns of a table are x, y and z.
 
@@ -141,7 +156,7 @@ def _coordinates(points, name, columns):
         return points
     found = coordinate_columns(points.columns)[:columns]
     if len(found) == columns:
-        return points[found].to_numpy(dtype=np.float64)
+        return np.ascontiguousarray(points[found].to_numpy(dtype=np.float64))
     if found or points.shape[1] != columns:
         listed = ", ".join(str(column) for column in points.columns)
         wanted = ", ".join("xyz"[:columns])

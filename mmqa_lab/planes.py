@@ -185,8 +185,8 @@ def flat_points(points, *, name="xy", minimum=1):
 
 def _array(points):
     """Points of any kind as an array of any number of axes."""
-    known = check_points(points, minimum=0) if is_table(points) else points
-    return np.asarray(known, dtype=np.float64)
+    named = is_table(points) or isinstance(points, str | os.PathLike)
+    return np.asarray(check_points(points, minimum=0) if named else points, dtype=np.float64)
 
 
 def _in_space(points):

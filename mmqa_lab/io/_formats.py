@@ -62,7 +62,20 @@ def e57_tables(path):
             scan = file.read_scan(number, intensity=True, colors=True, ignore_missing_fields=True)
             axes = [scan.pop(f"cartesian{axis}") for axis in "XYZ"]
             scan = {name: np.asarray(values) for name, values in scan.items()}
-            yield np.stack(axes, axis=1).astype(np.float64), scan, np.nan
+            points = np.stack(axes, axis=1).astype(np.float64)
+            yield points, scan, _e57_resolution(file.get_header(number), points)
+
+
+def _e57_resolution(header, points):
+    """The step of a scan's coordinates before they were placed; NaN for double precision."""
+    from pye57 import libe57
+
+    node = libe57.StructureNode(header.points.prototype())["cartesianX"]
+    if isinstance(node, libe57.ScaledIntegerNode):
+        return float(node.scale())
+    if node.precision() != libe57.E57_SINGLE or not len(points):
+        return np.nan
+    return float(np.spacing(np.float32(np.abs(points - header.translation).max())))
 
 
 def _pcd_header(file):
