@@ -12,6 +12,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import as_cloud
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
@@ -33,7 +34,7 @@ CHART_MARGIN_M = 0.145
 
 
 @dataclass(frozen=True, eq=False)
-class CloudQuality:
+class CloudQuality(Shown):
     """The quality figures of the points on one planar surface.
 
     Parameters

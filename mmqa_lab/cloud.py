@@ -146,7 +146,7 @@ class Cloud:
         return data.assign_attrs(name=self.name, resolution_m=self.resolution)
 
     def plot(self, color: str | None = None, *, axes=None):
-        """Draw the points from above and from the side of their greater extent.
+        """Draw the points from above and, below that, from the side.
 
         Parameters
         ----------
@@ -158,7 +158,9 @@ class Cloud:
         Returns
         -------
         array of two matplotlib Axes
-            Coordinates count from the smallest of each axis, which the labels name.
+            The greater extent of the two in plan lies across the page. Coordinates count from
+            whole metres that the labels name. Heights are stretched where they are less than a
+            tenth of the length. Of large clouds every k-th point is drawn, 50 000 or fewer.
         """
         import matplotlib.pyplot as plt
 
@@ -166,15 +168,16 @@ class Cloud:
             axes = plt.subplots(2, 1, layout="constrained")[1]
         shown = self[:: max(1, -(-len(self) // PLOTTED))]
         origin = np.floor(shown.points.min(axis=0)) if len(shown) else np.zeros(3)
-        x, y, z = (shown.points - origin).T
-        side = int(len(x) > 0 and np.ptp(y) > np.ptp(x))
-        values = z if color is None else shown[color]
-        marks = {"c": values, "s": 1, "linewidths": 0}
-        axes[0].scatter(x, y, **marks)
-        drawn = axes[1].scatter((x, y)[side], z, **marks)
-        labels = [f"{a} - {o:.0f} m (m)" for a, o in zip("xyz", origin, strict=True)]
-        axes[0].set(xlabel=labels[0], ylabel=labels[1], aspect="equal", title=self.name)
-        axes[1].set(xlabel=labels[side], ylabel=labels[2], aspect="equal")
+        local = shown.points - origin
+        extent = np.ptp(local, axis=0) if len(shown) else np.ones(3)
+        along, across = (1, 0) if extent[1] > extent[0] else (0, 1)
+        values = local[:, 2] if color is None else shown[color]
+        labels = [f"{axis} {-start:+.0f} m (m)" for axis, start in zip("xyz", origin, strict=True)]
+        for ax, upward in zip(axes, (across, 2), strict=True):
+            drawn = ax.scatter(local[:, along], local[:, upward], c=values, s=1, linewidths=0)
+            ax.set(xlabel=labels[along], ylabel=labels[upward])
+            ax.set_aspect("equal" if 10 * extent[upward] > extent[along] else "auto")
+        axes[0].set_title(self.name)
         axes[0].figure.colorbar(drawn, ax=list(axes), label=color or labels[2])
         return np.asarray(axes)
 

@@ -24,6 +24,7 @@ LAYERS = {
     "_checks": 0,
     "_threads": 0,
     "_polygons": 0,
+    "_results": 0,
     "cloud": 0,
     "published": 0,
     "spacing": 1,

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from mmqa_lab import (
     chart_cloud,
@@ -139,3 +140,31 @@ def test_views_take_clouds_and_tables(monkeypatch):
     monkeypatch.setattr(views, "can_render", lambda: False)
     for kind in (FLOOR, Cloud(FLOOR), Cloud(FLOOR).to_frame()):
         assert views.show_cloud(kind, FLOOR[:, 2], label="height (m)").axes
+
+
+def test_heights_are_taken_as_points_rasters_arrays_and_files(tmp_path):
+    x, y = np.arange(0.5, 3), np.arange(2.5, 0, -1)
+    heights = xr.DataArray(np.zeros((3, 3)), {"y": y, "x": x}, ("y", "x"))
+    points = np.stack([*(v.ravel() for v in np.meshgrid(x, y)), np.zeros(9)], axis=1)
+    pd.DataFrame(points, columns=["x", "y", "z"]).to_csv(tmp_path / "h.csv", index=False)
+    np.savez(tmp_path / "h.npz", x=x, y=y, z=heights)
+    expected = testfield.height_differences(FLOOR, points)
+    for kind in (heights, heights.T, tmp_path / "h.csv", tmp_path / "h.npz", Cloud(points)):
+        found = testfield.height_differences(FLOOR, kind)
+        pd.testing.assert_frame_equal(found, expected)
+
+
+def test_a_trajectory_is_a_table_an_array_or_a_cloud():
+    table = pd.DataFrame(REFERENCE, columns=["easting_m", "northing_m", "height_m"])
+    table.insert(0, "time_s", [0.0, 1.0])
+    expected = poles.detect(SCENE, method="itc", trajectory=REFERENCE, corridor=1.2)
+    assert len(expected) > 0
+    for kind in (table, REFERENCE[:, :2], Cloud(REFERENCE)):
+        found = poles.detect(SCENE, method="itc", trajectory=kind, corridor=1.2)
+        pd.testing.assert_frame_equal(found, expected)
+
+
+def test_a_result_shows_itself_as_a_table():
+    quality = chart_cloud.evaluate_cloud(FLOOR)
+    assert "<th>CloudQuality</th>" in quality._repr_html_()
+    assert f"<td>{quality.f:.4g}</td>" in quality._repr_html_()
