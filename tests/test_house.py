@@ -43,6 +43,7 @@ LAYERS = {
     "simulate": 3,
     "_las": 3,
     "io": 3,
+    "bench": 3,
     "samples": 3,
     "height_files": 3,
     "imagery": 3,
