@@ -1,44 +1,20 @@
-"""3-D views by pyvista, with a matplotlib picture where the machine cannot draw with OpenGL.
+"""3-D views: k3d draws them in the notebook's browser, matplotlib in a run without a screen.
 
-VTK without OpenGL libraries does not raise, it kills the process; so a child process tries first.
+Nothing comes from the network and no port is opened: the points go to the browser with the cells'
+other outputs, so the views also work offline and through a hub.
 """
 
-import functools
 import os
-import subprocess
-import sys
 
 import numpy as np
 
 from mmqa_lab import plots
 from mmqa_lab.cloud import Cloud
 
-WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+HEIGHT_PX = 560
 
-PROBE = (
-    "import vtkmodules.vtkRenderingOpenGL2, vtkmodules.vtkRenderingCore as core;"
-    "window = core.vtkRenderWindow(); window.SetOffScreenRendering(1); window.SetSize(32, 32);"
-    "window.AddRenderer(core.vtkRenderer()); window.Render(); print('drawn')"
-)
-
-
-@functools.cache
-def can_render():
-    """Return whether VTK can draw off screen here; asked once, takes about 2 s.
-
-    Sets the environment variable that names the window class which works, so that this process
-    draws as the child did.
-    """
-    settings = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "")
-    for window in settings if not os.environ.get("DISPLAY") else reversed(settings):
-        environment = {**os.environ, WINDOW_VARIABLE: window}
-        child = subprocess.run(
-            [sys.executable, "-c", PROBE], env=environment, capture_output=True, text=True
-        )
-        if child.returncode == 0 and "drawn" in child.stdout:
-            os.environ[WINDOW_VARIABLE] = window
-            return True
-    return False
+AXES = [r"easting\ (m)", r"northing\ (m)", r"height\ (m)"]
+"""In LaTeX, where a space needs its backslash."""
 
 
 def is_headless():
@@ -62,108 +38,123 @@ def is_headless():
 def show_cloud(cloud, values, *, label):
     """Show a cloud in 3-D, coloured by a value for each point.
 
-    In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
-    libraries it is a matplotlib figure.
+    In JupyterLab the view can be turned; in a run without a screen it is a matplotlib figure.
 
     Parameters
     ----------
     cloud : Cloud or array_like, shape (n, 3)
         Metres.
     values : array_like, shape (n,)
-        Residuals, intensities, f, ...
+        Residuals, intensities, f, ... Points whose value is NaN are left out.
     label : str
         Name and unit of the values.
 
     Returns
     -------
-    pyvista viewer or matplotlib figure
+    k3d.plot.Plot or matplotlib.figure.Figure
 
     Examples
     --------
     >>> from unittest.mock import patch
-    >>> with patch(f"{__name__}.can_render", return_value=False):
+    >>> with patch.dict(os.environ, MMQA_HEADLESS="1"):
     ...     figure = show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)")
     >>> figure.axes[-1].get_ylabel()
     'height (m)'
     """
     points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
-    local = points - points.mean(axis=0)
-    if not can_render():
-        return _figure(local, values, label)
-    plotter = _plotter(local, values, label, off_screen=is_headless())
-    return plotter.show(jupyter_backend="static" if is_headless() else "trame", return_viewer=True)
+    values = np.asarray(values, dtype=np.float64)
+    known = np.isfinite(values)
+    local = points[known] - points.mean(axis=0)
+    if is_headless():
+        return _figure(local, values[known], label)
+    plot = empty_view()
+    points = add_points(plot, local, values[known])
+    plot.colorbar_object_id = points.id
+    add_label(plot, label)
+    reach = 1.1 * np.ptp(local, axis=0).max()
+    plot.camera = [-0.5 * reach, -reach, 0.6 * reach, 0, 0, 0, 0, 0, 1]
+    return plot
 
 
-def save_cloud(path, cloud, values, *, label):
-    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above.
+def empty_view():
+    """Return an empty 3-D view with named axes.
 
-    Parameters
-    ----------
-    path : path
-        Its ending says the format; an existing file is replaced.
-    cloud, values, label
-        See :func:`show_cloud`.
+    Returns
+    -------
+    k3d.plot.Plot
 
     Examples
     --------
-    >>> import tempfile
-    >>> from unittest.mock import patch
-    >>> cannot = patch(f"{__name__}.can_render", return_value=False)
-    >>> with tempfile.TemporaryDirectory() as folder, cannot:
-    ...     save_cloud(f"{folder}/c.png", [[0, 0, 0], [1, 0, 0]], [0.0, 1.0], label="f")
-    ...     os.listdir(folder)
-    ['c.png']
+    >>> empty_view().objects
+    []
     """
-    from mmqa_lab.io import write_atomically
+    import k3d
 
-    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
-    local = points - points.mean(axis=0)
-    if can_render():
-        plotter = _plotter(local, values, label, off_screen=True)
-        write_atomically(path, lambda temporary: plotter.screenshot(str(temporary)))
-        plotter.close()
-    else:
-        write_atomically(path, _figure(local, values, label).savefig)
+    choices = {"menu_visibility": False, "axes_helper": 0, "camera_up_axis": "z"}
+    return k3d.plot(height=HEIGHT_PX, axes=AXES, camera_auto_fit=False, **choices)
 
 
-def _plotter(local, values, label, *, off_screen):
-    """The pyvista scene of one cloud."""
-    import pyvista
+def add_points(plot, local, values=None):
+    """Add points to a view, grey or coloured by a value, and return them.
 
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
-    plotter.set_background("white")
-    bar = {
-        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": "%.3g"},
-        **{"vertical": False, "position_x": 0.25, "position_y": 0.88, "width": 0.5},
-        **{"title_font_size": 18, "label_font_size": 16},
+    Parameters
+    ----------
+    plot : k3d.plot.Plot
+    local : ndarray, shape (n, 3)
+        Metres, near the origin: the browser has single precision.
+    values : ndarray, shape (n,), optional
+
+    Returns
+    -------
+    k3d.objects.Points
+
+    Examples
+    --------
+    >>> add_points(empty_view(), np.zeros((2, 3)), np.array([0.0, 1.0])).color_range
+    [0.0, 1.0]
+    """
+    import k3d
+
+    size = 0.5 * np.ptp(local, axis=0).max() / np.sqrt(len(local))
+    look = {"color": 0xB0B0B0} if values is None else _shades(values)
+    points = k3d.points(local.astype(np.float32), point_size=size, shader="flat", **look)
+    plot += points
+    return points
+
+
+def add_label(plot, text):
+    """Write a text (HTML) into the upper left corner of a view.
+
+    Examples
+    --------
+    >>> plot = empty_view()
+    >>> add_label(plot, "f")
+    >>> plot.objects[0].text
+    'f'
+    """
+    import k3d
+
+    plot += k3d.text2d(text, (0.02, 0.02), reference_point="lt", color=0, size=0.8, is_html=True)
+
+
+def _shades(values):
+    """The colours of values from the least to the largest."""
+    import matplotlib as mpl
+
+    steps = np.linspace(0, 1, 64)
+    colours = np.column_stack([steps, mpl.colormaps[plots.MAP](steps)[:, :3]])
+    return {
+        "attribute": values.astype(np.float32),
+        "color_map": colours.ravel().tolist(),
+        "color_range": [float(values.min()), float(values.max())],
     }
-    plotter.add_points(
-        pyvista.PolyData(local),
-        scalars=np.asarray(values, dtype=np.float64),
-        point_size=4,
-        cmap=plots.MAP,
-        scalar_bar_args=bar,
-    )
-    plotter.show_bounds(
-        xtitle="easting (m)",
-        ytitle="northing (m)",
-        ztitle=" " if _flat(local) else "height (m)",
-        show_zaxis=not _flat(local),
-        show_zlabels=not _flat(local),
-        color="black",
-        font_size=9,
-        location="outer",
-    )
-    plotter.view_isometric()
-    plotter.camera.zoom(1.1)
-    return plotter
 
 
 def _figure(local, values, label, limit=20_000):
     """The matplotlib picture of one cloud, thinned to what it can draw."""
     step = max(1, len(local) // limit)
     figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
-    dots = ax.scatter(*local[::step].T, c=np.asarray(values)[::step], s=1, rasterized=True)
+    dots = ax.scatter(*local[::step].T, c=values[::step], s=1, rasterized=True, cmap=plots.MAP)
     ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)", aspect="equal")
     if _flat(local):
         ax.set(zticks=[], zlabel="")

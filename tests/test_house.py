@@ -59,7 +59,7 @@ LAYERS = {
 }
 """A room may import rooms of its own layer and of those below."""
 
-DRAWING = {"matplotlib", "pyvista", "ipywidgets", "IPython"}
+DRAWING = {"matplotlib", "k3d", "ipywidgets", "IPython"}
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
