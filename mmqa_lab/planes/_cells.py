@@ -221,7 +221,7 @@ def _fit(moments, origin):
 @numba.njit(cache=True)
 def _free_around(grid, owner, cell, room, out):
     """Free points around a cell, at most PER_CELL of each cell, evenly drawn; how many."""
-    points, keys, start, steps = grid
+    _, keys, start, steps = grid
     n = 0
     for c in room[: _around(keys, steps, cell, REACH, room)]:
         free = 0
@@ -493,7 +493,7 @@ def _owners(grid, owner, n):
 def _pairs_around(keys, steps, bounds, owners, n):
     """Keys a n + b of owners a < b of each cell and those beside it."""
     room, near = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
-    found = set([np.int64(-1)])
+    found = {np.int64(-1)}
     for cell in range(len(keys)):
         k = _planes_around(keys, steps, bounds, owners, cell, room, near)
         for a in owners[bounds[cell] : bounds[cell + 1]]:

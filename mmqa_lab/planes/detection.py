@@ -1,4 +1,4 @@
-"""The planes of a whole cloud: local trials, then growth over a grid of cells; linear in the points.
+"""The planes of a whole cloud: local trials, then growth over a grid of cells, in linear time.
 
 Trials of three neighbouring points need no normals: the profiles of mobile scanners are dense along
 and sparse across, and normals from nearest neighbours then describe one scan line, not the wall.
@@ -10,6 +10,7 @@ principal planes, walls and roads, and leave their detection to a companion pape
 import math
 import warnings
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def _patches(points, owner, clear, tolerance, minimum):
     order = np.argsort(owner, kind="stable")
     bounds = np.searchsorted(owner[order], np.arange(owner.max(initial=-1) + 2))
     patches = []
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in pairwise(bounds):
         index = order[first:last]
         fitted = index[clear[index]]
         if len(index) < minimum or len(fitted) < 3:

@@ -1,0 +1,195 @@
+"""What a run of a study leaves behind."""
+
+import json
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from overlaps import overlapping_texts
+
+from mmqa_lab import plots
+from mmqa_lab.run import Check, Run, parameter_names
+from mmqa_lab.run.results import read_record
+from mmqa_lab.studies.catalogue import STUDIES
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A run that writes to a temporary folder."""
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    return Run("example", parameters={"seed": 3, "_hidden": 1, "plots": plots})
+
+
+def test_the_record_is_written_with_every_file(run):
+    run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "table")
+    assert read_record(run.folder)["files"] == ["table.csv"]
+    run.save_value("f_poisson", 3.257, "1", "predicted")
+    run.save_checks([Check("f exceeds 2", True, "3.257", "closed form")])
+    record = read_record(run.folder)
+    assert not record["finished"]
+    run.finish()
+    record = read_record(run.folder)
+    assert record["finished"]
+    assert record["parameters"] == {"seed": 3}
+    assert record["files"] == ["table.csv", "values.csv", "checks.csv"]
+    assert (record["checks"], record["checks_passed"]) == (1, 1)
+    assert record["versions"]["numpy"] == np.__version__
+    assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
+
+
+def test_parameters_are_those_of_the_notebooks_cell(tmp_path, monkeypatch):
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path / "results"))
+    monkeypatch.chdir(tmp_path)
+    source = "a, b = range(3), 2  # two\nc = np.float64(0.5)\nd: int = 4"
+    cells = [
+        {"cell_type": "code", "metadata": {}, "source": "x = 1"},
+        {"cell_type": "code", "metadata": {"tags": ["parameters"]}, "source": [source]},
+    ]
+    (tmp_path / "09_mine.ipynb").write_text(json.dumps({"cells": cells}))
+    values = {"a": range(3), "b": 5, "c": np.float64(0.5), "d": {("x", 1): 2}, "other": 7}
+    run = Run("mine", parameters=values)
+    recorded = read_record(run.folder)["parameters"]
+    assert recorded == {"a": [0, 1, 2], "b": 5, "c": 0.5, "d": {"('x', 1)": 2}}
+
+
+def test_a_notebook_without_the_cell_is_refused(tmp_path):
+    (tmp_path / "n.ipynb").write_text('{"cells": []}')
+    with pytest.raises(ValueError, match=r"n\.ipynb\. Must have a cell tagged parameters"):
+        parameter_names(tmp_path / "n.ipynb")
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_small_parameters_replace_delivered_ones(study):
+    assert set(study.module.QUICK) <= set(parameter_names(study.path))
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind", "columns"),
+    [
+        ({"f": [2.0]}, "measured (simulated)", ["f", "kind"]),
+        ({"f": [2.0], "kind": ["upright"]}, "fitted", ["f", "kind", "kind_of_number"]),
+        ({"f_measured": [2.0], "f_predicted": [2.1]}, "", ["f_measured", "f_predicted"]),
+        ({"f": [2.0, 3.0], "kind": ["published", "fitted"]}, "", ["f", "kind"]),
+        ({"symbol": ["f"], "meaning": ["inhomogeneity"]}, "", ["symbol", "meaning"]),
+    ],
+)
+def test_a_table_says_of_which_kind_its_numbers_are(run, frame, kind, columns):
+    run.save_table(pd.DataFrame(frame), "table", kind=kind)
+    assert list(pd.read_csv(run.folder / "table.csv")) == columns
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind"),
+    [({"f": [2.0]}, ""), ({"f": [2.0]}, "true"), ({"f": [2.0] * 2, "kind": ["fitted", ""]}, "")],
+)
+def test_a_table_of_an_unknown_kind_is_refused(run, frame, kind):
+    with pytest.raises(ValueError, match=r"Invalid table table: nothing says.*one of published, "):
+        run.save_table(pd.DataFrame(frame), "table", kind=kind)
+    assert not (run.folder / "table.csv").exists()
+
+
+def test_checks_report_and_never_raise(run, capsys):
+    def others():
+        yield Check("f is above 1", np.True_, "3.257", "")
+        raise KeyError("B tilted")
+
+    run.save_checks(
+        [Check("one", True, "1", ""), Check("f is below 2", False, "3.257", "")], others()
+    )
+    table = pd.read_csv(run.folder / "checks.csv")
+    assert table["passed"].tolist() == [True, False, True, False]
+    assert "KeyError: 'B tilted'" in table["obtained"].iloc[3]
+    assert "f is below 2" in capsys.readouterr().out
+    record = read_record(run.folder)
+    assert (record["checks"], record["checks_passed"]) == (4, 2)
+    run.save_checks([])
+    assert read_record(run.folder)["checks"] == 0
+
+
+def test_ledger_is_written_as_given(run):
+    run.save_ledger([{"source": "Pfeifer", "table": "2", "cell": "A, 5 m, f", "value": 2.1}])
+    assert pd.read_csv(run.folder / "ledger.csv")["cell"].item() == "A, 5 m, f"
+
+
+def test_figures_are_equal_to_the_byte(run):
+    plots.use_style()
+    contents = []
+    for _ in range(2):
+        figure, ax = plots.subplots(height_mm=40)
+        plots.draw_points([[0, 0], [1, 1], [2, 0]], ax=ax)
+        run.save_figure(figure, "points")
+        plt.close(figure)
+        contents.append([(run.folder / f"points.{e}").read_bytes() for e in ("pdf", "svg", "png")])
+    assert contents[0] == contents[1]
+
+
+def test_fonts_are_embedded_as_truetype(run):
+    plots.use_style()
+    figure, ax = plots.subplots(height_mm=40)
+    ax.set_xlabel("range (m)")
+    run.save_figure(figure, "font")
+    plt.close(figure)
+    pdf = (run.folder / "font.pdf").read_bytes()
+    assert b"/Type3" not in pdf
+    assert b"/FontFile2" in pdf
+
+
+def drawn(height_mm=40, **choices):
+    """A figure with a legend and a title, drawn."""
+    plots.use_style(**choices)
+    figure, ax = plots.subplots(height_mm=height_mm)
+    ax.plot([0.1, 1], [0, 1], label="a line")
+    ax.set(xlabel="range (m)", ylabel="error (mm)", title="plain")
+    ax.legend()
+    figure.canvas.draw()
+    return figure, ax
+
+
+def test_a_figure_has_its_data_and_says_what_is_seen(run):
+    figure, _ = drawn()
+    run.save_figure(figure, "errors", data=pd.DataFrame({"range_m": [0.1, 1], "error_mm": [0, 1]}))
+    run.save_figure(figure, "again", seen="One rising line.")
+    plt.close(figure)
+    assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
+    seen = read_record(run.folder)["seen"]
+    assert seen == {
+        "errors": "plain: error (mm) over range (m) of a line",
+        "again": "One rising line.",
+    }
+
+
+def test_texts_on_each_other_or_outside_are_named():
+    figure, ax = drawn()
+    assert overlapping_texts(figure) == []
+    ax.text(0.2, 0.5, "first")
+    ax.text(0.22, 0.5, "second")
+    figure.text(0.9, 0.6, "a text that runs over the edge", in_layout=False)
+    found = overlapping_texts(figure)
+    plt.close(figure)
+    assert sorted(found) == [
+        "'a text that runs over the edge' leaves the figure",
+        "'first' and 'second' overlap",
+    ]
+
+
+@pytest.mark.parametrize("journal", plots.JOURNALS)
+@pytest.mark.parametrize("width", plots.WIDTHS)
+def test_files_have_the_width_that_the_journal_asks_for(journal, width, run):
+    figure, _ = drawn(journal=journal, width=width)
+    run.save_figure(figure, "page")
+    plt.close(figure)
+    plots.use_style()
+    box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (run.folder / "page.pdf").read_bytes())
+    points = float(box.group(1).split()[2])
+    wanted = plots.JOURNALS[journal].widths_mm[plots.WIDTHS.index(width)]
+    assert points / 72 * 25.4 == pytest.approx(wanted, abs=0.1)  # a third of a point
+    assert plots.JOURNALS[journal].source
+
+
+def test_an_unknown_journal_or_width_is_refused():
+    with pytest.raises(ValueError, match=r"Invalid journal 'Nature'. Must be one of"):
+        plots.use_style(journal="Nature")
+    with pytest.raises(ValueError, match=r"Invalid width 'triple'. Must be one of"):
+        plots.use_style(width="triple")
