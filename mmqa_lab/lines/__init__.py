@@ -9,7 +9,7 @@ from mmqa_lab.lines.displacement import Displacement, DriftPrior, fit_displaceme
 from mmqa_lab.lines.distance import Components, components, distance_matrix
 from mmqa_lab.lines.edges import Edges, extract_edges, intersect_patches
 from mmqa_lab.lines.geometry import Segments, check_segments
-from mmqa_lab.lines.hausdorff import LHD, Directed, lhd, olhd
+from mmqa_lab.lines.hausdorff import LHD, Directed, hausdorff, lhd, olhd
 from mmqa_lab.lines.outlines import Outline, fit_outline
 from mmqa_lab.lines.scores import PairingScores, pairing_scores, scores_from_counts
 from mmqa_lab.lines.thresholds import (
@@ -42,6 +42,7 @@ __all__ = [
     "fit_displacement",
     "fit_outline",
     "fixed_threshold",
+    "hausdorff",
     "intersect_patches",
     "lhd",
     "mad_threshold",

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.lines import Segments
+from mmqa_lab.lines.geometry import Segments
 from mmqa_lab.planes import _cells, detect_planes
 from mmqa_lab.planes.detection import CELLS_PER_SIZE
 

@@ -9,6 +9,7 @@ from mmqa_lab.planes.regression import (
     Plane,
     fit_line,
     fit_plane,
+    flat_points,
     sigma_mad,
     turned_axes,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "detect_planes",
     "fit_line",
     "fit_plane",
+    "flat_points",
     "sigma_mad",
     "turned_axes",
 ]
