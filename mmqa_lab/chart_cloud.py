@@ -128,7 +128,7 @@ def evaluate_cloud(
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres; three or more after selection.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
         The selection, metres; see :func:`inside_polygon`.
@@ -208,7 +208,7 @@ def inside_polygon(points, polygon, *, thickness=0.1):
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
         Vertices in order, metres, convex or concave. Holes are left out, the parts of a
@@ -292,7 +292,7 @@ def hull_area(xy):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
 
     Returns

@@ -32,7 +32,9 @@ COLUMNS = (
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
+    )
     parser.add_argument(
         "--polygon",
         metavar="VERTICES",

@@ -31,7 +31,7 @@ COLUMNS = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "scor
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
     parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
     parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
     parser.add_argument(

@@ -149,6 +149,11 @@ def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=200, angle=20.0, 
     -------
     Edges
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite or they do not have three coordinates.
+
     Examples
     --------
     >>> rng = np.random.default_rng(0)

@@ -37,7 +37,7 @@ def detect(
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres, any origin. The scan-line method needs a cloud with ``scan_line`` and ``pulse`` or
         ``gps_time``, or with ``gps_time`` or ``scan_angle`` from which lines are recovered; without
         them it warns and the component method answers.

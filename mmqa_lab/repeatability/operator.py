@@ -72,7 +72,7 @@ def with_strays(points, *, share, depths, seed):
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         On the surface, metres.
     share : float
         Of all points afterwards, 0 to 0.5.
@@ -110,7 +110,7 @@ def evaluate_selections(points, polygons, *, thickness=0.1, axes="principal", ra
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres.
     polygons : array_like, shape (repeats, vertices, 3)
         Metres.

@@ -92,7 +92,7 @@ def directional_spacing(xy, *, radius=0.5):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres; n >= 2.
     radius : float
         Neighbours up to this far count, m.
@@ -136,7 +136,7 @@ def turned_f(xy, *, angles, radius=0.5):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     angles : array_like, shape (k,)
         Degrees.
@@ -163,7 +163,7 @@ def structure_tensor_ratio(xy, *, k=16):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3.
     k : int
         Neighbours, 2 or more.
@@ -208,7 +208,7 @@ def pair_contrast(xy, *, reach):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     reach : float
         Largest distance of a pair, m.
@@ -255,7 +255,7 @@ def clark_evans(xy):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3, not on one line.
 
     Returns

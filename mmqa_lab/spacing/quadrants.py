@@ -65,7 +65,7 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.
@@ -121,7 +121,7 @@ def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.
@@ -218,7 +218,7 @@ def count_coincident(xy):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit.
 
     Returns
