@@ -115,8 +115,22 @@ def table(source, name):
 def raw(source, name):
     """Return one table of a source with every cell as the string that the file contains.
 
-    Trailing zeros are kept, so that the digits in print can be counted. Arguments and errors are
-    those of :func:`table`.
+    Trailing zeros are kept, so that the digits in print can be counted.
+
+    Parameters
+    ----------
+    source, name : str
+        As in :func:`table`.
+
+    Returns
+    -------
+    DataFrame of str
+        Empty strings where nothing is printed.
+
+    Raises
+    ------
+    ValueError
+        If the source or the table is unknown.
 
     Examples
     --------
@@ -165,6 +179,21 @@ def number(source, key):
 def citation(source):
     """Return authors, year, title, place and identifier of a source in one line.
 
+    Parameters
+    ----------
+    source : str
+        As in :func:`table`.
+
+    Returns
+    -------
+    str
+        With the DOI or the HAL identifier where there is one.
+
+    Raises
+    ------
+    ValueError
+        If the source is unknown.
+
     Examples
     --------
     >>> citation("poreba2013")
@@ -181,7 +210,23 @@ def citation(source):
 
 
 def strings(path):
-    """Return a CSV file of the data folder with every cell as a string."""
+    """Return a CSV file of the data folder with every cell as a string.
+
+    Parameters
+    ----------
+    path : str
+        Below ``data``, without ending, such as ``sources`` or ``poreba2013/table_1``.
+
+    Returns
+    -------
+    DataFrame of str
+        A new frame; empty strings where the file has nothing.
+
+    Examples
+    --------
+    >>> strings("sources")["year"].tolist()
+    ['2021', '2013', '2014', '2013', '2013']
+    """
     return _strings(path).copy()
 
 

@@ -101,6 +101,16 @@ def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note="")
 def frame(entries):
     """Return entries as the table that a study writes as ``ledger.csv``.
 
+    Parameters
+    ----------
+    entries : list of dict
+        Of :func:`entry`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each entry; columns ``COLUMNS``.
+
     Examples
     --------
     >>> frame([entry("cahalane2014", "table_3", "wall 1 mimic", 0.0816, kind="predicted")]).shape
@@ -118,7 +128,7 @@ def verdict(printed, ours):
         ``relation``, ``low``, ``high`` of a row of :func:`cells`. An interval with one infinite
         end is open at the other; others are closed.
     ours : mapping
-        ``value``, ``low``, ``high`` of an entry.
+        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN.
 
     Returns
     -------
@@ -140,9 +150,11 @@ def verdict(printed, ours):
         return "reproduced" if np.isnan(ours["value"]) else "contradicted"
     if np.isnan(ours["value"]):
         return "not comparable"
-    if _meets(printed, ours["value"], ours["value"]):
+    value = ours["value"]
+    if _meets(printed, value, value):
         return "reproduced" if printed["relation"] == "=" else "consistent"
-    return "consistent" if _meets(printed, ours["low"], ours["high"]) else "contradicted"
+    low, high = (value if np.isnan(ours[end]) else ours[end] for end in ("low", "high"))
+    return "consistent" if _meets(printed, low, high) else "contradicted"
 
 
 def reasons():
@@ -229,6 +241,16 @@ def summary(ledger, role="result"):
 
 def gaps(ledger):
     """Return the contradicted rows without an argument and the cells without a reason.
+
+    Parameters
+    ----------
+    ledger : DataFrame
+        Of :func:`collect`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of the ledger with an empty note; none in a complete run.
 
     Examples
     --------
@@ -365,10 +387,12 @@ def _interval(digits, relation):
 
 def _meets(printed, low, high):
     """Whether an interval of ours and the printed one have a value in common."""
-    bounded = np.isfinite(printed["low"]) and np.isfinite(printed["high"])
-    slack = 1e-9 * max(1.0, abs(high)) if bounded else 0.0
-    below, above = low - printed["high"], printed["low"] - high
-    return bool(below <= slack and above <= slack) if bounded else bool(below < 0 and above < 0)
+    if np.isinf(printed["high"]):
+        return bool(high > printed["low"])
+    if np.isinf(printed["low"]):
+        return bool(low < printed["high"])
+    slack = 1e-9 * max(1.0, abs(printed["high"]))
+    return bool(low <= printed["high"] + slack and high >= printed["low"] - slack)
 
 
 def _reason(cell, rules):
@@ -391,7 +415,8 @@ def _entries(folder):
 
 def _read(file):
     """One ledger.csv, checked."""
-    entries = pd.read_csv(file, keep_default_na=False, na_values={c: [""] for c in COLUMNS[3:6]})
+    empty = {column: ["", "nan", "NaN"] for column in ("value", "low", "high")}
+    entries = pd.read_csv(file, keep_default_na=False, na_values=empty)
     missing = [column for column in COLUMNS if column not in entries]
     if missing:
         raise ValueError(f"Invalid {file}: no column {missing[0]}. Must have {', '.join(COLUMNS)}.")
