@@ -115,7 +115,7 @@ def add_points(plot, local, values=None):
     """
     import k3d
 
-    size = 0.5 * np.ptp(local, axis=0).max() / np.sqrt(len(local))
+    size = float(max(0.8 * np.ptp(local, axis=0).max() / np.sqrt(len(local)), 1e-3))
     look = {"color": 0xB0B0B0} if values is None else _shades(values)
     points = k3d.points(local.astype(np.float32), point_size=size, shader="flat", **look)
     plot += points
