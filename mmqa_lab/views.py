@@ -9,7 +9,7 @@ import os
 import numpy as np
 
 from mmqa_lab import plots
-from mmqa_lab.cloud import Cloud
+from mmqa_lab._checks import check_points
 
 HEIGHT_PX = 560
 
@@ -61,7 +61,7 @@ def show_cloud(cloud, values, *, label):
     >>> figure.axes[-1].get_ylabel()
     'height (m)'
     """
-    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
+    points = check_points(cloud)
     values = np.asarray(values, dtype=np.float64)
     known = np.isfinite(values)
     local = points[known] - points.mean(axis=0)

@@ -1,7 +1,7 @@
 """Run the whole test suite: style checks by ruff, then every test by pytest.
 
-Tests that need Chromium or larger real clouds are skipped where those are missing and say so.
-What stands after -- goes to pytest.
+Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
+missing and say so. What stands after -- goes to pytest.
 """
 
 SUMMARY = "run the test suite"
