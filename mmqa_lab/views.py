@@ -1,20 +1,44 @@
-"""3-D views: k3d draws them in the notebook's browser, matplotlib in a run without a screen.
+"""3-D views by pyvista, with a matplotlib picture where the machine cannot draw with OpenGL.
 
-Nothing comes from the network and no port is opened: the points go to the browser with the cells'
-other outputs, so the views also work offline and through a hub.
+VTK without OpenGL libraries does not raise, it kills the process; so a child process tries first.
 """
 
+import functools
 import os
+import subprocess
+import sys
 
 import numpy as np
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points
 
-HEIGHT_PX = 560
+WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 
-AXES = [r"easting\ (m)", r"northing\ (m)", r"height\ (m)"]
-"""In LaTeX, where a space needs its backslash."""
+PROBE = (
+    "import vtkmodules.vtkRenderingOpenGL2, vtkmodules.vtkRenderingCore as core;"
+    "window = core.vtkRenderWindow(); window.SetOffScreenRendering(1); window.SetSize(32, 32);"
+    "window.AddRenderer(core.vtkRenderer()); window.Render(); print('drawn')"
+)
+
+
+@functools.cache
+def can_render():
+    """Return whether VTK can draw off screen here; asked once, takes about 2 s.
+
+    Sets the environment variable that names the window class which works, so that this process
+    draws as the child did.
+    """
+    settings = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "")
+    for window in settings if not os.environ.get("DISPLAY") else reversed(settings):
+        environment = {**os.environ, WINDOW_VARIABLE: window}
+        child = subprocess.run(
+            [sys.executable, "-c", PROBE], env=environment, capture_output=True, text=True
+        )
+        if child.returncode == 0 and "drawn" in child.stdout:
+            os.environ[WINDOW_VARIABLE] = window
+            return True
+    return False
 
 
 def is_headless():
@@ -38,123 +62,108 @@ def is_headless():
 def show_cloud(cloud, values, *, label):
     """Show a cloud in 3-D, coloured by a value for each point.
 
-    In JupyterLab the view can be turned; in a run without a screen it is a matplotlib figure.
+    In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
+    libraries it is a matplotlib figure.
 
     Parameters
     ----------
     cloud : Cloud or array_like, shape (n, 3)
         Metres.
     values : array_like, shape (n,)
-        Residuals, intensities, f, ... Points whose value is NaN are left out.
+        Residuals, intensities, f, ...
     label : str
         Name and unit of the values.
 
     Returns
     -------
-    k3d.plot.Plot or matplotlib.figure.Figure
+    pyvista viewer or matplotlib figure
 
     Examples
     --------
     >>> from unittest.mock import patch
-    >>> with patch.dict(os.environ, MMQA_HEADLESS="1"):
+    >>> with patch(f"{__name__}.can_render", return_value=False):
     ...     figure = show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)")
     >>> figure.axes[-1].get_ylabel()
     'height (m)'
     """
     points = check_points(cloud)
-    values = np.asarray(values, dtype=np.float64)
-    known = np.isfinite(values)
-    local = points[known] - points.mean(axis=0)
-    if is_headless():
-        return _figure(local, values[known], label)
-    plot = empty_view()
-    points = add_points(plot, local, values[known])
-    plot.colorbar_object_id = points.id
-    add_label(plot, label)
-    reach = 1.1 * np.ptp(local, axis=0).max()
-    plot.camera = [-0.5 * reach, -reach, 0.6 * reach, 0, 0, 0, 0, 0, 1]
-    return plot
+    local = points - points.mean(axis=0)
+    if not can_render():
+        return _figure(local, values, label)
+    plotter = _plotter(local, values, label, off_screen=is_headless())
+    return plotter.show(jupyter_backend="static" if is_headless() else "trame", return_viewer=True)
 
 
-def empty_view():
-    """Return an empty 3-D view with named axes.
-
-    Returns
-    -------
-    k3d.plot.Plot
-
-    Examples
-    --------
-    >>> empty_view().objects
-    []
-    """
-    import k3d
-
-    choices = {"menu_visibility": False, "axes_helper": 0, "camera_up_axis": "z"}
-    return k3d.plot(height=HEIGHT_PX, axes=AXES, camera_auto_fit=False, **choices)
-
-
-def add_points(plot, local, values=None):
-    """Add points to a view, grey or coloured by a value, and return them.
+def save_cloud(path, cloud, values, *, label):
+    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above.
 
     Parameters
     ----------
-    plot : k3d.plot.Plot
-    local : ndarray, shape (n, 3)
-        Metres, near the origin: the browser has single precision.
-    values : ndarray, shape (n,), optional
-
-    Returns
-    -------
-    k3d.objects.Points
+    path : path
+        Its ending says the format; an existing file is replaced.
+    cloud, values, label
+        See :func:`show_cloud`.
 
     Examples
     --------
-    >>> add_points(empty_view(), np.zeros((2, 3)), np.array([0.0, 1.0])).color_range
-    [0.0, 1.0]
+    >>> import tempfile
+    >>> from unittest.mock import patch
+    >>> cannot = patch(f"{__name__}.can_render", return_value=False)
+    >>> with tempfile.TemporaryDirectory() as folder, cannot:
+    ...     save_cloud(f"{folder}/c.png", [[0, 0, 0], [1, 0, 0]], [0.0, 1.0], label="f")
+    ...     os.listdir(folder)
+    ['c.png']
     """
-    import k3d
+    from mmqa_lab.io import write_atomically
 
-    size = float(max(0.8 * np.ptp(local, axis=0).max() / np.sqrt(len(local)), 1e-3))
-    look = {"color": 0xB0B0B0} if values is None else _shades(values)
-    points = k3d.points(local.astype(np.float32), point_size=size, shader="flat", **look)
-    plot += points
-    return points
-
-
-def add_label(plot, text):
-    """Write a text (HTML) into the upper left corner of a view.
-
-    Examples
-    --------
-    >>> plot = empty_view()
-    >>> add_label(plot, "f")
-    >>> plot.objects[0].text
-    'f'
-    """
-    import k3d
-
-    plot += k3d.text2d(text, (0.02, 0.02), reference_point="lt", color=0, size=0.8, is_html=True)
+    points = check_points(cloud)
+    local = points - points.mean(axis=0)
+    if can_render():
+        plotter = _plotter(local, values, label, off_screen=True)
+        write_atomically(path, lambda temporary: plotter.screenshot(str(temporary)))
+        plotter.close()
+    else:
+        write_atomically(path, _figure(local, values, label).savefig)
 
 
-def _shades(values):
-    """The colours of values from the least to the largest."""
-    import matplotlib as mpl
+def _plotter(local, values, label, *, off_screen):
+    """The pyvista scene of one cloud."""
+    import pyvista
 
-    steps = np.linspace(0, 1, 64)
-    colours = np.column_stack([steps, mpl.colormaps[plots.MAP](steps)[:, :3]])
-    return {
-        "attribute": values.astype(np.float32),
-        "color_map": colours.ravel().tolist(),
-        "color_range": [float(values.min()), float(values.max())],
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
+    plotter.set_background("white")
+    bar = {
+        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": "%.3g"},
+        **{"vertical": False, "position_x": 0.25, "position_y": 0.88, "width": 0.5},
+        **{"title_font_size": 18, "label_font_size": 16},
     }
+    plotter.add_points(
+        pyvista.PolyData(local),
+        scalars=np.asarray(values, dtype=np.float64),
+        point_size=4,
+        cmap=plots.MAP,
+        scalar_bar_args=bar,
+    )
+    plotter.show_bounds(
+        xtitle="easting (m)",
+        ytitle="northing (m)",
+        ztitle=" " if _flat(local) else "height (m)",
+        show_zaxis=not _flat(local),
+        show_zlabels=not _flat(local),
+        color="black",
+        font_size=9,
+        location="outer",
+    )
+    plotter.view_isometric()
+    plotter.camera.zoom(1.1)
+    return plotter
 
 
 def _figure(local, values, label, limit=20_000):
     """The matplotlib picture of one cloud, thinned to what it can draw."""
     step = max(1, len(local) // limit)
     figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
-    dots = ax.scatter(*local[::step].T, c=values[::step], s=1, rasterized=True, cmap=plots.MAP)
+    dots = ax.scatter(*local[::step].T, c=np.asarray(values)[::step], s=1, rasterized=True)
     ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)", aspect="equal")
     if _flat(local):
         ax.set(zticks=[], zlabel="")

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import io, poles
+from mmqa_lab import io, poles, views
 from mmqa_lab.__main__ import main
 from mmqa_lab.poles import facades, ours, trees
 from mmqa_lab.simulate import streets
