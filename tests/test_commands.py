@@ -26,6 +26,7 @@ JSON_KEYS = [
     "d3_mm",
     "d4_mm",
     "f",
+    "f_exempt",
     "incomplete_share",
     "coincident",
     "axes",

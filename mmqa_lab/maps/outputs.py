@@ -113,8 +113,8 @@ def _with_exemption(dataset, rho0):
 
     if "d1" not in dataset:
         raise ValueError(f"Invalid rho0 {rho0:g}: no spacing in the map. Must have d1 and d4.")
-    lazily = {"dask": "parallelized", "output_dtypes": [bool]}
-    found = xr.apply_ufunc(exempt, dataset["d1"] / 1000, dataset["d4"] / 1000, rho0, **lazily)
+    lazily = {"dask": "parallelized", "output_dtypes": [bool], "kwargs": {"rho0": rho0}}
+    found = xr.apply_ufunc(exempt, dataset["d1"] / 1000, dataset["d4"] / 1000, **lazily)
     about = {"units": "1", "long_name": "1 where f does not matter: d1, d4 <= sqrt(1 / rho0)"}
     found = found.where(dataset["d4"].notnull()).assign_attrs(about)
     return dataset.assign(exempt=found).assign_attrs(rho0_per_m2=rho0)
