@@ -5,7 +5,7 @@ scan differ in it alone (repeatability), scans of one surface differ too; ISO 57
 of variance separate these parts, and :func:`strip_law` says what to expect.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
@@ -217,6 +217,19 @@ class Repeatability:
         """2.8 s_R with s_R^2 = s_L^2 + s_r^2: another selection of another scan."""
         return LIMIT * float(np.hypot(self.s_r, self.s_l))
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row with all parts, ``r`` and ``relative_s_r_percent`` with its interval."""
+        percent = 100 / self.mean
+        relative = {
+            "relative_s_r_percent": percent * self.s_r,
+            "low_percent": percent * self.s_r_low,
+            "high_percent": percent * self.s_r_high,
+        }
+        return pd.DataFrame([asdict(self) | {"r": self.r} | relative])
+
+    def _repr_html_(self):
+        return self.to_frame().round(4).to_html(index=False)
+
 
 def repeatability(table, value, *, group="scan", draws=500, seed=0):
     """Take repeatability and the variance between scans from each other.
@@ -323,7 +336,7 @@ def variance_components(table, value, *, factors):
         raise ValueError(f"Invalid {value}: not positive. Must be so in every selection.")
     sizes = [table.groupby(list(factors[: k + 1])).size() for k in range(len(factors))]
     if any(size.nunique() > 1 for size in sizes):
-        raise ValueError("Invalid table: not balanced. Must hold as many results in every cell.")
+        raise ValueError("Invalid table: not balanced. Must have as many results in every cell.")
     data = pd.DataFrame({"y": np.log(table[value].to_numpy())})
     for k in range(len(factors)):  # a level of its own within each of those before it
         data[f"level{k}"] = table.groupby(list(factors[: k + 1])).ngroup().to_numpy()

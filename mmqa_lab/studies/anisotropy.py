@@ -285,7 +285,7 @@ def checks(*, results, forms, lines, verdicts, real):
         "g orders the patterns by their true ratio better than f does.",
         bool(best["method"] == "g" and other["behind_low"] > 0),
         f"rank correlation {best['spearman']:.2f} of {best['method']} against "
-        f"{other['spearman']:.2f}, behind by {other['behind_low']:.2f} to {other['behind_high']:.2f}",
+        f"{other['spearman']:.2f}, which is behind by {other['behind_low']:.2f} or more",
         "95 % interval of the difference, bootstrap over cases",
     )
     right = bench.compare(verdicts, "right", reference="f < 2", better="higher", over="cases")
