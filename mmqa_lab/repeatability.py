@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab._polygons import polygon_vertices
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 
@@ -73,7 +75,7 @@ def operator_polygons(corners, *, repeats, click, seed, vertices=4):
     """
     import shapely
 
-    corners = check_points(corners, name="corners", minimum=4)
+    corners = polygon_vertices(corners, name="corners")
     repeats = check_count(repeats, "repeats")
     click = check_number(click, "click", low=0, unit="m")
     if len(corners) != 4 or check_count(vertices, "vertices", low=4) % 4:
@@ -169,7 +171,7 @@ def evaluate_selections(points, polygons, *, thickness=0.1, axes="principal", ra
 
 
 @dataclass(frozen=True)
-class Repeatability:
+class Repeatability(Shown):
     """Repeatability of one figure, as ISO 5725-2 names its parts.
 
     Parameters
@@ -226,9 +228,6 @@ class Repeatability:
             "high_percent": percent * self.s_r_high,
         }
         return pd.DataFrame([asdict(self) | {"r": self.r} | relative])
-
-    def _repr_html_(self):
-        return self.to_frame().round(4).to_html(index=False)
 
 
 def repeatability(table, value, *, group="scan", draws=500, seed=0):

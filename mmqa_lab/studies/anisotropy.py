@@ -82,7 +82,7 @@ PEERS = {
 METHODS = {"f": lambda xy: quadrants(xy).f, "g": lambda xy: directional(xy).g, **PEERS}
 
 
-def pattern(kind, stretch, angle, n, noise_mm, seed, density=3000.0):
+def pattern(kind, stretch, *, angle, n, noise_mm, seed, density=3000.0):
     """A point pattern of n points on average, and its true ratio across / along."""
     choices = {"ratio": stretch, "angle": angle, "noise": noise_mm / 1000}
     xy = point_pattern(kind, density=density, size=np.sqrt(n / density), seed=seed, **choices)
@@ -230,7 +230,7 @@ def real_clouds():
 
 def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
     """Return a figure of one pattern, its f over the turn of the axes, and its spacing around."""
-    xy, _ = pattern(kind, stretched_by, angle, points, noise_mm, seed=1)
+    xy, _ = pattern(kind, stretched_by, angle=angle, n=points, noise_mm=noise_mm, seed=1)
     found = directional(xy)
     figure, axes = plots.subplots(1, 3, width="double", height_mm=65)
     plots.draw_points(xy, ax=axes[0])
