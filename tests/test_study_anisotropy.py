@@ -5,8 +5,7 @@ import pytest
 
 from mmqa_lab import plots
 from mmqa_lab.simulate.point_patterns import KINDS, point_pattern
-from mmqa_lab.spacing.directional import directional_spacing
-from mmqa_lab.spacing.quadrants import spacing
+from mmqa_lab.spacing import directional, quadrants
 from mmqa_lab.studies import anisotropy
 from mmqa_lab.studies.anisotropy import drawings, sweeps
 
@@ -46,8 +45,8 @@ def test_a_cell_of_the_sweep_is_that_pattern(dataset):
     xy = point_pattern("scan_lines", size=np.sqrt(0.1), seed=2, **choices)
     where = {"pattern": "scan_lines", "ratio": 5, "angle": 30, "n": 300, "noise": 0.5, "seed": 2}
     cell = dataset.sel(where)
-    assert float(cell["f"]) == spacing(xy).f
-    assert float(cell["g"]) == directional_spacing(xy).g
+    assert float(cell["f"]) == quadrants(xy).f
+    assert float(cell["g"]) == directional(xy).g
     assert float(cell["true_ratio"]) == 5
 
 

@@ -5,8 +5,7 @@ import numpy as np
 from mmqa_lab.plots import COLOURS, KIND_COLOURS, MAP, draw_points, subplots
 from mmqa_lab.published import pfeifer2021
 from mmqa_lab.simulate.point_patterns import expected_f, point_pattern
-from mmqa_lab.spacing.directional import directional_spacing, turned_f
-from mmqa_lab.spacing.quadrants import spacing
+from mmqa_lab.spacing import directional_spacing, spacing, turned_f
 
 F0 = pfeifer2021.F_THRESHOLD
 

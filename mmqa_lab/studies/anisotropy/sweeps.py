@@ -16,14 +16,15 @@ from mmqa_lab.simulate.point_patterns import (
     point_pattern,
     true_ratio,
 )
-from mmqa_lab.spacing.directional import (
+from mmqa_lab.spacing import (
     clark_evans,
     directional_spacing,
     pair_contrast,
+    quadrant_distances,
+    spacing,
     structure_tensor_ratio,
     turned_f,
 )
-from mmqa_lab.spacing.quadrants import quadrant_distances, spacing
 from mmqa_lab.views import is_headless
 
 TURN = tuple(range(0, 90, 15))

@@ -9,7 +9,7 @@ from mmqa_lab.planes import PAPER_SCALE
 from mmqa_lab.plots import COLOURS, draw_points, subplots
 from mmqa_lab.published import pfeifer2021
 from mmqa_lab.run import Check
-from mmqa_lab.spacing.quadrants import poisson_spacing
+from mmqa_lab.spacing import poisson_spacing
 
 HEAD_GAP_S = 0.01
 """The two scan heads of the road patch passed it one after the other, this far apart or more."""
@@ -94,7 +94,7 @@ def draw_quadrants(xy, index, distances, *, ax):
     index : int
         The point whose quadrants are drawn.
     distances : array, shape (n, 4)
-        From :func:`mmqa_lab.spacing.quadrants.quadrant_distances`.
+        From :func:`mmqa_lab.spacing.quadrant_distances`.
     """
     xy = 1000 * np.asarray(xy)
     centre = xy[index]

@@ -17,7 +17,7 @@ from mmqa_lab.repeatability import (
     with_strays,
 )
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.spacing.quadrants import quadrant_distances
+from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.views import is_headless
 
 FIGURES = {

@@ -1,14 +1,18 @@
 """Distances to the nearest points around each point, and what they say about a pattern.
 
-Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2: the distances to the nearest
-point in each of four quadrants, sorted, show whether points lie evenly or in lines.
+Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3: the distances to the nearest point in
+each of four quadrants, sorted, show whether points lie evenly or in lines.
 """
 
 import threading
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
+from mmqa_lab import stats
 from mmqa_lab._checks import check_number, check_points, check_positive
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -22,23 +26,23 @@ class Spacing:
     Parameters
     ----------
     d : array, shape (4,)
-        Medians d1..d4 of the sorted quadrant distances, in the unit of the coordinates; NaN where
-        no point has a neighbour of that rank.
+        Medians d1..d4 of the sorted quadrant distances, m; NaN where no point has a neighbour of
+        that rank.
     counts : array of int, shape (4,)
         Points behind each median.
     incomplete_share : float
         Share of the points with at least one empty quadrant within the radius.
     coincident : int
         Points that share their place with another one.
-    n : int
-        Points in all.
+    xy : array, shape (n, 2)
+        The points, m.
     distances : array, shape (n, 4)
-        The sorted quadrant distances of each point, NaN where a quadrant is empty.
+        The sorted quadrant distances of each point, NaN where a quadrant is empty, m.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
-    >>> found = spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> found = quadrants(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> found.d.round(6).tolist(), round(found.f, 6)
     ([0.02, 0.02, 0.04, 0.04], 2.0)
     """
@@ -47,16 +51,45 @@ class Spacing:
     counts: np.ndarray
     incomplete_share: float
     coincident: int
-    n: int
+    xy: np.ndarray = field(repr=False)
     distances: np.ndarray = field(repr=False)
 
     @property
-    def f(self):
-        """Inhomogeneity d4 / d1; NaN where one of them is not measurable."""
+    def n(self) -> int:
+        """Points in all."""
+        return len(self.xy)
+
+    @property
+    def f(self) -> float:
+        """Inhomogeneity d4 / d1, equation (1); NaN where one of them is not measurable."""
         return float(self.d[3] / self.d[0])
 
+    @cached_property
+    def intervals(self) -> np.ndarray:
+        """95 % intervals of d1..d4 (m) and f, shape (5, 2), from 4 x 4 blocks of the points.
 
-def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
+        See :func:`mmqa_lab.stats.median_interval`.
+        """
+        block = stats.blocks(self.xy)
+        ends = [stats.median_interval(distances, block) for distances in self.distances.T]
+        d1, _, _, d4 = self.distances.T
+        return np.array([*ends, stats.median_ratio_interval(d4, d1, block)])
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
+        values = np.column_stack([[*self.d, self.f], self.intervals])
+        values[:4] *= 1000
+        table = pd.DataFrame(values, columns=["value", "low", "high"])
+        table.insert(0, "figure", ["d1", "d2", "d3", "d4", "f"])
+        return table.assign(unit=["mm"] * 4 + ["1"], n=[*self.counts, self.counts[3]])
+
+    def _repr_html_(self):
+        return self.to_frame().round(3).to_html(index=False)
+
+
+def quadrant_distances(
+    xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, of: ArrayLike | None = None
+) -> np.ndarray:
     """Distance from each point to the nearest other one in each of four quadrants.
 
     The quadrants about a point are half open and share no place: [dx > 0, dy >= 0],
@@ -76,7 +109,7 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
     Returns
     -------
     array, shape (n, 4)
-        Metres, in each row ascending and NaN last: one NaN for each quadrant that holds no point
+        Metres, in each row ascending and NaN last: one NaN for each quadrant without a point
         within the radius. Rows are in the order of the points.
 
     Raises
@@ -104,7 +137,7 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
     _check_width(xy)
-    from mmqa_lab.spacing._grid_search import nearest_per_quadrant
+    from mmqa_lab.spacing._search import nearest_per_quadrant
 
     of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
     if of.dtype != bool or of.shape != (len(xy),):
@@ -115,7 +148,9 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
         return nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
-def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
+def quadrants(
+    xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, complete: bool = False
+) -> Spacing:
     """Medians d1..d4 of the sorted quadrant distances, and their ratio f.
 
     Parameters
@@ -147,12 +182,12 @@ def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
 
     References
     ----------
-    Pfeifer et al. 2021, sections 3.3 and 4.2. doi:10.3390/rs13020237
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(9) * 0.02, np.arange(9) * 0.04)
-    >>> found = spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> found = quadrants(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
     """
@@ -166,13 +201,53 @@ def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
         d=np.array([_median(distances[known[:, k], k]) for k in range(4)]),
         counts=known.sum(axis=0),
         incomplete_share=float(1 - full.mean()),
-        coincident=count_coincident(xy),
-        n=len(xy),
+        coincident=_count_coincident(xy),
+        xy=xy,
         distances=distances,
     )
 
 
-def poisson_spacing(density):
+def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
+    """Say where f does not matter, since the points are dense enough in both directions.
+
+    Section 3.3 of the source exempts a surface from the threshold of f where d1 and d4 are both at
+    most d0 = sqrt(1 / rho0), the linear point distance of the density that is asked for.
+
+    Parameters
+    ----------
+    d1, d4 : array_like
+        Smallest and largest median quadrant distance, m.
+    rho0 : float
+        Density that is asked for, points per m2.
+
+    Returns
+    -------
+    array of bool
+        A single one for numbers; False where d1 or d4 is not measurable.
+
+    Raises
+    ------
+    ValueError
+        If the density is not above zero.
+
+    Notes
+    -----
+    A random pattern has d4 = 1.53 / sqrt(rho), so it is exempt from 2.34 rho0 on.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> exempt([0.003, 0.010], [0.008, 0.025], 3000).tolist()  # C and B at 5 m, Table 2
+    [True, False]
+    """
+    d0 = np.sqrt(1 / check_positive(rho0, "rho0", unit="points per m2"))
+    return (np.asarray(d1) <= d0) & (np.asarray(d4) <= d0)
+
+
+def poisson_spacing(density: float) -> np.ndarray:
     """Expected d1..d4 of a homogeneous Poisson pattern.
 
     The area pi r^2 / 4 of a quadrant out to its nearest point is exponential, so the k-th of the
@@ -212,29 +287,8 @@ def poisson_spacing(density):
     return np.sqrt(-4 * np.log1p(-beta.median(k, 5 - k)) / (np.pi * density))
 
 
-def count_coincident(xy):
-    """Return the number of points that share their place with another one.
-
-    Parameters
-    ----------
-    xy : array_like, shape (n, 2)
-        Any unit.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        If there are no points or one is not finite.
-
-    Examples
-    --------
-    >>> count_coincident([[0, 0], [1, 0], [0, 0], [0, 0]])
-    3
-    """
-    xy = check_points(xy, name="xy", columns=2)
+def _count_coincident(xy):
+    """Number of points that share their place with another one."""
     # numpy orders complex numbers by their real, then their imaginary part.
     places = np.sort(np.ascontiguousarray(xy).view(np.complex128).ravel())
     same = places[1:] == places[:-1]

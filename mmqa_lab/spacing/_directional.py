@@ -6,12 +6,16 @@ statistics, and the *spacing ratio* g, which keeps the directions: the spacing a
 in which points lie closest, divided by the spacing along it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
+from mmqa_lab import stats
 from mmqa_lab._checks import check_count, check_points, check_positive
-from mmqa_lab.spacing.quadrants import spacing
+from mmqa_lab.spacing._quadrants import quadrants
 
 STEP_DEG = 4.0
 """Distance between the directions that are tried."""
@@ -31,20 +35,28 @@ class DirectionalSpacing:
     spacing : array, shape (45,)
         Median distance to the nearest other point near that direction, either way, in the unit of
         the coordinates; NaN where fewer than half of the points have one.
-    n : int
-        Points in all.
+    xy : array, shape (n, 2)
+        The points, each place once.
+    nearest : array, shape (n, 45)
+        Distance of each point to the nearest other one by direction, infinite where none is near.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(60) * 0.01, np.arange(15) * 0.04)
-    >>> found = directional_spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> found = directional(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> round(found.along, 3), round(found.across, 3), round(found.g, 3)
     (0.01, 0.04, 4.0)
     """
 
     directions_deg: np.ndarray
     spacing: np.ndarray
-    n: int
+    xy: np.ndarray = field(repr=False)
+    nearest: np.ndarray = field(repr=False)
+
+    @property
+    def n(self) -> int:
+        """Points in all."""
+        return len(self.xy)
 
     @property
     def direction_deg(self):
@@ -70,7 +82,31 @@ class DirectionalSpacing:
         """Spacing ratio across / along: 1 without a direction; needs no axes."""
         return self.across / self.along
 
-    def at(self, direction):
+    @cached_property
+    def intervals(self) -> np.ndarray:
+        """95 % intervals of along, across and g, shape (3, 2), from 4 x 4 blocks of the points.
+
+        For the direction that was found. See :func:`mmqa_lab.stats.median_interval`.
+        """
+        block = stats.blocks(self.xy)
+        places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
+        along, across = self.nearest[:, places.round().astype(int) % len(self.directions_deg)].T
+        ends = [stats.median_interval(distances, block) for distances in (along, across)]
+        found = np.array([*ends, stats.median_ratio_interval(across, along, block)])
+        return np.where(np.isfinite(found), found, np.nan)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return rows for along and across (mm) and g: value, 95 % interval, direction, points."""
+        values = np.column_stack([[self.along, self.across, self.g], self.intervals])
+        values[:2] *= 1000
+        table = pd.DataFrame(values, columns=["value", "low", "high"])
+        table.insert(0, "figure", ["along", "across", "g"])
+        return table.assign(unit=["mm", "mm", "1"], direction_deg=self.direction_deg, n=self.n)
+
+    def _repr_html_(self):
+        return self.to_frame().round(3).to_html(index=False)
+
+    def at(self, direction: float) -> float:
         """Spacing in a direction (degrees), between those tried."""
         return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
 
@@ -82,7 +118,7 @@ class DirectionalSpacing:
         return np.where(known, self.spacing, 2 * np.nanmax(self.spacing))
 
 
-def directional_spacing(xy, *, radius=0.5):
+def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     """Median distance to the nearest point near each direction.
 
     For directions 4 degrees apart: from every point the nearest other one within 30 degrees of that
@@ -118,19 +154,20 @@ def directional_spacing(xy, *, radius=0.5):
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(10) * 0.04)
-    >>> found = directional_spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> found = directional(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> round(found.g, 3), round(abs(found.direction_deg - 90), 1)
     (4.0, 90.0)
     """
     xy = check_points(xy, name="xy", columns=2, minimum=2)
     radius = check_positive(radius, "radius", unit="m")
     xy = np.unique(xy - xy.mean(axis=0), axis=0)
-    medians = _medians_by_sector(xy, radius)
+    nearest = _nearest_by_sector(xy, radius)
+    medians = np.median(nearest, axis=0)
     medians[np.isinf(medians)] = np.nan
-    return DirectionalSpacing(_directions(), medians, len(xy))
+    return DirectionalSpacing(_directions(), medians, xy, nearest)
 
 
-def turned_f(xy, *, angles, radius=0.5):
+def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.ndarray:
     """Return f = d4/d1 for axes turned by each of ``angles`` (degrees), an array of that shape.
 
     Parameters
@@ -152,10 +189,10 @@ def turned_f(xy, *, angles, radius=0.5):
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    return np.array([spacing(xy, radius=radius, angle=float(angle)).f for angle in angles])
+    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
 
 
-def structure_tensor_ratio(xy, *, k=16):
+def structure_tensor_ratio(xy: ArrayLike, *, k: int = 16) -> float:
     """Return the median over the points of sqrt(largest / smallest eigenvalue) of a neighbourhood.
 
     The eigenvalues are those of the scatter matrix of the k nearest points about each point.
@@ -199,7 +236,7 @@ def structure_tensor_ratio(xy, *, k=16):
         return float(np.median(np.sqrt(largest / smallest)))
 
 
-def pair_contrast(xy, *, reach):
+def pair_contrast(xy: ArrayLike, *, reach: float) -> float:
     """Contrast of Ripley's K between the directions with most and fewest pairs: 0 none, 1 all.
 
     Counts the pairs of points up to ``reach`` apart within 45 degrees of a direction, N, and at a
@@ -249,7 +286,7 @@ def pair_contrast(xy, *, reach):
     return float(np.mean(np.where(np.cos(2 * (angle - mean)) > 0, 1.0, -1.0)))
 
 
-def clark_evans(xy):
+def clark_evans(xy: ArrayLike) -> float:
     """Clark and Evans's index: mean nearest distance over that of a random pattern.
 
     Parameters
@@ -297,8 +334,8 @@ def _directions():
     return np.arange(0, 180, STEP_DEG)
 
 
-def _medians_by_sector(xy, radius):
-    """Median over the points of the nearest distance in each sector, inf where not within radius.
+def _nearest_by_sector(xy, radius):
+    """The nearest distance of each point in each sector, infinite where not found.
 
     The search goes only as far as the medians: what lies beyond cannot change them.
     """
@@ -309,7 +346,6 @@ def _medians_by_sector(xy, radius):
     while True:
         limit = min(limit, radius)
         nearest = nearest_per_sector(xy, limit, len(_directions()), SECTOR_STEPS)
-        medians = np.median(nearest, axis=0)
-        if limit == radius or np.isfinite(medians).all():
-            return medians
+        if limit == radius or (np.isfinite(nearest).mean(axis=0) > 0.5).all():
+            return nearest
         limit *= 2
