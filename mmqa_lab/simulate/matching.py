@@ -3,11 +3,13 @@
 Points are drawn in the image at random but not closer than a hard core, their rays are cast
 exactly, and their depths get the error of stereo matching, which grows with the square of the
 depth, is shared by neighbours, and draws ghosts between foreground and background along edges.
+Several pairs may be fused, and the whole thinned to a least distance in object space.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
@@ -32,8 +34,14 @@ class MatchingCamera:
     hard_core : float
         Smallest distance of two points, as a share of 1 / sqrt(points_per_px); 0 for a Poisson
         pattern, at most 0.56 (Matern's second process cannot be packed more densely).
+    pairs : int
+        Stereo pairs whose points are fused.
+    least_distance_m : float
+        Fused points nearer to another one in space are thinned out, see :func:`thin`; 0 for none.
     noise_px : float
         Standard deviation of the disparity; the depth errs by depth^2 / (base x focal) times it.
+    floor_m : float
+        Standard deviation of the part of the depth's error that does not grow with the depth.
     correlated_share : float
         Share of that variance which neighbours have in common.
     correlation_px : float
@@ -67,7 +75,10 @@ class MatchingCamera:
     base_m: float
     points_per_px: float = 0.25
     hard_core: float = 0.4
+    pairs: int = 1
+    least_distance_m: float = 0.0
     noise_px: float = 0.3
+    floor_m: float = 0.0
     correlated_share: float = 0.7
     correlation_px: float = 8.0
     window_px: float = 3.0
@@ -80,9 +91,9 @@ class MatchingCamera:
     def __post_init__(self):
         for name in ("focal_px", "base_m", "points_per_px", "correlation_px"):
             check_positive(getattr(self, name), name)
-        for name in ("width_px", "height_px"):
+        for name in ("width_px", "height_px", "pairs"):
             check_count(getattr(self, name), name)
-        for name in ("noise_px", "window_px"):
+        for name in ("noise_px", "floor_m", "least_distance_m", "window_px"):
             check_number(getattr(self, name), name, low=0)
         for name in ("correlated_share", "ghost_share"):
             check_number(getattr(self, name), name, low=0, high=1)
@@ -127,36 +138,52 @@ def match(scene, camera, trajectory, *, times, seed):
     positions, attitudes = trajectory.at(times)
     for image, time in enumerate(np.asarray(times, dtype=np.float64)):
         rng = np.random.default_rng([seed, image])
-        pixels = hard_core_points(
-            camera.width_px,
-            camera.height_px,
-            density=camera.points_per_px,
-            hard_core=camera.hard_core,
-            rng=rng,
-        ) - [camera.width_px / 2, camera.height_px / 2]
-        origin = positions[image] + attitudes[image] @ np.asarray(camera.lever_arm_m)
-        rays = camera.rays(pixels) @ attitudes[image].T
-        hits = scene.cast(origin, rays)
-        scale = np.linalg.norm(rays, axis=1)
-        depth, ghost = _ghosts(scene, camera, origin, attitudes[image], pixels, hits, rng)
-        depth = depth + _depth_noise(camera, pixels, depth, rng)
-        seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
-        cosine = np.cos(np.radians(hits.incidence_deg[seen]))
-        yield Cloud(
-            origin + depth[seen, None] * rays[seen],
-            {
-                "gps_time": np.full(seen.sum(), time),
-                "image": np.full(seen.sum(), image, np.int32),
-                "surface": hits.surface[seen],
-                "range_m": hits.range_m[seen],
-                "incidence_deg": hits.incidence_deg[seen],
-                "range_noise_m": (depth * scale - hits.range_m)[seen],
-                "ghost": ghost[seen].astype(np.uint8),
-                "intensity": np.round(FULL_SCALE * hits.reflectance[seen] * cosine).astype(
-                    np.uint16
-                ),
-            },
-        )
+        pose = positions[image], attitudes[image]
+        cloud = _pair(scene, camera, pose, rng)
+        for _ in range(camera.pairs - 1):
+            cloud = _thinned(Cloud.concatenate([cloud, _pair(scene, camera, pose, rng)]), camera)
+        given = {"gps_time": np.full(len(cloud), time)}
+        given["image"] = np.full(len(cloud), image, np.int32)
+        cloud = _thinned(cloud, camera)
+        yield Cloud(cloud.points, given | cloud.columns)
+
+
+def thin(points: ArrayLike, least: float) -> np.ndarray:
+    """Say which points remain when none may be nearer to another one than a least distance.
+
+    A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in
+    object space so make the density independent of the distance.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2) or (n, 3)
+        Metres, in the order in which they are taken.
+    least : float
+        Metres.
+
+    Returns
+    -------
+    array of bool, shape (n,)
+
+    Examples
+    --------
+    >>> thin([[0, 0], [0.6, 0], [1.2, 0]], least=1.0).tolist()
+    [True, False, True]
+    """
+    from scipy.spatial import cKDTree
+
+    points = np.asarray(points, dtype=np.float64)
+    keep = np.ones(len(points), dtype=bool)
+    near = cKDTree(points).query_pairs(check_positive(least, "least"), output_type="ndarray")
+    first, later = np.sort(near, axis=1).T
+    while len(first):
+        waits, gone = np.zeros((2, len(points)), dtype=bool)
+        waits[later] = True
+        gone[later[~waits[first]]] = True  # the one before it stays for sure
+        keep &= ~gone
+        open_pairs = waits[first] & ~gone[first] & ~gone[later]
+        first, later = first[open_pairs], later[open_pairs]
+    return keep
 
 
 def hard_core_points(width, height, *, density, hard_core, rng):
@@ -194,6 +221,38 @@ def hard_core_points(width, height, *, density, hard_core, rng):
     return points[((points >= 0) & (points < [width, height])).all(axis=1)]
 
 
+def _pair(scene, camera, pose, rng):
+    """The points that one stereo pair gives."""
+    origin, attitude = pose[0] + pose[1] @ np.asarray(camera.lever_arm_m), pose[1]
+    size = camera.width_px, camera.height_px
+    core = {"density": camera.points_per_px, "hard_core": camera.hard_core}
+    pixels = hard_core_points(*size, **core, rng=rng) - np.array(size) / 2
+    rays = camera.rays(pixels) @ attitude.T
+    hits = scene.cast(origin, rays)
+    scale = np.linalg.norm(rays, axis=1)
+    depth, ghost = _ghosts(scene, camera, origin, attitude, pixels, hits, rng)
+    depth = depth + _depth_noise(camera, pixels, depth, rng)
+    seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
+    cosine = np.cos(np.radians(hits.incidence_deg[seen]))
+    intensity = np.round(FULL_SCALE * hits.reflectance[seen] * cosine)
+    columns = {
+        "surface": hits.surface[seen],
+        "range_m": hits.range_m[seen],
+        "incidence_deg": hits.incidence_deg[seen],
+        "range_noise_m": (depth * scale - hits.range_m)[seen],
+        "ghost": ghost[seen].astype(np.uint8),
+        "intensity": intensity.astype(np.uint16),
+    }
+    return Cloud(origin + depth[seen, None] * rays[seen], columns)
+
+
+def _thinned(cloud, camera):
+    """The cloud without points that are too near to earlier ones."""
+    if not camera.least_distance_m:
+        return cloud
+    return cloud[thin(cloud.points, camera.least_distance_m)]
+
+
 def _ghosts(scene, camera, origin, attitude, pixels, hits, rng):
     """Depths with some points along edges drawn to what else their window sees, and which ones."""
     depth = hits.range_m / np.linalg.norm(camera.rays(pixels), axis=1)
@@ -220,5 +279,6 @@ def _depth_noise(camera, pixels, depth, rng):
     shared = map_coordinates(field, [row, column], order=3, mode="nearest")
     alone = rng.standard_normal(len(pixels))
     c = camera.correlated_share
-    sigma = depth**2 / (camera.base_m * camera.focal_px) * camera.noise_px
+    stereo = depth**2 / (camera.base_m * camera.focal_px) * camera.noise_px
+    sigma = np.hypot(stereo, camera.floor_m)
     return sigma * (np.sqrt(c) * shared + np.sqrt(1 - c) * alone)
