@@ -3,7 +3,7 @@
 Points are drawn in the image at random but not closer than a hard core, their rays are cast
 exactly, and their depths get the error of stereo matching, which grows with the square of the
 depth, is shared by neighbours, and draws ghosts between foreground and background along edges.
-Several pairs may be fused, and the whole thinned to a least distance in object space.
+A cloud may be resampled in object space, so that its density does not depend on the distance.
 """
 
 from dataclasses import dataclass
@@ -34,10 +34,9 @@ class MatchingCamera:
     hard_core : float
         Smallest distance of two points, as a share of 1 / sqrt(points_per_px); 0 for a Poisson
         pattern, at most 0.56 (Matern's second process cannot be packed more densely).
-    pairs : int
-        Stereo pairs whose points are fused.
-    least_distance_m : float
-        Fused points nearer to another one in space are thinned out, see :func:`thin`; 0 for none.
+    resampled_per_m2 : float
+        Points per square metre of surface after resampling in object space, with the hard core as
+        a share of their mean distance; 0 for none. Fewer where matching gives fewer.
     noise_px : float
         Standard deviation of the disparity; the depth errs by depth^2 / (base x focal) times it.
     floor_m : float
@@ -75,8 +74,7 @@ class MatchingCamera:
     base_m: float
     points_per_px: float = 0.25
     hard_core: float = 0.4
-    pairs: int = 1
-    least_distance_m: float = 0.0
+    resampled_per_m2: float = 0.0
     noise_px: float = 0.3
     floor_m: float = 0.0
     correlated_share: float = 0.7
@@ -91,9 +89,9 @@ class MatchingCamera:
     def __post_init__(self):
         for name in ("focal_px", "base_m", "points_per_px", "correlation_px"):
             check_positive(getattr(self, name), name)
-        for name in ("width_px", "height_px", "pairs"):
+        for name in ("width_px", "height_px"):
             check_count(getattr(self, name), name)
-        for name in ("noise_px", "floor_m", "least_distance_m", "window_px"):
+        for name in ("resampled_per_m2", "noise_px", "floor_m", "window_px"):
             check_number(getattr(self, name), name, low=0)
         for name in ("correlated_share", "ghost_share"):
             check_number(getattr(self, name), name, low=0, high=1)
@@ -138,14 +136,38 @@ def match(scene, camera, trajectory, *, times, seed):
     positions, attitudes = trajectory.at(times)
     for image, time in enumerate(np.asarray(times, dtype=np.float64)):
         rng = np.random.default_rng([seed, image])
-        pose = positions[image], attitudes[image]
-        cloud = _pair(scene, camera, pose, rng)
-        for _ in range(camera.pairs - 1):
-            cloud = _thinned(Cloud.concatenate([cloud, _pair(scene, camera, pose, rng)]), camera)
-        given = {"gps_time": np.full(len(cloud), time)}
-        given["image"] = np.full(len(cloud), image, np.int32)
-        cloud = _thinned(cloud, camera)
-        yield Cloud(cloud.points, given | cloud.columns)
+        origin = positions[image] + attitudes[image] @ np.asarray(camera.lever_arm_m)
+        pixels = hard_core_points(
+            camera.width_px,
+            camera.height_px,
+            density=camera.points_per_px,
+            hard_core=0.0 if camera.resampled_per_m2 else camera.hard_core,
+            rng=rng,
+        ) - [camera.width_px / 2, camera.height_px / 2]
+        rays = camera.rays(pixels) @ attitudes[image].T
+        hits = scene.cast(origin, rays)
+        scale = np.linalg.norm(rays, axis=1)
+        depth, ghost = _ghosts(scene, camera, origin, attitudes[image], pixels, hits, rng)
+        depth = depth + _depth_noise(camera, pixels, depth, rng)
+        seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
+        if camera.resampled_per_m2:
+            seen[seen] = _resampled(camera, rays[seen], scale[seen], hits, seen, rng)
+        cosine = np.cos(np.radians(hits.incidence_deg[seen]))
+        yield Cloud(
+            origin + depth[seen, None] * rays[seen],
+            {
+                "gps_time": np.full(seen.sum(), time),
+                "image": np.full(seen.sum(), image, np.int32),
+                "surface": hits.surface[seen],
+                "range_m": hits.range_m[seen],
+                "incidence_deg": hits.incidence_deg[seen],
+                "range_noise_m": (depth * scale - hits.range_m)[seen],
+                "ghost": ghost[seen].astype(np.uint8),
+                "intensity": np.round(FULL_SCALE * hits.reflectance[seen] * cosine).astype(
+                    np.uint16
+                ),
+            },
+        )
 
 
 def thin(points: ArrayLike, least: float) -> np.ndarray:
@@ -206,51 +228,40 @@ def hard_core_points(width, height, *, density, hard_core, rng):
     Illian, Penttinen, Stoyan & Stoyan 2008, Statistical Analysis and Modelling of Spatial Point
     Patterns, section 6.5.2.
     """
-    from scipy.spatial import cKDTree
-
-    core = hard_core / np.sqrt(density)
-    disc = np.pi * core**2
-    needed = density if core == 0 else -np.log(1 - density * disc) / disc
+    core, needed = _matern(density, hard_core)
     low, high = np.array([-core, -core]), np.array([width + core, height + core])
     points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
-    if core:
-        pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
-        younger = np.zeros(len(points), dtype=bool)
-        younger[pairs.max(axis=1)] = True
-        points = points[~younger]
+    points = points[~_younger(points, core)]
     return points[((points >= 0) & (points < [width, height])).all(axis=1)]
 
 
-def _pair(scene, camera, pose, rng):
-    """The points that one stereo pair gives."""
-    origin, attitude = pose[0] + pose[1] @ np.asarray(camera.lever_arm_m), pose[1]
-    size = camera.width_px, camera.height_px
-    core = {"density": camera.points_per_px, "hard_core": camera.hard_core}
-    pixels = hard_core_points(*size, **core, rng=rng) - np.array(size) / 2
-    rays = camera.rays(pixels) @ attitude.T
-    hits = scene.cast(origin, rays)
-    scale = np.linalg.norm(rays, axis=1)
-    depth, ghost = _ghosts(scene, camera, origin, attitude, pixels, hits, rng)
-    depth = depth + _depth_noise(camera, pixels, depth, rng)
-    seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
-    cosine = np.cos(np.radians(hits.incidence_deg[seen]))
-    intensity = np.round(FULL_SCALE * hits.reflectance[seen] * cosine)
-    columns = {
-        "surface": hits.surface[seen],
-        "range_m": hits.range_m[seen],
-        "incidence_deg": hits.incidence_deg[seen],
-        "range_noise_m": (depth * scale - hits.range_m)[seen],
-        "ghost": ghost[seen].astype(np.uint8),
-        "intensity": intensity.astype(np.uint16),
-    }
-    return Cloud(origin + depth[seen, None] * rays[seen], columns)
+def _resampled(camera, rays, scale, hits, seen, rng):
+    """Which of the seen points stay so that surfaces have the density asked for, and its core."""
+    range_m, incidence = hits.range_m[seen], np.radians(hits.incidence_deg[seen])
+    depth = range_m / scale
+    matched = camera.points_per_px * (camera.focal_px / depth) ** 2 * np.cos(incidence) / scale**3
+    core, needed = _matern(camera.resampled_per_m2, camera.hard_core)
+    stays = rng.random(len(rays)) * matched < needed
+    stays[stays] = ~_younger((depth[:, None] * rays)[stays], core)
+    return stays
 
 
-def _thinned(cloud, camera):
-    """The cloud without points that are too near to earlier ones."""
-    if not camera.least_distance_m:
-        return cloud
-    return cloud[thin(cloud.points, camera.least_distance_m)]
+def _matern(density, hard_core):
+    """Core radius, and Poisson density of which ``density`` remains after thinning."""
+    core = hard_core / np.sqrt(density)
+    disc = np.pi * core**2
+    return core, density if core == 0 else -np.log(1 - density * disc) / disc
+
+
+def _younger(points, core):
+    """Which points have an older one, that is an earlier one, within the core."""
+    from scipy.spatial import cKDTree
+
+    younger = np.zeros(len(points), dtype=bool)
+    if core:
+        pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
+        younger[pairs.max(axis=1)] = True
+    return younger
 
 
 def _ghosts(scene, camera, origin, attitude, pixels, hits, rng):
