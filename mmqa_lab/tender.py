@@ -393,7 +393,7 @@ def _row(system, criterion, figure):
         "high": high,
         "relation": criterion.relation,
         "threshold": criterion.threshold,
-        "margin": sign * (rank - limit),
+        "margin": sign * (rank - limit) + 0.0,  # no negative zero
         "verdict": _verdict(RELATIONS[criterion.relation], limit, low, high),
     }
 
@@ -404,8 +404,8 @@ def _ends(criterion, figure):
     is_mark = isinstance(figure.value, str) and figure.value.strip() in MARKS
     if np.isfinite(rank) and is_mark != (str(criterion.threshold) in MARKS):
         raise ValueError(
-            f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the kind "
-            f"of the threshold {criterion.threshold!r}."
+            f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
+            f"kind of the threshold {criterion.threshold!r}."
         )
     reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
     low = rank - reach if np.isnan(figure.low) else figure.low
