@@ -8,14 +8,18 @@ WINDOW = 9
 """Cells: lowest points that stand out from a window of 9 m x 9 m are roofs and crowns."""
 
 STEP_M = 0.5
+SUPPORT = 3
+"""A lowest point far below the cells around it is the ground only with so many points within half a
+metre above it, itself included: single stray points below the road are none."""
 
 
 def height_above_ground(points, *, at=None, cell=CELL_M):
     """Return the height above the ground of each point, or of the points ``at``, metres.
 
     The lowest point of each cell is the ground, unless it lies more than 0.5 m above what a
-    morphological opening leaves; cells without ground take the nearest cell's. Between cell
-    centres the ground is bilinear.
+    morphological opening leaves, or stands alone more than 0.5 m below one in five of the cells
+    around; cells without ground take the nearest cell's. Between cell centres the ground is
+    bilinear.
 
     Parameters
     ----------
@@ -42,12 +46,24 @@ def height_above_ground(points, *, at=None, cell=CELL_M):
     place = (points[:, :2] - low) / cell
     column, row = place.astype(np.int64).T
     shape = int(row.max()) + 1, int(column.max()) + 1
+    number = row * shape[1] + column
     lowest = np.full(shape[0] * shape[1], np.inf)
-    np.minimum.at(lowest, row * shape[1] + column, points[:, 2])
-    ground = _opened(lowest.reshape(shape))
+    np.minimum.at(lowest, number, points[:, 2])
+    support = np.bincount(number[points[:, 2] <= lowest[number] + STEP_M], minlength=len(lowest))
+    ground = _opened(_without_strays(lowest.reshape(shape), support.reshape(shape)))
     at = points if at is None else at
     place = (at[:, 1::-1] - low[::-1]) / cell - 0.5
     return at[:, 2] - ndimage.map_coordinates(ground, place.T, order=1, mode="nearest")
+
+
+def _without_strays(lowest, support):
+    """Lowest heights without single points far below the cells around them."""
+    alone = (support < SUPPORT) & np.isfinite(lowest)
+    if alone.all() or not alone.any():
+        return lowest
+    sure = _filled(lowest, support >= SUPPORT)
+    usual = ndimage.percentile_filter(sure, 20, size=WINDOW, mode="nearest")
+    return np.where(alone & (lowest < usual - STEP_M), np.inf, lowest)
 
 
 def _opened(lowest):
