@@ -26,11 +26,11 @@ def scan_lines(cloud):
     Notes
     -----
     A column whose values are all equal, as LAS files have it where nothing was recorded, says
-    nothing. Without ``scan_line``, a line ends where the scan angle turns back by more than a quarter of its
-    range while time runs on: this finds the turns of a full-circle profiler and the ends of an
-    oscillating one. Without time, the points must lie in the order in which they were measured.
-    From time alone, lines are cut in the pause that all revolutions share, the sky above the
-    vehicle; without such a pause there is no answer.
+    nothing. Without ``scan_line``, a line ends where the scan angle turns back by more than a
+    quarter of its range while time runs on: this finds the turns of a full-circle profiler and the
+    ends of an oscillating one. Without time, the points must lie in the order in which they were
+    measured. From time alone, lines are cut in the pause that all revolutions share, the sky above
+    the vehicle; without such a pause there is no answer.
 
     Examples
     --------
