@@ -112,7 +112,7 @@ def scene(
     -------
     Cloud, dict
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
-        ``street``, ``length_m``.
+        ``street``, ``length_m``, ``poles`` and ``visible`` (their numbers).
     """
     made = streets.street(replace(streets.PLANS[plan], **CHANGES[change]), length=length, seed=seed)
     cloud = streets.drive(made, scanner, seed=seed, speed=speed)
@@ -122,7 +122,8 @@ def scene(
     if share < 1:
         cloud = cloud[np.random.default_rng(seed).random(len(cloud)) < share]
     path = made.trajectory(speed).position
-    return cloud, {"targets": targets, "path": path, "street": made, "length_m": length}
+    truth = {"targets": targets, "path": path, "street": made, "length_m": length}
+    return cloud, truth | {"poles": len(targets), "visible": targets["visible"].sum()}
 
 
 def _driven_back(made, scanner, seed, speed):
@@ -442,6 +443,10 @@ UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
 
 UNKNOWN = (1000, 1001, 9999)
 """Points whose class the labels leave open: whether a pole stands there is not known."""
+
+
+OAKLAND_F1 = 0.85
+"""F1 of the learned method as shipped on all ten tiles, for runs without these clouds."""
 
 
 def oakland(tiles=None):
