@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from mmqa_lab import mimic
 from mmqa_lab.published import cahalane2014
-from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
+from mmqa_lab.scan_pattern import ScanSetup, Target, mimic, scan_lattice
 
 THETA_A = 0.12
 

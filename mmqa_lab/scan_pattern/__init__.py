@@ -25,6 +25,7 @@ Measured patterns: :func:`measure_pattern` on planar patches, :func:`fit_scan_pl
 profiles with time.
 """
 
+from mmqa_lab.scan_pattern import mimic
 from mmqa_lab.scan_pattern.lattice import (
     QUANTITIES,
     Lattice,
@@ -59,6 +60,7 @@ __all__ = [
     "lattice_distances",
     "measure_pattern",
     "mesh_patch",
+    "mimic",
     "mirror_frequency",
     "profiles_from_pattern",
     "propagate",

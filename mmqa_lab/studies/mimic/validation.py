@@ -5,9 +5,9 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import mimic, simulate
+from mmqa_lab import simulate
 from mmqa_lab.published import cahalane2014
-from mmqa_lab.scan_pattern import Patch, ScanSetup, Target, scan_lattice, sensitivities
+from mmqa_lab.scan_pattern import Patch, ScanSetup, Target, mimic, scan_lattice, sensitivities
 
 SETUP = ScanSetup(
     pulse_rate_hz=cahalane2014.PULSE_RATE_HZ,
