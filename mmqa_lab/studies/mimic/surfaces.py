@@ -11,8 +11,6 @@ from mmqa_lab.scan_pattern import (
     Patch,
     ScanSetup,
     Target,
-    crossing_angle,
-    cylinder_patch,
     largest_speed,
     propagate,
     scan_lattice,
@@ -81,7 +79,7 @@ def post(setup, *, distance_m, radius_m, heights_m, azimuths_deg):
     Dataset
         ``MAPPED`` and ``f`` over ``height`` (m) and ``azimuth`` (degrees from X).
     """
-    patch = cylinder_patch(
+    patch = Patch.cylinder(
         [distance_m, 0], radius_m, azimuths_deg=azimuths_deg, heights_m=heights_m
     )
     lattice = scan_lattice(setup, patch)
@@ -121,7 +119,7 @@ def counted(setup, *, distance_m, radius_m, height_m):
     y, z = np.meshgrid((np.arange(40) - 19.5) / 20, (np.arange(100) - 49.5) * height_m / 100)
     flat = Patch(np.stack([0 * y + distance_m, y, z], axis=-1), [-1, 0, 0])
     azimuths, heights = np.arange(720) / 2, z[:, 0]
-    round_ = cylinder_patch([distance_m, 0], radius_m, azimuths_deg=azimuths, heights_m=heights)
+    round_ = Patch.cylinder([distance_m, 0], radius_m, azimuths_deg=azimuths, heights_m=heights)
     areas = 2 * height_m / y.size, radius_m * np.radians(0.5) * height_m / 100
     rows = []
     for (name, surface), patch, area in zip(surfaces.items(), (flat, round_), areas, strict=True):
@@ -164,7 +162,7 @@ def two_heads(setup, *, headings_deg, turns_deg, distance_m):
         ]
         seen = [_front(setup, heading, normal) for heading in headings_deg]
         density = [head.density_per_m2 * sees for head, sees in zip(heads, seen, strict=True)]
-        crossing = float(crossing_angle(*heads)) if all(seen) else np.nan
+        crossing = float(heads[0].crossing_angle(heads[1])) if all(seen) else np.nan
         rows.append((turn, *density, sum(density), crossing))
     names = ["turn_deg", "density_first_per_m2", "density_second_per_m2", "density_per_m2"]
     return pd.DataFrame(rows, columns=[*names, "crossing_deg"])
