@@ -43,21 +43,17 @@ LAYERS = {
     "simulate": 3,
     "_las": 3,
     "io": 3,
+    "bench": 3,
     "samples": 3,
-    "results": 3,
     "height_files": 3,
     "imagery": 3,
     "segment_files": 3,
     "plots": 4,
     "views": 4,
     "maps": 4,
+    "run": 4,
     "studies": 5,
     "widgets": 6,
-    "headless": 6,
-    "gallery": 6,
-    "names": 6,
-    "teaching": 6,
-    "readme": 6,
     "commands": 6,
     "__main__": 6,
 }
@@ -137,7 +133,7 @@ def test_catalogue_notebooks_modules_and_readme_agree():
         assert f"notebooks/{study.notebook}.ipynb" in readme
         module = study.module
         assert isinstance(module.QUICK, dict)
-        assert callable(module.claims)
+        assert callable(module.checks)
 
 
 def notebook_cells(path):
@@ -158,7 +154,7 @@ def test_notebook_keeps_the_template(study):
     assert tags.count("parameters") == 1
     assert 2 <= tags.count("solution") <= 4
     assert "doi" in cells[0]["source"].lower()
-    assert "save_claims" in code[-1]["source"] or any("save_claims" in c["source"] for c in code)
+    assert "save_checks" in code[-1]["source"] or any("save_checks" in c["source"] for c in code)
 
 
 def test_samples_are_registered_with_hash_and_licence():

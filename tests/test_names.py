@@ -11,8 +11,8 @@ import textwrap
 import pandas as pd
 import pytest
 
-from mmqa_lab import names
 from mmqa_lab.__main__ import main
+from mmqa_lab.commands import names
 
 PUBLIC = names.table()
 

@@ -3,13 +3,16 @@
 import json
 import re
 import tomllib
+from dataclasses import asdict
 from importlib import metadata
 
 import pytest
+from overlaps import overlapping_texts
 
-from mmqa_lab import readme
 from mmqa_lab.__main__ import main
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
+from mmqa_lab.run import readme
+from mmqa_lab.run.notebooks import Outcome
 from mmqa_lab.spacing.quadrants import poisson_spacing
 from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 
@@ -20,15 +23,15 @@ def results(tmp_path):
     for study in STUDIES:
         folder = tmp_path / study.stem
         folder.mkdir()
-        outcome = {"study": study.stem, "seconds": 1.0, "quick": False, "failure": ""}
-        (folder / "outcome.json").write_text(json.dumps(outcome))
+        outcome = Outcome(study.stem, False, "", failure="", checks=2, passed=2)
+        (folder / "outcome.json").write_text(json.dumps(asdict(outcome)))
         answer = {"sentence": f"It is {study.number}.5 mm.", "figure": "key"}
         (folder / "run.json").write_text(json.dumps({"answer": answer}))
     return tmp_path
 
 
 def test_table_has_a_row_for_each_study_with_its_answer(results):
-    rows = readme.studies_table(results).splitlines()[2:]
+    rows = readme.studies_table(results, STUDIES).splitlines()[2:]
     assert len(rows) == len(STUDIES)
     for study, row in zip(STUDIES, rows, strict=True):
         assert f"notebooks/{study.notebook}.ipynb" in row
@@ -36,12 +39,26 @@ def test_table_has_a_row_for_each_study_with_its_answer(results):
     assert "[doi:10.3390/s140609471](https://doi.org/10.3390/s140609471)" in rows[4]
 
 
-@pytest.mark.parametrize("change", [{"quick": True}, {"failure": "does not hold"}])
+@pytest.mark.parametrize("change", [{"quick": True}, {"failure": "the kernel died"}, {"passed": 1}])
 def test_a_quick_or_failed_run_is_refused(results, change):
     file = results / "mimic" / "outcome.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    with pytest.raises(ValueError, match=r"Invalid results of mimic\. Must be of a full run"):
-        readme.studies_table(results)
+    with pytest.raises(
+        ValueError, match=r"Invalid results of mimic in .* full run that came to its end"
+    ):
+        readme.studies_table(results, STUDIES)
+
+
+def test_ledger_is_counted_by_source_and_verdict():
+    published = pytest.importorskip("mmqa_lab.published.ledger")
+    ledger = published.collect("no such folder")
+    head, _, *rows, total = readme.ledger_table(ledger).splitlines()
+    assert head == "| source | reproduced | consistent | contradicted | not comparable |"
+    assert len(rows) == 5
+    assert total.startswith("| all | 0 | 0 | 0 | ")
+    figure = readme.ledger_figure(ledger)
+    assert sum(bar.get_width() for bar in figure.axes[0].patches) == int(total.split()[-2])
+    assert overlapping_texts(figure) == []
 
 
 def test_check_tells_another_readme_and_writes_nothing(results):

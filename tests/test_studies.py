@@ -6,16 +6,19 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import nbformat
 import pandas as pd
 import pytest
 
-from mmqa_lab import gallery, headless
-from mmqa_lab.readme import masked
-from mmqa_lab.results import Run
+from mmqa_lab.run import Run, notebooks, pages, parameter_names
+from mmqa_lab.run.readme import masked
+from mmqa_lab.run.results import read_record
+from mmqa_lab.run.students import student_cell
 from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
-from mmqa_lab.teaching import student_cell
+
+TESTS = str(Path(__file__).parent)
 
 
 class Elsewhere(Study):
@@ -39,25 +42,33 @@ def before_the_answers(study, folder):
             cells.append(exercise)
             exercises += 1
         cells.append(cell)
-    notebook.cells = cells
+    watch = f"import sys; sys.path.insert(0, {TESTS!r}); import overlaps"
+    watch += f"; overlaps.watch({str(folder / 'overlaps.json')!r})"
+    notebook.cells = [nbformat.v4.new_code_cell(watch), *cells]
     here = Elsewhere(study.number, study.stem, study.title, study.question, study.source)
     object.__setattr__(here, "folder", folder)
     nbformat.write(notebook, here.path)
     return here, exercises
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(0)
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_notebook_runs_with_small_parameters(study, tmp_path):
     study, exercises = before_the_answers(study, tmp_path)
-    outcome = headless.run_study(study, tmp_path, quick=True)
-    assert outcome.verdict == "ok"
-    folder = tmp_path / study.stem
-    record = json.loads((folder / "run.json").read_text())
-    assert record["claims"] == record["claims_that_hold"] > 0
-    assert record["overlapping_texts"] == {}
+    outcome = notebooks.run_study(study, tmp_path / "results", quick=True)
+    folder = tmp_path / "results" / study.stem
+    assert outcome.failure == ""
+    assert outcome.true, pd.read_csv(folder / "checks.csv").query("not passed").to_string()
+    assert outcome.checks > 0
+    record = read_record(folder)
+    assert record["finished"]
+    assert list(record["parameters"]) == parameter_names(study.path)
+    for name, value in study.module.QUICK.items():  # they were injected, and are what is recorded
+        assert record["parameters"][name] == json.loads(json.dumps(value, default=list))
+    assert json.loads((tmp_path / "overlaps.json").read_text()) == {}
     answer = record["answer"]
     assert f"{answer['figure']}.png" in record["files"]
+    assert record["seen"][answer["figure"]]
     readme = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
     assert f"| {masked(answer['sentence'])} |" in masked(readme)  # written by mmqa readme
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
@@ -65,44 +76,80 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     assert "<img" in page
     assert page.count("Traceback (most recent call last)") == exercises  # checks fail unworked
     assert 'src="http' not in page  # nothing comes from the network
-    gallery.write_index(tmp_path)
-    index = (tmp_path / "index.html").read_text()
+    assert "No description has been provided" not in page
+    pages.write_pages(tmp_path / "results", [study], [outcome])
+    index = (tmp_path / "results" / "index.html").read_text()
     assert study.title in index
     assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
 
 
 @pytest.fixture
 def broken(tmp_path):
-    """Run a notebook of the given cells as a study."""
+    """Run a notebook of the given cells, the first one with the parameters, as a study."""
 
-    def run(*sources, tags=()):
+    def run(*sources, **choices):
         cells = [nbformat.v4.new_code_cell(source) for source in sources]
-        cells[0].metadata["tags"] = list(tags)
+        cells[0].metadata["tags"] = ["parameters"]
         study = Elsewhere(99, "broken", "Broken", "What happens?", "nowhere")
         object.__setattr__(study, "folder", tmp_path)
         nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
-        return headless.run_study(study, tmp_path / "results")
+        return study, notebooks.run_study(study, tmp_path / "results", **choices)
 
     return run
 
 
-def test_a_failing_cell_is_named_and_its_page_kept(broken, tmp_path):
-    outcome = broken("1 + 1", "assert False, 'Does not hold: f is below 2'")
+MADE = """
+import os
+import pandas as pd
+from mmqa_lab.run import Check, Run
+run = Run("broken", parameters=globals())
+run.save_table(pd.DataFrame({"f": [2.0]}), "made", kind="measured")
+"""
+
+
+def test_a_failing_cell_is_named_and_what_it_made_is_shown(broken, tmp_path):
+    study, outcome = broken("seed = 1", MADE, "raise ValueError('f is <missing>')", "2 + 2")
+    folder = tmp_path / "results"
     assert not outcome.ok
-    assert outcome.verdict == "AssertionError: Does not hold: f is below 2"
-    assert headless.read_outcome(tmp_path / "results" / "broken") == outcome
-    assert "f is below 2" in (tmp_path / "results" / "broken" / "broken.html").read_text()
+    assert outcome.verdict == "ValueError: f is <missing>"
+    assert notebooks.read_outcome(folder / "broken") == outcome
+    assert "f is &lt;missing&gt;" in (folder / "broken" / "broken.html").read_text()
+    pages.write_pages(folder, [study, study], [outcome, None])
+    index = (folder / "index.html").read_text()
+    assert "ValueError: f is &lt;missing&gt;" in index
+    assert index.count('href="broken/made.csv"') == 1
+    assert notebooks.finished(study, folder) is None
+
+
+def test_a_check_that_fails_stops_nothing(broken, tmp_path):
+    check = "run.save_checks([Check('f is below 2', False, 'f = 3.257', '')]); run.finish()"
+    study, outcome = broken("seed = 1", MADE, check)
+    assert outcome.ok
+    assert not outcome.true
+    assert outcome.verdict == "0 of 1 checks passed"
+    pages.write_pages(tmp_path / "results", [study], [outcome])
+    assert "Not true of this run: f is below 2" in (tmp_path / "results/index.html").read_text()
+
+
+def test_a_finished_study_is_not_run_again(broken, tmp_path, monkeypatch):
+    study, outcome = broken("seed = 1", MADE)
+    folder = tmp_path / "results"
+    assert notebooks.finished(study, folder) == outcome
+    assert notebooks.finished(study, folder, quick=True) is None
+    monkeypatch.setenv("MMQA_DATA", "elsewhere")
+    assert notebooks.finished(study, folder) is None
+    monkeypatch.undo()
+    study.path.write_text(study.path.read_text().replace("seed = 1", "seed = 2"))
+    assert notebooks.finished(study, folder) is None
 
 
 def test_a_kernel_that_dies_is_reported(broken):
-    assert broken("import os; os._exit(1)").verdict == "the kernel died"
+    assert broken("seed = 1", "import os; os._exit(1)")[1].verdict == "the kernel died"
 
 
-def test_a_cell_that_never_ends_is_stopped(tmp_path):
-    cell = nbformat.v4.new_code_cell("import time; time.sleep(60)")
-    nbformat.write(nbformat.v4.new_notebook(cells=[cell]), tmp_path / "slow.ipynb")
-    _, failure = headless.execute(tmp_path / "slow.ipynb", cell_seconds=1)
-    assert failure == "a cell ran longer than 1 s"
+def test_a_study_stops_at_the_limit_that_was_asked_for(broken):
+    _, outcome = broken("seed = 1", "import time; time.sleep(600)", timeout=5)
+    assert outcome.verdict == "not finished after 5 s"
 
 
 def test_studies_are_chosen_by_stem_or_notebook_name():
@@ -121,7 +168,8 @@ def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_pa
             assert run.poll() is None
             time.sleep(0.02)
         os.killpg(run.pid, signal.SIGKILL)
-    assert headless.read_outcome(study) is None  # it is no finished study
+    assert notebooks.read_outcome(study).verdict == "stopped before its end"
+    assert set(read_record(study)["files"]) <= {path.name for path in study.iterdir()}
     for path in study.glob("[!.]*"):
         if path.suffix == ".csv":
             assert len(pd.read_csv(path)) > 0

@@ -1,4 +1,4 @@
-"""The study of anisotropy: its sweep, comparisons, and claims that can fail."""
+"""The study of anisotropy: its sweep, comparisons, and checks that can fail."""
 
 import numpy as np
 import pytest
@@ -86,8 +86,8 @@ def test_the_road_patch_has_two_heads_and_their_union():
     assert max(sizes[:2]) < sizes[2] < sum(sizes[:2])  # places that both heads hit count once
 
 
-def test_claims_fail_where_f_is_no_longer_what_was_said(dataset):
-    """Claims hold on the sweep, and the ordering fails once f and g are exchanged."""
+def test_checks_fail_where_f_is_no_longer_what_was_said(dataset):
+    """Checks pass on the sweep, and the ordering fails once f and g are exchanged."""
     choices = {"density": 3000, "size": 1, "seed": 1, "ratio": 10, "noise": 5e-4}
     lines = sweeps.turns({"noise 0.5 mm": point_pattern("scan_lines", **choices)}, step=45)
     real = sweeps.turns(
@@ -95,12 +95,12 @@ def test_claims_fail_where_f_is_no_longer_what_was_said(dataset):
     )
     forms = sweeps.closed_forms(ratios=(8,), repeats=5)
     ranks = sweeps.rank_correlations(dataset, draws=20)
-    assert all(claim.holds for claim in anisotropy.claims(dataset, ranks, forms, lines, real))
+    assert all(check.passed for check in anisotropy.checks(dataset, ranks, forms, lines, real))
     swapped = dataset.assign(f=dataset["g"], g=dataset["f"])
     worse = sweeps.rank_correlations(swapped, draws=20)
-    broken = [c for c in anisotropy.claims(swapped, worse, forms, lines, real) if not c.holds]
-    assert any("orders the patterns" in claim.sentence for claim in broken)
-    assert any("axes" in claim.sentence for claim in broken)
+    broken = [c for c in anisotropy.checks(swapped, worse, forms, lines, real) if not c.passed]
+    assert any("orders the patterns" in check.statement for check in broken)
+    assert any("axes" in check.statement for check in broken)
 
 
 def test_drawings_take_and_return_axes(dataset, ax):

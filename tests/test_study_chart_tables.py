@@ -1,4 +1,4 @@
-"""The chart study's images: predictions, fits, comparisons of Table 1, and claims that can fail."""
+"""The chart study's images: predictions, fits, comparisons of Table 1, and checks that can fail."""
 
 import numpy as np
 import pandas as pd
@@ -315,15 +315,15 @@ def test_kappa_of_a_jury_with_one_mark_changed():
     assert chart_image.agreement(votes).attrs["fleiss_kappa"] == pytest.approx(expected)
 
 
-# claims
+# checks
 
 
-def test_claims_hold_on_these_tables(whole):
-    broken = [claim.sentence for claim in images.claims(*whole) if not claim.holds]
+def test_checks_hold_on_these_tables(whole):
+    broken = [check.statement for check in images.checks(*whole) if not check.passed]
     assert not broken
 
 
-def test_each_claim_can_fail(whole):
+def test_each_check_can_fail(whole):
     table, trials, fits, _, verdicts = whole
     sizes = table["quantity"] == "pixel_mm"
     changes = {
@@ -342,5 +342,5 @@ def test_each_claim_can_fail(whole):
     }
     for words, change in changes.items():
         parts = [change.get(k, part) for k, part in enumerate(whole)]
-        claim = next(one for one in images.claims(*parts) if words in one.sentence)
-        assert not claim.holds, words
+        check = next(one for one in images.checks(*parts) if words in one.statement)
+        assert not check.passed, words

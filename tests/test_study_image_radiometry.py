@@ -1,4 +1,4 @@
-"""The image-radiometry study: what it feeds its claims with, and that they can fail."""
+"""The image-radiometry study: what it feeds its checks with, and that they can fail."""
 
 import numpy as np
 import pandas as pd
@@ -58,7 +58,7 @@ def test_wedge_saturates_only_where_it_should():
     assert reflectance.calibrate(setting=(0.01, 4.0), seed=1).saturated > 0
 
 
-def test_claims_can_fail():
+def test_checks_can_fail():
     edges = pd.DataFrame(
         {
             "method": ["sigmoid: Gaussian", "sigmoid: logistic"],
@@ -67,9 +67,9 @@ def test_claims_can_fail():
         }
     )
     stars = pd.DataFrame({"largest_error": [0.1]})
-    assert not any(claim.holds for claim in study._resolution(edges, stars))
+    assert not any(check.passed for check in study._resolution(edges, stars))
     sensor = pd.DataFrame({"gain_z": [3.0] * 50, "offset_z": [0.0] * 50})
-    assert not study._sensor(sensor)[0].holds
+    assert not study._sensor(sensor)[0].passed
 
 
 def test_real_edges_and_photographs(real):

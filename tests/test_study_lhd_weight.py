@@ -1,4 +1,4 @@
-"""The study's sweeps, held-out table and claims, on few scenes."""
+"""The study's sweeps, held-out table and checks, on few scenes."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -185,12 +185,12 @@ def test_drawings_take_and_return_their_axes(one, swept):
         plt.close(figure)
 
 
-def test_claims_fail_when_the_numbers_do_not_bear_them_out(reached):
+def test_checks_fail_when_the_numbers_do_not_bear_them_out(reached):
     targets = heldout.targets(reached)
     spoiled = targets.assign(displaced=0.1, reached=False, missed=True, n=study.FEWEST_SCENES)
-    found = study._claims_on_targets(spoiled)
-    assert not any(claim.holds for claim in found)
+    found = study._checks_on_targets(spoiled)
+    assert not any(check.passed for check in found)
     assert len(found) == 1 + len(targets)
-    assert [claim.holds for claim in study._claims_on_tables(poreba2013.check())] == [True, True]
+    assert [check.passed for check in study._checks_on_tables(poreba2013.check())] == [True, True]
     spoiled = poreba2013.check().assign(agrees=True)
-    assert not study._claims_on_tables(spoiled)[0].holds
+    assert not study._checks_on_tables(spoiled)[0].passed

@@ -137,14 +137,14 @@ def test_drawings_have_labels_with_units(ax):
     assert "(%)" in ax.get_ylabel()
 
 
-def test_claims_fail_where_the_numbers_do():
+def test_checks_fail_where_the_numbers_do():
     table = validation.table_3(range_m=8.0)
     compared = validation.random_set_ups(n=200, seed=1)
     best = validation.best_reading(validation.table_4_readings(pivots_m=(-0.1,)))
     printed = validation.printed_equation_10(n=500, seed=1)
-    right = mimic._claims_on_validation(table, compared, best, printed, 0.0796)
-    assert all(claim.holds for claim in right)
+    right = mimic._checks_on_validation(table, compared, best, printed, 0.0796)
+    assert all(check.passed for check in right)
     wrong = table.assign(agrees=[True, True, False, True, True])
     off = compared.assign(largest_difference_m=1e-6)
-    broken = mimic._claims_on_validation(wrong, off, best, 0 * printed, 0.2)
-    assert [claim.holds for claim in broken] == [False, False, False, False, True, True]
+    broken = mimic._checks_on_validation(wrong, off, best, 0 * printed, 0.2)
+    assert [check.passed for check in broken] == [False, False, False, False, True, True]

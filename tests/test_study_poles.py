@@ -66,8 +66,8 @@ def test_rates_are_those_of_the_scores(surveyed):
     assert f1 == pytest.approx(score.f1)
 
 
-def test_claims_hold(surveyed):
-    assert all(claim.holds for claim in study.claims(surveyed[1]))
+def test_checks_hold(surveyed):
+    assert all(check.passed for check in study.checks(surveyed[1]))
 
 
 def test_published_and_measured_stand_side_by_side(surveyed):
@@ -208,11 +208,11 @@ def test_verdicts_on_what_was_to_be_reached(surveyed):
     )
     assert (known["verdict"] == np.where(good, "reached", "missed")).all()
     assert (table.loc[table["value"].isna(), "verdict"] == "not measured").all()
-    assert all(claim.holds for claim in reach.claims(table))
+    assert all(check.passed for check in reach.checks(table))
     worse = table.assign(value=table["aim"] - 0.2, n=100, unit="1", verdict="missed")
-    (claim,) = reach.claims(worse)
-    assert not claim.holds
-    assert claim.obtained.startswith(f"missed {len(table)} of {len(table)}")
+    (check,) = reach.checks(worse)
+    assert not check.passed
+    assert check.obtained.startswith(f"missed {len(table)} of {len(table)}")
     one = table[(table["setting"] == "chosen street, 30 m") & (table["quantity"] == "recall")]
     assert one["value"].item() == made[0].score("ours", corridor=30.0).recall.value
 

@@ -1,4 +1,4 @@
-"""The study of selections: its surfaces, groups, laws, and claims that can fail."""
+"""The study of selections: its surfaces, groups, laws, and checks that can fail."""
 
 import numpy as np
 import pandas as pd
@@ -96,12 +96,12 @@ def test_strays_and_roundings_of_a_known_surface(charts):
     assert d1[0] == pytest.approx(12.55, abs=0.05)
 
 
-def test_the_claim_on_strays_fails_where_sigma_mad_follows_std(charts):
+def test_the_check_on_strays_fails_where_sigma_mad_follows_std(charts):
     strays = selections.stray_sweep(charts[1], shares=(0, 0.1), depths=(0.1, 0.5), seeds=(1,))
     laws = pd.DataFrame({"figure": ["std_mm", "sigma_mad_mm"], "relative_s_r": [1.0, 1.9]})
-    assert all(claim.holds for claim in study._claims_on_dispersion(strays, laws))
+    assert all(check.passed for check in study._checks_on_dispersion(strays, laws))
     worse = strays.assign(sigma_mad_mm=strays["std_mm"])
-    assert not study._claims_on_dispersion(worse, laws)[0].holds
+    assert not study._checks_on_dispersion(worse, laws)[0].passed
 
 
 def test_explorer_draws_one_selection(charts):

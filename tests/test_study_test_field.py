@@ -52,10 +52,10 @@ def test_a_wrong_mounting_has_no_prediction(street):
     assert np.isnan(surveys.predicted_std(street, off, reference, draws=3, seed=1)).all()
 
 
-def test_claims_can_fail():
+def test_checks_can_fail():
     repeated = pd.DataFrame({"measured_mm": [9.0] * 30, "predicted_mm": [3.0, 3.1, 2.9] * 10})
     rows = [("profiler", "removed", 9.0, 3.0, 2.0, 4.0), ("other", "removed", 9.0, 3.0, 2.0, 4.0)]
     names = ["system", "shift", "std_mm", "predicted_std_mm"]
     heights = pd.DataFrame(rows, columns=[*names, "predicted_low_mm", "predicted_high_mm"])
     found = study._against_prediction(heights, repeated)
-    assert not any(claim.holds for claim in found)
+    assert not any(check.passed for check in found)

@@ -1,7 +1,8 @@
-"""Write copies of the notebooks for a class: without the answers, with their checks.
+"""Write copies of the notebooks for a class: without the answers, with their assertions.
 
 Each exercise keeps the assertions of its answer; they fail until the work is done. The teacher's
-lesson plan stays in the original notebook. A folder that holds such notebooks already is refused.
+lesson plan and stored outputs stay in the original notebook. A folder that already contains such
+notebooks is refused.
 """
 
 from pathlib import Path
@@ -23,8 +24,8 @@ def add_arguments(parser):
 
 def run(options):
     """Write the copies and name them."""
+    from mmqa_lab.run.students import write_student_notebooks
     from mmqa_lab.studies.catalogue import chosen
-    from mmqa_lab.teaching import write_student_notebooks
 
     for path in write_student_notebooks(chosen(options.name), options.out):
         print(path)

@@ -1,1 +1,260 @@
-"""The published tables, one module per paper, each with its source and page."""
+"""What the five sources print: tables and numbers as data, each with its section and DOI.
+
+The package's studies set their own figures beside these. The data stand in CSV files under
+``data/<source>/``; the conventions are:
+
+- ``printed`` is the string in print where it says more than the number (a dash, a range, ``n/a``, a
+  unit). ``value`` is the number, and NaN where there is none; ``text`` is a result in words.
+- ``status`` says what an empty number means: ``printed``; ``not_resolved`` (a printed dash: coarser
+  than the chart, or not measurable); ``not_evaluated`` (an empty cell); ``not_applicable``
+  (``n/a``); ``not_available`` (``N/A``); ``not_printed`` (the text announces a number and gives
+  none).
+- ``relation`` is ``=``, ``<``, ``<=``, ``>``, ``>=``, ``about``, ``within`` (plus or minus),
+  ``up to``, or ``range`` (columns ``low`` and ``high``).
+- ``role`` parts a ``result`` from the ``set-up`` of the experiment, a ``threshold``, and numbers
+  that the source quotes from the ``literature``.
+- Units stand in the names of columns, or in the column ``unit``.
+- What is calculated from printed numbers stands in the tables ``derived`` only.
+
+:mod:`mmqa_lab.published.ledger` compares every printed result with what the studies find.
+
+Examples
+--------
+>>> table("pfeifer2021", "table_2").query("system == 'C'")["sigma_mad_mm"].tolist()
+[14.0, 23.0]
+>>> number("eurosdr2013_mls", "visible_share")["value"]
+74.3
+"""
+
+from functools import cache
+from importlib import resources
+
+import pandas as pd
+
+DATA = resources.files("mmqa_lab.published") / "data"
+
+
+def contents():
+    """Return the table of contents.
+
+    Returns
+    -------
+    DataFrame
+        A row for each table: ``source``, ``table``, ``title``, ``section``, ``pages``, ``kind``
+        (published or derived), ``rows``, ``doi`` (or the HAL identifier; empty where there is
+        neither).
+
+    Examples
+    --------
+    >>> contents().query("source == 'poreba2013'")["table"].tolist()
+    ['table_1', 'table_2', 'equations', 'numbers', 'derived']
+    """
+    tables, sources = strings("contents"), strings("sources").set_index("source")
+    files = tables["source"] + "/" + tables["table"]
+    tables["rows"] = [len(strings(file)) for file in files]
+    identifiers = sources["doi"].where(sources["doi"] != "", sources["hal"])
+    tables["doi"] = tables["source"].map(identifiers)
+    return tables
+
+
+def columns():
+    """Return what the columns mean that are not plain text.
+
+    Returns
+    -------
+    DataFrame
+        ``column``, ``type`` (float, int, bool), ``unit``, ``label`` (the name without its unit),
+        ``meaning``.
+
+    Examples
+    --------
+    >>> columns().set_index("column").loc["olhd_m", "meaning"]
+    'oriented line Hausdorff distance'
+    """
+    return strings("columns")
+
+
+def table(source, name):
+    """Return one table of a source.
+
+    Parameters
+    ----------
+    source : str
+        ``pfeifer2021``, ``poreba2013``, ``cahalane2014``, ``eurosdr2013_mls`` or
+        ``eurosdr2013_radiometry``.
+    name : str
+        As in :func:`contents`.
+
+    Returns
+    -------
+    DataFrame
+        A new frame. Text is a string (empty where nothing is printed), numbers are float (NaN
+        where there is none) or int, yes/no columns are bool. Units as :func:`columns` says.
+
+    Raises
+    ------
+    ValueError
+        If the source or the table is unknown.
+
+    Examples
+    --------
+    >>> table("eurosdr2013_mls", "table_3_3")["std_cm"].head(4).tolist()
+    [3.9, 3.9, 2.0, 2.0]
+    >>> table("pfeifer2021", "table_3")
+    Traceback (most recent call last):
+    ValueError: Invalid table 'table_3' of pfeifer2021. Must be one of table_1, table_2, criteria,
+    systems, numbers, derived.
+    """
+    frame = raw(source, name)
+    types = columns().set_index("column")["type"]
+    for column in frame.columns.intersection(types.index):
+        frame[column] = _typed(frame[column], types[column])
+    return frame
+
+
+def raw(source, name):
+    """Return one table of a source with every cell as the string that the file contains.
+
+    Trailing zeros are kept, so that the digits in print can be counted.
+
+    Parameters
+    ----------
+    source, name : str
+        As in :func:`table`.
+
+    Returns
+    -------
+    DataFrame of str
+        Empty strings where nothing is printed.
+
+    Raises
+    ------
+    ValueError
+        If the source or the table is unknown.
+
+    Examples
+    --------
+    >>> raw("poreba2013", "table_1")["detection_rate_percent"].iloc[0]
+    '99.90'
+    """
+    _check(source, strings("sources")["source"].tolist(), "source")
+    known = strings("contents").query("source == @source")["table"].tolist()
+    _check(name, known, "table", of=f" of {source}")
+    return strings(f"{source}/{name}")
+
+
+def number(source, key):
+    """Return one number that stands in the text of a source.
+
+    Parameters
+    ----------
+    source : str
+        As in :func:`table`.
+    key : str
+        The ``id`` of a row in one of the source's tables (``numbers``, ``statements``, ...).
+
+    Returns
+    -------
+    dict
+        The row: ``quantity``, ``relation``, ``value`` (or ``low`` and ``high``), ``unit``,
+        ``section`` and whatever else its table has, with ``table``.
+
+    Raises
+    ------
+    ValueError
+        If the source or the number is unknown.
+
+    Examples
+    --------
+    >>> precision = number("poreba2013", "precision_text")
+    >>> precision["relation"], precision["value"], precision["unit"]
+    ('about', 0.3, 'm')
+    """
+    _check(source, strings("sources")["source"].tolist(), "source")
+    rows = {row["id"]: row for row in _numbers(source) if row["id"]}
+    _check(key, list(rows), "number", of=f" of {source}")
+    return rows[key]
+
+
+def citation(source):
+    """Return authors, year, title, place and identifier of a source in one line.
+
+    Parameters
+    ----------
+    source : str
+        As in :func:`table`.
+
+    Returns
+    -------
+    str
+        With the DOI or the HAL identifier where there is one.
+
+    Raises
+    ------
+    ValueError
+        If the source is unknown.
+
+    Examples
+    --------
+    >>> citation("poreba2013")
+    'Poreba, M.; Goulette, F. (2013): Line segment-based approach for accuracy assessment of MLS
+    point clouds in urban areas. 8th International Symposium on Mobile Mapping Technology, Tainan,
+    hal-00846334'
+    """
+    sources = strings("sources").set_index("source")
+    _check(source, sources.index.tolist(), "source")
+    row = sources.loc[source]
+    identifier = f", doi:{row['doi']}" if row["doi"] else f", {row['hal']}" if row["hal"] else ""
+    start = f"{row['authors']} ({row['year']}): {row['title']}."
+    return f"{start} {row['published_in']}{identifier}"
+
+
+def strings(path):
+    """Return a CSV file of the data folder with every cell as a string.
+
+    Parameters
+    ----------
+    path : str
+        Below ``data``, without ending, such as ``sources`` or ``poreba2013/table_1``.
+
+    Returns
+    -------
+    DataFrame of str
+        A new frame; empty strings where the file has nothing.
+
+    Examples
+    --------
+    >>> strings("sources")["year"].tolist()
+    ['2021', '2013', '2014', '2013', '2013']
+    """
+    return _strings(path).copy()
+
+
+@cache
+def _strings(path):
+    """Read a CSV file once."""
+    with (DATA / f"{path}.csv").open(encoding="utf-8") as file:
+        return pd.read_csv(file, dtype=str, keep_default_na=False)
+
+
+def _typed(cells, kind):
+    """Turn strings into the type that the list of columns gives."""
+    if kind == "bool":
+        return cells.isin(["yes", "1"])
+    numbers = pd.to_numeric(cells).astype(float)
+    whole = kind == "int" and numbers.notna().all()
+    return numbers.astype(int) if whole else numbers
+
+
+def _numbers(source):
+    """All rows of a source that have an id, as dicts."""
+    for name in strings("contents").query("source == @source and kind == 'published'")["table"]:
+        frame = table(source, name)
+        if "id" in frame:
+            yield from frame.assign(table=name).to_dict("records")
+
+
+def _check(word, known, what, of=""):
+    """Refuse a word that is not known."""
+    if word not in known:
+        raise ValueError(f"Invalid {what} {word!r}{of}. Must be one of {', '.join(known)}.")

@@ -29,12 +29,12 @@ from pathlib import Path
 os.environ |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 import numpy as np
+from mmqa_lab.readme import replaced
 
 from mmqa_lab.chart_cloud import evaluate_cloud, hull_area
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE
-from mmqa_lab.readme import replaced
 from mmqa_lab.spacing.quadrants import quadrant_distances
 
 CHART_POINTS = 30_000

@@ -13,8 +13,8 @@ import urllib.request
 import nbformat
 import pytest
 
-from mmqa_lab.headless import _insert_quick
-from mmqa_lab.studies.catalogue import notebooks_folder
+from mmqa_lab.run.notebooks import inject
+from mmqa_lab.studies.catalogue import chosen, notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -97,7 +97,7 @@ def lab(lab_folder):
     folder, copies = lab_folder.parent, lab_folder
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
-        _insert_quick(notebook, name.lstrip("0123456789_"))
+        inject(notebook, chosen([name])[0].module.QUICK)
         nbformat.write(notebook, copies / f"{name}.ipynb")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -9,7 +9,7 @@ from mmqa_lab.studies.chart_tables import images, points, systems
 QUICK = {**systems.QUICK, **images.QUICK}
 
 
-def claims(measured, check, simulated, imaged):
+def checks(measured, check, simulated, imaged):
     """Test what the notebook says.
 
     Parameters
@@ -17,7 +17,8 @@ def claims(measured, check, simulated, imaged):
     measured, check : DataFrame
         Of ``points.compute`` and of the published table's check.
     simulated, imaged : tuple
-        The arguments of ``systems.claims`` and of ``images.claims``.
+        The arguments of ``systems.checks`` and of ``images.checks``.
     """
-    clouds = points.claims(measured, check)
-    return [*clouds, *systems.claims(*simulated), *images.claims(*imaged)]
+    yield from points.checks(measured, check)
+    yield from systems.checks(*simulated)
+    yield from images.checks(*imaged)

@@ -8,7 +8,7 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import PAPER_SCALE
 from mmqa_lab.plots import COLOURS, draw_points, subplots
 from mmqa_lab.published import pfeifer2021
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.spacing.quadrants import poisson_spacing
 
 HEAD_GAP_S = 0.01
@@ -165,33 +165,33 @@ def figure_of_axes(cloud):
     return draw
 
 
-def claims(table, check):
+def checks(table, check):
     """Test what the notebook says of the published table and of the road patch."""
     by_cloud = table.set_index("cloud")
     patch = by_cloud.loc[["head A", "head B", "both heads"], "f"]
     regular = check.query("system == 'A' and distance_m == 5").iloc[0]
     known = check.dropna(subset=["f"])
-    return [
-        Claim(
+    yield from [
+        Check(
             "Every published f is d4/d1 within the rounding of the spacings.",
             bool(known["f_consistent"].all()),
             f"{int(known['f_consistent'].sum())} of {len(known)} rows",
             "half a unit of the last printed digit",
         ),
-        Claim(
+        Check(
             "At 5 m, system A's density is below every density its printed spacings allow on a "
             "lattice.",
             bool(regular["density_per_m2"] < regular["lattice_low_per_m2"]),
             f"{regular['density_per_m2']:.0f} < {regular['lattice_low_per_m2']:.0f} points/m²",
             "half a millimetre of d1 and d4",
         ),
-        Claim(
+        Check(
             "Two scan heads together are more even than either of them.",
             bool(patch["both heads"] < patch[["head A", "head B"]].min()),
             ", ".join(f"{name} {f:.1f}" for name, f in patch.items()),
             "an order, no tolerance",
         ),
-        Claim(
+        Check(
             "Coordinates rounded to 1 cm leave d1 of head A at one rounding step.",
             bool(abs(by_cloud.loc["head A", "d1_mm"] - 10) < 0.1),
             f"d1 = {by_cloud.loc['head A', 'd1_mm']:.2f} mm",

@@ -7,7 +7,7 @@ images even; ``drawings`` draws.
 
 import numpy as np
 
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 
 QUICK = {
     "edges": 3,
@@ -25,7 +25,7 @@ STAR_LIMIT = 0.02
 CLEAN_LIMIT_PERCENT, HAZY_LIMIT_PERCENT = 1.0, 5.0
 
 
-def claims(edges, stars, sensor, reflectance, block):
+def checks(edges, stars, sensor, reflectance, block):
     """Test what the notebook says.
 
     Parameters
@@ -39,12 +39,10 @@ def claims(edges, stars, sensor, reflectance, block):
     block : DataFrame
         From ``blocks.summary``.
     """
-    return [
-        *_resolution(edges, stars),
-        *_sensor(sensor),
-        *_reflectance(reflectance),
-        *_block(block),
-    ]
+    yield from _resolution(edges, stars)
+    yield from _sensor(sensor)
+    yield from _reflectance(reflectance)
+    yield from _block(block)
 
 
 def _resolution(edges, stars):
@@ -56,19 +54,19 @@ def _resolution(edges, stars):
     logistic = edges[edges["method"] == "sigmoid: logistic"]["fwhm_error_percent"].median()
     star = stars["largest_error"].max()
     return [
-        Claim(
+        Check(
             "At 1 % noise, FWHM and MTF50 of edges are right within 1 %.",
             bool(max(worst.values()) < EDGE_LIMIT_PERCENT),
             f"95 % of edges within {worst['fwhm']:.2f} % and {worst['mtf50']:.2f} %",
             "the limit asked for, 95 % of edges",
         ),
-        Claim(
+        Check(
             "A logistic sigmoid reads the FWHM of a Gaussian blur more than 10 % too small.",
             bool(logistic < -10),
             f"median {logistic:.1f} %",
             "without noise it is 12 to 16 %",
         ),
-        Claim(
+        Check(
             "The contrast of Siemens stars is right within 0.02 up to 0.9 of Nyquist's frequency.",
             bool(star < STAR_LIMIT),
             f"largest error {star:.4f}",
@@ -83,7 +81,7 @@ def _sensor(sensor):
     # a share of 95 % from n seeds scatters by this
     slack = 3 * np.sqrt(0.95 * 0.05 / len(sensor))
     return [
-        Claim(
+        Check(
             "Gain and offset lie within two standard errors in 95 % of the seeds.",
             bool(min(shares) > 0.95 - slack),
             f"gain {100 * shares[0]:.1f} %, offset {100 * shares[1]:.1f} % of {len(sensor)}",
@@ -98,13 +96,13 @@ def _reflectance(table):
     worst = rows.groupby("atmosphere")["rmse_percent"].max()
     ignored = table[(table["anisotropy"] == "ignored") & (table["atmosphere"] == "clean")]
     return [
-        Claim(
+        Check(
             "The empirical line recovers reflectance within 1 % in clean air, 5 % in haze.",
             bool(worst["clean"] < CLEAN_LIMIT_PERCENT and worst["hazy"] < HAZY_LIMIT_PERCENT),
             f"worst class {worst['clean']:.2f} % clean, {worst['hazy']:.2f} % hazy",
             "RMSE of every band and class; 5 % is the report's",
         ),
-        Claim(
+        Check(
             "Reference targets that are not Lambertian spoil it unless that is allowed for.",
             bool(ignored["rmse_percent"].min() > 2 * worst["clean"]),
             f"at least {ignored['rmse_percent'].min():.1f} % where ignored",
@@ -119,13 +117,13 @@ def _block(table):
     before, after = rows.loc["absolute", ["cv_before_percent", "cv_after_percent"]]
     error = rows.loc["absolute", "rmse_percent"]
     return [
-        Claim(
+        Check(
             "The adjustment takes nine tenths of the differences between images away.",
             bool(after < 0.1 * before),
             f"variation at ties {before:.2f} % before, {after:.2f} % after",
             "a tenth; what is left is noise of 5 x 5 pixels",
         ),
-        Claim(
+        Check(
             "With ten control targets the block's reflectances are right within 1 %.",
             bool(error < 1),
             f"RMSE {error:.2f} % of all tie points",

@@ -5,7 +5,7 @@ paper's tables, ``clouds`` goes from simulated clouds to the distance, ``real`` 
 ``drawings`` draws.
 """
 
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 
 QUICK = {
     "weights": (0, 1, 10, 100),
@@ -24,7 +24,7 @@ FEWEST_SCENES = 100
 """Targets are put to the test from this number of held-out scenes on."""
 
 
-def claims(*, check, sweep, settings, displaced, angles, pairing, targets, boards, sweeps):
+def checks(*, check, sweep, settings, displaced, angles, pairing, targets, boards, sweeps):
     """Test what the notebook says.
 
     Parameters
@@ -40,32 +40,30 @@ def claims(*, check, sweep, settings, displaced, angles, pairing, targets, board
     boards, sweeps : DataFrame or None
         Of ``real.board_sizes`` and ``real.sweep_pair``; None where the data are not at hand.
 
-    Returns
-    -------
-    list of Claim
+    Yields
+    ------
+    Check
     """
-    return [
-        *_claims_on_tables(check),
-        *_claims_on_weight(sweep, settings, angles),
-        *_claims_on_distance(displaced, pairing),
-        *_claims_on_targets(targets),
-        *_claims_on_real(boards, sweeps),
-    ]
+    yield from _checks_on_tables(check)
+    yield from _checks_on_weight(sweep, settings, angles)
+    yield from _checks_on_distance(displaced, pairing)
+    yield from _checks_on_targets(targets)
+    yield from _checks_on_real(boards, sweeps)
 
 
-def _claims_on_tables(check):
+def _checks_on_tables(check):
     wrong = check[~check["agrees"]]
     named = (wrong["comparison"] + " " + wrong["direction"]).tolist()
     gain = (check["detection_rate_percent"] - check["null_rate_percent"]).mean()
     return [
-        Claim(
+        Check(
             "13 of the 14 published detection rates follow from the printed counts; C3-TLS from "
             "model to test does not.",
             len(check) == 14 and named == ["C3-TLS model-test"],
             f"{int(check['agrees'].sum())} of {len(check)}; not: {', '.join(named)}",
             "half a unit of the last printed digit",
         ),
-        Claim(
+        Check(
             "Pairing nothing at all would score within 1.2 points of the published rates.",
             0 < gain < 1.2,
             f"{gain:.2f} points",
@@ -74,7 +72,7 @@ def _claims_on_tables(check):
     ]
 
 
-def _claims_on_weight(sweep, settings, angles):
+def _checks_on_weight(sweep, settings, angles):
     f1 = sweep["f1"].mean(["seed", "kind"]).squeeze(drop=True)
     rate = 100 * sweep["detection_rate"].mean(["seed", "kind"]).squeeze(drop=True)
     behind = float(f1.max() - f1.sel(weight=10))
@@ -87,25 +85,25 @@ def _claims_on_weight(sweep, settings, angles):
     quiet, loud = angles.iloc[0], angles.iloc[-1]
     drop = loud["f1_best"] - loud["f1_at_10"]
     return [
-        Claim(
+        Check(
             "W = 10 lies on the plateau: its F1 is within 0.03 of the best W.",
             behind <= 0.03,
             f"{behind:.3f} behind; W = 100 is {lost:.3f} behind",
             "three standard errors of a mean over 30 scenes",
         ),
-        Claim(
+        Check(
             "The detection rate moves by less than half a point from W = 0 to 100.",
             moved < 0.5,
             f"{moved:.2f} points, while F1 moves by {float(f1.max() - f1.min()):.3f}",
             "nearly all cells are true negatives",
         ),
-        Claim(
+        Check(
             "The sensitivity of the peak decides more than W.",
             spans[0] > spans[1],
             f"F1 spans {spans[0]:.3f} over the sensitivity, {spans[1]:.3f} over W",
             "the sweep covers factors of 20 or more of either",
         ),
-        Claim(
+        Check(
             "With noisy directions W = 10 is too much.",
             drop > quiet["f1_best"] - quiet["f1_at_10"] and drop > 0.03,
             f"at {loud['angle_noise_deg']:g} degrees W = 10 is {drop:.3f} behind the best",
@@ -114,7 +112,7 @@ def _claims_on_weight(sweep, settings, angles):
     ]
 
 
-def _claims_on_distance(displaced, pairing):
+def _checks_on_distance(displaced, pairing):
     far = displaced.sel(kind="absolute", displacement=3.0).squeeze(drop=True)
     bias = (far["lhd_m"] - far["true_m"]).mean("seed").sel(matcher="all").item()
     across = (far["perpendicular_m"] - far["true_perpendicular_m"]).mean("seed")
@@ -124,19 +122,19 @@ def _claims_on_distance(displaced, pairing):
     fewer = 1 - split.loc["hungarian", "fp"] / split.loc["all", "fp"]
     gain = whole.loc["hungarian", "f1"] - split.loc["hungarian", "f1"]
     return [
-        Claim(
+        Check(
             "Displaced by 3 m, the published method reads at least 0.2 m too little.",
             bias < -0.2,
             f"{bias:+.2f} m",
             "false neighbours within 3 m replace the true partners",
         ),
-        Claim(
+        Check(
             "The displaced matcher's perpendicular distance is right to 3 cm at 3 m.",
             abs(across) < 0.03,
             f"{across:+.3f} m",
             "the target of 1 cm needs more scenes than a small run has",
         ),
-        Claim(
+        Check(
             "One-to-one pairing removes a third of the false pairs at least; splitting and cutting "
             "of edges costs it more than 0.03 of F1.",
             fewer > 1 / 3 and gain > 0.03,
@@ -146,12 +144,12 @@ def _claims_on_distance(displaced, pairing):
     ]
 
 
-def _claims_on_targets(targets):
+def _checks_on_targets(targets):
     rows = targets.set_index("quantity")
     better = rows.loc[["F1, absolute", "F1, repeatability"]]
     gains = better["displaced"] - better["literal"]
     found = [
-        Claim(
+        Check(
             "On held-out scenes the displaced matcher beats the published method.",
             bool((gains > 0).all()),
             f"F1 {gains.iloc[0]:+.3f} absolute, {gains.iloc[1]:+.3f} repeatability",
@@ -161,7 +159,7 @@ def _claims_on_targets(targets):
     for quantity, row in rows.iterrows():
         if row["n"] >= FEWEST_SCENES:
             found.append(
-                Claim(
+                Check(
                     f"Held-out target not missed beyond chance: {quantity} {row['target']}.",
                     not row["missed"],
                     f"{row['displaced']:.3f} ({row['low']:.3f} to {row['high']:.3f})"
@@ -172,12 +170,12 @@ def _claims_on_targets(targets):
     return found
 
 
-def _claims_on_real(boards, sweeps):
+def _checks_on_real(boards, sweeps):
     found = []
     if boards is not None:
         errors = boards[["long_error_mm", "short_error_mm"]].median()
         found.append(
-            Claim(
+            Check(
                 "Board outlines are right to 2 cm.",
                 bool((errors.abs() < 20).all()),
                 f"median {errors.iloc[0]:+.1f} and {errors.iloc[1]:+.1f} mm",
@@ -188,7 +186,7 @@ def _claims_on_real(boards, sweeps):
         row = sweeps.query("frame == 'pose applied' and matcher == 'displaced'").iloc[0]
         left = (row["east_m"] ** 2 + row["north_m"] ** 2 + row["up_m"] ** 2) ** 0.5
         found.append(
-            Claim(
+            Check(
                 "The known pose leaves two real sweeps displaced by less than 6 cm.",
                 left < 0.06,
                 f"{100 * left:.1f} cm with a standard deviation of {100 * row['sigma_m']:.1f} cm",

@@ -9,7 +9,7 @@ import pandas as pd
 
 from mmqa_lab.poles import METHODS
 from mmqa_lab.published import eurosdr2013
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.studies.poles import surveys
 
 QUICK = {
@@ -98,27 +98,27 @@ def beside_published(rates):
     return pd.DataFrame(rows)
 
 
-def claims(rates):
+def checks(rates):
     """Test what the notebook says."""
     f1 = rates[rates["quantity"] == "f1"].set_index(["method", "corridor_m"])["value"]
     recall = rates[(rates["quantity"] == "recall") & (rates["corridor_m"] == 30.0)]
     by_class = recall[recall["method"] == "fgi"].set_index("class")["value"]
     precision = rates[(rates["quantity"] == "precision") & (rates["method"] == "fgi")]
     precision = precision.set_index("corridor_m")["value"]
-    return [
-        Claim(
+    yield from [
+        Check(
             "The learned method beats both published ones at 30 m.",
             bool(f1["ours", 30.0] > max(f1["fgi", 30.0], f1["itc", 30.0])),
             ", ".join(f"{m} F1 {f1[m, 30.0]:.3f}" for m in METHODS),
             "an order, no tolerance",
         ),
-        Claim(
+        Check(
             "The scan-line method finds a smaller share of trees than of lamp posts.",
             bool(by_class["tree"] < by_class["lamp"]),
             f"trees {by_class['tree']:.2f}, lamp posts {by_class['lamp']:.2f}",
             "published .59 and .96; an order, no tolerance",
         ),
-        Claim(
+        Check(
             "Most false alarms of the scan-line method lie beyond 12.5 m: precision falls with "
             "the corridor.",
             bool(precision[12.5] >= precision[30.0]),

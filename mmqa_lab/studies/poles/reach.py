@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import stats
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.studies.poles import surveys as tables
 
 POSTS = ("sign", "lamp", "other")
@@ -73,7 +73,7 @@ def table(*, plain, balconies, dense, real=None):
     return frame
 
 
-def claims(reached):
+def checks(reached):
     """Test that no aim is missed by much, and name those that are missed."""
     rates = reached[(reached["unit"] == "1") & (reached["n"] >= ENOUGH)]
     missed = reached[reached["verdict"] == "missed"]
@@ -81,8 +81,8 @@ def claims(reached):
         f"{row.setting}, {row.quantity} {row.value:.3f} for {row.aim:g}"
         for row in missed.itertuples()
     ]
-    return [
-        Claim(
+    yield from [
+        Check(
             f"No rate of the learned method lies more than {SLACK:.2f} below its aim.",
             bool((rates["value"] >= rates["aim"] - SLACK).all()),
             "; ".join([f"missed {len(named)} of {len(reached)}", *named]),

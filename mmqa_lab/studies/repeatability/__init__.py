@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.studies.repeatability.selections import LEVEL
 
 QUICK = {
@@ -19,19 +19,17 @@ QUICK = {
 }
 
 
-def claims(*, limits, answers, rounded, exponents, laws, strays, components):
+def checks(*, limits, answers, rounded, exponents, laws, strays, components):
     """Test what the notebook says; the arguments are tables of ``selections``."""
-    return [
-        *_claims_on_the_remark(answers),
-        _claim_on_axes(limits),
-        _claim_on_rounding(rounded),
-        *_claims_on_the_law(exponents, laws),
-        *_claims_on_dispersion(strays, laws),
-        _claim_on_components(components),
-    ]
+    yield from _checks_on_the_remark(answers)
+    yield _check_on_axes(limits)
+    yield _check_on_rounding(rounded)
+    yield from _checks_on_the_law(exponents, laws)
+    yield from _checks_on_dispersion(strays, laws)
+    yield _check_on_components(components)
 
 
-def _claims_on_the_remark(answers):
+def _checks_on_the_remark(answers):
     """The paper's sentence about B at 10 m, under the stated click error."""
     shares = answers[answers["distance_m"] == 10].set_index(["published", "system"])["holds_share"]
     systems = {name: shares.xs(name, level="system") for name in ("B", "B tilted", "B" + LEVEL)}
@@ -40,26 +38,26 @@ def _claims_on_the_remark(answers):
     density, medians, precision = of_b.T  # in the order of the alphabet
     regular = 100 * shares["medians show no variation", "A" + LEVEL]
     return [
-        Claim(
+        Check(
             "Five selections of B at 10 m: precision ranges below 1 mm.",
             bool(precision.min() > 90),
             f"in {precision.min():.0f} % of the groups of five or more",
             "nine of ten groups",
         ),
-        Claim(
+        Check(
             "Five selections of B at 10 m: the density does not reliably vary below 1 %.",
             bool(density.max() < 90),
             f"in {density.min():.0f} % (upright) and {density.max():.0f} % (tilted) of the groups",
             "reliably: nine of ten groups; the paper states no click error",
         ),
-        Claim(
+        Check(
             "Five selections of B at 10 m: the medians of its irregular spacings do vary.",
             bool(medians.max() < 65),
             f"all stay within 0.5 mm in {medians[:2].max():.0f} % of the groups with principal "
             f"axes, {medians[2:].max():.0f} % with level ones",
             "half of the groups, and 15 % for the few groups of a small run",
         ),
-        Claim(
+        Check(
             "The medians of regular scan lines (A) with level axes show no variation.",
             bool(regular > 90),
             f"all stay within 0.5 mm in {regular:.0f} % of the groups",
@@ -68,12 +66,12 @@ def _claims_on_the_remark(answers):
     ]
 
 
-def _claim_on_axes(limits):
+def _check_on_axes(limits):
     """Principal axes against level ones."""
     table = limits[(limits["distance_m"] == 10) & (limits["figure"] == "f")]
     spread = table.set_index("system")["relative_s_r_percent"]
     turning, fixed = (spread[["B" + name, "B tilted" + name]] for name in ("", LEVEL))
-    return Claim(
+    return Check(
         "f of B repeats far better with level axes than with principal ones.",
         bool((turning.to_numpy() > 2 * fixed.to_numpy()).all()),
         f"s_r at 10 m: {turning.iloc[0]:.0f} % against {fixed.iloc[0]:.1f} % upright, "
@@ -82,11 +80,11 @@ def _claim_on_axes(limits):
     )
 
 
-def _claim_on_rounding(rounded):
+def _check_on_rounding(rounded):
     """Medians of rounded coordinates."""
     table = rounded[rounded["figure"] == "d2_mm"].set_index("rounding_mm")
     fine, coarse = table.loc[0], table.loc[5]
-    return Claim(
+    return Check(
         "Rounding to 5 mm holds the median d2 of B at 5 m still, at a distance on the grid.",
         bool(coarse["s_r"] < fine["s_r"] / 3 and abs(coarse["mean"] - 5 * 8**0.5) < 0.05),
         f"d2 = {fine['mean']:.3f} mm, s_r = {fine['s_r']:.4f} mm; rounded "
@@ -95,7 +93,7 @@ def _claim_on_rounding(rounded):
     )
 
 
-def _claims_on_the_law(exponents, laws):
+def _checks_on_the_law(exponents, laws):
     """The strip law: its size, its exponents, and the turning axes."""
     known = laws[laws["figure"] == "density_polygon_per_m2"]
     ratio = np.exp(np.log(known["relative_s_r"] / known["predicted"]).mean())
@@ -103,19 +101,19 @@ def _claims_on_the_law(exponents, laws):
     area = table.loc[("area", "horizontal", "density_polygon_per_m2")]
     fixed, turning = (table.loc[("area", axes, "d4_mm")] for axes in ("horizontal", "principal"))
     return [
-        Claim(
+        Check(
             "The spread of the density of a random pattern has the size of the strip law.",
             bool(0.85 < ratio < 1.15),
             f"measured over predicted, mean of {len(known)}: {ratio:.2f}",
             "15 %: s_r of a dozen selections is known to a fifth, in ten places or more",
         ),
-        Claim(
+        Check(
             "The spread of the density falls with the area to the power of -3/4.",
             bool(abs(area["exponent"] - area["predicted"]) < max(3 * area["standard_error"], 0.15)),
             f"fitted {area['exponent']:.2f} with standard error {area['standard_error']:.2f}",
             "three standard errors of the fit, or 0.15",
         ),
-        Claim(
+        Check(
             "The spread of d4 falls more slowly with principal axes: they turn with the outline.",
             bool(turning["exponent"] > fixed["exponent"]),
             f"exponent {turning['exponent']:.2f} against {fixed['exponent']:.2f}",
@@ -124,7 +122,7 @@ def _claims_on_the_law(exponents, laws):
     ]
 
 
-def _claims_on_dispersion(strays, laws):
+def _checks_on_dispersion(strays, laws):
     """std against sigma_MAD, with strays and without."""
     means = strays.groupby("share").mean()
     clean, worst = means.iloc[0], means.iloc[-1]
@@ -132,7 +130,7 @@ def _claims_on_dispersion(strays, laws):
     spread = laws.groupby("figure")["relative_s_r"].mean()
     price = spread["sigma_mad_mm"] / spread["std_mm"]
     return [
-        Claim(
+        Check(
             "Strays multiply std and hardly touch sigma_MAD, as the closed form says.",
             bool(
                 worst["std_mm"] > 3 * clean["std_mm"]
@@ -144,7 +142,7 @@ def _claims_on_dispersion(strays, laws):
             f"{100 * off:.0f} % off the closed form",
             "15 %: strays also tilt the plane, which the closed form leaves out",
         ),
-        Claim(
+        Check(
             "Without strays sigma_MAD repeats about half as well as std.",
             bool(1.4 < price < 2.8),
             f"s_r of sigma_MAD over s_r of std: {price:.1f}",
@@ -153,10 +151,10 @@ def _claims_on_dispersion(strays, laws):
     ]
 
 
-def _claim_on_components(components):
+def _check_on_components(components):
     """Selections against systems and distances."""
     shares = components[components["factor"] == "selection"].set_index("figure")["share"]
-    return Claim(
+    return Check(
         "Systems and distances differ far more than selections do, in every figure.",
         bool((shares < 0.1).all()),
         f"selections hold {100 * shares.max():.1f} % of the variance at most ({shares.idxmax()})",

@@ -8,7 +8,7 @@ and calibrates a two-head system; ``real`` compares two real drives with airborn
 import numpy as np
 
 from mmqa_lab.published import eurosdr2013_testfield
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.studies.test_field import surveys
 from mmqa_lab.testfield.heights import rms_check
 
@@ -36,7 +36,7 @@ def published_check():
     }
 
 
-def claims(heights, plan, repeated, calibration, real):
+def checks(heights, plan, repeated, calibration, real):
     """Test what the notebook says.
 
     Parameters
@@ -49,12 +49,11 @@ def claims(heights, plan, repeated, calibration, real):
     real : DataFrame or None
         From ``real.compare``.
     """
-    found = [
-        *_contrast(heights, plan),
-        *_against_prediction(heights, repeated),
-        *_mounting(calibration),
-    ]
-    return found if real is None else [*found, _absolute_and_relative(real)]
+    yield from _contrast(heights, plan)
+    yield from _against_prediction(heights, repeated)
+    yield from _mounting(calibration)
+    if real is not None:
+        yield _absolute_and_relative(real)
 
 
 def _contrast(heights, plan):
@@ -69,13 +68,13 @@ def _contrast(heights, plan):
     bound = eurosdr2013_testfield.statements().set_index("quantity")["bound_mm"]["elevation"]
     professional = heights[heights["system"].isin(surveys.PROFESSIONAL)]
     return [
-        Claim(
+        Check(
             "A boresight error of some tenths of a degree costs more than all else together.",
             bool(min(off / good, far / near) > np.sqrt(2)),
             f"height std {off:.1f} against {good:.1f} mm, poles {far:.1f} against {near:.1f} mm",
             "root of 2: the boresight's part alone is then larger than the rest",
         ),
-        Claim(
+        Check(
             "Calibrated professional systems stay within the published 3.5 cm in height.",
             bool((professional["rmse_mm"] < bound).all()),
             ", ".join(f"{r.system} {r.rmse_mm:.1f} mm" for r in professional.itertuples()),
@@ -94,7 +93,7 @@ def _against_prediction(heights, repeated):
     rows = heights[(heights["shift"] == "removed") & heights["predicted_std_mm"].notna()]
     inside = rows["std_mm"].between(rows["predicted_low_mm"], rows["predicted_high_mm"])
     return [
-        Claim(
+        Check(
             "The height std measured on the cloud lies where the specifications predict it.",
             bool(inside.sum() >= len(rows) - 1),
             ", ".join(
@@ -103,7 +102,7 @@ def _against_prediction(heights, repeated):
             ),
             "90 % of the predicted drives; one system may miss",
         ),
-        Claim(
+        Check(
             "Over many drives the predicted std of heights is right within 20 %.",
             bool(abs(ratio - 1) < max(0.2, 3 * error)),
             f"measured over predicted {ratio:.2f} +- {error:.2f} from {len(measured)} surveys",
@@ -119,13 +118,13 @@ def _mounting(calibration):
     arm = table[table["parameter"].str.endswith("_m")]["error"].abs().max()
     before, after = calibration.accuracy["pole_rmse_mm"]
     return [
-        Claim(
+        Check(
             "Two drives determine boresight angles to 0.005 degrees and lever arms to 5 mm.",
             bool(angle < BORESIGHT_LIMIT_DEG and arm < LEVER_LIMIT_M),
             f"largest errors {angle:.4f} degrees, {1000 * arm:.1f} mm",
             "the limits asked for; paths without error",
         ),
-        Claim(
+        Check(
             "Correcting the mounting makes the double poles single.",
             bool(after < before / 3),
             f"poles {before:.1f} mm before, {after:.1f} mm after",
@@ -139,7 +138,7 @@ def _absolute_and_relative(real):
     rows = real[real["shift"] == "kept"].set_index("comparison")["mean_mm"]
     absolute = rows[["drive 1", "drive 2"]].abs().min()
     relative = abs(rows["drive 1 - drive 2"])
-    return Claim(
+    return Check(
         "The real drives agree with each other far better than with the airborne heights.",
         bool(relative < absolute / 2),
         f"{relative:.1f} mm against {absolute:.1f} mm",

@@ -22,7 +22,7 @@ from mmqa_lab.studies.chart_tables.images.drawings import (
     draw_spread_trials,
     draw_widths,
 )
-from mmqa_lab.studies.chart_tables.images.findings import claims
+from mmqa_lab.studies.chart_tables.images.findings import checks
 from mmqa_lab.studies.chart_tables.images.fitted import (
     best_spread,
     fit_systems,
@@ -71,7 +71,7 @@ __all__ = [
     "TYPICAL_SIGMA_PX",
     "IndexFit",
     "best_spread",
-    "claims",
+    "checks",
     "compare",
     "draw_contrast",
     "draw_crops",

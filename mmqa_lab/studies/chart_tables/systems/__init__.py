@@ -9,7 +9,7 @@ from mmqa_lab.studies.chart_tables.systems.figures import (
     draw_hull_bias,
     draw_pattern,
 )
-from mmqa_lab.studies.chart_tables.systems.findings import claims, unexplained
+from mmqa_lab.studies.chart_tables.systems.findings import checks, unexplained
 from mmqa_lab.studies.chart_tables.systems.model import (
     QUICK,
     SENSORS,
@@ -29,7 +29,7 @@ __all__ = [
     "SENSORS",
     "cap",
     "chart_points",
-    "claims",
+    "checks",
     "compare",
     "draw_cap",
     "draw_comparison",

@@ -3,7 +3,7 @@
 import pandas as pd
 
 from mmqa_lab.published import pfeifer2021
-from mmqa_lab.results import Claim
+from mmqa_lab.run import Check
 from mmqa_lab.studies.chart_tables.systems.model import SENSORS, pulses_per_revolution
 
 
@@ -59,7 +59,7 @@ def unexplained(comparison, parameters, capped):
     return pd.DataFrame(rows, columns=["system", "what", "numbers"])
 
 
-def claims(comparison, parameters, capped, bias):
+def checks(comparison, parameters, capped, bias):
     """Test what the notebook says of the three systems.
 
     Parameters
@@ -79,47 +79,47 @@ def claims(comparison, parameters, capped, bias):
         for which in (bias["turn_deg"] == 0, bias["turn_deg"] >= 20)
     )
     random = _cell(comparison, "C", 5, "f", "predicted")
-    return [
-        Claim(
+    yield from [
+        Check(
             "At 1 MHz and 200 Hz, A's printed d4 goes with 3300 to 3600 points/m2, not with 4629.",
             3300 <= stated["density_polygon_per_m2"] <= stated["density_hull_per_m2"] <= 3600,
             f"{stated['density_polygon_per_m2']:.0f} (polygon), "
             f"{stated['density_hull_per_m2']:.0f} (hull)",
             "1 / (d1 d4) with d1 = 5 m x 2 pi / 5000 is 3387; the hull adds up to 6 % on few lines",
         ),
-        Claim(
+        Check(
             "A's printed d1 ask for about 7000 pulses a revolution, which is 135 to 143 Hz.",
             6900 < least < most < 7500,
             f"{least:.0f} to {most:.0f}",
             "half a millimetre to either side of the printed values",
         ),
-        Claim(
+        Check(
             "Giving up the stated 200 Hz, A's rows fit with about 7000 pulses a revolution.",
             misfit["A", "released"] < misfit["A", "open"] / 3 and 6500 < pulses < 7700,
             f"{pulses:.0f} pulses, misfit {misfit['A', 'open']:.1f} -> "
             f"{misfit['A', 'released']:.1f} tolerances",
             "a search by chance ends within 5 % of the best frequency",
         ),
-        Claim(
+        Check(
             "With its axis upright, B's density is predicted 35 % or more too high.",
             (excess > 35).all(),
             " and ".join(f"{value:.0f} %" for value in excess),
             "density by count repeats to 1 %; heights from 0 to 2 m change it by 5 %",
         ),
-        Claim(
+        Check(
             "B's rows ask for an axis pitched by about 40 degrees.",
             30 <= tilt <= 48,
             f"{tilt:.0f} degrees",
             "the two rows pull apart: from 33 to 45 degrees the misfit hardly changes",
         ),
-        Claim(
+        Check(
             "The hull's density is too high by 5 % or more where lines run along the crop, and by "
             "less than 3 % where they do not.",
             parallel > 5 and oblique < 3,
             f"{parallel:.1f} % and {oblique:.1f} %",
             "about one line spacing is lost of 0.71 m: 56 mm are 8 %",
         ),
-        Claim(
+        Check(
             "A random pattern has f = 3.26: C's printed d1 and d4 do not contradict one.",
             abs(random - 3.257) < 0.15 and 7.5 / 3.5 < random < 8.5 / 2.5,
             f"{random:.2f}",

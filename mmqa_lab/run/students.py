@@ -1,8 +1,8 @@
-"""Notebooks for a class: the same studies without the answers, with the checks left in.
+"""Notebooks for a class: the same studies without the answers, with the assertions left in.
 
-Cells tagged ``solution`` hold an answer and the assertions that check it; cells tagged ``lesson``
-are for the teacher. A student's copy keeps the assertions alone: they fail until the names that
-they speak of are worked out.
+Cells tagged ``solution`` contain an answer and the assertions that test it; cells tagged ``lesson``
+are for the teacher. A student's copy keeps only the assertions: they fail until the names in them
+are worked out. It has no stored outputs.
 """
 
 import ast
@@ -55,7 +55,7 @@ def student_cell(source):
 
 
 def _student_notebook(notebook):
-    """Return a copy of a notebook without answers and without the teacher's cells."""
+    """Return a copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
     for cell in notebook.cells:
         tags = cell.metadata.get("tags", [])
@@ -64,6 +64,8 @@ def _student_notebook(notebook):
         if "solution" in tags:
             cell = nbformat.from_dict({**cell, "source": student_cell(cell.source)})
             cell.metadata = nbformat.from_dict({"tags": ["exercise"]})
+        if cell.cell_type == "code":
+            cell = nbformat.from_dict({**cell, "outputs": [], "execution_count": None})
         cells.append(cell)
     return nbformat.from_dict({**notebook, "cells": cells})
 
@@ -84,7 +86,7 @@ def write_student_notebooks(studies, folder):
     Raises
     ------
     ValueError
-        If a notebook of that name is there already: it may hold a student's work.
+        If a notebook of that name is there already: it may be a student's work.
 
     Examples
     --------
@@ -97,7 +99,10 @@ def write_student_notebooks(studies, folder):
     targets = [Path(folder) / study.path.name for study in studies]
     there = [path for path in targets if path.exists()]
     if there:
-        raise ValueError(f"Invalid folder {folder}: holds {there[0].name}. Must not, work is kept.")
+        raise ValueError(
+            f"Invalid folder {folder}: it contains {there[0].name}, which may be a student's work. "
+            "Must be a folder without notebooks of these names."
+        )
     for study, target in zip(studies, targets, strict=True):
         copy = _student_notebook(nbformat.read(study.path, as_version=4))
         write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))

@@ -1,34 +1,68 @@
-"""What a study leaves behind."""
+"""What a run of a study leaves behind."""
 
 import json
 import re
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 import pytest
+from overlaps import overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.results import Claim, Run, overlapping_texts
+from mmqa_lab.run import Check, Run, parameter_names
+from mmqa_lab.run.results import read_record
+from mmqa_lab.studies.catalogue import STUDIES
 
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """A run that writes to a temporary folder."""
     monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
-    return Run("example", parameters={"seed": 3})
+    return Run("example", parameters={"seed": 3, "_hidden": 1, "plots": plots})
 
 
-def test_record_tables_values(run):
+def test_the_record_is_written_with_every_file(run):
     run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "table")
+    assert read_record(run.folder)["files"] == ["table.csv"]
     run.save_value("f_poisson", 3.257, "1", "predicted")
-    run.save_claims([Claim("f exceeds 2", True, "3.257", "closed form")])
+    run.save_checks([Check("f exceeds 2", True, "3.257", "closed form")])
+    record = read_record(run.folder)
+    assert not record["finished"]
     run.finish()
-    record = json.loads((run.folder / "run.json").read_text())
+    record = read_record(run.folder)
+    assert record["finished"]
     assert record["parameters"] == {"seed": 3}
-    assert record["files"] == ["table.csv", "claims.csv", "values.csv"]
-    assert (record["claims"], record["claims_that_hold"]) == (1, 1)
-    assert record["versions"]["numpy"]
+    assert record["files"] == ["table.csv", "values.csv", "checks.csv"]
+    assert (record["checks"], record["checks_passed"]) == (1, 1)
+    assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
+
+
+def test_parameters_are_those_of_the_notebooks_cell(tmp_path, monkeypatch):
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path / "results"))
+    monkeypatch.chdir(tmp_path)
+    source = "a, b = range(3), 2  # two\nc = np.float64(0.5)\nd: int = 4"
+    cells = [
+        {"cell_type": "code", "metadata": {}, "source": "x = 1"},
+        {"cell_type": "code", "metadata": {"tags": ["parameters"]}, "source": [source]},
+    ]
+    (tmp_path / "09_mine.ipynb").write_text(json.dumps({"cells": cells}))
+    values = {"a": range(3), "b": 5, "c": np.float64(0.5), "d": {("x", 1): 2}, "other": 7}
+    run = Run("mine", parameters=values)
+    recorded = read_record(run.folder)["parameters"]
+    assert recorded == {"a": [0, 1, 2], "b": 5, "c": 0.5, "d": {"('x', 1)": 2}}
+
+
+def test_a_notebook_without_the_cell_is_refused(tmp_path):
+    (tmp_path / "n.ipynb").write_text('{"cells": []}')
+    with pytest.raises(ValueError, match=r"n\.ipynb\. Must have a cell tagged parameters"):
+        parameter_names(tmp_path / "n.ipynb")
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_small_parameters_replace_delivered_ones(study):
+    assert set(study.module.QUICK) <= set(parameter_names(study.path))
 
 
 @pytest.mark.parametrize(
@@ -56,12 +90,27 @@ def test_a_table_of_an_unknown_kind_is_refused(run, frame, kind):
     assert not (run.folder / "table.csv").exists()
 
 
-def test_a_claim_that_fails_is_written_and_named(run):
-    claims = [Claim("one", True, "1", ""), Claim("f is below 2", False, "3.257", "")]
-    with pytest.raises(AssertionError, match=r"Does not hold: f is below 2 \(3\.257\)"):
-        run.save_claims(claims)
-    assert pd.read_csv(run.folder / "claims.csv")["holds"].tolist() == [True, False]
-    assert (run.folder / "run.json").is_file()
+def test_checks_report_and_never_raise(run, capsys):
+    def others():
+        yield Check("f is above 1", np.True_, "3.257", "")
+        raise KeyError("B tilted")
+
+    run.save_checks(
+        [Check("one", True, "1", ""), Check("f is below 2", False, "3.257", "")], others()
+    )
+    table = pd.read_csv(run.folder / "checks.csv")
+    assert table["passed"].tolist() == [True, False, True, False]
+    assert "KeyError: 'B tilted'" in table["obtained"].iloc[3]
+    assert "f is below 2" in capsys.readouterr().out
+    record = read_record(run.folder)
+    assert (record["checks"], record["checks_passed"]) == (4, 2)
+    run.save_checks([])
+    assert read_record(run.folder)["checks"] == 0
+
+
+def test_ledger_is_written_as_given(run):
+    run.save_ledger([{"source": "Pfeifer", "table": "2", "cell": "A, 5 m, f", "value": 2.1}])
+    assert pd.read_csv(run.folder / "ledger.csv")["cell"].item() == "A, 5 m, f"
 
 
 def test_figures_are_equal_to_the_byte(run):
@@ -98,16 +147,27 @@ def drawn(height_mm=40, **choices):
     return figure, ax
 
 
-def test_texts_on_each_other_or_outside_are_named(run):
+def test_a_figure_has_its_data_and_says_what_is_seen(run):
+    figure, _ = drawn()
+    run.save_figure(figure, "errors", data=pd.DataFrame({"range_m": [0.1, 1], "error_mm": [0, 1]}))
+    run.save_figure(figure, "again", seen="One rising line.")
+    plt.close(figure)
+    assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
+    seen = read_record(run.folder)["seen"]
+    assert seen == {
+        "errors": "plain: error (mm) over range (m) of a line",
+        "again": "One rising line.",
+    }
+
+
+def test_texts_on_each_other_or_outside_are_named():
     figure, ax = drawn()
     assert overlapping_texts(figure) == []
     ax.text(0.2, 0.5, "first")
     ax.text(0.22, 0.5, "second")
     figure.text(0.9, 0.6, "a text that runs over the edge", in_layout=False)
-    run.save_figure(figure, "crowded")
-    run.finish()
+    found = overlapping_texts(figure)
     plt.close(figure)
-    found = json.loads((run.folder / "run.json").read_text())["overlapping_texts"]["crowded"]
     assert sorted(found) == [
         "'a text that runs over the edge' leaves the figure",
         "'first' and 'second' overlap",

@@ -6,8 +6,8 @@ import nbformat
 import pytest
 
 from mmqa_lab.__main__ import main
+from mmqa_lab.run.students import student_cell, write_student_notebooks
 from mmqa_lab.studies.catalogue import STUDIES
-from mmqa_lab.teaching import student_cell, write_student_notebooks
 
 ANSWER = """# 2: twice the side makes four times the area
 side = 3
@@ -59,11 +59,27 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
             assert any(isinstance(node, ast.Assert) for node in ast.parse(cell.source).body)
 
 
+def test_stored_outputs_stay_with_the_teacher(tmp_path):
+    """The answer would otherwise be readable below the empty exercise."""
+    output = nbformat.v4.new_output("stream", text="the answer is 36")
+    cell = nbformat.v4.new_code_cell(ANSWER, outputs=[output], execution_count=7)
+    cell.metadata["tags"] = ["solution"]
+    plain = nbformat.v4.new_code_cell("2 + 2", outputs=[output], execution_count=8)
+
+    class Ran:
+        path = tmp_path / "01_ran.ipynb"
+
+    nbformat.write(nbformat.v4.new_notebook(cells=[cell, plain]), Ran.path)
+    (path,) = write_student_notebooks([Ran], tmp_path / "course")
+    assert "answer is 36" not in path.read_text()
+    assert [c.execution_count for c in nbformat.read(path, as_version=4).cells] == [None, None]
+
+
 def test_a_students_work_is_not_overwritten(tmp_path, capsys):
     assert main(["student", str(tmp_path), "mimic"]) == 0
     (path,) = tmp_path.iterdir()
     path.write_text("work")
     assert main(["student", str(tmp_path)]) == 2
-    assert "holds 05_mimic.ipynb" in capsys.readouterr().err
+    assert "it contains 05_mimic.ipynb" in capsys.readouterr().err
     assert path.read_text() == "work"
     assert len(list(tmp_path.iterdir())) == 1

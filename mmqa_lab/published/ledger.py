@@ -1,0 +1,459 @@
+"""The ledger: every number that the five sources print, beside what the studies find.
+
+A *cell* is one printed number. A study writes its own values into ``ledger.csv`` of its results
+folder, a row for each value (:func:`entry`, :func:`frame`); :func:`collect` joins them with the
+cells and gives each one a verdict:
+
+- **reproduced**: our value rounds to what is printed;
+- **consistent**: our 95 % interval meets the rounding interval of the printed number, or our value
+  satisfies what is printed as a bound, a range or with "about";
+- **contradicted**: neither; the note gives the argument;
+- **not comparable**: there is no value of ours; the note gives the reason, by default that of
+  ``data/reasons.csv``.
+
+The rounding interval reaches half a unit of the last printed digit to both sides; with "about" a
+whole unit of the last digit that is not zero. Legibility marks count as a = 1, b = 2, c = 3.
+"""
+
+from decimal import Decimal
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import published
+
+KINDS = ("predicted", "measured", "fitted")
+VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable")
+COLORS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
+COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
+
+MARKS = {"a": "1", "b": "2", "c": "3"}
+COARSEST_MM = {"h": 40.0, "v": 30.0}
+"""Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is coarser."""
+
+
+def cells():
+    """Return every printed number of the five sources.
+
+    Returns
+    -------
+    DataFrame
+        A row for each number: ``source``, ``table``, ``cell`` (unique within its table), ``role``
+        (result, set-up, threshold or literature), ``relation``, ``printed``, ``value`` (NaN for a
+        dash or a range), ``low`` and ``high`` (the values that print as this; NaN where a dash
+        gives no bound), ``unit``, ``section``.
+
+    Examples
+    --------
+    >>> table_2 = cells().query("source == 'pfeifer2021' and table == 'table_2'")
+    >>> table_2[["cell", "printed", "low", "high", "unit"]].head(2).to_numpy().tolist()
+    [['A 5 m density', '4629', 4628.5, 4629.5, '1/m2'],
+     ['A 5 m sigma_mad', '1.1', 1.05, 1.15, 'mm']]
+    """
+    return _cells().copy()
+
+
+def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note=""):
+    """Return one row of a study's ``ledger.csv``.
+
+    Parameters
+    ----------
+    source, table, cell : str
+        Which printed number, as in :func:`cells`.
+    value : float
+        Our value in the cell's unit. NaN where it could not be measured; then the note says why.
+    kind : {'predicted', 'measured', 'fitted'}
+        Predicted from printed inputs alone; measured on simulated or real data; or from a model of
+        which a parameter was fitted to the source's numbers.
+    low, high : float, optional
+        Our 95 % interval.
+    note : str, optional
+        One sentence: how we come to the value, and the argument if it contradicts.
+
+    Returns
+    -------
+    dict
+        With the keys ``COLUMNS``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such cell or kind, or if the value is outside its own interval.
+
+    Examples
+    --------
+    >>> row = entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", low=3.9, high=4.5)
+    >>> row["cell"], row["kind"]
+    ('A 5 m d1', 'measured')
+    >>> entry("pfeifer2021", "table_2", "D 5 m d1", 4.2, kind="measured")
+    Traceback (most recent call last):
+    ValueError: Invalid cell 'D 5 m d1' of pfeifer2021 table_2. Must be one that cells() lists, such
+    as 'A 5 m density'.
+    """
+    row = dict(zip(COLUMNS, (source, table, cell, value, low, high, kind, note), strict=True))
+    _check_entry(row, _cell_names())
+    return row
+
+
+def frame(entries):
+    """Return entries as the table that a study writes as ``ledger.csv``.
+
+    Parameters
+    ----------
+    entries : list of dict
+        Of :func:`entry`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each entry; columns ``COLUMNS``.
+
+    Examples
+    --------
+    >>> frame([entry("cahalane2014", "table_3", "wall 1 mimic", 0.0816, kind="predicted")]).shape
+    (1, 8)
+    """
+    return pd.DataFrame(entries, columns=COLUMNS)
+
+
+def verdict(printed, ours):
+    """Return the verdict on one value of ours.
+
+    Parameters
+    ----------
+    printed : mapping
+        ``relation``, ``low``, ``high`` of a row of :func:`cells`. An interval with one infinite
+        end is open at the other; others are closed.
+    ours : mapping
+        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN.
+
+    Returns
+    -------
+    str
+        One of ``VERDICTS``. A dash without a bound is reproduced by a value that could not be
+        measured either (NaN) and contradicted by one that could.
+
+    Examples
+    --------
+    >>> width = {"relation": "=", "low": 14.5, "high": 15.5}
+    >>> verdict(width, {"value": 15.3, "low": np.nan, "high": np.nan})
+    'reproduced'
+    >>> verdict(width, {"value": 17.0, "low": 15.2, "high": 18.8})
+    'consistent'
+    >>> verdict(width, {"value": 17.0, "low": 16.2, "high": 17.8})
+    'contradicted'
+    """
+    if np.isnan(printed["low"]):
+        return "reproduced" if np.isnan(ours["value"]) else "contradicted"
+    if np.isnan(ours["value"]):
+        return "not comparable"
+    value = ours["value"]
+    if _meets(printed, value, value):
+        return "reproduced" if printed["relation"] == "=" else "consistent"
+    low, high = (value if np.isnan(ours[end]) else ours[end] for end in ("low", "high"))
+    return "consistent" if _meets(printed, low, high) else "contradicted"
+
+
+def reasons():
+    """Return the default reason for each cell, in the order of :func:`cells`.
+
+    Returns
+    -------
+    Series of str
+        The first line of ``data/reasons.csv`` whose patterns fit; empty where none does.
+
+    Examples
+    --------
+    >>> bool((reasons() == "").any())
+    False
+    """
+    rules = published.strings("reasons").to_dict("records")
+    return pd.Series([_reason(cell, rules) for cell in cells().to_dict("records")])
+
+
+def collect(folder):
+    """Return the whole ledger of a run.
+
+    Parameters
+    ----------
+    folder : path
+        Results of a run; every ``<study>/ledger.csv`` below it is read.
+
+    Returns
+    -------
+    DataFrame
+        The columns of :func:`cells`, and ``ours``, ``ours_low``, ``ours_high``, ``kind``,
+        ``study``, ``note``, ``verdict``, ``decides``. A cell has a row for each of our values, or
+        one row without. Exactly one row of a cell *decides*: predicted before measured before
+        fitted, then in the order of studies and of their rows.
+
+    Raises
+    ------
+    ValueError
+        If a ``ledger.csv`` lacks a column, or names a cell or a kind that does not exist.
+
+    Examples
+    --------
+    >>> ledger = collect("no/such/folder")
+    >>> bool(ledger["decides"].all()), ledger["verdict"].unique().tolist()
+    (True, ['not comparable'])
+    """
+    ledger = cells().assign(reason=reasons())
+    ledger = ledger.merge(_entries(folder), on=["source", "table", "cell"], how="left")
+    ledger["verdict"] = [_verdict_of_row(row) for row in ledger.to_dict("records")]
+    silent = (ledger["verdict"] == "not comparable") & (ledger["note"].fillna("") == "")
+    ledger["note"] = ledger["note"].fillna("").where(~silent, ledger["reason"])
+    ledger["decides"] = ~ledger.duplicated(["source", "table", "cell"])
+    return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
+
+
+def summary(ledger, role="result"):
+    """Return how many cells of each source have which verdict.
+
+    Parameters
+    ----------
+    ledger : DataFrame
+        Of :func:`collect`.
+    role : str, optional
+        Count cells of this role only; all when None.
+
+    Returns
+    -------
+    DataFrame
+        Sources by verdicts, with a row ``all``.
+
+    Examples
+    --------
+    >>> int(summary(collect("no/such/folder")).loc["poreba2013"].sum())
+    80
+    """
+    rows = ledger[ledger["decides"]]
+    rows = rows if role is None else rows[rows["role"] == role]
+    sources = published.strings("sources")["source"]
+    counts = pd.crosstab(rows["source"], rows["verdict"])
+    counts = counts.reindex(index=sources, columns=VERDICTS, fill_value=0)
+    counts.loc["all"] = counts.sum()
+    return counts
+
+
+def gaps(ledger):
+    """Return the contradicted rows without an argument and the cells without a reason.
+
+    Parameters
+    ----------
+    ledger : DataFrame
+        Of :func:`collect`.
+
+    Returns
+    -------
+    DataFrame
+        Rows of the ledger with an empty note; none in a complete run.
+
+    Examples
+    --------
+    >>> len(gaps(collect("no/such/folder")))
+    0
+    """
+    argued = ledger["verdict"].isin(["contradicted", "not comparable"])
+    return ledger[argued & (ledger["note"] == "")]
+
+
+def plot(ledger, ax, role="result"):
+    """Draw the verdicts of each source as stacked bars.
+
+    Parameters
+    ----------
+    ledger : DataFrame
+        Of :func:`collect`.
+    ax : matplotlib Axes
+    role : str, optional
+        As for :func:`summary`.
+
+    Returns
+    -------
+    matplotlib Axes
+        The same.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> plot(collect("no/such/folder"), Figure().subplots()).get_xlabel()
+    'printed numbers'
+    """
+    counts = summary(ledger, role).drop(index="all")[::-1]
+    counts.plot.barh(stacked=True, ax=ax, color=COLORS, width=0.7)
+    ax.set(xlabel="printed numbers", ylabel="")
+    ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return ax
+
+
+@cache
+def _cells():
+    """All cells, made once."""
+    sections = published.contents().set_index(["source", "table"])["section"]
+    columns = published.columns().set_index("column").to_dict("index")
+    rows = []
+    for layout in published.strings("ledger_tables").to_dict("records"):
+        section = sections[layout["source"], layout["table"]]
+        for row in published.raw(layout["source"], layout["table"]).to_dict("records"):
+            row = {"section": section, **row}
+            rows += [_cell(row, layout, m, columns[m]) for m in layout["measures"].split()]
+    found = pd.DataFrame([row for row in rows if row])
+    return found.drop_duplicates(["source", "table", "cell"], ignore_index=True)
+
+
+def _cell(row, layout, measure, column):
+    """The cell that one row of a table has for a column; None where nothing is printed."""
+    number = _number(row, measure)
+    if number is None:
+        return None
+    name = layout["cell"].format(**row, label=column["label"])
+    return {
+        "source": layout["source"],
+        "table": layout["table"],
+        "cell": " ".join(name.split()),
+        "role": row.get("role") or layout["role"],
+        **number,
+        "unit": column["unit"] or row["unit"],
+        "section": row["section"],
+    }
+
+
+def _number(row, measure):
+    """Relation, printed string, value and rounding interval of one cell; None where it is empty."""
+    if row.get("status") == "not_resolved":
+        return _dash(row)
+    if "low" in row:
+        return _low_high(row)
+    digits = MARKS.get(row.get("printed"), row[measure])
+    if digits == "":
+        return None
+    relation = row.get("relation") or "="
+    sign = "" if relation == "=" else f"{relation} "
+    printed = row.get(f"{measure}_printed") or row.get("printed") or sign + row[measure]
+    low, high = _interval(digits, relation)
+    return _as_cell(relation, printed, float(digits), low, high)
+
+
+def _dash(row):
+    """A printed dash: coarser than the chart, or not measurable (then without a bound)."""
+    if row["quantity"] != "line-pair width":
+        return _as_cell("=", row["printed"], np.nan, np.nan, np.nan)
+    return _as_cell("=", row["printed"], np.nan, COARSEST_MM[row["direction"]], np.inf)
+
+
+def _low_high(row):
+    """A cell of a table with the columns ``low`` and ``high``."""
+    if row["relation"] == "":
+        return None
+    if row["relation"] == "range":
+        low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
+        return _as_cell("range", f"{row['low']} to {row['high']}", np.nan, low, high)
+    return _number({"relation": row["relation"], "value": row["low"] or row["high"]}, "value")
+
+
+def _as_cell(relation, printed, value, low, high):
+    """The part of a cell that its number gives."""
+    return {
+        "relation": relation,
+        "printed": printed,
+        "value": value,
+        "low": low,
+        "high": high,
+    }
+
+
+def _interval(digits, relation):
+    """The values that print as ``digits`` with a relation."""
+    value = float(digits)
+    decimals = len(digits.partition(".")[2])
+    half = 0.5 * 10.0**-decimals
+    low, high = np.round([value - half, value + half], decimals + 1).tolist()
+    unit = 10.0 ** Decimal(digits).normalize().as_tuple().exponent
+    return {
+        "=": (low, high),
+        "about": (value - unit, value + unit),
+        "within": (-high, high),
+        "<": (-np.inf, value),
+        "<=": (-np.inf, high),
+        "up to": (-np.inf, high),
+        ">": (value, np.inf),
+        ">=": (low, np.inf),
+    }[relation]
+
+
+def _meets(printed, low, high):
+    """Whether an interval of ours and the printed one have a value in common."""
+    if np.isinf(printed["high"]):
+        return bool(high > printed["low"])
+    if np.isinf(printed["low"]):
+        return bool(low < printed["high"])
+    slack = 1e-9 * max(1.0, abs(printed["high"]))
+    return bool(low <= printed["high"] + slack and high >= printed["low"] - slack)
+
+
+def _reason(cell, rules):
+    """The reason of the first rule whose patterns fit a cell."""
+    for rule in rules:
+        if all(fnmatchcase(cell[k], rule[k]) for k in ("source", "table", "cell", "role")):
+            return rule["reason"]
+    return ""
+
+
+def _entries(folder):
+    """All entries below a folder, those that decide first."""
+    files = sorted(Path(folder).glob("*/ledger.csv"))
+    entries = pd.concat([_read(file) for file in files] or [frame([]).assign(study="")])
+    entries["rank"] = entries["kind"].map(KINDS.index)
+    numbers = dict.fromkeys(("value", "low", "high"), float)
+    entries = entries.astype(numbers).sort_values("rank", kind="stable")
+    return entries.rename(columns={"value": "ours", "low": "ours_low", "high": "ours_high"})
+
+
+def _read(file):
+    """One ledger.csv, checked."""
+    empty = {column: ["", "nan", "NaN"] for column in ("value", "low", "high")}
+    entries = pd.read_csv(file, keep_default_na=False, na_values=empty)
+    missing = [column for column in COLUMNS if column not in entries]
+    if missing:
+        raise ValueError(f"Invalid {file}: no column {missing[0]}. Must have {', '.join(COLUMNS)}.")
+    names = _cell_names()
+    for row in entries.to_dict("records"):
+        _check_entry(row, names)
+    return entries[COLUMNS].assign(study=file.parent.name)
+
+
+@cache
+def _cell_names():
+    """The names of cells by source and table."""
+    return _cells().groupby(["source", "table"])["cell"].apply(list).to_dict()
+
+
+def _check_entry(row, names):
+    """Refuse an entry for an unknown cell, of an unknown kind, or outside its own interval."""
+    place = f"{row['source']} {row['table']}"
+    known = names.get((row["source"], row["table"]))
+    if known is None:
+        raise ValueError(f"Invalid table {place}. Must be one with printed numbers in cells().")
+    if row["cell"] not in known:
+        raise ValueError(
+            f"Invalid cell {row['cell']!r} of {place}. Must be one that cells() lists, such as "
+            f"{known[0]!r}."
+        )
+    if row["kind"] not in KINDS:
+        raise ValueError(f"Invalid kind {row['kind']!r}. Must be one of {', '.join(KINDS)}.")
+    if row["low"] > row["value"] or row["high"] < row["value"]:
+        raise ValueError(
+            f"Invalid value {row['value']} of {row['cell']!r}. Must be between its own low "
+            f"{row['low']} and high {row['high']}."
+        )
+
+
+def _verdict_of_row(row):
+    """The verdict of one row of the joined table."""
+    if pd.isna(row["kind"]):
+        return "not comparable"
+    return verdict(row, {"value": row["ours"], "low": row["ours_low"], "high": row["ours_high"]})

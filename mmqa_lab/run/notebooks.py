@@ -1,0 +1,172 @@
+"""Running a study's notebook without a screen, in a kernel of its own."""
+
+import asyncio
+import hashlib
+import json
+import os
+import signal
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from mmqa_lab.run.pages import notebook_page
+from mmqa_lab.run.results import read_record, write_text
+
+OUTCOME = "outcome.json"
+
+ENVIRONMENT = {
+    "MMQA_HEADLESS": "1",
+    "MPLBACKEND": "module://matplotlib_inline.backend_inline",
+    "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads would wait for each other
+    "PYDEVD_DISABLE_FILE_VALIDATION": "1",
+    "TQDM_DISABLE": "1",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one run of a study ended; without its end, how far it came."""
+
+    study: str
+    quick: bool
+    code: str
+    seconds: float = 0.0
+    failure: str = "stopped before its end"
+    checks: int = 0
+    passed: int = 0
+
+    @property
+    def ok(self):
+        """Whether every cell ran."""
+        return not self.failure
+
+    @property
+    def true(self):
+        """Whether all checks passed."""
+        return self.passed == self.checks
+
+    @property
+    def verdict(self):
+        """How many checks passed, or what stopped the run."""
+        return self.failure or f"{self.passed} of {self.checks} checks passed"
+
+
+def run_study(study, folder, *, quick=False, timeout=None):
+    """Run one study.
+
+    Parameters
+    ----------
+    study : mmqa_lab.studies.catalogue.Study
+    folder : path
+        Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
+    quick : bool
+        Run with the small parameters that the study's module calls QUICK.
+    timeout : float, optional
+        Seconds after which the study is stopped; without it, never.
+
+    Returns
+    -------
+    Outcome
+        Also written as ``outcome.json`` beside the results.
+    """
+    import nbformat
+
+    target = Path(folder).resolve() / study.stem
+    outcome = Outcome(study.stem, quick, _code(study, quick))
+    _write(outcome, target)
+    notebook = nbformat.read(study.path, as_version=4)
+    if quick:
+        inject(notebook, study.module.QUICK)
+    began = time.monotonic()
+    environment = {**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(target.parent)}
+    failure = execute(notebook, study.path.parent, environment=environment, timeout=timeout)
+    seconds = round(time.monotonic() - began, 1)
+    record = read_record(target)
+    page = notebook_page(notebook, study.title, seen=record.get("seen", {}))
+    write_text(target / f"{study.stem}.html", page)
+    counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
+    outcome = replace(outcome, seconds=seconds, failure=failure, **counts)
+    _write(outcome, target)
+    return outcome
+
+
+def read_outcome(folder):
+    """Return the outcome that a run left in a study's folder, or None."""
+    file = Path(folder) / OUTCOME
+    return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+
+
+def finished(study, folder, *, quick=False):
+    """Return the outcome of a study that ended with today's code and parameters, or None."""
+    outcome = read_outcome(Path(folder) / study.stem)
+    same = outcome is not None and outcome.code == _code(study, quick)
+    return outcome if same and outcome.ok else None
+
+
+def inject(notebook, parameters):
+    """Put a cell with other parameters behind the notebook's cell tagged ``parameters``."""
+    import nbformat
+
+    place = next(
+        number
+        for number, cell in enumerate(notebook.cells)
+        if "parameters" in cell.metadata.get("tags", [])
+    )
+    lines = [f"{name} = {value!r}" for name, value in parameters.items()]
+    cell = nbformat.v4.new_code_cell("\n".join(["# small parameters, for a first look", *lines]))
+    notebook.cells.insert(place + 1, cell)
+
+
+def execute(notebook, folder, *, environment, timeout=None):
+    """Execute a notebook in place; return what stopped it in one line, or nothing."""
+    from nbclient import NotebookClient
+    from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+
+    ends = time.monotonic() + (timeout or 0.0)
+    interrupted = asyncio.Event()
+    client = NotebookClient(
+        notebook,
+        timeout_func=lambda cell: None if timeout is None else max(0.1, ends - time.monotonic()),
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+        on_notebook_start=lambda notebook: _let_interrupt(interrupted),
+    )
+    try:
+        asyncio.run(client.async_execute(env=environment))
+    except CellExecutionError as error:
+        return f"{error.ename}: {error.evalue}".splitlines()[0]
+    except CellTimeoutError:
+        return f"not finished after {timeout:g} s"
+    except (DeadKernelError, asyncio.CancelledError):
+        if interrupted.is_set():
+            raise KeyboardInterrupt from None
+        return "the kernel died"
+    return ""
+
+
+def _let_interrupt(interrupted):
+    """Ctrl-C stops all studies; the client alone would stop this kernel and go on."""
+    task = asyncio.current_task()
+
+    def stop():
+        interrupted.set()
+        task.cancel()
+
+    with suppress(NotImplementedError):  # Windows has no such handlers
+        asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop)
+
+
+def _code(study, quick):
+    """A hash of what determines a study's results: package, notebook, mode and real data."""
+    package = Path(__file__).parents[1]
+    files = [path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    digest = hashlib.sha256(f"{quick} {os.environ.get('MMQA_DATA')}".encode())
+    for path in [study.path, *sorted(files)]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _write(outcome, folder):
+    """Write the outcome beside the results."""
+    write_text(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))

@@ -1,0 +1,626 @@
+"""The bench against loops, ranks and intervals made here, and against interruption."""
+
+import itertools
+import json
+import math
+import pickle
+import warnings
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from scipy import stats
+
+from mmqa_lab import bench
+from mmqa_lab.__main__ import main
+from mmqa_lab.studies import anisotropy
+
+
+def noisy(sigma, count, seed):
+    """Normal numbers, with sigma as their truth."""
+    return np.random.default_rng([seed, count]).normal(0, sigma, count), sigma
+
+
+def mad(x):
+    return 1.4826 * np.median(np.abs(x - np.median(x)))
+
+
+METHODS = {"std": np.std, "mad": mad}
+CASES = bench.grid(sigma=(1.0, 2.0, 5.0), count=(10, 30))
+
+
+@pytest.fixture
+def results():
+    return bench.run(CASES, METHODS, make=noisy, seeds=range(4))
+
+
+def quietly(*arguments, **options):
+    """A run whose failures are meant."""
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        return bench.run(*arguments, **options)
+
+
+# Cases
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from("abcd"),
+        st.lists(st.integers(-9, 9), min_size=1, max_size=3, unique=True),
+        min_size=1,
+    )
+)
+@settings(max_examples=25, deadline=None)
+def test_any_grid_comes_back_on_its_axes(axes):
+    cases = bench.grid(**axes)
+    assert cases == [dict(zip(axes, row, strict=True)) for row in itertools.product(*axes.values())]
+    shuffled = [cases[k] for k in np.random.default_rng(0).permutation(len(cases))]
+    weights = {name: 20**k for k, name in enumerate("abcd")}
+
+    def make(seed, **case):
+        return sum(weights[name] * value for name, value in case.items())
+
+    for given_cases in (cases, shuffled):
+        found = bench.run(given_cases, {"same": lambda x: x}, make=make)
+        assert set(found["value"].dims) == {"method", *axes, "seed"}
+        for case in cases:
+            assert found["value"].sel(case).item() == make(0, **case)
+
+
+def test_single_values_are_axes_of_one():
+    assert bench.grid(kind="lines", n=(1, 2)) == [
+        {"kind": "lines", "n": 1},
+        {"kind": "lines", "n": 2},
+    ]
+    with pytest.raises(ValueError, match="Invalid axes n: no values"):
+        bench.grid(n=())
+
+
+@pytest.mark.parametrize("form", [list, pd.DataFrame])
+def test_cases_that_are_no_full_grid_stand_in_a_row(form):
+    cases = [{"a": 1, "b": "x"}, {"a": 2, "b": "x"}, {"a": 2, "b": "y"}]
+    found = bench.run(form(cases), {"a": lambda d: d[0]}, make=lambda a, b, seed: [a, b])
+    assert found["value"].dims == ("method", "case", "seed")
+    assert found["a"].values.tolist() == [1, 2, 2]
+    assert found["b"].values.tolist() == ["x", "x", "y"]
+    assert found["value"].values.ravel().tolist() == [1, 2, 2]
+
+
+def test_nan_is_a_value_of_a_parameter():
+    cases = bench.grid(a=(1.0, math.nan), b=(1, 2))
+    found = bench.run(cases, {"m": lambda x: x}, make=lambda a, b, seed: b)
+    assert found["value"].shape == (1, 2, 2, 1)
+    assert bench.summary(found, by="a")["n"].tolist() == [2, 2]
+
+
+def test_parameters_that_are_no_numbers_become_texts():
+    cases = bench.grid(of=(np.mean, np.max), width=(None, 2))
+    found = bench.run(cases, {"it": lambda x: x}, make=lambda of, width, seed: of([1, 3]))
+    assert found["value"].sel(of="max", width="None").item() == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "sentence"),
+    [
+        ({"cases": []}, ValueError, "Invalid cases"),
+        ({"cases": [{"a": 1}, {"b": 1}]}, ValueError, "Must have the parameters a"),
+        ({"cases": [{"seed": 1}]}, ValueError, "Invalid parameter 'seed'"),
+        ({"cases": [{"truth_x": 1}]}, ValueError, "Invalid parameter 'truth_x'"),
+        ({"methods": {}}, TypeError, "Invalid methods"),
+        ({"methods": {"a": 3}}, TypeError, "Invalid method 'a' of type int"),
+        ({"methods": {"": len}}, TypeError, "Invalid name of a method"),
+        ({"make": 3}, TypeError, "Invalid make of type int"),
+        ({"score": 3}, TypeError, "Invalid score of type int"),
+        ({"seeds": ()}, ValueError, "Invalid seeds"),
+        ({"seeds": (1, 1)}, ValueError, "Invalid seeds"),
+        ({"workers": 0}, ValueError, "Invalid workers 0"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(change, error, sentence):
+    whole = {"cases": [{"a": 1}], "methods": {"a": len}, "make": lambda a, seed: a}
+    whole |= change
+    with pytest.raises(error, match=sentence):
+        bench.run(whole.pop("cases"), whole.pop("methods"), **whole)
+
+
+# The loop
+
+
+def test_run_is_the_loop(results):
+    assert results["value"].dims == ("method", "sigma", "count", "seed")
+    for (name, method), case, seed in itertools.product(METHODS.items(), CASES, range(4)):
+        data, truth = noisy(**case, seed=seed)
+        cell = results.sel({"method": name, "seed": seed, **case})
+        assert cell["value"].item() == method(data)
+        assert cell["truth"].item() == truth
+    assert (results["failure"] == "").all()
+
+
+def test_make_is_called_once_and_each_method_gets_its_own_copy():
+    calls = []
+
+    def make(n, seed):
+        calls.append((n, seed))
+        return np.full(3, float(n))
+
+    def greedy(x):
+        x *= 0
+        return x.sum()
+
+    found = bench.run(bench.grid(n=(1, 2)), {"greedy": greedy, "sum": np.sum}, make=make)
+    assert calls == [(1, 0), (2, 0)]
+    assert found["value"].sel({"method": "sum"}).values.ravel().tolist() == [3, 6]
+
+
+def test_score_turns_results_into_figures_with_units():
+    def make(n, seed):
+        return n, {"height_mm": n + 1, "note": "free text"}
+
+    def score(result, truth):
+        return {"error_mm": result.height - truth["height_mm"], "hits": True}
+
+    methods = {"low": lambda n: SimpleNamespace(height=n)}
+    found = bench.run(bench.grid(n=(1, 2)), methods, make=make, score=score)
+    assert found["error_mm"].values.ravel().tolist() == [-1, -1]
+    assert found["error_mm"].attrs["units"] == found["truth_height_mm"].attrs["units"] == "mm"
+    assert found["hits"].values.ravel().tolist() == [1, 1]
+    assert set(found.data_vars) == {"error_mm", "hits", "truth_height_mm", "failure"}
+
+
+# Failures
+
+
+def raises(x):
+    raise RuntimeError("no\n  signal")
+
+
+def leaves(x):
+    raise SystemExit(3)
+
+
+BAD = {
+    "raises": (raises, "RuntimeError: no signal"),
+    "leaves": (leaves, "SystemExit: 3"),
+    "nan": (lambda x: math.nan, "value is nan. Must be finite numbers."),
+    "infinite": (lambda x: math.inf, "value is inf. Must be finite numbers."),
+    "text": (lambda x: "3", "value is of type str. Must be finite numbers."),
+    "none": (lambda x: None, "value is of type NoneType. Must be finite numbers."),
+    "array": (lambda x: np.ones((2, 1)), "value has shape (2, 1). Must be finite numbers."),
+    "ragged": (lambda x: [[1], [1, 2]], "value is of type list. Must be finite numbers."),
+    "complex": (lambda x: 1j, "value is of type complex. Must be finite numbers."),
+    "empty": (lambda x: {}, "the dict is empty. Must be finite numbers."),
+    "taken": (
+        lambda x: {"count": 3},
+        "count is a name that the results need for something else. Must be finite numbers.",
+    ),
+}
+
+
+def test_each_failure_costs_its_own_cells_and_one_sentence(tmp_path):
+    methods = {"std": np.std} | {name: method for name, (method, _) in BAD.items()}
+    with pytest.warns(UserWarning, match="cells not measured") as said:
+        found = bench.run(CASES, methods, make=noisy, seeds=(0, 1))
+    assert len(said) == len(BAD)
+    assert str(said[0].message) == "raises: 12 of 12 cells not measured; the first: " + (
+        "RuntimeError: no signal"
+    )
+    assert np.isfinite(found["value"].sel({"method": "std"})).all()
+    assert found["value"].sel({"method": list(BAD)}).isnull().all()
+    table = bench.failures(found)
+    assert table["method"].tolist() == list(BAD)
+    assert table["reason"].tolist() == [reason for _, reason in BAD.values()]
+    assert (table["count"] == 12).all()
+    assert (table["first_case"] == "sigma=1.0, count=10, seed=0").all()
+    found.to_netcdf(tmp_path / "results.nc")
+    with xr.open_dataset(tmp_path / "results.nc") as kept:
+        pd.testing.assert_frame_equal(bench.failures(kept), table, check_dtype=False)
+    pd.testing.assert_frame_equal(bench.failures(pickle.loads(pickle.dumps(found))), table)
+
+
+def test_one_bad_figure_leaves_the_others():
+    found = quietly([{"n": 1}], {"m": lambda n: {"a": math.nan, "b": 2}}, make=lambda n, seed: n)
+    assert found["a"].isnull().all()
+    assert found["b"].item() == 2
+    assert bench.failures(found)["reason"].tolist() == ["a is nan. Must be finite numbers."]
+
+
+def test_a_figure_that_comes_and_goes_is_counted():
+    def method(n):
+        return {"a": n, "b": n} if n else {"a": n}
+
+    found = quietly(bench.grid(n=(0, 1)), {"m": method}, make=lambda n, seed: n)
+    table = bench.failures(found)
+    assert table["reason"].tolist() == ["gave no b. Must give the same figures in every case."]
+    assert table["first_case"].tolist() == ["n=0, seed=0"]
+
+
+def test_a_make_that_fails_costs_its_case_for_all_methods():
+    def make(n, seed):
+        return 1 / (n - 2)
+
+    found = quietly(bench.grid(n=(1, 2, 3)), {"a": lambda x: x, "b": lambda x: -x}, make=make)
+    assert found["value"].sel(n=2).isnull().all()
+    assert found["value"].notnull().sum() == 4
+    assert bench.failures(found)["reason"].unique().tolist() == [
+        "make: ZeroDivisionError: division by zero"
+    ]
+
+
+def test_a_score_that_fails_is_named():
+    found = quietly([{"n": 1}], {"a": abs}, make=lambda n, seed: n, score=lambda r, t: r.none)
+    assert bench.failures(found)["reason"].item().startswith("score: AttributeError")
+
+
+def test_no_failures_no_rows(results):
+    assert bench.failures(results).empty
+
+
+# Interruption
+
+
+class Counted:
+    """A method that counts its calls and is interrupted at one of them."""
+
+    def __init__(self, stop=None):
+        self.calls, self.stop = [], stop
+
+    def method(self, name, function):
+        def counted(x):
+            if len(self.calls) == self.stop:
+                raise KeyboardInterrupt
+            self.calls.append(name)
+            return function(x)
+
+        return counted
+
+
+@pytest.mark.parametrize("stop", [0, 1, 4, 7])
+def test_an_interrupted_run_goes_on_where_it_stopped(stop, tmp_path):
+    def run(counted):
+        methods = {name: counted.method(name, method) for name, method in METHODS.items()}
+        return bench.run(CASES[:4], methods, make=noisy, folder=tmp_path)
+
+    first, second, third = Counted(stop), Counted(), Counted()
+    with pytest.raises(KeyboardInterrupt):
+        run(first)
+    whole = run(second)
+    assert len(first.calls) == stop
+    assert len(second.calls) == 8 - stop
+    assert run(third).identical(whole)
+    assert third.calls == []
+    assert whole.identical(bench.run(CASES[:4], METHODS, make=noisy))
+
+
+def test_a_new_method_computes_its_own_cells_alone(tmp_path):
+    counted = Counted()
+    methods = {"std": counted.method("std", np.std)}
+    bench.run(CASES, methods, make=noisy, folder=tmp_path)
+    methods["mad"] = counted.method("mad", mad)
+    more = bench.run(CASES, methods, make=noisy, folder=tmp_path, seeds=(0, 1))
+    assert counted.calls[:6] == 6 * ["std"]
+    assert sorted(counted.calls[6:]) == 12 * ["mad"] + 6 * ["std"]
+    assert more.identical(bench.run(CASES, METHODS, make=noisy, seeds=(0, 1)))
+
+
+def test_make_is_not_called_for_what_is_kept(tmp_path):
+    made = []
+
+    def make(n, seed):
+        made.append(n)
+        return n, n
+
+    for _ in range(2):
+        found = bench.run(bench.grid(n=(1, 2)), {"a": abs}, make=make, folder=tmp_path)
+    assert made == [1, 2]
+    assert found["truth"].values.ravel().tolist() == [1, 2]
+
+
+def scaled(x, by=2.0):
+    return by * float(np.sum(x))
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        lambda x: 3.0 * float(np.sum(x)),
+        lambda x, by=3.0: by * float(np.sum(x)),
+        partial(scaled, by=3.0),
+        (lambda by: lambda x: by * float(np.sum(x)))(3.0),
+        lambda x: sum([3.0 * float(np.sum(y)) for y in [x]]),
+    ],
+)
+def test_a_changed_method_is_computed_anew(after, tmp_path):
+    before = (lambda by: lambda x: by * float(np.sum(x)))(2.0)
+    for method, factor in ((before, 2), (after, 3), (before, 2)):
+        found = bench.run([{"n": 5}], {"m": method}, make=lambda n, seed: n, folder=tmp_path)
+        assert found["value"].item() == factor * 5
+
+
+def test_a_changed_helper_is_noticed(tmp_path):
+    place = {"__name__": "elsewhere"}
+    exec("def helper(x): return 2 * x\ndef method(x): return [helper(y) for y in [x]][0]", place)
+
+    def value():
+        methods = {"m": place["method"]}
+        run = bench.run([{"n": 5}], methods, make=lambda n, seed: n, folder=tmp_path)
+        return run["value"].item()
+
+    assert value() == 10
+    exec("def helper(x): return 3 * x", place)
+    assert value() == 15
+
+
+def test_failures_of_the_method_are_kept_those_of_the_machine_are_not(tmp_path):
+    for error, times in ((ValueError, 1), (OSError, 2), (MemoryError, 2), (ImportError, 2)):
+        calls = []
+
+        def method(n, error=error, calls=calls):
+            calls.append(n)
+            raise error("no")
+
+        for _ in range(2):
+            found = quietly([{"n": 5}], {"m": method}, make=lambda n, seed: n, folder=tmp_path)
+            assert bench.failures(found)["reason"].item() == f"{error.__name__}: no"
+        assert len(calls) == times
+
+
+def test_a_damaged_file_is_computed_anew(tmp_path):
+    first = bench.run(CASES, METHODS, make=noisy, folder=tmp_path)
+    for path in list(tmp_path.iterdir())[::2]:
+        path.write_text(path.read_text()[:9])
+    assert bench.run(CASES, METHODS, make=noisy, folder=tmp_path).identical(first)
+
+
+def test_a_case_that_changes_with_every_run_is_refused_for_a_folder(tmp_path):
+    cases = [{"n": object()}]
+    bench.run(cases, {"m": lambda n: 1}, make=lambda n, seed: 1)
+    with pytest.raises(ValueError, match="Must be plain values"):
+        bench.run(cases, {"m": lambda n: 1}, make=lambda n, seed: 1, folder=tmp_path)
+
+
+# Processes
+
+
+def test_processes_give_the_same_bits_as_one():
+    from distributed import Client, LocalCluster
+
+    def product(x):
+        return {"sum": float((np.outer(x, x) @ np.outer(x, x)).sum()), "std": x.std()}
+
+    methods = {"product": product, "local": lambda x: np.exp(x).mean(), "raises": raises}
+    here = quietly(CASES, methods, make=noisy, seeds=(0, 1))
+    assert quietly(CASES, methods, make=noisy, seeds=(0, 1), workers=2).identical(here)
+    options = {"threads_per_worker": 2, "dashboard_address": None, "memory_limit": 0}
+    with LocalCluster(n_workers=1, **options) as cluster, Client(cluster) as client:
+        assert quietly(CASES, methods, make=noisy, seeds=(0, 1), client=client).identical(here)
+
+
+# Tables
+
+
+def test_summary_is_the_t_interval(results):
+    table = bench.summary(results, by="sigma").set_index(["method", "sigma"])
+    for (method, sigma), row in table.iterrows():
+        values = results["value"].sel({"method": method, "sigma": sigma}).values.ravel()
+        interval = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+        assert row["mean"] == pytest.approx(values.mean())
+        assert (row["low"], row["high"]) == pytest.approx((interval.low, interval.high))
+        assert (row["n"], row["missing"]) == (8, 0)
+
+
+def test_summary_counts_what_is_missing():
+    def method(n):
+        return {"error_mm": n if n < 3 else math.nan}
+
+    found = quietly(bench.grid(n=range(5)), {"m": method}, make=lambda n, seed: n)
+    row = bench.summary(found).iloc[0]
+    assert (row["mean_mm"], row["n"], row["missing"]) == (1, 3, 2)
+    single = bench.summary(found, "error_mm", by="n")
+    assert np.isnan(single["low_mm"]).all()
+    with pytest.raises(ValueError, match="Invalid figure 'error'"):
+        bench.summary(found, "error")
+    with pytest.raises(ValueError, match="Invalid parameter 'm'"):
+        bench.summary(found, by="m")
+
+
+def test_compare_is_the_paired_interval(results):
+    row = bench.compare(results, reference="std").iloc[0]
+    parts = [results["value"].sel({"method": name}).values.ravel() for name in ("mad", "std")]
+    test = stats.ttest_rel(*parts)
+    interval = test.confidence_interval(0.95)
+    assert row["difference"] == pytest.approx(np.mean(parts[0] - parts[1]))
+    assert (row["low"], row["high"]) == pytest.approx((interval.low, interval.high))
+    assert row["better_share"] == np.mean(parts[0] < parts[1])
+    higher = bench.compare(results, reference="std", better="higher").iloc[0]
+    assert higher["better_share"] == np.mean(parts[0] > parts[1])
+
+
+def test_compare_over_cases_takes_the_mean_of_seeds(results):
+    row = bench.compare(results, reference="std", over="cases").iloc[0]
+    values = results["value"].mean("seed")
+    pairs = (values.sel({"method": "mad"}) - values.sel({"method": "std"})).values.ravel()
+    interval = stats.ttest_1samp(pairs, 0).confidence_interval(0.95)
+    assert (row["low"], row["high"], row["n"]) == pytest.approx((interval.low, interval.high, 6))
+
+
+def test_compare_pairs_only_what_both_measured():
+    methods = {"all": lambda n: n, "some": lambda n: n + 1 if n else math.nan}
+    found = quietly(bench.grid(n=range(4)), methods, make=lambda n, seed: n)
+    row = bench.compare(found, reference="all").iloc[0]
+    assert (row["difference"], row["n"], row["missing"], row["better_share"]) == (1, 3, 1, 0)
+    with pytest.raises(ValueError, match="Invalid reference 'none'"):
+        bench.compare(found, reference="none")
+
+
+def test_intervals_cover_the_true_difference(rng):
+    """95 % within three standard errors of 400 repetitions: 0.917 to 0.983."""
+    inside = 0
+    for _ in range(400):
+        values = rng.normal([[[0.0]], [[1.0]]], 2.0, (2, 8, 1)) + rng.normal(0, 9, (1, 8, 1))
+        found = xr.Dataset(
+            {"value": (("method", "case", "seed"), values)},
+            {"method": ["a", "b"], "seed": [0], "n": ("case", range(8))},
+        )
+        row = bench.compare(found, reference="a").iloc[0]
+        inside += row["low"] < 1 < row["high"]
+    assert 0.917 < inside / 400 < 0.983
+
+
+def test_rank_is_spearman_with_the_truth(results):
+    by_truth, by_parameter = bench.rank(results, "truth"), bench.rank(results, "sigma")
+    pd.testing.assert_frame_equal(by_truth, by_parameter)
+    for row in by_truth.itertuples():
+        values = results["value"].sel({"method": row.method})
+        sigma = results["truth"].broadcast_like(values)
+        expected = stats.spearmanr(values.values.ravel(), sigma.values.ravel()).statistic
+        assert row.spearman == pytest.approx(expected)
+        assert row.low <= row.spearman <= row.high
+        assert row.n == 24
+    best, other = by_truth.itertuples()
+    assert (best.behind_best, best.behind_low, best.behind_high) == (0, 0, 0)
+    assert other.behind_best == pytest.approx(best.spearman - other.spearman)
+
+
+def test_rank_resamples_whole_cases_the_same_for_all_methods():
+    methods = {"a": lambda x: x, "twin": lambda x: 10 * x, "falling": lambda x: -x}
+
+    def make(n, seed):
+        return n + np.random.default_rng(seed + 100 * n).normal(0, 3)
+
+    found = bench.run(bench.grid(n=range(10)), methods, make=make, seeds=range(5))
+    table = bench.rank(found, "n").set_index("method")
+    assert (table[["behind_best", "behind_low", "behind_high"]].abs() < 1e-12).all(axis=None)
+    assert table.loc["falling", "spearman"] == pytest.approx(-table.loc["a", "spearman"])
+    values = found["value"].sel({"method": "a"}).values[:, :]
+    rng, drawn = np.random.default_rng(5), []
+    for _ in range(600):
+        pick = rng.integers(10, size=10)
+        drawn.append(stats.spearmanr(values[pick].ravel(), np.repeat(pick, 5)).statistic)
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    assert table.loc["a", ["low", "high"]].tolist() == pytest.approx([low, high], abs=0.05)
+
+
+def test_rank_takes_what_a_method_measured():
+    methods = {"part": lambda n: n if n < 3 else math.nan, "flat": lambda n: 1}
+    found = quietly(bench.grid(n=range(6)), methods, make=lambda n, seed: n)
+    table = bench.rank(found, "n").set_index("method")
+    assert table.loc["part", ["spearman", "n", "missing"]].tolist() == [1, 3, 3]
+    assert np.isnan(table.loc["flat", "spearman"])
+    with pytest.raises(ValueError, match="Invalid truth 'none'"):
+        bench.rank(found, "none")
+    texts = bench.run(bench.grid(k=("a", "b")), {"m": len}, make=lambda k, seed: k)
+    with pytest.raises(ValueError, match="Must be numbers"):
+        bench.rank(texts, "k")
+
+
+def test_tables_take_a_selection_and_a_row_of_cases(results):
+    assert (bench.summary(results.sel(sigma=2.0), by="count")["n"] == 4).all()
+    row = bench.run(CASES[:5], METHODS, make=noisy, seeds=range(4))
+    assert bench.rank(row, "sigma")["n"].tolist() == [20, 20]
+    assert len(bench.summary(row, by=("sigma", "count"))) == 10
+
+
+# The command
+
+
+def small(quick=False):
+    """A study of two methods."""
+
+    def tables(results):
+        return {"ranks": bench.rank(results, "sigma", resamples=9)}
+
+    def figures(results):
+        figure = Figure()
+        figure.subplots().plot(results["sigma"], results["value"].mean(("count", "seed")).T)
+        return {"course": figure}
+
+    cases = CASES[:2] if quick else CASES
+    return bench.Comparison(cases, dict(METHODS), noisy, None, (0, 1), tables, figures)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with a researcher's module, and a study that compares."""
+    monkeypatch.setattr(anisotropy, "comparison", small, raising=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    text = "import numpy as np\nLIMIT = 3\ndef spread(x):\n    return np.ptp(x)\n"
+    text += "def upset(x):\n    raise ValueError('no signal')\n"
+    (tmp_path / "researcher.py").write_text(text)
+    (tmp_path / "broken.py").write_text("def spread(x:\n")
+    return tmp_path
+
+
+def test_command_gives_the_study_with_one_more_row(folder, capsys):
+    line = "bench anisotropy --method researcher:spread --out out --json --csv rows.csv"
+    assert main(line.split()) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    rows = json.loads(printed.out)
+    assert [row["method"] for row in rows] == ["std", "mad", "spread"]
+    assert pd.read_csv("rows.csv").columns.tolist() == list(rows[0])
+    ranks = pd.read_csv("out/ranks.csv")
+    assert set(ranks["method"]) == {"std", "mad", "spread"}
+    assert {path.name for path in (folder / "out").iterdir()} == {
+        "cells",
+        "course.png",
+        "course.svg",
+        "failures.csv",
+        "ranks.csv",
+        "results.nc",
+    }
+    with xr.open_dataset("out/results.nc") as kept:
+        assert kept["value"].sel({"method": "spread"}).notnull().all()
+
+
+UPSET = ["bench", "anisotropy", "--method", "researcher:upset"]
+
+
+def test_command_says_what_failed_and_goes_on(folder, capsys):
+    assert main([*UPSET, "--quick", "--out", "out"]) == 0
+    said = capsys.readouterr()
+    assert said.err.strip() == (
+        "mmqa bench: upset: 4 of 4 cells not measured; the first: ValueError: no signal"
+    )
+    assert pd.read_csv("out/failures.csv")["reason"].tolist() == ["ValueError: no signal"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("nowhere", "Invalid study 'nowhere'. Must be one of chart_tables"),
+        ("anisotropy --method spread", "Must be MODULE:FUNCTION."),
+        ("anisotropy --method nowhere:spread", "No module named 'nowhere'. Must be"),
+        ("anisotropy --method broken:spread", "SyntaxError"),
+        ("anisotropy --method researcher:none", "no none in researcher. Must be a function."),
+        ("anisotropy --method researcher:LIMIT", "not callable. Must be a function."),
+        ("anisotropy --workers 0", "Invalid workers 0"),
+        ("anisotropy --out researcher.py", "Invalid folder researcher.py: a file."),
+    ],
+)
+def test_command_refuses_in_one_sentence(words, sentence, folder, capsys):
+    before = sorted(folder.iterdir())
+    assert main(["bench", *words.split()]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert sentence in said.err
+    assert len(said.err.splitlines()) == 1
+    assert [path for path in sorted(folder.iterdir()) if path.name != "__pycache__"] == before
+
+
+def test_command_refuses_a_name_that_the_study_has(folder, capsys):
+    (folder / "twin.py").write_text("def mad(x):\n    return 0\n")
+    assert main(["bench", "anisotropy", "--method", "twin:mad"]) == 2
+    assert "mad is in the study" in capsys.readouterr().err
+
+
+def test_a_study_that_compares_nothing_is_refused(folder, monkeypatch, capsys):
+    monkeypatch.delattr(anisotropy, "comparison")
+    assert main(["bench", "anisotropy"]) == 2
+    assert "it compares no methods" in capsys.readouterr().err
