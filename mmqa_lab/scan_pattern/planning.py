@@ -163,7 +163,7 @@ def sensitivities(setup, target, *, inputs=INPUTS):
     for name in inputs:
         check_choice(name, "input", INPUTS)
         step = STEPS.get(name, 1e-4)
-        ends = _predicted(setup, target, {name: np.array([-step, step])})
+        ends = _predicted(setup, target, {name: np.array([-step, step])}, SMOOTH)
         rows[name] = [(ends[key][1] - ends[key][0]) / (2 * step) for key in SMOOTH]
     table = pd.DataFrame.from_dict(rows, orient="index", columns=list(SMOOTH))
     return table.rename_axis("input")
@@ -280,13 +280,13 @@ def explain_error(setup, target, *, quantity, measured, inputs=EXPLAINED):
         lack = partial(_lack, setup, target, quantity, measured, name)
         rows.append((name, _unit(name), _nearest_root(lack, _reach(setup, target, name))))
     table = pd.DataFrame(rows, columns=["input", "unit", "change"])
-    predicted = _predicted(setup, target, {})[quantity][0]
+    predicted = _predicted(setup, target, {}, [quantity])[quantity][0]
     return table.assign(predicted=predicted, measured=measured)
 
 
 def _lack(setup, target, quantity, measured, name, change):
     """By how much the prediction exceeds the measurement once an input is changed."""
-    return _predicted(setup, target, {name: change})[quantity] - measured
+    return _predicted(setup, target, {name: change}, [quantity])[quantity] - measured
 
 
 def _reach(setup, target, name):
@@ -314,8 +314,8 @@ def _nearest_root(lack, reach):
     return float(brentq(lambda x: lack(np.array([x]))[0], tried[nearest], tried[nearest + 1]))
 
 
-def _predicted(setup, target, errors):
-    """Every quantity, as arrays, with errors added to the named inputs."""
+def _predicted(setup, target, errors, names=QUANTITIES):
+    """Quantities, as arrays, with errors added to the named inputs."""
     shift = {name: np.atleast_1d(values) for name, values in errors.items()}
     changed = {name: getattr(setup, name) + shift[name] for name in shift if name in NUMBERS}
     moved = {
@@ -325,4 +325,4 @@ def _predicted(setup, target, errors):
     normal = target_normal(moved.pop("heading_deg"), moved.pop("tilt_deg"))
     points = replace(target, **moved).patch(setup).points
     lattice = scan_lattice(replace(setup, **changed), Patch(points, -normal))
-    return {name: np.atleast_1d(lattice.quantity(name)) for name in QUANTITIES}
+    return {name: np.atleast_1d(lattice.quantity(name)) for name in names}
