@@ -173,6 +173,33 @@ class Lattice:
         columns = {name: np.broadcast_to(self.quantity(name), shape).ravel() for name in QUANTITIES}
         return pd.DataFrame(columns)
 
+    def _repr_html_(self):
+        """The table, in a notebook."""
+        return self.to_frame()._repr_html_()
+
+    def points(self, half_width=0.25):
+        """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
+        a, _, b = self.plane_steps()
+        reach = np.abs(np.linalg.inv(np.array([a, b]).T)).sum(axis=1) * half_width
+        i, j = np.meshgrid(*(np.arange(-r, r + 1) for r in np.minimum(np.ceil(reach), 2000)))
+        xy = np.multiply.outer(i, a) + np.multiply.outer(j, b)
+        return xy[(np.abs(xy) <= half_width).all(axis=-1)]
+
+    def plot(self, ax=None, *, half_width=0.25):
+        """Draw the points about a single spot and the two steps, millimetres; return the axes."""
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots()[1] if ax is None else ax
+        ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
+        a, _, b = 1000 * np.array(self.plane_steps())
+        for step, name, colour in ((a, "a", "#D55E00"), (b, "b", "#0072B2")):
+            ax.annotate("", step, (0, 0), arrowprops={"arrowstyle": "-|>", "color": colour})
+            ax.annotate(name, step, (4, 4), textcoords="offset points", color=colour)
+        ends = (-1000 * half_width, 1000 * half_width)
+        ax.set(xlim=ends, ylim=ends, aspect="equal")
+        ax.set(xlabel="along the level line (mm)", ylabel="up the slope (mm)")
+        return ax
+
     def quantity(self, name):
         """Return one of ``QUANTITIES`` by its name."""
         if name[0] == "d" and name[1:2].isdigit():

@@ -124,6 +124,10 @@ class PatternMeasurement:
         ]
         return pd.DataFrame(rows, columns=["quantity", "measured", "std", "n"])
 
+    def _repr_html_(self):
+        """The table, in a notebook."""
+        return self.to_frame()._repr_html_()
+
     def _spread(self, by_gap, by_angle):
         """Standard deviation of a function of gap and angle from its derivatives."""
         angle_std = np.radians(self.profile_angle_std)

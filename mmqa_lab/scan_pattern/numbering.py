@@ -3,7 +3,7 @@
 import numpy as np
 
 from mmqa_lab._checks import check_positive
-from mmqa_lab.planes import sigma_mad
+from mmqa_lab.planes import flat_points, sigma_mad
 from mmqa_lab.scan_pattern.lines import group_means, solve_groups
 
 PAUSE = 20
@@ -169,7 +169,7 @@ def profiles_from_pattern(xy, *, widest=0.5):
     >>> int(np.ptp(number)) + 1
     11
     """
-    xy = np.asarray(xy, dtype=np.float64)
+    xy = flat_points(xy)
     low, high = xy.min(axis=0), xy.max(axis=0)
     centred = xy - (low + high) / 2
     # points are faded out towards the outline, which has a pattern of its own

@@ -1,7 +1,7 @@
 """Study 05: scan patterns predicted by the paper's equations and by the lattice, and measured.
 
 What the notebook shows in full is not here: these are its simulated walls, the methods of its
-bench, the readings of Table 4, the real street, the checks and the ledger.
+bench, the readings of Table 4, the checks and the ledger.
 """
 
 from dataclasses import dataclass, replace
@@ -10,18 +10,15 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import bench, samples, simulate
-from mmqa_lab.io import read_cloud
+from mmqa_lab import bench, simulate
 from mmqa_lab.published import ledger, number, table
 from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern import (
     Patch,
     ScanSetup,
     Target,
-    fit_scan_planes,
     measure_pattern,
     mimic,
-    revolutions_from_time,
     scan_lattice,
 )
 
@@ -48,10 +45,10 @@ SYSTEMS = (
 """Rates of the XP1 and of the two settings of the Lynx M1 (section 4.2.2)."""
 
 READINGS = (
-    "The scanner tilted by -45 degrees, walls turned about a line 3.2 m below it (fitted). Range and "
-    "axes are not printed; with one fitted height no reading gives more than these six rows.",
-    "The scanner turned by 45 degrees about one axis, walls turned about a line 2.76 m below it and "
-    "the point 1.82 m above it (four fitted lengths): other six rows, 8 and 9 among them.",
+    "The scanner tilted by -45 degrees, walls turned about a line 3.2 m below it (fitted): range "
+    "and axes are not printed, and with one fitted height no reading gives more than six rows.",
+    "The scanner turned by 45 degrees about one axis, walls turned about a line 2.76 m below it "
+    "and the point 1.82 m above it (four fitted lengths): other six rows, 8 and 9 among them.",
 )
 """What is assumed in the two readings of Table 4."""
 
@@ -59,9 +56,6 @@ FIELD_NOTE = (
     "Five distances clicked on simulated surfaces within the printed limits; mountings of 45/45 "
     "degrees and the noise of ranges are assumed, for the paper prints neither."
 )
-
-STREET = "street_profiles/street_0.02_s.laz"
-"""0.02 s of a street (jakteristics test data, BSD), in the folder that ``MMQA_DATA`` names."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +261,7 @@ def lattice(scan):
 
 def measured(scan):
     """All profiles of the simulated points fitted at once, with time."""
-    found = measure_pattern(scan.cloud.points, gps_time=scan.cloud["gps_time"], reference=scan.spot)
+    found = measure_pattern(scan.cloud, gps_time=scan.cloud["gps_time"], reference=scan.spot)
     stds = {f"std_{name}": value for name, value in _figures_of(found, "_std").items()}
     return _figures_of(found) | stds
 
@@ -286,6 +280,8 @@ def clicked(scan, *, clicks=5):
         here, beside = uv[line == line[i]], uv[line == line[i] + 1]
         ahead = here[(here - uv[i]) @ found.plane_steps()[0] > 0] - uv[i]
         rows.append((_across(beside, uv[i], 0), _across(beside, uv[i], 1), _nearest(ahead)))
+    rows = np.array(rows)
+    rows[rows[:, 2] > 1.5 * np.nanmedian(rows[:, 2]), 2] = np.nan  # over a pulse without echo
     mean, std = 1000 * np.nanmean(rows, axis=0), 1000 * np.nanstd(rows, axis=0, ddof=1)
     names = ("horizontal_mm", "vertical_mm", "point_mm")
     stds = {f"std_{name}": value for name, value in zip(names, std.tolist(), strict=True)}
@@ -411,43 +407,6 @@ def table_4(*, gamma_scan, through_m, height_m=0.0, upwards=True):
     found["fitted_mm"] = rows
     found["agrees"] = (found["fitted_mm"] - found["published_mm"]).abs() <= 0.5
     return found[["no", "alpha_targ_deg", "beta_targ_deg", "published_mm", "fitted_mm", "agrees"]]
-
-
-def street():
-    """Return measured and predicted profile spacing on the road of a real street, or None.
-
-    For each of six patches, 2 m wide, the scan planes fitted to all other points are cut with the
-    patch's plane: ``predicted_mm`` with a vehicle that turns, ``at_rest_mm`` without.
-
-    Returns
-    -------
-    DataFrame or None
-        None where the cloud is not on this computer.
-    """
-    if not samples.has_real(STREET):
-        return None
-    cloud = read_cloud(samples.real_path(STREET))
-    points, time = cloud.points, cloud["gps_time"]
-    number_ = revolutions_from_time(time)
-    across, height = (points - points.mean(axis=0))[:, 1:].T
-    rows = []
-    for middle in (-4.0, -2.0, 0.0, 2.0, 4.0, 6.0):
-        patch = (np.abs(across - middle) < 1) & (height < 0.5)
-        found = measure_pattern(points[patch], scan_line=number_[patch])
-        others = fit_scan_planes(points[~patch], time[~patch])
-        normal = found.plane.normal
-        crossing = np.linalg.norm(np.cross(others.normal, normal))
-        rows.append(
-            {
-                "across_m": middle,
-                "profiles": found.profiles,
-                "measured_mm": 1000 * found.profile_spacing_perpendicular_m,
-                "std_mm": 1000 * found.profile_spacing_perpendicular_std,
-                "predicted_mm": 1000 * float(others.spacing_on(found.plane.centre, normal)),
-                "at_rest_mm": 1000 * others.speed_m_s / others.mirror_frequency_hz / crossing,
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def checks(*, table_3, results, still, readings, counted, field):
