@@ -102,7 +102,7 @@ def _draw(window, quality, layout, file):
     """Write the figure of one evaluated photograph."""
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
-    from mmqa_lab.studies.chart_tables import images
+    from mmqa_lab.studies import chart_images as images
 
     plots.use_style()
     figure, axes = plots.subplots(1, 2, width="double", height_mm=85)

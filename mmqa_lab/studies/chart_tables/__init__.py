@@ -4,7 +4,8 @@
 specifications, ``images`` Table 1 from specifications and photographs.
 """
 
-from mmqa_lab.studies.chart_tables import images, points, systems
+from mmqa_lab.studies import chart_images as images
+from mmqa_lab.studies.chart_tables import points, systems
 
 QUICK = {**systems.QUICK, **images.QUICK}
 

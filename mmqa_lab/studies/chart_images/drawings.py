@@ -6,7 +6,7 @@ from mmqa_lab import chart_image, charts
 from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.plots import COLOURS, KIND_COLOURS
 from mmqa_lab.published.pfeifer2021_images import LADDER_MM, VIEWS
-from mmqa_lab.studies.chart_tables.images.rendered import ROW
+from mmqa_lab.studies.chart_images.rendered import ROW
 
 STYLES = {
     "published": ("published", "_", "full"),

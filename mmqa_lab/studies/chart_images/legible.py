@@ -12,7 +12,7 @@ from mmqa_lab import chart_image, charts
 from mmqa_lab._checks import check_choice
 from mmqa_lab.chart_image.legibility import MARKS
 from mmqa_lab.simulate import cameras
-from mmqa_lab.studies.chart_tables.images.rendered import ROW, photograph
+from mmqa_lab.studies.chart_images.rendered import ROW, photograph
 
 CAP_MM = 40.0
 """Height of the capitals that the paper judges."""

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from mmqa_lab.studies.chart_tables.images.predicted import (
+from mmqa_lab.studies.chart_images.predicted import (
     ladder_widths,
     limits_mm,
     steps_between,
@@ -26,9 +26,9 @@ def one_spread(cells, limits):
     Parameters
     ----------
     cells : DataFrame
-        Of :func:`mmqa_lab.studies.chart_tables.images.width_cells`.
+        Of :func:`mmqa_lab.studies.chart_images.width_cells`.
     limits : DataArray
-        Of :func:`mmqa_lab.studies.chart_tables.images.pair_limits`.
+        Of :func:`mmqa_lab.studies.chart_images.pair_limits`.
 
     Returns
     -------

@@ -5,7 +5,7 @@ motion, ``rendered`` photographs and reads the chart, ``comparisons`` sets every
 ``legible`` holds legibility, ``drawings`` draws and ``findings`` says what holds.
 """
 
-from mmqa_lab.studies.chart_tables.images.comparisons import (
+from mmqa_lab.studies.chart_images.comparisons import (
     compare,
     photographed,
     pixel_sizes,
@@ -13,7 +13,7 @@ from mmqa_lab.studies.chart_tables.images.comparisons import (
     side_by_side,
     widths,
 )
-from mmqa_lab.studies.chart_tables.images.drawings import (
+from mmqa_lab.studies.chart_images.drawings import (
     draw_contrast,
     draw_crops,
     draw_finer,
@@ -22,14 +22,14 @@ from mmqa_lab.studies.chart_tables.images.drawings import (
     draw_spread_trials,
     draw_widths,
 )
-from mmqa_lab.studies.chart_tables.images.findings import checks
-from mmqa_lab.studies.chart_tables.images.fitted import (
+from mmqa_lab.studies.chart_images.findings import checks
+from mmqa_lab.studies.chart_images.fitted import (
     best_spread,
     fit_systems,
     one_spread,
     same_spread,
 )
-from mmqa_lab.studies.chart_tables.images.legible import (
+from mmqa_lab.studies.chart_images.legible import (
     IndexFit,
     fit_index,
     jury_crops,
@@ -38,7 +38,7 @@ from mmqa_lab.studies.chart_tables.images.legible import (
     readable,
     text_crops,
 )
-from mmqa_lab.studies.chart_tables.images.predicted import (
+from mmqa_lab.studies.chart_images.predicted import (
     TYPICAL_SIGMA_PX,
     geometry,
     ladder_widths,
@@ -48,7 +48,7 @@ from mmqa_lab.studies.chart_tables.images.predicted import (
     steps_between,
     width_cells,
 )
-from mmqa_lab.studies.chart_tables.images.rendered import (
+from mmqa_lab.studies.chart_images.rendered import (
     evaluate,
     finer_chart,
     photograph,

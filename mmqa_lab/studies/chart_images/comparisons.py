@@ -5,13 +5,13 @@ import pandas as pd
 
 from mmqa_lab import tender
 from mmqa_lab.published import pfeifer2021_images as published
-from mmqa_lab.studies.chart_tables.images.predicted import (
+from mmqa_lab.studies.chart_images.predicted import (
     TYPICAL_SIGMA_PX,
     ladder_widths,
     limits_mm,
     steps_between,
 )
-from mmqa_lab.studies.chart_tables.images.rendered import ROW, readings
+from mmqa_lab.studies.chart_images.rendered import ROW, readings
 
 CELL = [*ROW, "direction", "quantity"]
 """What names a cell of Table 1."""
