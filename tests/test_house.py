@@ -93,7 +93,7 @@ def test_imports_point_down(path):
     assert here in LAYERS, f"{here} has no layer in the table of this test"
     upward = {name for name in rooms_imported(path) if LAYERS[name] > LAYERS[here]}
     assert not upward
-    if LAYERS[here] <= 3:
+    if LAYERS[here] <= 3 and here != "charts":  # matplotlib draws what is printed
         assert not DRAWING & {name.split(".")[0] for name in imports(path)}
 
 
