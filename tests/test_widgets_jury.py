@@ -72,7 +72,7 @@ def test_jurors_share_a_file_and_see_only_their_own_state(form):
     jurors[1].back()
     assert [one.element for one in jurors] == [None, "z", None]
     jurors[1].mark("b")
-    verdict = chart_image.agreement(jurors[0].marks)
+    verdict = chart_image.agreement(jurors[0].marks).to_frame()
     assert verdict["n"].tolist() == [3, 3, 3]
     assert verdict["element"].tolist() == ["x", "y", "z"]
 

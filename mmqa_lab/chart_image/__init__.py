@@ -14,12 +14,10 @@ Images are arrays of linear light with full scale 1; :mod:`mmqa_lab.imagery` rea
 
 from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
 from mmqa_lab.chart_image.legibility import (
+    Agreement,
     Crop,
     agreement,
-    character_error,
     quality_index,
-    read_crops,
-    reader,
     text_crops,
 )
 from mmqa_lab.chart_image.levels import Tones, tones
@@ -34,10 +32,11 @@ from mmqa_lab.chart_image.line_pairs import (
 from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
-from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images, view_name
+from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images
 from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
 
 __all__ = [
+    "Agreement",
     "ChartMap",
     "Crop",
     "EdgeResponse",
@@ -52,7 +51,6 @@ __all__ = [
     "agreement",
     "align",
     "bar_edges",
-    "character_error",
     "chart_site",
     "check_drive",
     "choose_images",
@@ -64,12 +62,9 @@ __all__ = [
     "pixel_size",
     "pixel_sizes",
     "quality_index",
-    "read_crops",
     "read_pairs",
     "read_pattern",
-    "reader",
     "resolution",
     "text_crops",
     "tones",
-    "view_name",
 ]

@@ -218,7 +218,7 @@ def _place_texts(texts, top):
     for number, (cap, text, *font) in enumerate(texts, start=1):
         face = font[0] if font else Text.font
         placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap, font=face))
-        top -= 1.55 * cap
+        top -= 1.65 * cap
     if texts:
         cap, text, tone, panel = FAINT_TEXT
         faint = Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel)
