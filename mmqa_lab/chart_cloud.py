@@ -4,24 +4,37 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix 
 """
 
 import numbers
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab.cloud import Cloud
-from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
+from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
+from mmqa_lab._results import Shown
+from mmqa_lab.cloud import as_cloud
+from mmqa_lab.planes import (
+    CONSISTENT_SCALE,
+    Plane,
+    fit_plane,
+    flat_points,
+    sigma_mad,
+    turned_axes,
+)
 from mmqa_lab.spacing.quadrants import spacing
 
 AXES = ("principal", "horizontal")
+
+STEEPEST = 0.5
+"""Cosine of the slope up to which a polygon in plan is laid onto the surface under it."""
 
 CHART_MARGIN_M = 0.145
 """Leaves 0.71 m x 0.71 m, half a square metre, of a 1 m x 1 m chart."""
 
 
 @dataclass(frozen=True, eq=False)
-class CloudQuality:
+class CloudQuality(Shown):
     """The quality figures of the points on one planar surface.
 
     Parameters
@@ -117,8 +130,8 @@ def evaluate_cloud(
     ----------
     points : Cloud or array_like, shape (n, 3)
         Metres; three or more after selection.
-    polygon : array_like, shape (m, 3), optional
-        Vertices of the selection, metres, in order; convex or concave.
+    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
+        The selection, metres; see :func:`inside_polygon`.
     thickness : float
         Points up to this far from the polygon's plane are selected, m.
     axes : {"principal", "horizontal"} or float
@@ -138,6 +151,12 @@ def evaluate_cloud(
     ValueError
         If fewer than three points are left or they lie on a line, or an argument is invalid.
 
+    Warns
+    -----
+    UserWarning
+        If the ``resolution`` of the cloud's coordinates is coarser than sigma_MAD or than a fifth
+        of d1.
+
     Notes
     -----
     f depends on the axes: the same scan lines give another f when they run along an axis than when
@@ -156,22 +175,24 @@ def evaluate_cloud(
     >>> quality.n, round(quality.d1_mm), round(quality.d4_mm), round(quality.f, 1)
     (200, 20, 40, 2.0)
     """
-    points = points.points if isinstance(points, Cloud) else points
-    points = check_points(points, minimum=3)
+    cloud = as_cloud(points)
+    points = check_points(cloud, minimum=3)
     if polygon is not None:
-        points = points[inside_polygon(points, polygon, thickness=thickness)]
-        points = check_points(points, name="points inside the polygon", minimum=3)
+        inside, polygon = _selected(points, polygon, thickness)
+        points = check_points(points[inside], name="points inside the polygon", minimum=3)
     plane = fit_plane(points)
     directions = _directions(plane, axes)
     xy = (points - plane.centre) @ directions.T
     gaps = spacing(xy, radius=radius)
     d = 1000 * np.asarray(gaps.d)
+    sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
+    _remark_on_resolution(1000 * cloud.resolution, sigma_mad_mm, d[0])
     return CloudQuality(
         n=len(points),
-        area_polygon_m2=np.nan if polygon is None else _polygon(plane.project(polygon)).area,
+        area_polygon_m2=np.nan if polygon is None else _outline(polygon, plane).area,
         area_hull_m2=hull_area(xy),
         std_mm=1000 * plane.std,
-        sigma_mad_mm=1000 * sigma_mad(plane.residuals, scale),
+        sigma_mad_mm=sigma_mad_mm,
         **{f"d{k + 1}_mm": float(d[k]) for k in range(4)},
         incomplete_share=gaps.incomplete_share,
         coincident=gaps.coincident,
@@ -189,8 +210,10 @@ def inside_polygon(points, polygon, *, thickness=0.1):
     ----------
     points : array_like, shape (n, 3)
         Metres.
-    polygon : array_like, shape (m, 3)
-        Vertices in order, metres, convex or concave; need not lie quite in one plane.
+    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
+        Vertices in order, metres, convex or concave. Holes are left out, the parts of a
+        MultiPolygon and the rows of a GeoDataFrame count together. A polygon in plan (without
+        heights) is laid onto the robust regression plane of the points above and below it.
     thickness : float
         Largest distance from the polygon's plane to either side, m.
 
@@ -201,7 +224,15 @@ def inside_polygon(points, polygon, *, thickness=0.1):
     Raises
     ------
     ValueError
-        If the polygon has fewer than three vertices, crosses itself or has no area.
+        If the polygon has fewer than three vertices, crosses itself or has no area; if a vertex
+        lies off the plane of all by more than 5 % of their spread (the rms distance from their
+        mean); if a polygon in plan lies over a surface steeper than 60 degrees.
+
+    Warns
+    -----
+    UserWarning
+        If a vertex lies off the plane by more than a quarter of ``thickness``: points near it may
+        be missed.
 
     Examples
     --------
@@ -209,17 +240,7 @@ def inside_polygon(points, polygon, *, thickness=0.1):
     >>> inside_polygon([[0.5, 0.5, 0.01], [0.5, 0.5, 0.2], [2, 0, 0]], square).tolist()
     [True, False, False]
     """
-    import shapely
-
-    points = check_points(points, minimum=0)
-    polygon = check_points(polygon, name="polygon", minimum=3)
-    thickness = check_positive(thickness, "thickness", unit="m")
-    plane = fit_plane(polygon)
-    outline = _polygon(plane.project(polygon))
-    near = np.abs(plane.distances(points)) <= thickness
-    x, y = plane.project(points[near]).T
-    near[near] = shapely.contains_xy(outline, x, y)
-    return near
+    return _selected(check_points(points, minimum=0), polygon, thickness)[0]
 
 
 def chart_polygon(corners, *, margins=CHART_MARGIN_M):
@@ -248,7 +269,7 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
     >>> chart_polygon([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], margins=0.25).tolist()[0]
     [0.25, 0.0, 0.25]
     """
-    corners = check_points(corners, name="corners", minimum=4)
+    corners = polygon_vertices(corners, name="corners")
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
     given = np.asarray(margins, dtype=np.float64)
@@ -290,7 +311,7 @@ def hull_area(xy):
     """
     import shapely
 
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
     return float(shapely.convex_hull(shapely.linestrings(outline)).area)
 
@@ -303,11 +324,83 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _polygon(xy):
+def _remark_on_resolution(step_mm, sigma_mm, d1_mm):
+    """Say where the stored coordinates are too coarse for the dispersion or the spacing."""
+    if step_mm > sigma_mm or step_mm > d1_mm / 5:
+        warnings.warn(
+            f"The coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
+            f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.",
+            stacklevel=3,
+        )
+
+
+def _selected(points, polygon, thickness):
+    """Which points a polygon selects, and its parts with heights."""
+    import shapely
+
+    thickness = check_positive(thickness, "thickness", unit="m")
+    parts = polygon_parts(polygon)
+    if any(ring.shape[1] == 2 for rings in parts for ring in rings):
+        parts = _draped(parts, points)
+    plane = _polygon_plane(parts, thickness)
+    outline = _outline(parts, plane)
+    near = np.abs(plane.distances(points)) <= thickness
+    x, y = plane.project(points[near]).T
+    near[near] = shapely.contains_xy(outline, x, y)
+    return near, parts
+
+
+def _polygon_plane(parts, thickness):
+    """The plane of a polygon's vertices, with a remark where it is not quite flat."""
+    vertices = np.concatenate([ring for rings in parts for ring in rings])
+    plane = fit_plane(vertices)
+    check_flatness(vertices, plane)
+    off = np.abs(plane.residuals).max()
+    if off > thickness / 4:
+        warnings.warn(
+            f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
+            f"than {1000 * thickness:.0f} mm from that plane do not count.",
+            stacklevel=4,
+        )
+    return plane
+
+
+def _draped(parts, points):
+    """The parts of a polygon in plan with the heights of the surface that the points lie on."""
+    import shapely
+
+    parts = [[ring[:, :2] for ring in rings] for rings in parts]
+    outline = shapely.union_all([_polygon(*rings) for rings in parts])
+    inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
+    found = check_points(points[inside], name="points inside the polygon", minimum=3)
+    plane = fit_plane(found, robust=True)
+    if abs(plane.normal[2]) < STEEPEST:
+        raise ValueError(
+            "Invalid polygon without heights over a surface steeper than 60 degrees. "
+            "Must have heights there."
+        )
+    slopes = -plane.normal[:2] / plane.normal[2]
+
+    def lifted(ring):
+        """A ring with heights of the plane."""
+        return np.column_stack([ring, plane.centre[2] + (ring - plane.centre[:2]) @ slopes])
+
+    return [[lifted(ring) for ring in rings] for rings in parts]
+
+
+def _outline(parts, plane):
+    """The area of a polygon's parts in a plane, without their holes."""
+    import shapely
+
+    flat = [_polygon(*(plane.project(ring) for ring in rings)) for rings in parts]
+    return flat[0] if len(flat) == 1 else shapely.union_all(flat)
+
+
+def _polygon(xy, *holes):
     """A valid polygon in the plane."""
     import shapely
 
-    polygon = shapely.Polygon(xy)
+    polygon = shapely.Polygon(xy, holes)
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")

@@ -4,11 +4,18 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the pl
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
 """
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import (
+    check_number,
+    check_points,
+    check_positive,
+    coordinate_columns,
+    is_table,
+)
 
 CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""
@@ -64,11 +71,11 @@ class Plane:
 
     def project(self, points):
         """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
-        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T
+        return (_array(points) - self.centre) @ self.axes.T
 
     def distances(self, points):
         """Signed orthogonal distances of any points, shape (n,), m."""
-        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.normal
+        return (_array(points) - self.centre) @ self.normal
 
     def horizontal_axes(self):
         """Return axes (2, 3) in the plane: the horizontal one, then the line of greatest slope.
@@ -139,6 +146,54 @@ def fit_plane(points, *, robust=False):
     first = vectors[2] * np.sign(vectors[2][np.argmax(np.abs(vectors[2]))])
     axes = np.array([first, np.cross(normal, first)])
     return Plane(origin + centre, normal, axes, (local - centre) @ normal)
+
+
+def flat_points(points, *, name="xy", minimum=1):
+    """Return coordinates in a plane: given ones, or points laid onto their regression plane.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2), or points
+        Coordinates in a plane; or points in space (Cloud, array (n, 3), DataFrame, path).
+    name : str
+        For messages.
+    minimum : int
+        Fewest points.
+
+    Returns
+    -------
+    array, shape (n, 2)
+        Metres. Points in space count from their mean along the principal axes of their plane.
+
+    Raises
+    ------
+    ValueError
+        If there are too few points, one is not finite, or points in space lie on a line.
+
+    Examples
+    --------
+    >>> flat_points([[3, 4]]).tolist()
+    [[3.0, 4.0]]
+    >>> flat_points([[0, 5, 0], [4, 5, 0], [0, 5, 2], [4, 5, 2]]).round(6).tolist()
+    [[-2.0, 1.0], [2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
+    """
+    if not _in_space(points):
+        return check_points(points, name=name, columns=2, minimum=minimum)
+    points = check_points(points, name=name, minimum=minimum)
+    return fit_plane(points).project(points)
+
+
+def _array(points):
+    """Points of any kind as an array of any number of axes."""
+    named = is_table(points) or isinstance(points, str | os.PathLike)
+    return np.asarray(check_points(points, minimum=0) if named else points, dtype=np.float64)
+
+
+def _in_space(points):
+    """Whether points have three coordinates rather than two."""
+    if is_table(points):
+        return len(coordinate_columns(points.columns)) == 3
+    return isinstance(points, str | os.PathLike) or np.shape(points)[1:] == (3,)
 
 
 @dataclass(frozen=True, eq=False)

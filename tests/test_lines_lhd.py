@@ -9,9 +9,9 @@ from scipy.optimize import linear_sum_assignment
 
 from mmqa_lab import lines
 from mmqa_lab.__main__ import main
+from mmqa_lab.io import read_segments, write_segments
 from mmqa_lab.lines import Segments, correspond, lhd, match_displaced, olhd, pairing_scores
 from mmqa_lab.lines.candidates import LinePairs
-from mmqa_lab.segment_files import read_segments, write_segments
 from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
 
 

@@ -87,7 +87,7 @@ def test_a_short_post_is_none(method, rng):
 
 def test_fgi_finds_the_same_poles_in_another_order(street):
     _, cloud, _ = street
-    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
     first, second = (poles.detect(c, method="fgi") for c in (cloud, shuffled))
     assert len(first) > 3
     numbers = first.columns.drop("method")
@@ -98,7 +98,7 @@ def test_fgi_finds_the_same_poles_in_another_order(street):
 @pytest.mark.parametrize("method", ["itc", "ours"])
 def test_the_others_need_no_order(street, method):
     _, cloud, _ = street
-    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
     first, second = (poles.detect(c, method=method) for c in (cloud, shuffled))
     assert len(first) > 3
     numbers = first.select_dtypes("number").columns

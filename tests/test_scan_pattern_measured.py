@@ -268,7 +268,7 @@ def turning_street(rate):
 @pytest.mark.parametrize("rate", [0.0, 3.0])
 def test_scan_planes_of_a_turning_vehicle(rate):
     cloud, scanner = turning_street(rate)
-    near = cloud.select(cloud["range_m"] < 40)
+    near = cloud[cloud["range_m"] < 40]
     planes = fit_scan_planes(near.points, near["gps_time"])
     assert planes.mirror_frequency_hz == pytest.approx(200, rel=1e-3)
     assert planes.normal @ scanner.plane_normal > np.cos(np.radians(0.1))

@@ -9,10 +9,19 @@
     quality = chart_image.evaluate_image(image, layout, there)
     quality.to_frame(), quality.pairs, quality.edges
 
-Images are arrays of linear light with full scale 1; :mod:`mmqa_lab.imagery` reads them.
+Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
+files, :func:`mmqa_lab.io.read_grey` their grey values.
 """
 
 from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
+from mmqa_lab.chart_image.files import (
+    Window,
+    cut,
+    evaluate_file,
+    panorama_of,
+    read_layout,
+    read_orientation,
+)
 from mmqa_lab.chart_image.legibility import (
     Agreement,
     Crop,
@@ -48,20 +57,26 @@ __all__ = [
     "Pose",
     "Resolution",
     "Tones",
+    "Window",
     "agreement",
     "align",
     "bar_edges",
     "chart_site",
     "check_drive",
     "choose_images",
+    "cut",
     "edge_response",
+    "evaluate_file",
     "evaluate_image",
     "expected_contrast",
     "locate_corners",
     "locate_markers",
+    "panorama_of",
     "pixel_size",
     "pixel_sizes",
     "quality_index",
+    "read_layout",
+    "read_orientation",
     "read_pairs",
     "read_pattern",
     "resolution",

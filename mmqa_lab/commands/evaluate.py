@@ -85,9 +85,9 @@ def run(options):
     scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
     rows = []
     for file in with_progress(options.cloud, "cloud"):
-        points = read_cloud(file, columns=()).points
+        cloud = read_cloud(file, columns=())
         choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
-        quality = evaluate_cloud(points, polygon=polygon, scale=scale, **choices)
+        quality = evaluate_cloud(cloud, polygon=polygon, scale=scale, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
     if options.out is not None:
         _draw(quality, options.out)

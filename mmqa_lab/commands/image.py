@@ -62,23 +62,23 @@ def run(options):
     """Evaluate every image, then print, write and draw."""
     import pandas as pd
 
-    from mmqa_lab import imagery
+    from mmqa_lab import chart_image
     from mmqa_lab._checks import check_choice
     from mmqa_lab.io import write_atomically
 
     if options.out is not None:
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
-    layout = imagery.read_layout(options.chart)
+    layout = chart_image.read_layout(options.chart)
     choices = {
         "corners": None if options.corners is None else _corners(options.corners),
         "camera": "panorama" if options.panorama else "plain",
         "gamma": "linear" if options.linear else "srgb",
     }
     if options.orientation is not None:
-        choices["orientation"] = imagery.read_orientation(options.orientation)
+        choices["orientation"] = chart_image.read_orientation(options.orientation)
     rows, patterns = [], []
     for file in with_progress(options.image, "image"):
-        quality, window = imagery.evaluate_file(file, layout, **choices)
+        quality, window = chart_image.evaluate_file(file, layout, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
     if options.patterns is not None:

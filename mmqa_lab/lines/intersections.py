@@ -157,6 +157,7 @@ def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=200, angle=20.0, 
     >>> len(edges), edges.segments.lengths.round(1).tolist()
     (1, [5.0])
     """
+    points = check_points(points, minimum=0)
     patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum, seed=seed)
     return intersect_patches(points, patches, size=size, angle=angle, support=support)
 

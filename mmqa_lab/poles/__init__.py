@@ -15,8 +15,8 @@ from importlib import import_module
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_points, check_positive
-from mmqa_lab.cloud import Cloud
+from mmqa_lab._checks import check_choice, check_plan, check_positive
+from mmqa_lab.cloud import as_cloud
 
 METHODS = ("ours", "fgi", "itc")
 
@@ -84,7 +84,7 @@ def detect(
     check_choice(method, "method", METHODS)
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
-    cloud = points if isinstance(points, Cloud) else Cloud(check_points(points, minimum=0))
+    cloud = as_cloud(points)
     lines = None
     if method != "itc":
         from mmqa_lab.poles.profiles import scan_lines
@@ -237,8 +237,7 @@ def _clipped(points, lines, trajectory, corridor, settings):
         raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
     if trajectory is not None:
         reach = getattr(settings, "corridor", 30.0) if corridor is None else corridor
-        path = np.asarray(trajectory, dtype=np.float64)
-        path = check_points(path[:, :2], name="trajectory", columns=2)
+        path = check_plan(trajectory, name="trajectory")
         inside = _near_path(points, path, check_positive(reach, "corridor", unit="m"))
         points = points[inside]
         lines = None if lines is None else tuple(values[inside] for values in lines)

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_points
+from mmqa_lab._polygons import polygon_vertices
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
 
@@ -46,7 +47,7 @@ def operator_polygons(corners, *, repeats, click, seed, vertices=4):
     """
     import shapely
 
-    corners = check_points(corners, name="corners", minimum=4)
+    corners = polygon_vertices(corners, name="corners")
     repeats = check_count(repeats, "repeats")
     click = check_number(click, "click", low=0, unit="m")
     if len(corners) != 4 or check_count(vertices, "vertices", low=4) % 4:

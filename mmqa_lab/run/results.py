@@ -116,7 +116,7 @@ class Run:
             "checks": 0,
             "checks_passed": 0,
             "files": [],
-            "seen": {},
+            "figures": {},
             **_environment(),
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
@@ -156,7 +156,10 @@ class Run:
             "svg": {"Date": None, "Title": name},
             "png": {},
         }
-        self._record["seen"][name] = seen or _described(figure)
+        self._record["figures"][name] = {
+            "seen": seen or _described(figure),
+            "width_mm": round(25.4 * figure.get_figwidth(), 1),
+        }
         for form in FORMATS:
             self._write(
                 f"{name}.{form}",

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mmqa_lab._checks import check_positive
+from mmqa_lab.planes import flat_points
 
 PAUSE = 20
 """Of the typical step of time: longer ones separate runs of points."""
@@ -145,7 +146,7 @@ def profiles_from_pattern(xy, *, widest=0.5):
     >>> int(np.ptp(number)) + 1
     11
     """
-    xy = np.asarray(xy, dtype=np.float64)
+    xy = flat_points(xy)
     low, high = xy.min(axis=0), xy.max(axis=0)
     centred = xy - (low + high) / 2
     # points are faded out towards the outline, which has a pattern of its own

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab._checks import check_count, check_points, check_positive
+from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.quadrants import spacing
 
 STEP_DEG = 4.0
@@ -122,7 +123,7 @@ def directional_spacing(xy, *, radius=0.5):
     >>> round(found.g, 3), round(abs(found.direction_deg - 90), 1)
     (4.0, 90.0)
     """
-    xy = check_points(xy, name="xy", columns=2, minimum=2)
+    xy = flat_points(xy, minimum=2)
     radius = check_positive(radius, "radius", unit="m")
     xy = np.unique(xy - xy.mean(axis=0), axis=0)
     medians = _medians_by_sector(xy, radius)
@@ -189,7 +190,7 @@ def structure_tensor_ratio(xy, *, k=16):
     """
     from scipy.spatial import cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=3)
+    xy = flat_points(xy, minimum=3)
     k = check_count(k, "k", low=2)
     near = cKDTree(xy).query(xy, k=min(k + 1, len(xy)))[1][:, 1:]
     offsets = xy[near] - xy[:, None]
@@ -239,7 +240,7 @@ def pair_contrast(xy, *, reach):
     """
     from scipy.spatial import cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=2)
+    xy = flat_points(xy, minimum=2)
     reach = check_positive(reach, "reach", unit="m")
     first, second = cKDTree(xy).query_pairs(reach, output_type="ndarray").T
     if not len(first):
@@ -284,7 +285,7 @@ def clark_evans(xy):
     """
     from scipy.spatial import ConvexHull, cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=3)
+    xy = flat_points(xy, minimum=3)
     nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
     hull = ConvexHull(xy - xy.mean(axis=0))
     n, area, outline = len(xy), hull.volume, hull.area

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab.planes import flat_points
 
 _ONE_AT_A_TIME = threading.Lock()
 """Some of numba's threading layers stop the process when two threads enter them at once."""
@@ -100,7 +101,7 @@ def quadrant_distances(xy, *, radius=0.5, angle=0.0, of=None):
     >>> quadrant_distances([[0, 0], [0.3, 0], [0, 0.4], [-0.1, 0]])[0]
     array([0.1, 0.3, 0.4, nan])
     """
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
     _check_width(xy)
@@ -156,7 +157,7 @@ def spacing(xy, *, radius=0.5, angle=0.0, complete=False):
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
     """
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     distances = quadrant_distances(xy, radius=radius, angle=angle)
     known = ~np.isnan(distances)
     full = known[:, 3]
@@ -234,7 +235,7 @@ def count_coincident(xy):
     >>> count_coincident([[0, 0], [1, 0], [0, 0], [0, 0]])
     3
     """
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     # numpy orders complex numbers by their real, then their imaginary part.
     places = np.sort(np.ascontiguousarray(xy).view(np.complex128).ravel())
     same = places[1:] == places[:-1]

@@ -45,7 +45,7 @@ def cloud(tiles=None):
     """Return the first or all tiles in the folder of MMQA_DATA, shuffled, with ``label``."""
     parts = [io.read_cloud(samples.real_path(name)) for name in FILES[:tiles]]
     whole = Cloud.concatenate(parts, name="Oakland part 2")
-    return whole.select(np.random.default_rng(0).permutation(len(whole)))
+    return whole[np.random.default_rng(0).permutation(len(whole))]
 
 
 def references(whole, *, link=0.35, minimum_points=8):
@@ -71,7 +71,7 @@ def references(whole, *, link=0.35, minimum_points=8):
     """
     tables = []
     for labels, ignored in ((tuple(TARGETS), False), (UNASKED, True), (UNKNOWN, True)):
-        chosen = whole.select(np.isin(whole["label"], labels))
+        chosen = whole[np.isin(whole["label"], labels)]
         if len(chosen):
             tables.append(_components(chosen, link, minimum_points, ignored))
     # what is unknown is ignored where it could be a target: a few stray points are no pole

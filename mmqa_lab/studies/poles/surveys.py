@@ -258,7 +258,7 @@ def _thinned(survey, share, seed):
     if share == 1:
         return survey
     kept = np.random.default_rng(seed).random(len(survey.cloud)) < share
-    return replace(survey, cloud=survey.cloud.select(kept), found={})
+    return replace(survey, cloud=survey.cloud[kept], found={})
 
 
 def _ground_density(survey):

@@ -106,7 +106,7 @@ def example(number, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0):
     scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
     scatter, rounding, share = rng.choice(SCATTER_M), rng.choice([0, 0, 0.01]), rng.uniform(0.3, 1)
     cloud = streets.drive(made, scanner, seed=seed + number, speed=rng.uniform(*speeds))
-    cloud = cloud.select(rng.random(len(cloud)) < share)
+    cloud = cloud[rng.random(len(cloud)) < share]
     points = cloud.points + scatter * rng.standard_normal((len(cloud), 3))
     if rounding:
         points = np.round(points / rounding) * rounding

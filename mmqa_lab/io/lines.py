@@ -1,17 +1,25 @@
 """Line segments from and to CSV files: x1, y1, z1, x2, y2, z2 in metres, a segment in a line."""
 
+from __future__ import annotations
+
+import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab.io import write_atomically
-from mmqa_lab.lines import Segments, check_segments
+from mmqa_lab.io._files import write_atomically
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from mmqa_lab.lines import Segments
 
 COLUMNS = ("x1", "y1", "z1", "x2", "y2", "z2")
 
 
-def read_segments(path):
+def read_segments(path: str | os.PathLike) -> Segments:
     """Read line segments from a CSV or text file.
 
     Parameters
@@ -41,6 +49,8 @@ def read_segments(path):
     >>> read_segments(file).lengths.tolist()
     [12.0, 9.0]
     """
+    from mmqa_lab.lines import Segments
+
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"Invalid segments {path}: no such file. Must exist.")
@@ -70,7 +80,7 @@ def read_segments(path):
     return Segments(ends, name=path.stem)
 
 
-def write_segments(path, segments):
+def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> None:
     """Write line segments as CSV with a header, to the last bit, whole or not at all.
 
     Parameters
@@ -92,6 +102,8 @@ def write_segments(path, segments):
     ...     read_segments(f"{folder}/edges.csv").lengths.tolist()
     [2.5]
     """
+    from mmqa_lab.lines import check_segments
+
     frame = pd.DataFrame(check_segments(segments).ends.reshape(-1, 6), columns=list(COLUMNS))
     write_atomically(path, lambda temporary: frame.to_csv(temporary, index=False))
 

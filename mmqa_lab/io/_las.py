@@ -21,7 +21,7 @@ LASZIP_CHUNK = 50_000
 
 
 def las_tables(path, chunk, *, bare=False):
-    """Yield points (n, 3) and attributes of a LAS or LAZ file, at most ``chunk`` points at a time.
+    """Yield points (n, 3), attributes and the coarsest scale, at most ``chunk`` points at a time.
 
     ``bare`` leaves the attributes out, and compressed where the file's format allows it.
 
@@ -47,7 +47,8 @@ def las_tables(path, chunk, *, bare=False):
             attributes = {name: np.array(part[name]) for name in names}
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
-            yield np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1), attributes
+            points = np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1)
+            yield points, attributes, float(max(header.scales))
         if read < header.point_count:
             raise ValueError(f"{read} points where the header says {header.point_count}")
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mmqa_lab import chart_image, charts, imagery, samples
+from mmqa_lab import chart_image, charts, io, samples
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -47,7 +47,7 @@ def orientation_file(folder, **changes):
 def test_targets_corners_and_orientation_find_the_same_chart(panorama, tmp_path):
     file, view = panorama
     corners = view.pixels(CHART.corners())
-    orientation = imagery.read_orientation(orientation_file(tmp_path))
+    orientation = chart_image.read_orientation(orientation_file(tmp_path))
     ways = (
         {"camera": "panorama"},
         {"camera": "panorama", "corners": corners + 0.6},
@@ -55,7 +55,7 @@ def test_targets_corners_and_orientation_find_the_same_chart(panorama, tmp_path)
     )
     rows = []
     for way in ways:
-        quality, window = imagery.evaluate_file(file, CHART, **way)
+        quality, window = chart_image.evaluate_file(file, CHART, **way)
         places = quality.chart_map.pixels(CHART.corners()) + window.origin
         assert np.abs(places - corners).max() < 0.3
         assert window.values.size < 500_000  # of 8 million pixels
@@ -73,19 +73,19 @@ def test_grey_values_keep_their_type_and_colour_becomes_light(tmp_path, bits):
     image = np.random.default_rng(0).integers(0, 2**bits, (40, 50)).astype(kind)
     for ending in (".png", ".tif"):
         cv2.imwrite(str(tmp_path / f"a{ending}"), image)
-        grey = imagery.read_grey(tmp_path / f"a{ending}")
+        grey = io.read_grey(tmp_path / f"a{ending}")
         assert grey.dtype == kind
         assert (grey == image).all()
     colour = np.zeros((9, 9, 3), dtype=np.uint8)
     colour[:, :, 1] = 200  # green
     cv2.imwrite(str(tmp_path / "c.png"), colour)
-    assert imagery.read_grey(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
+    assert io.read_grey(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
 
 
 def test_windows_hold_the_same_pixels_at_the_same_places():
     there = chart_image.locate_corners([[100, 300], [290, 310], [300, 105], [95, 90]], CHART)
     grey = np.random.default_rng(1).integers(0, 65_536, (400, 500)).astype(np.uint16)
-    window, inside = imagery.cut(grey, there, CHART, gamma="linear")
+    window, inside = chart_image.cut(grey, there, CHART, gamma="linear")
     column, row = window.origin
     rows, columns = window.values.shape
     expected = grey[row : row + rows, column : column + columns] / 65_535
@@ -115,9 +115,9 @@ def test_damaged_files_get_a_sentence(tmp_path, capfd):
     files, _ = damaged(tmp_path)
     for file in files:
         with pytest.raises(ValueError, match=r"Invalid image .*\. Must be|cut short\. Must be"):
-            imagery.read_grey(file)
+            io.read_grey(file)
     with pytest.raises(FileNotFoundError, match="no such file"):
-        imagery.read_grey(tmp_path / "none.jpg")
+        io.read_grey(tmp_path / "none.jpg")
     assert capfd.readouterr().err == ""  # the decoders say nothing of their own
 
 
@@ -125,27 +125,27 @@ def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
     _, good = damaged(tmp_path)
     noted = tmp_path / "noted.jpg"
     noted.write_bytes(good[".jpg"] + b"\x00" * 300_000)
-    assert imagery.read_grey(noted).shape == (60, 60)
+    assert io.read_grey(noted).shape == (60, 60)
     # a whole small JPEG in a segment of its own does not stand for the end of the large one
     preview = b"\xff\xe5" + (len(good[".jpg"]) + 2).to_bytes(2, "big") + good[".jpg"]
     noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:])
-    assert imagery.read_grey(noted).shape == (60, 60)
+    assert io.read_grey(noted).shape == (60, 60)
     noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:-400])
     with pytest.raises(ValueError, match="cut short"):
-        imagery.read_grey(noted)
+        io.read_grey(noted)
 
 
 def test_layouts_come_by_name_or_from_files(tmp_path):
     own = charts.imaging_chart(widths_h=(30, 24), widths_v=(12,))
     file = tmp_path / "own.json"
     file.write_text(charts.to_json(own))
-    assert imagery.read_layout(file) == own
-    assert imagery.read_layout("grey") == CHART
+    assert chart_image.read_layout(file) == own
+    assert chart_image.read_layout("grey") == CHART
     file.write_text("{}")
     with pytest.raises(ValueError, match="Must be JSON with all fields"):
-        imagery.read_layout(file)
+        chart_image.read_layout(file)
     with pytest.raises(FileNotFoundError, match="or be one of grey, black"):
-        imagery.read_layout("green")
+        chart_image.read_layout("green")
 
 
 @pytest.mark.parametrize(
@@ -163,16 +163,16 @@ def test_layouts_come_by_name_or_from_files(tmp_path):
 def test_orientations_with_faults_are_named(tmp_path, changes, sentence):
     file = orientation_file(tmp_path, **changes)
     with pytest.raises((ValueError, TypeError), match=sentence):
-        chart_image.ChartMap.from_orientation(*imagery.read_orientation(file), CHART)
+        chart_image.ChartMap.from_orientation(*chart_image.read_orientation(file), CHART)
 
 
 def test_charts_beyond_the_image_are_refused(panorama):
     file, view = panorama
-    grey = imagery.read_grey(file)
+    grey = io.read_grey(file)
     with pytest.raises(ValueError, match="Must lie within 4000 x 2000 pixels"):
-        imagery.cut(grey, view.within(3000, 0), CHART)
+        chart_image.cut(grey, view.within(3000, 0), CHART)
     with pytest.raises(ValueError, match="Must be 2 : 1"):
-        imagery.panorama_of(grey[:-1])
+        chart_image.panorama_of(grey[:-1])
 
 
 def photographs():
@@ -194,18 +194,18 @@ def photographs():
 
 @pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
 def test_photographs_without_a_chart_get_a_sentence(file):
-    grey = imagery.read_grey(file)
+    grey = io.read_grey(file)
     rows, columns = grey.shape
     box = [[0, rows - 1], [columns - 1, rows - 1], [columns - 1, 0], [0, 0]]
     with pytest.raises(ValueError, match="coded targets"):
-        imagery.evaluate_file(file, CHART)
+        chart_image.evaluate_file(file, CHART)
     with pytest.raises(ValueError, match=r"is the chart there|Must be given to"):
-        imagery.evaluate_file(file, CHART, corners=box)
+        chart_image.evaluate_file(file, CHART, corners=box)
 
 
 @pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
 def test_parts_of_photographs_are_an_edge_with_uncertainty_or_a_sentence(file):
-    grey = imagery.read_grey(file) / 255.0
+    grey = io.read_grey(file) / 255.0
     rng = np.random.default_rng(0)
     for _ in range(4):
         row, column = (int(rng.integers(0, max(side - 40, 1))) for side in grey.shape)
