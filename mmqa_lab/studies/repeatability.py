@@ -77,8 +77,10 @@ BOARDS = {
     "board, 64 rings": "boards/os64_pose02.laz",
 }
 
+WALL = "hdl32e_pair/sweep_a.laz"
+
 WALL_CENTRE = (-0.5, 2.54, -0.65)
-"""A flat place of the hall's wall, 2.6 m from the scanner, in the frame of sweep A, m."""
+"""A flat place of the hall's wall, 2.6 m from the scanner, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +122,6 @@ def chart_scan(system, distance_m, scan, *, seed=5000, margins=CHART_MARGINS_M):
 def real_surfaces():
     """Return the road patch, and boards and a hall's wall where MMQA_DATA has them.
 
-    The wall was swept from two places.
-
     Returns
     -------
     dict of str to Surface
@@ -132,16 +132,10 @@ def real_surfaces():
         if samples.has_real(relative):
             board = io.read_cloud(samples.real_path(relative), columns=()).points
             found[name] = _outlined(board, 0.65, 0.45)
-    if samples.has_real("hdl32e_pair/a_to_b.txt"):
-        pose = np.loadtxt(samples.real_path("hdl32e_pair/a_to_b.txt"))
-        first, second = (
-            io.read_cloud(samples.real_path(f"hdl32e_pair/sweep_{sweep}.laz"), columns=()).points
-            for sweep in "ab"
-        )
-        moved = second @ pose[:3, :3].T + pose[:3, 3]
-        near = [p[np.linalg.norm(p - WALL_CENTRE, axis=1) < 1] for p in (first, moved)]
-        wall = _outlined(near[0], 0.81, 0.62, centre=WALL_CENTRE)
-        found |= {"hall wall": wall, "hall wall, again": replace(wall, points=near[1])}
+    if samples.has_real(WALL):
+        hall = io.read_cloud(samples.real_path(WALL), columns=()).points
+        near = hall[np.linalg.norm(hall - WALL_CENTRE, axis=1) < 1]
+        found["hall wall"] = _outlined(near, 0.81, 0.62, centre=WALL_CENTRE)
     return found
 
 
