@@ -268,7 +268,7 @@ def evaluate_cloud(
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres; three or more after selection.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
         The selection, metres; see :func:`inside_polygon`.
@@ -357,7 +357,7 @@ def inside_polygon(
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
         Vertices in order, metres, convex or concave. Holes are left out, the parts of a
@@ -447,7 +447,7 @@ def hull_area(xy: ArrayLike) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
 
     Returns

@@ -187,6 +187,7 @@ def test_road_patch_by_head_as_brute_force_and_as_known(real):
 
 def test_default_selection_stays_in_the_random_pattern_of_the_simulated_chart():
     """No plain cell of the border or of the two squares lies in it, even with 3 cm of click."""
+    from mmqa_lab.charts import point_chart
     from mmqa_lab.simulate import Scene, chart, chart_corners
 
     polygon = chart_polygon(chart_corners((5, 0, 1), heading=-90))
@@ -197,7 +198,7 @@ def test_default_selection_stays_in_the_random_pattern_of_the_simulated_chart():
     ways = np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])
     seen = []
     for seed in range(20):
-        there = Scene([chart((5, 0, 1), heading=-90, seed=seed)])
+        there = Scene([chart((5, 0, 1), heading=-90, layout=point_chart(seed=seed))])
         seen.append(there.cast(np.zeros_like(ways), ways).reflectance > 0.5)
     always = np.mean(seen, axis=0)
     # a random cell is bright in all of 20 charts once in a million

@@ -60,8 +60,8 @@ LAZY = {"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": 
 """Whatever takes points takes the path of a file of points, and reads it when it gets one. A result
 draws itself with the room of plots, which it imports when asked to."""
 
-PLOTTING = {"cloud"}
-"""Rooms of data whose objects have a ``plot`` method, which imports matplotlib when called."""
+PLOTTING = {"charts", "cloud"}
+"""Rooms that draw their own objects, with matplotlib imported when called."""
 
 DRAWING = {"matplotlib", "pyvista", "ipywidgets", "IPython"}
 

@@ -37,7 +37,9 @@ INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit")
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
+    )
     parser.add_argument(
         "--polygon",
         metavar="VERTICES",

@@ -126,7 +126,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres; n >= 2.
     radius : float
         Neighbours up to this far count, m.
@@ -171,7 +171,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     angles : array_like, shape (k,)
         Degrees.
@@ -198,7 +198,7 @@ def structure_tensor_ratio(xy: ArrayLike, *, k: int = 16) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3.
     k : int
         Neighbours, 2 or more.
@@ -243,7 +243,7 @@ def pair_contrast(xy: ArrayLike, *, reach: float) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     reach : float
         Largest distance of a pair, m.
@@ -290,7 +290,7 @@ def clark_evans(xy: ArrayLike) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3, not on one line.
 
     Returns

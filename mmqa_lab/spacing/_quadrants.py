@@ -96,7 +96,7 @@ def quadrant_distances(
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.
@@ -154,7 +154,7 @@ def quadrants(
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.

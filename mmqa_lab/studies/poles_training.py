@@ -1,9 +1,9 @@
-"""Training of the verifier of "ours", on simulated streets alone.
+"""Training of the learned pole detector, on simulated streets alone.
 
-``python -m mmqa_lab.studies.poles.training`` writes ``mmqa_lab/poles/model.json`` anew, and
-``quiet.json`` beside this module, which has seen quiet streets alone; the same seed gives the same
-files. Streets, scanners and errors are drawn widely, so that the verifier learns poles and not a
-street: every example has its own plan, scanner, speed, noise and thinning.
+``python -m mmqa_lab.studies.poles_training`` grows the trees anew and writes them to
+``mmqa_lab/poles/model.txt``; the same seed gives the same file. Streets, scanners and errors are
+drawn widely, so that the trees learn poles and not a street: every example has its own plan,
+scanner, speed, noise and thinning.
 """
 
 from dataclasses import replace
@@ -14,11 +14,9 @@ import numpy as np
 from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
 from mmqa_lab.poles.profiles import scan_lines
-from mmqa_lab.poles.trees import Trees
 from mmqa_lab.simulate import streets
 
 EXAMPLES = 240
-QUIET_EXAMPLES = 120
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
@@ -76,31 +74,14 @@ def random_plan(rng):
     )
 
 
-def quiet_plan(rng):
-    """Return such a plan without balconies and with a fifth of the columns and pipes."""
-    plan = random_plan(rng)
-    few = {name: getattr(plan, name) / 5 for name in ("columns_per_100m", "pipes_per_100m")}
-    return replace(plan, balcony_share=0.0, **few)
-
-
-WARY = 50.0
-"""Weight, on quiet streets, of what is no pole and stands at a wall: who has seen little there must
-be wary. Chosen on eight streets full of balconies that no result is reported of."""
-
-WALL_M = 3.0
-WALL_OFF_M = 2.0
-"""Something stands at a wall when so much of one is seen no farther than that from its axis."""
-
-
-def example(number, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0):
+def example(number, *, seed=FIRST_SEED, stretch=1.0):
     """Return the street, the cloud and the targets of a training example.
 
-    The street is of the plan that ``plan`` makes of a random generator; the cloud is degraded by
-    thinning, scatter and rounding; ``stretch`` multiplies the length.
+    The cloud is degraded by thinning, scatter and rounding; ``stretch`` multiplies the length.
     """
     rng = np.random.default_rng([seed, number])
     name, length, speeds = SETUPS[number % len(SETUPS)]
-    made = streets.street(plan(rng), length=stretch * length, seed=seed + number)
+    made = streets.street(random_plan(rng), length=stretch * length, seed=seed + number)
     scanner = streets.SCANNERS[name]
     beam = rng.choice(BEAMS_MRAD.get(name, (0.0,)))
     scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
@@ -170,8 +151,8 @@ def examples(numbers, *, progress=True, **choices):
     return features[kept], label[kept], group[kept]
 
 
-def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, more=(), notes=None):
-    """Return the ``Trees`` of a gradient boosting of the log loss; each street weighs the same.
+def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05):
+    """Return trees grown by gradient boosting of the log loss; each street weighs the same.
 
     Parameters
     ----------
@@ -179,87 +160,52 @@ def fit(features, label, group, *, rounds=300, leaves=31, rate=0.05, wary=1.0, m
         Of :func:`examples`.
     rounds, leaves, rate : int, int, float
         Number of trees, leaves of each, learning rate.
-    wary : float
-        Weight of what is no pole and stands at a wall (``WALL_M``, ``WALL_OFF_M``).
-    more : tuple of str
-        Names of columns that follow those of :func:`examples`.
+
+    Returns
+    -------
+    lightgbm.Booster
     """
-    from sklearn.ensemble import HistGradientBoostingClassifier
+    import lightgbm
 
     size = np.bincount(group)[group]
     weight = np.sqrt(np.median(size) / size)
-    length, off = (features[:, ours.FEATURES.index(f"facade_{name}m")] for name in ("", "off_"))
-    weight[(length >= WALL_M) & (off <= WALL_OFF_M) & (label == 0)] *= wary
-    model = HistGradientBoostingClassifier(
-        max_iter=rounds,
-        max_leaf_nodes=leaves,
-        learning_rate=rate,
-        min_samples_leaf=30,
-        l2_regularization=1.0,
-        max_features=0.3,  # at each split: on another kind of street a single feature may mislead
-        early_stopping=False,
-        random_state=0,
-    )
-    model.fit(features, label, sample_weight=weight)
-    nodes, roots = [], []
-    for (tree,) in model._predictors:
-        first = len(nodes)
-        roots.append(first)
-        for node in tree.nodes:
-            if node["is_leaf"]:
-                nodes.append([-1, 0, 0, 0, node["value"]])
-            else:
-                sides = node["left"] + first, node["right"] + first
-                nodes.append([node["feature_idx"], node["num_threshold"], *sides, 0])
-    base = float(model._baseline_prediction.ravel()[0])
-    return Trees(ours.FEATURES + more, base, np.array(nodes, float), np.array(roots), notes or {})
+    data = lightgbm.Dataset(features, label, weight=weight, feature_name=list(ours.FEATURES))
+    choices = {
+        "objective": "binary",
+        "num_leaves": leaves,
+        "learning_rate": rate,
+        "min_data_in_leaf": 30,
+        "lambda_l2": 1.0,
+        # at each split: on another kind of street a single feature may mislead
+        "feature_fraction_bynode": 0.3,
+        "deterministic": True,
+        "force_row_wise": True,
+        "seed": 0,
+        "verbose": -1,
+    }
+    return lightgbm.train(choices, data, num_boost_round=rounds)
 
 
-def train(numbers, *, plan=random_plan, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
-    """Return the verifier that the given training examples make: from seeds to ``Trees``.
+def train(numbers, *, seed=FIRST_SEED, stretch=1.0, progress=True, **choices):
+    """Return the trees that the given training examples make; choices as for :func:`fit`.
 
     Parameters
     ----------
     numbers : iterable of int
-        Of the examples; the model of the package is ``train(range(EXAMPLES))``.
-    plan : callable
-        ``random_plan`` or ``quiet_plan``.
+        Of the examples; the program takes ``range(EXAMPLES)``.
     seed : int
     stretch : float
         Multiplies the length of every street.
     progress : bool
-    **choices
-        Handed to :func:`fit`.
     """
-    numbers = list(numbers)
-    data = examples(numbers, plan=plan, seed=seed, stretch=stretch, progress=progress)
-    notes = {
-        "trained on": f"{len(numbers)} simulated streets, seeds from {seed}",
-        "plans": plan.__name__,
-        "candidates": len(data[1]),
-        "poles": int(data[1].sum()),
-        "program": "python -m mmqa_lab.studies.poles.training",
-    }
-    return fit(*data, notes=notes, **choices)
-
-
-def quiet_model():
-    """Return the verifier that has seen quiet streets alone."""
-    text = resources.files("mmqa_lab.studies.poles").joinpath("quiet.json").read_text("utf-8")
-    return Trees.from_json(text)
+    data = examples(list(numbers), seed=seed, stretch=stretch, progress=progress)
+    return fit(*data, **choices)
 
 
 def main():
-    """Train on all examples and write both models; takes about half an hour."""
-    _write(train(range(EXAMPLES)), "mmqa_lab.poles", "model.json")
-    quiet = train(range(QUIET_EXAMPLES), plan=quiet_plan, wary=WARY)
-    _write(quiet, "mmqa_lab.studies.poles", "quiet.json")
-
-
-def _write(model, package, name):
-    """Write a model into a package."""
-    text = model.to_json()
-    target = resources.files(package).joinpath(name)
+    """Train on all examples and write the model; takes about half an hour."""
+    text = train(range(EXAMPLES)).model_to_string()
+    target = resources.files("mmqa_lab.poles").joinpath("model.txt")
     write_atomically(target, lambda path: path.write_text(text, encoding="utf-8"))
 
 

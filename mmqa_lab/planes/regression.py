@@ -107,7 +107,7 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres, n >= 3, not on one line.
     robust : bool
         Weigh down points off the plane. The residuals of all points are returned all the same.
