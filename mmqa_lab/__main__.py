@@ -1,7 +1,7 @@
-"""The one door: ``python3 -m mmqa_lab COMMAND``, and ``mmqa COMMAND`` once installed.
+"""The command line: ``python3 -m mmqa_lab COMMAND``, and ``mmqa COMMAND`` once installed.
 
 It starts with the standard library alone. Outside of a prepared environment it makes ``.venv`` from
-``environment.txt`` and runs itself in there.
+``environment.txt`` (for ``test``: with ``tests/environment.txt``) and runs itself in there.
 """
 
 import argparse
@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import os
 import pkgutil
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -21,11 +22,14 @@ from mmqa_lab import __version__, commands
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / "environment.txt"
+TOOLS = ROOT / "tests" / "environment.txt"
 VENV = ROOT / ".venv"
-STAMP = VENV / "mmqa-environment.sha256"
 
-PROBES = ("numpy", "laspy", "numba", "pandas", "dask", "nbclient", "pytest", "ruff")
-"""An environment that can import these was made from environment.txt."""
+PROBES = {
+    ENVIRONMENT: ("numpy", "laspy", "numba", "pandas", "dask", "nbclient"),
+    TOOLS: ("numpy", "pytest", "hypothesis", "ruff"),
+}
+"""What an environment made from these files can import."""
 
 DESCRIPTION = """\
 The quality of mobile mapping point clouds and images: evaluate your own data, run the studies
@@ -37,8 +41,9 @@ def main(arguments=None):
     """Run the command line and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     options = parser().parse_args(arguments)
-    if not prepared():
-        return subprocess.call([prepare(), "-m", "mmqa_lab", *arguments])
+    wanted = TOOLS if options.command == "test" else ENVIRONMENT
+    if not prepared(wanted):
+        return subprocess.call([prepare(wanted), "-m", "mmqa_lab", *arguments])
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
     try:
         return options.run(options) or 0
@@ -71,61 +76,65 @@ def parser():
     return whole
 
 
-def prepared():
-    """Return whether this interpreter has what environment.txt asks for."""
-    return not ENVIRONMENT.is_file() or all(importlib.util.find_spec(name) for name in PROBES)
+def prepared(wanted):
+    """Return whether this interpreter has what a file of requirements asks for."""
+    return not wanted.is_file() or all(map(importlib.util.find_spec, PROBES[wanted]))
 
 
-def prepare():
-    """Make ``.venv`` from environment.txt, once for each of its versions; return its Python."""
+def prepare(wanted):
+    """Make ``.venv`` from a file of requirements, once for each of its versions; return its Python.
+
+    uv does it in a fraction of pip's time. Where it is not installed, pip brings it to a temporary
+    folder, which also works with Debian's Python without ensurepip; failing that, pip does it all.
+    """
     python = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    stamped = STAMP.is_file() and STAMP.read_text(encoding="utf-8") == _wanted()
-    if python.exists() and stamped:
+    stamp, digest = _stamp(wanted)
+    if python.exists() and stamp.is_file() and stamp.read_text(encoding="utf-8") == digest:
         return str(python)
     if sys.version_info < (3, 11):  # noqa: UP036 - an older Python gets a sentence
         sys.exit(f"mmqa: Invalid Python {sys.version.split()[0]}. Must be 3.11 or newer.")
     began = time.monotonic()
-    print(f"Preparing {VENV} from environment.txt, once; takes minutes.", file=sys.stderr)
+    name = wanted.relative_to(ROOT)
+    print(f"Preparing {VENV} from {name}, once; this takes minutes.", file=sys.stderr)
     try:
-        if importlib.util.find_spec("ensurepip"):
-            _with_pip(python)
-        else:
-            _with_uv(python)
+        with tempfile.TemporaryDirectory() as folder:
+            _install(wanted, python, _uv(folder))
     except subprocess.CalledProcessError as error:
         sys.exit(
             f"mmqa: could not prepare the environment: {error.cmd[0]} ended with "
-            f"{error.returncode}. Must have pip and reach a package index."
+            f"{error.returncode}. Must have uv or pip and reach a package index."
         )
-    STAMP.write_text(_wanted(), encoding="utf-8")
+    stamp.write_text(digest, encoding="utf-8")
     print(f"Environment ready in {time.monotonic() - began:.0f} s.", file=sys.stderr)
     return str(python)
 
 
-def _with_pip(python):
-    """The usual way: venv and pip."""
-    subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
-    install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.check_call([*install, "--requirement", str(ENVIRONMENT)], cwd=ROOT)
+def _uv(folder):
+    """The path of uv, installed or fetched into a folder; None where it cannot be had."""
+    if found := shutil.which("uv"):
+        return found
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--target", folder, "uv"]
+    fetched = subprocess.call([*pip, "--disable-pip-version-check"], stderr=subprocess.DEVNULL) == 0
+    return str(Path(folder) / "bin" / "uv") if fetched else None
 
 
-def _with_uv(python):
-    """Debian's python3 without python3-venv: uv makes environments without ensurepip.
-
-    Installing to a folder of one's own is what a system's pip allows everywhere.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--target", folder, "uv"]
-        subprocess.check_call(pip)
-        uv = str(Path(folder) / "bin" / "uv")
-        if not python.exists():
-            subprocess.check_call([uv, "venv", "--quiet", "--python", sys.executable, str(VENV)])
-        install = [uv, "pip", "install", "--quiet", "--compile-bytecode", "--python", str(python)]
-        subprocess.check_call([*install, "--requirement", str(ENVIRONMENT)], cwd=ROOT)
+def _install(wanted, python, uv):
+    """Make the environment where it is missing and install what a file asks for."""
+    if uv:
+        make = [uv, "venv", "--quiet", "--python", sys.executable]
+        install = [uv, "pip", "install", "--python", str(python)]
+    else:
+        make = [sys.executable, "-m", "venv"]
+        install = [str(python), "-m", "pip", "install", "--no-compile"]
+    if not python.exists():
+        subprocess.check_call([*make, str(VENV)])
+    subprocess.check_call([*install, "--quiet", "--requirement", str(wanted)], cwd=ROOT)
 
 
-def _wanted():
-    """The hash that the stamp must hold."""
-    return hashlib.sha256(ENVIRONMENT.read_bytes()).hexdigest()
+def _stamp(wanted):
+    """The file that says what the environment was made from, and what it must say."""
+    content = ENVIRONMENT.read_bytes() + wanted.read_bytes()
+    return VENV / f"mmqa-{wanted.parent.name}.sha256", hashlib.sha256(content).hexdigest()
 
 
 def _say(command, sentence):

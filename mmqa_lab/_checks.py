@@ -1,12 +1,30 @@
 """Argument checks with one message pattern: what is wrong, its value, what must hold."""
 
 import numbers
+import os
+import re
 
 import numpy as np
+
+PLAN_NAMES = (
+    ("x", "y"),
+    ("easting", "northing"),
+    ("east", "north"),
+    ("e", "n"),
+    ("rechtswert", "hochwert"),
+)
+"""Columns of tables that are taken for coordinates in plan, the first pair that is there."""
+
+HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "h", "hoehe", "höhe")
+"""Columns of tables that are taken for heights, the first that is there."""
 
 
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
+
+    Takes an array, a Cloud, a DataFrame with named coordinates (see :func:`coordinate_columns`), a
+    GeoDataFrame of points, the path of a file that ``io`` reads, and an xarray DataArray of heights
+    over ``x`` and ``y`` (its cells that have a height). Two columns of them are those in plan.
 
     Raises
     ------
@@ -23,7 +41,7 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     Traceback (most recent call last):
     ValueError: Invalid points of shape (1, 2). Must have shape (n, 3).
     """
-    values = np.asarray(points)
+    values = np.asarray(_coordinates(points, name, columns))
     if values.dtype.kind not in "fiub":
         raise TypeError(f"Invalid {name} of type {values.dtype}. Must be real numbers.")
     if values.ndim != 2 or values.shape[1] != columns:
@@ -38,6 +56,114 @@ def check_points(points, *, name="points", columns=3, minimum=1):
             f"{int(np.argmax(bad))}. Must be finite coordinates."
         )
     return values
+
+
+def check_plan(points, *, name="points", minimum=1):
+    """Return the coordinates in plan of points, of a path or of a table of either, shape (n, 2).
+
+    Examples
+    --------
+    >>> check_plan([[1, 2, 3]]).tolist()
+    [[1.0, 2.0]]
+    """
+    values = np.asarray(_coordinates(points, name, 2))
+    in_space = values.ndim == 2 and values.shape[1] == 3
+    return check_points(
+        values[:, :2] if in_space else values, name=name, columns=2, minimum=minimum
+    )
+
+
+def coordinate_columns(names):
+    """Return which of the columns of a table are x, y and z.
+
+    Case, a unit in brackets or behind ``_`` and white space do not count: ``X``, ``x_m`` and
+    ``x [m]`` are x. ``easting``, ``northing`` and ``height`` and a few others are known too.
+
+    Parameters
+    ----------
+    names : sequence
+        The columns' names.
+
+    Returns
+    -------
+    list
+        Three of the names; two, of a table without heights; none, of one without coordinates.
+
+    Examples
+    --------
+    >>> coordinate_columns(["id", "Easting", "Northing", "Height (m)"])
+    ['Easting', 'Northing', 'Height (m)']
+    >>> coordinate_columns(["x_m", "y_m"]), coordinate_columns(["a", "b", "c"])
+    (['x_m', 'y_m'], [])
+    """
+    plain = {}
+    for name in names:
+        plain.setdefault(_plain_name(name), name)
+    plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
+    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
+    return [plain[name] for name in (*plan, height) if name is not None]
+
+
+def is_table(points):
+    """Whether something is a DataFrame, asked without importing pandas."""
+    return hasattr(points, "columns") and hasattr(points, "to_numpy")
+
+
+def _from_file(path):
+    """The points of a file of points, or of a raster of heights."""
+    from mmqa_lab.io import read_cloud, read_heights
+    from mmqa_lab.io.heights import is_raster
+
+    if os.path.isfile(path) and is_raster(path):
+        return read_heights(path)
+    return read_cloud(path, columns=()).points
+
+
+def _cells(heights, name):
+    """The middles of a DataArray's cells that have a height, as points."""
+    places = [heights.coords[axis] for axis in coordinate_columns(heights.dims)[:2]]
+    raster = heights.squeeze(drop=True)
+    if len(places) < 2 or raster.ndim != 2:
+        return heights.to_numpy()
+    x, y = places
+    values = raster.transpose(y.dims[0], x.dims[0]).to_numpy().astype(np.float64)
+    empty = heights.attrs.get("_FillValue", heights.encoding.get("_FillValue"))
+    rows, columns = np.nonzero(np.isfinite(values) & (values != empty))
+    return np.column_stack([x.to_numpy()[columns], y.to_numpy()[rows], values[rows, columns]])
+
+
+def _is_cloud(points):
+    """Whether something is a Cloud; that room stands on this one."""
+    return type(points).__name__ == "Cloud" and hasattr(points, "points")
+
+
+def _plain_name(name):
+    """A column's name without case, unit and marks of comment."""
+    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip("/# \"'")).strip()
+
+
+def _coordinates(points, name, columns):
+    """The coordinates of a table or a file; anything else as it is."""
+    if isinstance(points, np.ndarray):
+        return points
+    if isinstance(points, str | os.PathLike):
+        return _from_file(points)[:, :columns]
+    if _is_cloud(points):
+        return points.points[:, :columns]
+    if hasattr(points, "dims") and hasattr(points, "coords"):
+        return _cells(points, name) if columns == 3 else points
+    if not is_table(points):
+        return points
+    found = coordinate_columns(points.columns)[:columns]
+    if len(found) == columns:
+        return np.ascontiguousarray(points[found].to_numpy(dtype=np.float64))
+    if not found and hasattr(points, "geometry"):
+        return np.column_stack([getattr(points.geometry, axis) for axis in "xyz"[:columns]])
+    if found or points.shape[1] != columns:
+        listed = ", ".join(str(column) for column in points.columns)
+        wanted = ", ".join("xyz"[:columns])
+        raise ValueError(f"Invalid {name} with columns {listed}. Must have {wanted}.")
+    return points.to_numpy()
 
 
 def check_number(value, name, *, low=None, high=None, unit=""):

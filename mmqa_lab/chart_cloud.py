@@ -5,7 +5,8 @@ a 95 % interval that follows from the points themselves, see :meth:`CloudQuality
 """
 
 import numbers
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,11 +15,23 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab.cloud import Cloud
-from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
+from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
+from mmqa_lab._results import Shown
+from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.planes import (
+    CONSISTENT_SCALE,
+    Plane,
+    fit_plane,
+    flat_points,
+    sigma_mad,
+    turned_axes,
+)
 from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
 
 AXES = ("principal", "horizontal")
+
+STEEPEST = 0.5
+"""Cosine of the slope up to which a polygon in plan is laid onto the surface under it."""
 
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
@@ -30,7 +43,7 @@ BLOCKS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class CloudQuality:
+class CloudQuality(Shown):
     """The quality figures of the points on one planar surface.
 
     Parameters
@@ -55,7 +68,7 @@ class CloudQuality:
     plane : Plane
     spacing : Spacing
         Of the points in the plane along those axes, from its centre.
-    outline : array, shape (m, 2)
+    outline : shapely geometry
         The polygon, or the hull where there is none, in the same coordinates, m.
 
     Examples
@@ -81,7 +94,7 @@ class CloudQuality:
     rho0_per_m2: float
     plane: Plane = field(repr=False)
     spacing: Spacing = field(repr=False)
-    outline: np.ndarray = field(repr=False)
+    outline: object = field(repr=False)
 
     @property
     def xy(self) -> np.ndarray:
@@ -202,16 +215,17 @@ class CloudQuality:
         return figure
 
     def _repr_html_(self):
-        return self.intervals().round(3).to_html(index=False)
+        return self.intervals().to_html(index=False, float_format="{:.4g}".format)
 
     def _density_interval(self):
         """Density of the outline and its interval, from counts in the blocks' parts of it."""
         import shapely
 
-        if len(self.outline) < 3:
+        whole = self.outline
+        if whole.area == 0:
             return np.nan, np.nan, np.nan
-        whole = shapely.Polygon(self.outline)
-        low, extent = np.array(whole.bounds[:2]), np.ptp(self.outline, axis=0) / BLOCKS
+        low, extent = np.array(whole.bounds[:2]), np.diff(np.reshape(whole.bounds, (2, 2)), axis=0)
+        extent = extent[0] / BLOCKS
         column, row = np.divmod(np.arange(BLOCKS**2), BLOCKS)
         corners = low + extent * np.column_stack([column, row])
         boxes = shapely.box(*corners.T, *(corners + extent).T)
@@ -254,10 +268,10 @@ def evaluate_cloud(
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres; three or more after selection.
-    polygon : array_like, shape (m, 3), or shapely Polygon, optional
-        Vertices of the selection, metres, in order; convex or concave.
+    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
+        The selection, metres; see :func:`inside_polygon`.
     thickness : float
         Points up to this far from the polygon's plane are selected, m.
     axes : {"principal", "horizontal"} or float
@@ -280,6 +294,12 @@ def evaluate_cloud(
     ValueError
         If fewer than three points are left or they lie on a line, or an argument is invalid.
 
+    Warns
+    -----
+    UserWarning
+        If the ``resolution`` of the cloud's coordinates is coarser than sigma_MAD or than a fifth
+        of d1.
+
     Notes
     -----
     Nearly square selections have principal axes that turn by chance, and f depends on the axes:
@@ -299,25 +319,26 @@ def evaluate_cloud(
     >>> quality.n, round(quality.d1_mm), round(quality.d4_mm), round(quality.f, 1)
     (200, 20, 40, 2.0)
     """
-    points = points.points if isinstance(points, Cloud) else points
-    points = check_points(points, minimum=3)
+    cloud = as_cloud(points)
+    points = check_points(cloud, minimum=3)
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     if polygon is not None:
-        polygon = polygon_vertices(polygon)
-        points = points[inside_polygon(points, polygon, thickness=thickness)]
-        points = check_points(points, name="points inside the polygon", minimum=3)
+        inside, polygon = _selected(points, polygon, thickness)
+        points = check_points(points[inside], name="points inside the polygon", minimum=3)
     plane = fit_plane(points)
-    directions = _directions(plane, axes)
-    xy = (points - plane.centre) @ directions.T
+    framed = replace(plane, axes=_directions(plane, axes))
+    xy = framed.project(points)
     gaps = quadrants(xy, radius=radius)
     hull = _hull(xy)
-    outline = hull if polygon is None else (polygon - plane.centre) @ directions.T
+    outline = hull if polygon is None else _outline(polygon, framed)
+    sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
+    _remark_on_resolution(1000 * cloud.resolution, sigma_mad_mm, 1000 * gaps.d[0])
     return CloudQuality(
         n=len(points),
-        area_polygon_m2=np.nan if polygon is None else _polygon(outline).area,
-        area_hull_m2=_area(hull),
+        area_polygon_m2=np.nan if polygon is None else outline.area,
+        area_hull_m2=float(hull.area),
         std_mm=1000 * plane.std,
-        sigma_mad_mm=1000 * sigma_mad(plane.residuals, scale),
+        sigma_mad_mm=sigma_mad_mm,
         **{f"d{k + 1}_mm": float(1000 * gaps.d[k]) for k in range(4)},
         incomplete_share=gaps.incomplete_share,
         coincident=gaps.coincident,
@@ -336,10 +357,12 @@ def inside_polygon(
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres.
-    polygon : array_like, shape (m, 3), or shapely Polygon
-        Vertices in order, metres, convex or concave; need not lie quite in one plane.
+    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
+        Vertices in order, metres, convex or concave. Holes are left out, the parts of a
+        MultiPolygon and the rows of a GeoDataFrame count together. A polygon in plan (without
+        heights) is laid onto the robust regression plane of the points above and below it.
     thickness : float
         Largest distance from the polygon's plane to either side, m.
 
@@ -350,7 +373,15 @@ def inside_polygon(
     Raises
     ------
     ValueError
-        If the polygon has fewer than three vertices, crosses itself or has no area.
+        If the polygon has fewer than three vertices, crosses itself or has no area; if a vertex
+        lies off the plane of all by more than 5 % of their spread (the rms distance from their
+        mean); if a polygon in plan lies over a surface steeper than 60 degrees.
+
+    Warns
+    -----
+    UserWarning
+        If a vertex lies off the plane by more than a quarter of ``thickness``: points near it may
+        be missed.
 
     Examples
     --------
@@ -358,17 +389,7 @@ def inside_polygon(
     >>> inside_polygon([[0.5, 0.5, 0.01], [0.5, 0.5, 0.2], [2, 0, 0]], square).tolist()
     [True, False, False]
     """
-    import shapely
-
-    points = check_points(points, minimum=0)
-    polygon = polygon_vertices(polygon)
-    thickness = check_positive(thickness, "thickness", unit="m")
-    plane = fit_plane(polygon)
-    outline = _polygon(plane.project(polygon))
-    near = np.abs(plane.distances(points)) <= thickness
-    x, y = plane.project(points[near]).T
-    near[near] = shapely.contains_xy(outline, x, y)
-    return near
+    return _selected(check_points(points, minimum=0), polygon, thickness)[0]
 
 
 def chart_polygon(
@@ -403,7 +424,7 @@ def chart_polygon(
     >>> chart_polygon([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], margins=0.25).tolist()[0]
     [0.25, 0.0, 0.25]
     """
-    corners = check_points(corners, name="corners", minimum=4)
+    corners = polygon_vertices(corners, name="corners")
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
     given = np.asarray(margins, dtype=np.float64)
@@ -421,42 +442,12 @@ def chart_polygon(
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
 
 
-def polygon_vertices(polygon: ArrayLike) -> np.ndarray:
-    """Return the vertices of a selection polygon, shape (m, 3), from an array or a geometry.
-
-    Parameters
-    ----------
-    polygon : array_like, shape (m, 3), or shapely Polygon
-        Metres; a geometry needs heights. A GeoSeries or GeoDataFrame gives its first geometry.
-
-    Returns
-    -------
-    array, shape (m, 3)
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three vertices or they have no heights.
-
-    Examples
-    --------
-    >>> import shapely
-    >>> polygon_vertices(shapely.Polygon([(0, 0, 5), (1, 0, 5), (1, 1, 5)])).shape
-    (3, 3)
-    """
-    geometry = getattr(polygon, "geometry", polygon)
-    geometry = geometry.iloc[0] if hasattr(geometry, "iloc") else geometry
-    if hasattr(geometry, "exterior"):
-        polygon = np.array(geometry.exterior.coords)[:-1]
-    return check_points(polygon, name="polygon", minimum=3)
-
-
 def hull_area(xy: ArrayLike) -> float:
     """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line.
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
 
     Returns
@@ -473,22 +464,15 @@ def hull_area(xy: ArrayLike) -> float:
     >>> hull_area([[0, 0], [2, 0], [2, 1], [0, 1], [1, 0.5]]), hull_area([[0, 0], [1, 1]])
     (2.0, 0.0)
     """
-    return _area(_hull(check_points(xy, name="xy", columns=2)))
+    return float(_hull(flat_points(xy)).area)
 
 
 def _hull(xy):
-    """Vertices of the convex hull; two where the points lie on a line."""
+    """The convex hull, a line where the points lie on one."""
     import shapely
 
     outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
-    return shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(outline)))
-
-
-def _area(outline):
-    """Area within an outline, 0 for a line."""
-    import shapely
-
-    return float(shapely.Polygon(outline).area) if len(outline) > 3 else 0.0
+    return shapely.convex_hull(shapely.linestrings(outline))
 
 
 def _directions(plane, axes):
@@ -499,11 +483,83 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _polygon(xy):
+def _remark_on_resolution(step_mm, sigma_mm, d1_mm):
+    """Say where the stored coordinates are too coarse for the dispersion or the spacing."""
+    if step_mm > sigma_mm or step_mm > d1_mm / 5:
+        warnings.warn(
+            f"The coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
+            f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.",
+            stacklevel=3,
+        )
+
+
+def _selected(points, polygon, thickness):
+    """Which points a polygon selects, and its parts with heights."""
+    import shapely
+
+    thickness = check_positive(thickness, "thickness", unit="m")
+    parts = polygon_parts(polygon)
+    if any(ring.shape[1] == 2 for rings in parts for ring in rings):
+        parts = _draped(parts, points)
+    plane = _polygon_plane(parts, thickness)
+    outline = _outline(parts, plane)
+    near = np.abs(plane.distances(points)) <= thickness
+    x, y = plane.project(points[near]).T
+    near[near] = shapely.contains_xy(outline, x, y)
+    return near, parts
+
+
+def _polygon_plane(parts, thickness):
+    """The plane of a polygon's vertices, with a remark where it is not quite flat."""
+    vertices = np.concatenate([ring for rings in parts for ring in rings])
+    plane = fit_plane(vertices)
+    check_flatness(vertices, plane)
+    off = np.abs(plane.residuals).max()
+    if off > thickness / 4:
+        warnings.warn(
+            f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
+            f"than {1000 * thickness:.0f} mm from that plane do not count.",
+            stacklevel=4,
+        )
+    return plane
+
+
+def _draped(parts, points):
+    """The parts of a polygon in plan with the heights of the surface that the points lie on."""
+    import shapely
+
+    parts = [[ring[:, :2] for ring in rings] for rings in parts]
+    outline = shapely.union_all([_polygon(*rings) for rings in parts])
+    inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
+    found = check_points(points[inside], name="points inside the polygon", minimum=3)
+    plane = fit_plane(found, robust=True)
+    if abs(plane.normal[2]) < STEEPEST:
+        raise ValueError(
+            "Invalid polygon without heights over a surface steeper than 60 degrees. "
+            "Must have heights there."
+        )
+    slopes = -plane.normal[:2] / plane.normal[2]
+
+    def lifted(ring):
+        """A ring with heights of the plane."""
+        return np.column_stack([ring, plane.centre[2] + (ring - plane.centre[:2]) @ slopes])
+
+    return [[lifted(ring) for ring in rings] for rings in parts]
+
+
+def _outline(parts, plane):
+    """The area of a polygon's parts in a plane, without their holes."""
+    import shapely
+
+    flat = [_polygon(*(plane.project(ring) for ring in rings)) for rings in parts]
+    return flat[0] if len(flat) == 1 else shapely.union_all(flat)
+
+
+def _polygon(xy, *holes):
     """A valid polygon in the plane."""
     import shapely
 
-    polygon = shapely.Polygon(xy)
+    polygon = shapely.Polygon(xy, holes)
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")

@@ -11,6 +11,7 @@ import numpy as np
 from cycler import cycler
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab.planes import flat_points
 
 WIDTHS = ("single", "double", "full")
 """One column, two columns, the whole width of the page's text."""
@@ -228,8 +229,9 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
     'along axis 1 (m)'
     >>> plt.close(figure)
     """
+    xy = flat_points(xy)
     size = np.clip(4000 / max(len(xy), 1), 0.3, 6.0)
-    x, y = np.asarray(xy).T
+    x, y = xy.T
     if values is None:
         ax.scatter(x, y, s=size, color=COLOURS["blue"], lw=0, rasterized=True)
     else:

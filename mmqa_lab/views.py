@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 from mmqa_lab import plots
-from mmqa_lab.cloud import Cloud
+from mmqa_lab._checks import check_points
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 
@@ -78,6 +78,11 @@ def show_cloud(cloud, values, *, label):
     -------
     pyvista viewer or matplotlib figure
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite or they do not have three coordinates.
+
     Examples
     --------
     >>> from unittest.mock import patch
@@ -86,7 +91,7 @@ def show_cloud(cloud, values, *, label):
     >>> figure.axes[-1].get_ylabel()
     'height (m)'
     """
-    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
+    points = check_points(cloud)
     local = points - points.mean(axis=0)
     if not can_render():
         return _figure(local, values, label)
@@ -104,6 +109,11 @@ def save_cloud(path, cloud, values, *, label):
     cloud, values, label
         See :func:`show_cloud`.
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite or they do not have three coordinates.
+
     Examples
     --------
     >>> import tempfile
@@ -116,7 +126,7 @@ def save_cloud(path, cloud, values, *, label):
     """
     from mmqa_lab.io import write_atomically
 
-    points = cloud.points if isinstance(cloud, Cloud) else np.asarray(cloud, dtype=np.float64)
+    points = check_points(cloud)
     local = points - points.mean(axis=0)
     if can_render():
         plotter = _plotter(local, values, label, off_screen=True)

@@ -56,7 +56,7 @@ def quietly(*arguments, **options):
         min_size=1,
     )
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_any_grid_comes_back_on_its_axes(axes):
     cases = bench.grid(**axes)
     assert cases == [dict(zip(axes, row, strict=True)) for row in itertools.product(*axes.values())]
@@ -90,6 +90,13 @@ def test_cases_that_are_no_full_grid_stand_in_a_row(form):
     assert found["a"].values.tolist() == [1, 2, 2]
     assert found["b"].values.tolist() == ["x", "x", "y"]
     assert found["value"].values.ravel().tolist() == [1, 2, 2]
+
+
+def test_nan_is_a_value_of_a_parameter():
+    cases = bench.grid(a=(1.0, math.nan), b=(1, 2))
+    found = bench.run(cases, {"m": lambda x: x}, make=lambda a, b, seed: b)
+    assert found["value"].shape == (1, 2, 2, 1)
+    assert bench.summary(found, by="a")["n"].tolist() == [2, 2]
 
 
 def test_parameters_that_are_no_numbers_become_texts():
@@ -221,6 +228,16 @@ def test_one_bad_figure_leaves_the_others():
     assert found["a"].isnull().all()
     assert found["b"].item() == 2
     assert bench.failures(found)["reason"].tolist() == ["a is nan. Must be finite numbers."]
+
+
+def test_a_figure_that_comes_and_goes_is_counted():
+    def method(n):
+        return {"a": n, "b": n} if n else {"a": n}
+
+    found = quietly(bench.grid(n=(0, 1)), {"m": method}, make=lambda n, seed: n)
+    table = bench.failures(found)
+    assert table["reason"].tolist() == ["gave no b. Must give the same figures in every case."]
+    assert table["first_case"].tolist() == ["n=0, seed=0"]
 
 
 def test_a_make_that_fails_costs_its_case_for_all_methods():

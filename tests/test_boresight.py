@@ -49,7 +49,7 @@ def test_rejects(drives, street):
     with pytest.raises(ValueError, match="none given"):
         calibrate([], lever_arms_m=lever)
     cloud, path = drives[0]
-    lone = cloud.select(cloud["head"] == 0)
+    lone = cloud[cloud["head"] == 0]
     with pytest.raises(ValueError, match="no planes in common"):
         calibrate([(lone, path)], lever_arms_m=lever)
 

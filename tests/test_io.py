@@ -11,14 +11,19 @@ import numpy as np
 import pandas as pd
 import plyfile
 import pytest
+import rasterio
+import shapely
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import samples
+from mmqa_lab._checks import check_points
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import (
     iterate_cloud,
     read_cloud,
+    read_heights,
     read_polygon,
     read_trajectory,
     write_atomically,
@@ -230,11 +235,17 @@ print(slowest, int(peak) / 1024)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs Linux's peak memory")
-@pytest.mark.parametrize("ending", ["las", "laz"])
+@pytest.mark.parametrize("ending", ["las", "laz", "pcd"])
 def test_damage_neither_crashes_nor_hangs_nor_fills_the_memory(tmp_path, ending):
     rng = np.random.default_rng(3)
     whole = tmp_path / f"whole.{ending}"
-    write_cloud(whole, Cloud(rng.random((20_000, 3)), {"gps_time": np.arange(20_000.0)}))
+    cloud = Cloud(rng.random((20_000, 3)), {"gps_time": np.arange(20_000.0)})
+    if ending == "pcd":
+        fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("gps_time", "f8")]
+        rows = np.column_stack([cloud.points, cloud["gps_time"]]).view(fields)[:, 0]
+        whole.write_bytes(pcd_bytes(rows, "binary"))
+    else:
+        write_cloud(whole, cloud)
     command = [sys.executable, "-c", DAMAGE, str(whole), "7", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr  # a crash would be a negative status
@@ -269,8 +280,8 @@ def test_headers_that_lie_are_found_out_before_anything_is_allocated(
         ("c.docx", "x", "with ending '.docx'. Must be one of .las, .laz, .ply"),
         ("c.xyz", "", "Must be rows of columns"),
         ("c.xyz", "1 2\n3 4\n", "2 columns. Must be rows of numbers, x y z first."),
-        ("c.xyz", "1 2 3\n4 five 6\n", "Must be rows of numbers, x y z first."),
-        ("c.csv", "x,y,z\n", "no points. Must hold one or more."),
+        ("c.xyz", "1 2 3\n4 five 6\n", "Must be rows of numbers, x y z first or named"),
+        ("c.csv", "x,y,z\n", "no points. Must contain one or more."),
         ("c.ply", "ply\nformat ascii 1.0\nend_header\n", "Must be a PLY file with vertices"),
     ],
 )
@@ -342,13 +353,253 @@ def test_rejects_polygons(source, sentence):
     assert sentence in str(error.value)
 
 
-def test_rejects_geojson_without_heights(tmp_path):
-    (tmp_path / "p.geojson").write_text('{"type": "Polygon", "coordinates": [[[0,0],[1,0],[1,1]]]}')
-    with pytest.raises(ValueError, match=r"Must have shape \(n, 3\)"):
-        read_polygon(tmp_path / "p.geojson")
-    (tmp_path / "q.geojson").write_text('{"type": "Point"}')
+def test_rejects_geojson_without_a_polygon(tmp_path):
+    (tmp_path / "q.geojson").write_text('{"type": "Point", "coordinates": [1, 2]}')
+    with pytest.raises(ValueError, match=r"Must be a polygon\."):
+        read_polygon(tmp_path / "q.geojson")
+    (tmp_path / "q.geojson").write_text('{"name": "nothing"}')
     with pytest.raises(ValueError, match="Must be GeoJSON with a polygon"):
         read_polygon(tmp_path / "q.geojson")
+
+
+def test_polygons_with_holes_and_parts_come_back(tmp_path):
+    ring = np.array([[0, 0, 1.0], [4, 0, 1], [4, 4, 1], [0, 4, 1]])
+    holed = shapely.Polygon(ring, [ring / 4 + [1, 1, 0.75]])
+    both = shapely.MultiPolygon([holed, shapely.Polygon(ring + [9, 0, 0])])
+    for shape in (holed, both):
+        write_polygon(tmp_path / "p.geojson", shape)
+        again = read_polygon(tmp_path / "p.geojson")
+        assert again.equals(shape)
+        assert shapely.get_coordinates(again, include_z=True)[0].tolist() == [0, 0, 1]
+
+
+def test_a_stated_coordinate_system_is_said_and_degrees_are_refused(tmp_path):
+    ring = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0]]
+    node = {"type": "Polygon", "coordinates": [ring]}
+    for name in ("urn:ogc:def:crs:EPSG::25832", "urn:ogc:def:crs:OGC:1.3:CRS84"):
+        node["crs"] = {"type": "name", "properties": {"name": name}}
+        (tmp_path / f"{name[-4:]}.geojson").write_text(json.dumps(node))
+    with pytest.warns(UserWarning, match="EPSG::25832; it is taken for that of the cloud"):
+        assert len(read_polygon(tmp_path / "5832.geojson")) == 3
+    with pytest.raises(ValueError, match=r"CRS84. Must be projected, in metres\."):
+        read_polygon(tmp_path / "RS84.geojson")
+
+
+NAMES = st.sampled_from(
+    [
+        ("x", "y", "z"),
+        ("X", "Y", "Z"),
+        ("Easting", "Northing", "Height"),
+        ("easting_m", "northing_m", "height_m"),
+        ("x [m]", "y [m]", "z [m]"),
+        ("East", "North", "Elevation"),
+    ]
+)
+
+
+@given(
+    names=NAMES,
+    order=st.permutations(range(5)),
+    separator=st.sampled_from([",", ";", "\t", ", ", " "]),
+    commas=st.booleans(),
+    before=st.sampled_from(["", "# surveyed by hand\n", "\ufeff", "// by another program\n"]),
+    commented=st.booleans(),
+    end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_columns_of_text_are_found_by_their_names(
+    tmp_path_factory, names, order, separator, commas, before, commented, end
+):
+    if separator == " " and "[" in names[0]:
+        names = ("x", "y", "z")
+    if commented and before == "\ufeff":
+        before = ""
+    rng = np.random.default_rng(1)
+    values = np.column_stack([np.arange(1, 21), np.round(rng.random((20, 4)) * 900, 3)])
+    titles = np.array(["id", *names, "intensity"])
+    rows = [separator.join(f"{v:.3f}" for v in row[order]) for row in values]
+    if separator == ";" and commas:
+        rows = [row.replace(".", ",") for row in rows]
+    header = ("# " if commented else "") + separator.join(titles[order])
+    path = tmp_path_factory.mktemp("text") / "c.csv"
+    path.write_bytes((before + end.join([header, *rows]) + end).encode())
+    cloud = read_cloud(path)
+    assert np.allclose(cloud.points, values[:, 1:4], rtol=0, atol=1e-9)
+    assert set(cloud.columns) == {"id", "intensity"}
+    assert np.allclose(cloud["intensity"], values[:, 4])
+
+
+def test_points_with_a_count_before_them(tmp_path):
+    (tmp_path / "c.pts").write_text("2\n1.5 2 3 -700 10 20 30\n4 5 6 -800 10 20 30\n")
+    cloud = read_cloud(tmp_path / "c.pts")
+    assert cloud.points.tolist() == [[1.5, 2, 3], [4, 5, 6]]
+    assert cloud["column_4"].tolist() == [-700, -800]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("id,lat,lon\n1,48.1,11.5\n", "with columns id, lat, lon. Must have x, y, z or easting"),
+        ("a b c d\n1 2 3 4\n", "with columns a, b, c, d. Must have x, y, z"),
+        ("x y z\n1 2 3 4\n", "3 names over 4 columns"),
+        ("1,5.2,6.1,7.0\n2,5.3,6.1,7.0\n3,5.4,6.2,7.1\n", "its first column numbers the rows"),
+    ],
+)
+def test_text_whose_columns_are_not_known_is_refused(tmp_path, text, sentence):
+    (tmp_path / "c.csv").write_text(text)
+    with pytest.raises(ValueError, match="Invalid") as error:
+        read_cloud(tmp_path / "c.csv")
+    assert sentence in str(error.value)
+
+
+def pcd_bytes(rows, kind):
+    """Rows as a PCD file, written by hand after the format's description (PCL 0.7)."""
+    codes = {"f": "F", "i": "I", "u": "U"}
+    fields = [rows.dtype[name] for name in rows.dtype.names]
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS " + " ".join(rows.dtype.names),
+        "SIZE " + " ".join(str(field.itemsize) for field in fields),
+        "TYPE " + " ".join(codes[field.kind] for field in fields),
+        "COUNT " + " ".join("1" for _ in fields),
+        f"WIDTH {len(rows)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(rows)}",
+        f"DATA {kind}",
+    ]
+    text = "\n".join(" ".join(repr(value.item()) for value in row) for row in rows)
+    return (
+        "\n".join(header).encode() + b"\n" + (text.encode() if kind == "ascii" else rows.tobytes())
+    )
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary"])
+@pytest.mark.parametrize("type_", ["f4", "f8"])
+def test_pcd(tmp_path, cloud, kind, type_):
+    local = cloud.points - UTM
+    rows = np.empty(len(cloud), [("x", type_), ("y", type_), ("z", type_), ("ring", "u2")])
+    rows["x"], rows["y"], rows["z"] = local.T
+    rows["ring"] = cloud["ring"]
+    (tmp_path / "c.pcd").write_bytes(pcd_bytes(rows, kind))
+    again = read_cloud(tmp_path / "c.pcd")
+    step = np.spacing(np.float32(50.0)) if type_ == "f4" else 1e-12
+    assert np.abs(again.points - local).max() <= step
+    assert np.array_equal(again["ring"], cloud["ring"])
+    assert np.isnan(again.resolution) == (type_ == "f8")
+
+
+def test_damaged_pcd_gets_a_sentence(tmp_path, cloud):
+    rows = np.zeros(9, [("x", "f4"), ("y", "f4"), ("z", "f4")])
+    whole = pcd_bytes(rows, "binary")
+    damaged = {
+        "is cut": whole[:-7],
+        "9 points": whole.replace(b"POINTS 9", b"POINTS 9000000000000"),
+        "data are binary_compressed": whole.replace(b"DATA binary", b"DATA binary_compressed"),
+        "'POINTS'": b"x y z\n1 2 3\n",
+    }
+    for data in damaged.values():
+        (tmp_path / "c.pcd").write_bytes(data)
+        with pytest.raises(ValueError, match=r"Must be a PCD file with x, y, z, ascii or binary"):
+            read_cloud(tmp_path / "c.pcd")
+
+
+def test_e57_says_what_to_install_or_reads(tmp_path, cloud):
+    path = tmp_path / "c.e57"
+    try:
+        import pye57
+    except ImportError:
+        path.write_bytes(b"ASTM-E57")
+        with pytest.raises(ValueError, match=r"Install it by pip install pye57\."):
+            read_cloud(path)
+        return
+    file = pye57.E57(str(path), mode="w")
+    x, y, z = cloud.points.T
+    scan = {"cartesianX": x, "cartesianY": y, "cartesianZ": z, "intensity": np.ones(len(x))}
+    file.write_scan_raw(scan)
+    file.close()
+    again = read_cloud(path)
+    assert again.resolution == 0.5  # the writer stores single precision
+    assert np.abs(again.points - cloud.points).max() <= 0.25
+    assert again["intensity"].tolist() == [1.0] * len(cloud)
+
+
+def test_a_cloud_knows_the_step_of_its_coordinates(tmp_path, cloud):
+    write_cloud(tmp_path / "c.laz", cloud, scale=0.01)
+    assert read_cloud(tmp_path / "c.laz").resolution == 0.01
+    assert read_cloud(tmp_path / "c.laz", columns=())[:5].resolution == 0.01
+    for type_, step in (("f4", 0.5), ("f8", np.nan)):
+        vertices = np.array([(448_000.1, 5_411_000.2, 120.3)], [(a, type_) for a in "xyz"])
+        element = plyfile.PlyElement.describe(vertices, "vertex")
+        plyfile.PlyData([element]).write(tmp_path / "c.ply")
+        assert np.array_equal(read_cloud(tmp_path / "c.ply").resolution, step, equal_nan=True)
+    (tmp_path / "c.xyz").write_text("1 2 3\n")
+    assert np.isnan(read_cloud(tmp_path / "c.xyz").resolution)
+
+
+def raster(path, heights, **choices):
+    """Write heights over cells of half a metre with their upper left corner at (1000, 2000)."""
+    place = rasterio.transform.from_origin(1000, 2000, 0.5, 0.5)
+    rows, columns = heights.shape
+    shape = {"width": columns, "height": rows, "count": 1, "dtype": heights.dtype}
+    with rasterio.open(
+        path, "w", driver="GTiff", **{"transform": place, **shape, **choices}
+    ) as file:
+        file.write(heights, 1)
+
+
+@pytest.mark.parametrize("type_", ["float64", "float32", "int16"])
+def test_rasters_are_the_middles_of_their_cells(tmp_path, type_):
+    heights = np.arange(6).reshape(2, 3).astype(type_)
+    heights[0, 1] = -99
+    raster(tmp_path / "h.tif", heights, nodata=-99, crs="EPSG:25832", tiled=True, compress="lzw")
+    expected = [[1000.25, 1999.75, 0], [1001.25, 1999.75, 2], [1000.25, 1999.25, 3]]
+    assert read_heights(tmp_path / "h.tif")[:3].tolist() == expected
+    assert check_points(tmp_path / "h.tif").shape == (5, 3)
+
+
+def test_arrays_of_heights_with_coordinates_are_points(tmp_path):
+    heights = np.arange(6.0).reshape(2, 3)
+    heights[0, 1] = np.nan
+    raster(tmp_path / "h.tif", heights)
+    array = xr.DataArray(
+        heights, {"y": [1999.75, 1999.25], "x": [1000.25, 1000.75, 1001.25]}, ("y", "x")
+    )
+    expected = read_heights(tmp_path / "h.tif")
+    for same in (
+        array,
+        array.T,
+        array.expand_dims("band"),
+        array.fillna(-1).assign_attrs(_FillValue=-1),
+    ):
+        found = check_points(same)
+        assert sorted(found.tolist()) == sorted(expected.tolist())
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        (
+            {"transform": rasterio.Affine.identity()},
+            "Must be a GeoTIFF of one band whose cells have",
+        ),
+        ({"crs": "EPSG:4326"}, "in degrees (EPSG:4326). Must be projected, in metres."),
+    ],
+)
+def test_rasters_without_a_place_in_metres_are_refused(tmp_path, choices, sentence):
+    raster(tmp_path / "h.tif", np.ones((2, 2)), **choices)
+    with pytest.raises(ValueError, match="Invalid reference") as error:
+        read_heights(tmp_path / "h.tif")
+    assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["ncols 3\nnrows 2\n", "ncols 3\nnrows 9\nxllcorner 0\nyllcorner 0\n"]
+)
+def test_damaged_grids_are_refused(tmp_path, text):
+    (tmp_path / "h.asc").write_text(text + "cellsize 1\n1 2 3\n4 5 6\n")
+    with pytest.raises(ValueError, match="Must be an Esri ASCII grid"):
+        read_heights(tmp_path / "h.asc")
 
 
 def test_trajectory_of_a_survey_vehicle(real):

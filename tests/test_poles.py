@@ -87,7 +87,7 @@ def test_a_short_post_is_none(method, rng):
 
 def test_fgi_finds_the_same_poles_in_another_order(street):
     _, cloud, _ = street
-    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
     first, second = (poles.detect(c, method="fgi") for c in (cloud, shuffled))
     assert len(first) > 3
     numbers = first.columns.drop("method")
@@ -98,7 +98,7 @@ def test_fgi_finds_the_same_poles_in_another_order(street):
 @pytest.mark.parametrize("method", ["itc", "ours"])
 def test_the_others_need_no_order(street, method):
     _, cloud, _ = street
-    shuffled = cloud.select(np.random.default_rng(1).permutation(len(cloud)))
+    shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
     first, second = (poles.detect(c, method=method) for c in (cloud, shuffled))
     assert len(first) > 3
     numbers = first.select_dtypes("number").columns
@@ -318,6 +318,26 @@ def test_ground_follows_a_slope_and_ignores_what_stands_on_it(rng):
     # the lowest point of a 1 m cell lies up to 0.07 m below its middle on this slope
     assert np.abs(height[~on_roof]).max() < 0.12
     assert np.abs(height[on_roof] - 5).max() < 0.3
+
+
+def test_single_points_below_the_road_are_not_the_ground(rng):
+    plane = rng.uniform(0, 60, (40_000, 2))
+    road = np.column_stack([plane, 0.02 * plane[:, 0]])
+    strays = np.column_stack([rng.uniform(0, 60, (60, 2)), rng.uniform(-5, -1, 60)])
+    height = ground.height_above_ground(np.vstack([road, strays]))
+    assert np.abs(height[:40_000]).max() < 0.12
+    assert height[40_000:].max() < -0.9
+
+
+def test_a_column_of_equal_values_says_nothing_about_lines(street):
+    _, cloud, _ = street
+    unset = np.zeros(len(cloud))
+    given = {"scan_angle": unset, "gps_time": cloud["gps_time"]}
+    line, _ = profiles.scan_lines(Cloud(cloud.points, given))
+    alone, _ = profiles.scan_lines(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}))
+    assert (line == alone).all()
+    assert len(np.unique(line)) > 100
+    assert profiles.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
 
 
 def test_near_axis_is_the_brute_force(rng):

@@ -38,7 +38,7 @@ def turned_wall(turn, lean, distance=5.0):
 def test_point_spacing_and_profile_spacing_on_a_parallel_wall():
     cloud = scan()
     line = cloud["scan_line"]
-    one = cloud.select(line == line[len(line) // 2])
+    one = cloud[line == line[len(line) // 2]]
     down = np.radians(one["scan_angle"])
     step = 2 * np.pi * 100 / 300_000
     gap = np.linalg.norm(np.diff(one.points[:, [0, 2]], axis=0), axis=1)
@@ -184,7 +184,7 @@ def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
         ]
         wide = replace(PROFILER, exit_diameter_m=0.02, divergence_mrad=2.0, echo_separation_m=0.6)
         cloud = scan(Scene(surfaces), wide)
-        return cloud.select(np.abs(cloud["scan_angle"] - 90) < 3)
+        return cloud[np.abs(cloud["scan_angle"] - 90) < 3]
 
     near, far = edge(0.3), edge(2.0)
     between = (near.points[:, 0] > 5.02) & (near.points[:, 0] < 5.28)

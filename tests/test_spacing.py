@@ -365,7 +365,7 @@ def test_extents_that_differ_beyond_measure():
         ([[0, 0]], {"radius": 0}, r"Invalid radius 0\. Must be > 0 m\."),
         ([[0, 0]], {"radius": np.inf}, r"Invalid radius inf\. Must be finite\."),
         ([[0, 0]], {"angle": NAN}, r"Invalid angle nan\. Must be finite\."),
-        ([[0, 0, 0]], {}, r"Invalid xy of shape \(1, 3\)\. Must have shape \(n, 2\)\."),
+        ([[0, 0, 0, 0]], {}, r"Invalid xy of shape \(1, 4\)\. Must have shape \(n, 2\)\."),
         ([0, 0], {}, r"Invalid xy of shape \(2,\)\."),
         (np.empty((0, 2)), {}, r"Invalid xy: 0 given\. Must be 1 or more\."),
         ([[0, NAN], [0, np.inf], [0, 0]], {}, r"Invalid xy: 2 of 3 not finite, the first in row 0"),

@@ -147,7 +147,7 @@ def test_clark_evans_published_extremes():
         (lambda: directional([[0, 0]]), "Invalid xy: 1 given. Must be 2 or more."),
         (lambda: directional([[0, 0], [1, 1]], radius=0), "Invalid radius 0. Must be > 0"),
         (lambda: pair_contrast([[0, 0], [1, 1]], reach=-1), "Invalid reach -1. Must be > 0 m."),
-        (lambda: structure_tensor_ratio([[0, 0, 0]]), "Invalid xy of shape"),
+        (lambda: structure_tensor_ratio([[0, 0, 0, 0]]), "Invalid xy of shape"),
         (lambda: clark_evans([[0, 0], [1, 1], [2, np.nan]]), "not finite"),
     ],
 )

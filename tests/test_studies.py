@@ -68,7 +68,7 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     assert json.loads((tmp_path / "overlaps.json").read_text()) == {}
     answer = record["answer"]
     assert f"{answer['figure']}.png" in record["files"]
-    assert record["seen"][answer["figure"]]
+    assert record["figures"][answer["figure"]]["seen"]
     readme = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
     assert f"| {masked(answer['sentence'])} |" in masked(readme)  # written by mmqa readme
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}

@@ -241,7 +241,7 @@ def test_real_references(real):
 
 def test_command(surveyed, tmp_path, capsys):
     survey = surveyed[0][0]
-    cloud = survey.cloud.select(survey.cloud["surface"] >= 0)
+    cloud = survey.cloud[survey.cloud["surface"] >= 0]
     io.write_cloud(tmp_path / "street.laz", cloud)
     truth = survey.targets[survey.targets["visible"]]
     truth.to_csv(tmp_path / "truth.csv", index=False)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.height_files import read_heights
+from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
     between_drives,
     corner_positions,

@@ -9,17 +9,24 @@
     quality = chart_image.evaluate_image(image, layout, there)
     quality.to_frame(), quality.pairs, quality.edges
 
-Images are arrays of linear light with full scale 1; :mod:`mmqa_lab.imagery` reads them.
+Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
+files, :func:`mmqa_lab.io.read_grey` their grey values.
 """
 
 from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
+from mmqa_lab.chart_image.files import (
+    Window,
+    cut,
+    evaluate_file,
+    panorama_of,
+    read_layout,
+    read_orientation,
+)
 from mmqa_lab.chart_image.legibility import (
+    Agreement,
     Crop,
     agreement,
-    character_error,
     quality_index,
-    read_crops,
-    reader,
     text_crops,
 )
 from mmqa_lab.chart_image.levels import Tones, tones
@@ -34,10 +41,11 @@ from mmqa_lab.chart_image.line_pairs import (
 from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
-from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images, view_name
+from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images
 from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
 
 __all__ = [
+    "Agreement",
     "ChartMap",
     "Crop",
     "EdgeResponse",
@@ -49,27 +57,29 @@ __all__ = [
     "Pose",
     "Resolution",
     "Tones",
+    "Window",
     "agreement",
     "align",
     "bar_edges",
-    "character_error",
     "chart_site",
     "check_drive",
     "choose_images",
+    "cut",
     "edge_response",
+    "evaluate_file",
     "evaluate_image",
     "expected_contrast",
     "locate_corners",
     "locate_markers",
+    "panorama_of",
     "pixel_size",
     "pixel_sizes",
     "quality_index",
-    "read_crops",
+    "read_layout",
+    "read_orientation",
     "read_pairs",
     "read_pattern",
-    "reader",
     "resolution",
     "text_crops",
     "tones",
-    "view_name",
 ]

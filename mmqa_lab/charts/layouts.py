@@ -16,7 +16,6 @@ from mmqa_lab.charts.elements import (
     Marker,
     Text,
 )
-from mmqa_lab.charts.glyphs import advance
 
 SIDE_MM = 1000.0
 
@@ -27,15 +26,17 @@ WIDTHS_V_MM = WIDTHS_H_MM[1:]
 """Widths of the line pairs read in vertical direction, mm."""
 
 TEXTS = (
-    (50.0, "Halteverbot"),
-    (45.0, "Mo.–Fr. 6–19 h"),
-    (42.0, "Allee 7¹ / 12ª"),
+    (50.0, "Linienomnibusse"),
+    (45.0, "Aus-ᵤ. Einsteigen"),
+    (42.0, "ausgen. v. 18³⁰"),
+    (40.0, "Mo.-Fr. (werkt). v."),
+    (40.0, "6³⁰-19ʰ"),
     (40.0, "Müllsammelfzge."),
-    (40.0, "Illhof §52 × 3½ m²"),
+    (40.0, "Müllsammelfzge.", "DejaVuSerif"),
 )
-"""Height of the capitals in mm and text: umlauts, double l, abbreviations, superscripts, signs."""
+"""Height of the capitals in mm, text and, where it is another, font."""
 
-FAINT_TEXT = (40.0, "Stillleben", 0.35, 0.6)
+FAINT_TEXT = (40.0, "ausgen.", 0.35, 0.6)
 """Height of the capitals, text, and the tones of letters and panel: the reduced contrast."""
 
 REPEATS, LENGTH_MM = 8, 80.0
@@ -69,8 +70,8 @@ def imaging_chart(
         The lying bar as built, or black as the authors recommend after their test.
     widths_h, widths_v : sequence of float
         Widths of the line pairs, mm, from coarse to fine, for standing and for lying bars.
-    texts : sequence of (float, str)
-        Height of the capitals in mm and text of each line.
+    texts : sequence of (float, str) or (float, str, str)
+        Height of the capitals in mm, text and, where it is another, font of each line.
     dictionary : str or None
         OpenCV dictionary of the coded targets; None leaves them out.
     first_marker : int
@@ -87,12 +88,15 @@ def imaging_chart(
 
     Notes
     -----
-    The paper gives lengths, numbers and ladder ends; the places on the chart, the rungs between the
-    ends and the wording of the texts are this package's own.
+    The paper gives lengths, numbers of pairs and the ends of the ladder; the rungs of 30 to 4 mm
+    occur as readings in its Table 1, that of 3 mm is assumed. It names the texts and the heights of
+    letters, 40 to 50 mm; raised and small letters are those of Unicode here. Which text has which
+    height, the places on the chart and the fonts are this package's own; the symbols, the lying
+    and the coloured texts are left out.
 
     References
     ----------
-    Pfeifer et al. 2021, section 3.2. doi:10.3390/rs13020237
+    Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
 
     Examples
     --------
@@ -238,16 +242,15 @@ def _place_texts(texts, top):
     """Lines of text below each other, then the panel of reduced contrast."""
     x, bottom, room, _ = FIELD
     placed = []
-    for number, (cap, text) in enumerate(texts, start=1):
-        placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap))
-        top -= 1.55 * cap
+    for number, (cap, text, *font) in enumerate(texts, start=1):
+        face = font[0] if font else Text.font
+        placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap, font=face))
+        top -= 1.65 * cap
     if texts:
         cap, text, tone, panel = FAINT_TEXT
-        width = advance(text, cap) + cap
-        placed += [
-            Bar("panel", x, top - 1.9 * cap, width, 1.7 * cap, panel),
-            Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel),
-        ]
+        faint = Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel)
+        placed.append(Bar("panel", x, top - 1.9 * cap, faint.width + cap, 1.7 * cap, panel))
+        placed.append(faint)
     for element in placed:
         if element.y < bottom or element.width > room:
             raise ValueError(f"Invalid texts: {element.name!r} does not fit. Must be fewer.")

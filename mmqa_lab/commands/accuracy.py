@@ -26,7 +26,7 @@ CHECKPOINTS = 30
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
     parser.add_argument(
         "reference",
         metavar="REFERENCE",
@@ -95,8 +95,7 @@ def run(options):
     """Compare, then print and write."""
     import pandas as pd
 
-    from mmqa_lab.height_files import read_heights
-    from mmqa_lab.io import read_cloud, read_trajectory, write_atomically
+    from mmqa_lab.io import read_cloud, read_heights, read_trajectory, write_atomically
     from mmqa_lab.testfield import thinned
 
     reference = read_heights(options.reference)

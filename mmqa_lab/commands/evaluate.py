@@ -37,7 +37,9 @@ INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit")
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
+    )
     parser.add_argument(
         "--polygon",
         metavar="VERTICES",
@@ -102,16 +104,14 @@ def run(options):
     choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
     rows = []
     for file in with_progress(options.cloud, "cloud"):
-        points = read_cloud(file, columns=()).points
-        quality = evaluate_cloud(points, polygon=polygon, scale=scale, rho0=options.rho0, **choices)
+        cloud = read_cloud(file, columns=())
+        quality = evaluate_cloud(cloud, polygon=polygon, scale=scale, rho0=options.rho0, **choices)
         table = quality.intervals() if options.intervals else quality.to_frame()
         rows.append(table.assign(file=str(file)))
     if options.out is not None:
         _draw(quality, options.out)
-    table = pd.concat(rows)
-    print_rows(
-        table[["file", *table.columns[:-1]] if options.intervals else list(COLUMNS)], options
-    )
+    names = INTERVAL_COLUMNS if options.intervals else COLUMNS
+    print_rows(pd.concat(rows)[list(names)], options)
 
 
 def _draw(quality, file):

@@ -111,7 +111,7 @@ def run(options):
 def _segments(path, options):
     """Segments from a file of them, or the edges of a cloud."""
     if path.suffix.lower() not in CLOUD_ENDINGS:
-        from mmqa_lab.segment_files import read_segments
+        from mmqa_lab.io import read_segments
 
         return read_segments(path)
     from mmqa_lab.io import read_cloud
@@ -119,11 +119,11 @@ def _segments(path, options):
 
     points = read_cloud(path, columns=()).points
     sizes = {"tolerance": options.tolerance, "size": options.size, "minimum": options.minimum}
-    edges = extract_edges(points, **sizes, seed=options.seed)
+    edges = extract_edges(points, **sizes)
     if not len(edges):
         raise ValueError(f"Invalid cloud {path}: no edges between planes. Must have some.")
     if options.out is not None:
-        from mmqa_lab.segment_files import write_segments
+        from mmqa_lab.io import write_segments
 
         write_segments(options.out / f"{path.stem}_edges.csv", edges.segments)
     return edges.segments

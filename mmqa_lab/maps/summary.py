@@ -54,7 +54,10 @@ def summarise(dataset, *, below=None):
             about = {"layer": str(layer), "variable": name, "unit": dataset[name].attrs["units"]}
             if name == "f" and "exempt" in dataset:
                 free = dataset["exempt"].transpose("layer", ...).values[k][known]
-                found["exempt_share"] = float(np.average(free, weights=area[k][known]))
+                share = (
+                    (free * area[k][known]).sum() / area[k][known].sum() if len(free) else np.nan
+                )
+                found["exempt_share"] = float(share)
             rows[k, name] = about | found
     table = pd.DataFrame([rows[k, name] for k in range(len(layers)) for name in names])
     return table[table["n"] > 0].reset_index(drop=True)

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._checks import check_plan, check_points, check_positive
 from mmqa_lab.stats import Rate, average_precision, errors, f1, wilson
 
 GATE_M = 0.5
@@ -347,7 +347,4 @@ def _path(trajectory):
     """Plan coordinates of a trajectory."""
     if trajectory is None:
         raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
-    positions = np.asarray(trajectory, dtype=np.float64)
-    if positions.ndim == 2 and positions.shape[1] == 3:
-        positions = positions[:, :2]
-    return check_points(positions, name="trajectory", columns=2)
+    return check_plan(trajectory, name="trajectory")

@@ -83,7 +83,7 @@ def run_study(study, folder, *, quick=False, timeout=None):
     failure = execute(notebook, study.path.parent, environment=environment, timeout=timeout)
     seconds = round(time.monotonic() - began, 1)
     record = read_record(target)
-    page = notebook_page(notebook, study.title, seen=record.get("seen", {}))
+    page = notebook_page(notebook, study.title, figures=record.get("figures", {}))
     write_text(target / f"{study.stem}.html", page)
     counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
     outcome = replace(outcome, seconds=seconds, failure=failure, **counts)

@@ -13,23 +13,6 @@ from mmqa_lab.run.results import FORMATS, read_record, write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
 
-SHOWN = [
-    "source",
-    "table",
-    "cell",
-    "role",
-    "printed",
-    "unit",
-    "ours",
-    "ours_low",
-    "ours_high",
-    "kind",
-    "study",
-    "verdict",
-    "note",
-]
-"""Columns of the ledger's page."""
-
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 
@@ -57,22 +40,23 @@ def write_pages(folder, studies, outcomes):
     write_text(folder / "index.html", text)
 
 
-def notebook_page(notebook, title, *, seen):
+def notebook_page(notebook, title, *, figures):
     """Return an executed notebook as a page.
 
     Parameters
     ----------
     notebook : NotebookNode
     title : str
-    seen : dict of str
-        What is seen in the figures, by their names; it becomes the text in place of the picture.
+    figures : dict
+        Of the run record; what is seen in a figure becomes the text in place of the picture.
     """
     from nbconvert import HTMLExporter
     from pygments.formatters import HtmlFormatter
 
     for cell in notebook.cells:
-        texts = [seen[name] for name in SAVED_FIGURE.findall(cell.source) if seen.get(name)]
-        cell.metadata["alt"] = ". ".join(texts) or f"Figure of {title}"
+        names = [name for name in SAVED_FIGURE.findall(cell.source) if name in figures]
+        seen = ". ".join(figures[name]["seen"] for name in names)
+        cell.metadata["alt"] = seen or f"Figure of {title}"
     exporter = HTMLExporter(
         template_name="study", extra_template_basedirs=[str(TEMPLATES)], embed_images=True
     )
@@ -102,7 +86,7 @@ def _card(study, outcome, folder):
         "record": record,
         "answer": record.get("answer", {}).get("sentence", ""),
         "figure": figure,
-        "seen": record.get("seen", {}).get(figure, "") or study.title,
+        "seen": record.get("figures", {}).get(figure, {}),
         "figures": [name.removesuffix(".png") for name in files if name.endswith(".png")],
         "tables": [name for name in files if name.endswith(".csv")],
         "checks": _checks(folder),
@@ -138,9 +122,16 @@ def _ledger(folder):
         return None
     from mmqa_lab.published.ledger import summary
 
-    texts = rows[SHOWN].map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
+    return {"counts": summary(rows), "rows": [_shown(row) for row in rows.to_dict("records")]}
+
+
+def _shown(row):
+    """What the ledger's page shows of a row."""
+    ours, low, high = (f"{row[name]:.4g}" for name in ("ours", "ours_low", "ours_high"))
+    interval = "" if low == "nan" or high == "nan" else f" ({low} to {high})"
     return {
-        "counts": summary(rows),
-        "rows": texts.astype(object).where(rows[SHOWN].notna(), "").to_dict("records"),
-        "columns": SHOWN,
+        **{name: row[name] for name in ("source", "role", "kind", "study", "verdict", "note")},
+        "printed number": f"{row['table']}: {row['cell']}",
+        "printed": f"{row['printed']} {row['unit']}",
+        "ours": "" if ours == "nan" else ours + interval,
     }

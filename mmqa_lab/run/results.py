@@ -116,7 +116,7 @@ class Run:
             "checks": 0,
             "checks_passed": 0,
             "files": [],
-            "seen": {},
+            "figures": {},
             **_environment(),
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
@@ -156,7 +156,10 @@ class Run:
             "svg": {"Date": None, "Title": name},
             "png": {},
         }
-        self._record["seen"][name] = seen or _described(figure)
+        self._record["figures"][name] = {
+            "seen": seen or _described(figure),
+            "width_mm": round(25.4 * figure.get_figwidth(), 1),
+        }
         for form in FORMATS:
             self._write(
                 f"{name}.{form}",
@@ -285,13 +288,14 @@ def _parameters(stem, given):
 def _environment():
     """Version and commit of the package, of Python and of the libraries it asks for."""
     asked = metadata.requires("mmqa_lab") or []
-    names = sorted({re.match(r"[\w.-]+", line)[0] for line in asked if "extra ==" not in line})
+    names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
+    installed = {one.name.lower(): one.version for one in metadata.distributions()}
     return {
         "version": metadata.version("mmqa_lab"),
         "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "versions": {name: metadata.version(name) for name in names},
+        "versions": {name: installed[name] for name in sorted(names & set(installed))},
     }
 
 

@@ -14,7 +14,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_count, check_points, check_positive
+from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing._quadrants import quadrants
 
 STEP_DEG = 4.0
@@ -25,7 +27,7 @@ SECTOR_STEPS = 15
 
 
 @dataclass(frozen=True, eq=False)
-class DirectionalSpacing:
+class DirectionalSpacing(Shown):
     """The spacing of a pattern by direction.
 
     Parameters
@@ -103,9 +105,6 @@ class DirectionalSpacing:
         table.insert(0, "figure", ["along", "across", "g"])
         return table.assign(unit=["mm", "mm", "1"], direction_deg=self.direction_deg, n=self.n)
 
-    def _repr_html_(self):
-        return self.to_frame().round(3).to_html(index=False)
-
     def at(self, direction: float) -> float:
         """Spacing in a direction (degrees), between those tried."""
         return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
@@ -127,7 +126,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres; n >= 2.
     radius : float
         Neighbours up to this far count, m.
@@ -158,7 +157,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     >>> round(found.g, 3), round(abs(found.direction_deg - 90), 1)
     (4.0, 90.0)
     """
-    xy = check_points(xy, name="xy", columns=2, minimum=2)
+    xy = flat_points(xy, minimum=2)
     radius = check_positive(radius, "radius", unit="m")
     xy = np.unique(xy - xy.mean(axis=0), axis=0)
     nearest = _nearest_by_sector(xy, radius)
@@ -172,7 +171,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     angles : array_like, shape (k,)
         Degrees.
@@ -199,7 +198,7 @@ def structure_tensor_ratio(xy: ArrayLike, *, k: int = 16) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3.
     k : int
         Neighbours, 2 or more.
@@ -226,7 +225,7 @@ def structure_tensor_ratio(xy: ArrayLike, *, k: int = 16) -> float:
     """
     from scipy.spatial import cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=3)
+    xy = flat_points(xy, minimum=3)
     k = check_count(k, "k", low=2)
     near = cKDTree(xy).query(xy, k=min(k + 1, len(xy)))[1][:, 1:]
     offsets = xy[near] - xy[:, None]
@@ -244,7 +243,7 @@ def pair_contrast(xy: ArrayLike, *, reach: float) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
     reach : float
         Largest distance of a pair, m.
@@ -276,7 +275,7 @@ def pair_contrast(xy: ArrayLike, *, reach: float) -> float:
     """
     from scipy.spatial import cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=2)
+    xy = flat_points(xy, minimum=2)
     reach = check_positive(reach, "reach", unit="m")
     first, second = cKDTree(xy).query_pairs(reach, output_type="ndarray").T
     if not len(first):
@@ -291,7 +290,7 @@ def clark_evans(xy: ArrayLike) -> float:
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Any unit, n >= 3, not on one line.
 
     Returns
@@ -321,7 +320,7 @@ def clark_evans(xy: ArrayLike) -> float:
     """
     from scipy.spatial import ConvexHull, cKDTree
 
-    xy = check_points(xy, name="xy", columns=2, minimum=3)
+    xy = flat_points(xy, minimum=3)
     nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
     hull = ConvexHull(xy - xy.mean(axis=0))
     n, area, outline = len(xy), hull.volume, hull.area

@@ -13,14 +13,16 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.planes import flat_points
 
 _ONE_AT_A_TIME = threading.Lock()
 """Some of numba's threading layers stop the process when two threads enter them at once."""
 
 
 @dataclass(frozen=True, eq=False)
-class Spacing:
+class Spacing(Shown):
     """The typical point spacings of a pattern in the plane.
 
     Parameters
@@ -83,9 +85,6 @@ class Spacing:
         table.insert(0, "figure", ["d1", "d2", "d3", "d4", "f"])
         return table.assign(unit=["mm"] * 4 + ["1"], n=[*self.counts, self.counts[3]])
 
-    def _repr_html_(self):
-        return self.to_frame().round(3).to_html(index=False)
-
 
 def quadrant_distances(
     xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, of: ArrayLike | None = None
@@ -97,7 +96,7 @@ def quadrant_distances(
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.
@@ -133,7 +132,7 @@ def quadrant_distances(
     >>> quadrant_distances([[0, 0], [0.3, 0], [0, 0.4], [-0.1, 0]])[0]
     array([0.1, 0.3, 0.4, nan])
     """
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
     _check_width(xy)
@@ -155,7 +154,7 @@ def quadrants(
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Coordinates in the plane, metres.
     radius : float
         Neighbours up to this far count, m.
@@ -191,7 +190,7 @@ def quadrants(
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
     """
-    xy = check_points(xy, name="xy", columns=2)
+    xy = flat_points(xy)
     distances = quadrant_distances(xy, radius=radius, angle=angle)
     known = ~np.isnan(distances)
     full = known[:, 3]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab._checks import check_number, check_points
+from mmqa_lab._checks import check_number, check_plan
 from mmqa_lab.poles.scores import path_distance
 
 
@@ -154,10 +154,7 @@ def distance_to_path(points, path):
     >>> distance_to_path([[3, 5, 0], [0, 14, 0]], [[0, 0], [0, 10]]).tolist()
     [3.0, 4.0]
     """
-    if hasattr(path, "columns"):
-        path = path[["easting_m", "northing_m"]].to_numpy()
-    path = np.asarray(path, dtype=np.float64)[:, :2]
-    path = check_points(path, name="path", columns=2, minimum=2)
-    points = check_points(np.asarray(points, dtype=np.float64)[:, :2], columns=2)
+    path = check_plan(path, name="path", minimum=2)
+    points = check_plan(points)
     origin = path.mean(axis=0).round()
     return path_distance(points - origin, path - origin)

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points
+from mmqa_lab._polygons import polygon_vertices
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_polygon
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.views import is_headless
@@ -91,7 +91,8 @@ def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radi
     >>> figure.axes[0].get_title().split(",")[-1]
     ' f 2.00'
     """
-    points = cloud.points if isinstance(cloud, Cloud) else check_points(cloud, minimum=3)
+    points = check_points(cloud, minimum=3)
+    polygon = None if polygon is None else polygon_vertices(polygon)
     choices = {"thickness": thickness, "axes": axes, "radius": radius}
     if not is_headless():
         return SelectionTool(points, polygon=polygon, **choices)
@@ -145,7 +146,8 @@ class SelectionTool:
         self.points = check_points(points, minimum=3)
         self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
         self.view = View(self.points)
-        self.vertices = self.view.middle_polygon(self.points) if polygon is None else polygon
+        middle = self.view.middle_polygon(self.points)
+        self.vertices = middle if polygon is None else polygon_vertices(polygon)
         self.quality = None
         self.text = ipywidgets.HTML()
         figure = Figure(figsize=SIZE_INCHES, dpi=100)

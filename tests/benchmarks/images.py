@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from photographed import RealPairs, real_edges
 from rendered import grey, pattern_case, slanted_edge, true_mtf50
 
-from mmqa_lab import chart_image, charts, imagery
+from mmqa_lab import chart_image, charts
 from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.simulate import cameras
 
@@ -275,7 +275,7 @@ def panorama():
         del whole
         for name, corners in (("corners", view.pixels(layout.corners())), ("targets", None)):
             began = time.perf_counter(), time.process_time()
-            quality, _ = imagery.evaluate_file(file, layout, corners=corners, camera="panorama")
+            quality, _ = chart_image.evaluate_file(file, layout, corners=corners, camera="panorama")
             wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             size = quality.to_frame()["pixel_h_mm"].iloc[0]

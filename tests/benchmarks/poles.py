@@ -23,7 +23,7 @@ def piece():
     made = streets.street("table-4-1", length=LENGTH_M, seed=1)
     cloud = streets.drive(made, "dense-profiler", seed=1)
     inside = (cloud.points[:, 1] >= 0) & (cloud.points[:, 1] < LENGTH_M)
-    return cloud.select(inside & (np.abs(cloud.points[:, 0]) < 40))
+    return cloud[inside & (np.abs(cloud.points[:, 0]) < 40)]
 
 
 def repeated(cloud, times):
@@ -48,7 +48,7 @@ def main():
     warnings.simplefilter("ignore")
     one = piece()
     for method in poles.METHODS:
-        poles.detect(one.select(np.arange(0, len(one), 20)), method=method)  # compiles
+        poles.detect(one[::20], method=method)  # compiles
     print(f"{'method':<8}{'points':>12}{'poles':>8}{'s':>9}{'CPU s':>9}{'s/1e6':>9}{'peak GB':>9}")
     for times in options.copies:
         cloud = repeated(one, times)

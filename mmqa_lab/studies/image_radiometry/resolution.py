@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import imagery, samples
+from mmqa_lab import io, samples
 from mmqa_lab.chart_image.light import decode
 from mmqa_lab.mtf.bars import read_bars, resolving_power
 from mmqa_lab.mtf.chart_edge import edge_response
@@ -242,7 +242,7 @@ def real_edges():
     for name, edge, part, other in REAL_EDGES:
         if not samples.has_real(name):
             continue
-        grey = imagery.read_grey(samples.real_path(name))[part] / 255
+        grey = io.read_grey(samples.real_path(name))[part] / 255
         for shape in ("Gaussian", "logistic"):
             fit = fit_edge(grey, shape=shape.lower())
             misfit = fit.rms / abs(fit.high - fit.low)
@@ -269,7 +269,7 @@ def real_sharpness(*, block=64):
     for name in PHOTOGRAPHS:
         if not samples.has_real(name):
             continue
-        grey = decode(imagery.read_grey(samples.real_path(name)) / 255, "srgb")
+        grey = decode(io.read_grey(samples.real_path(name)) / 255, "srgb")
         found = haar_sharpness(grey, block=block)
         noise = found.attrs["noise_std"]
         # a blur of 1 px leaves 1 / (2 sqrt(pi)) of white noise

@@ -3,7 +3,7 @@
 import pandas as pd
 
 from mmqa_lab import io, samples
-from mmqa_lab.height_files import read_heights
+from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
     between_drives,
     height_accuracy,

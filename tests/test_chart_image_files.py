@@ -1,0 +1,217 @@
+"""Images from files: what is read, what is cut, and photographs that show no chart at all."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mmqa_lab import chart_image, charts, io, samples
+from mmqa_lab.simulate import cameras
+
+CHART = charts.imaging_chart()
+
+
+@pytest.fixture(scope="module")
+def panorama(tmp_path_factory):
+    """A whole panorama of 8 megapixels with a chart 3 m away, in sRGB, and the true map."""
+    camera = cameras.PanoramaCamera.of_megapixels(8)
+    view = cameras.chart_view(camera, distance=3, layout=CHART, heading_deg=20, aim_deg=10)
+    sensor = cameras.Sensor(noise=0.01, gamma="srgb", bits=8)
+    photo = cameras.photograph(CHART, view, sensor=sensor, seed=2)
+    whole = np.full((camera.height, camera.width), 120, dtype=np.uint8)
+    (column, row), (rows, columns) = photo.origin, photo.image.shape
+    whole[row : row + rows, column : column + columns] = photo.image
+    file = tmp_path_factory.mktemp("panorama") / "pano.jpg"
+    cv2.imwrite(str(file), whole, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    return file, view
+
+
+def orientation_file(folder, **changes):
+    """The orientation of the panorama above as JSON."""
+    east = 3 * np.tan(np.radians(20))
+    whole = {
+        "position": [east, -3.0, 0.0],
+        "heading_deg": -20.0 + 10.0,
+        "pitch_deg": 0.0,
+        "roll_deg": 0.0,
+        "camera": {"width": 4000},
+        "corners": [[-0.5, 0, -0.5], [0.5, 0, -0.5], [0.5, 0, 0.5], [-0.5, 0, 0.5]],
+    }
+    file = folder / "orientation.json"
+    file.write_text(json.dumps(whole | changes))
+    return file
+
+
+def test_targets_corners_and_orientation_find_the_same_chart(panorama, tmp_path):
+    file, view = panorama
+    corners = view.pixels(CHART.corners())
+    orientation = chart_image.read_orientation(orientation_file(tmp_path))
+    ways = (
+        {"camera": "panorama"},
+        {"camera": "panorama", "corners": corners + 0.6},
+        {"orientation": orientation},
+    )
+    rows = []
+    for way in ways:
+        quality, window = chart_image.evaluate_file(file, CHART, **way)
+        places = quality.chart_map.pixels(CHART.corners()) + window.origin
+        assert np.abs(places - corners).max() < 0.3
+        assert window.values.size < 500_000  # of 8 million pixels
+        assert window.size == (4000, 2000)
+        rows.append(quality.to_frame().iloc[0])
+    for row in rows:
+        # 2 pi 3 m / 4000 at the middle, wider away from the normal
+        assert row["pixel_v_mm"] == pytest.approx(4.71 / np.cos(np.radians(20)), rel=0.01)
+        assert (row["w_h_mm"], row["w_v_mm"]) == (rows[0]["w_h_mm"], rows[0]["w_v_mm"])
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_grey_values_keep_their_type_and_colour_becomes_light(tmp_path, bits):
+    kind = np.uint8 if bits == 8 else np.uint16
+    image = np.random.default_rng(0).integers(0, 2**bits, (40, 50)).astype(kind)
+    for ending in (".png", ".tif"):
+        cv2.imwrite(str(tmp_path / f"a{ending}"), image)
+        grey = io.read_grey(tmp_path / f"a{ending}")
+        assert grey.dtype == kind
+        assert (grey == image).all()
+    colour = np.zeros((9, 9, 3), dtype=np.uint8)
+    colour[:, :, 1] = 200  # green
+    cv2.imwrite(str(tmp_path / "c.png"), colour)
+    assert io.read_grey(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
+
+
+def test_windows_hold_the_same_pixels_at_the_same_places():
+    there = chart_image.locate_corners([[100, 300], [290, 310], [300, 105], [95, 90]], CHART)
+    grey = np.random.default_rng(1).integers(0, 65_536, (400, 500)).astype(np.uint16)
+    window, inside = chart_image.cut(grey, there, CHART, gamma="linear")
+    column, row = window.origin
+    rows, columns = window.values.shape
+    expected = grey[row : row + rows, column : column + columns] / 65_535
+    assert window.values == pytest.approx(expected, abs=1e-6)
+    places = np.array([[10.0, 20.0], [900.0, 500.0]])
+    assert inside.pixels(places) + window.origin == pytest.approx(there.pixels(places))
+
+
+def damaged(tmp_path):
+    """Files that are no complete images."""
+    image = np.random.default_rng(0).integers(0, 255, (60, 60)).astype(np.uint8)
+    good = {ending: cv2.imencode(ending, image)[1].tobytes() for ending in (".jpg", ".png")}
+    files = {
+        "words.jpg": b"no image at all",
+        "empty.png": b"",
+        "short.jpg": good[".jpg"][: len(good[".jpg"]) // 2],
+        "short.png": good[".png"][:-30],
+        "start.jpg": good[".jpg"][:3],
+        "tiny.png": cv2.imencode(".png", image[:2, :2])[1].tobytes(),
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    return [tmp_path / name for name in files], good
+
+
+def test_damaged_files_get_a_sentence(tmp_path, capfd):
+    files, _ = damaged(tmp_path)
+    for file in files:
+        with pytest.raises(ValueError, match=r"Invalid image .*\. Must be|cut short\. Must be"):
+            io.read_grey(file)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        io.read_grey(tmp_path / "none.jpg")
+    assert capfd.readouterr().err == ""  # the decoders say nothing of their own
+
+
+def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
+    _, good = damaged(tmp_path)
+    noted = tmp_path / "noted.jpg"
+    noted.write_bytes(good[".jpg"] + b"\x00" * 300_000)
+    assert io.read_grey(noted).shape == (60, 60)
+    # a whole small JPEG in a segment of its own does not stand for the end of the large one
+    preview = b"\xff\xe5" + (len(good[".jpg"]) + 2).to_bytes(2, "big") + good[".jpg"]
+    noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:])
+    assert io.read_grey(noted).shape == (60, 60)
+    noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:-400])
+    with pytest.raises(ValueError, match="cut short"):
+        io.read_grey(noted)
+
+
+def test_layouts_come_by_name_or_from_files(tmp_path):
+    own = charts.imaging_chart(widths_h=(30, 24), widths_v=(12,))
+    file = tmp_path / "own.json"
+    file.write_text(charts.to_json(own))
+    assert chart_image.read_layout(file) == own
+    assert chart_image.read_layout("grey") == CHART
+    file.write_text("{}")
+    with pytest.raises(ValueError, match="Must be JSON with all fields"):
+        chart_image.read_layout(file)
+    with pytest.raises(FileNotFoundError, match="or be one of grey, black"):
+        chart_image.read_layout("green")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"position": None}, "position"),
+        ({"position": [0, 0]}, "position"),
+        ({"heading_deg": "north"}, "heading_deg"),
+        ({"camera": {"focal_px": 9}}, "Must have all fields"),
+        ({"camera": {"width": 4000, "colour": 1}}, "Must have all fields"),
+        ({"corners": [[0, 0, 0]]}, "Must be 4"),
+        ({"corners": [[0, 0, 0], [9, 0, 0], [9, 0, 9], [0, 0, 9]]}, "Must be a chart of 1000"),
+    ],
+)
+def test_orientations_with_faults_are_named(tmp_path, changes, sentence):
+    file = orientation_file(tmp_path, **changes)
+    with pytest.raises((ValueError, TypeError), match=sentence):
+        chart_image.ChartMap.from_orientation(*chart_image.read_orientation(file), CHART)
+
+
+def test_charts_beyond_the_image_are_refused(panorama):
+    file, view = panorama
+    grey = io.read_grey(file)
+    with pytest.raises(ValueError, match="Must lie within 4000 x 2000 pixels"):
+        chart_image.cut(grey, view.within(3000, 0), CHART)
+    with pytest.raises(ValueError, match="Must be 2 : 1"):
+        chart_image.panorama_of(grey[:-1])
+
+
+def photographs():
+    """Photographs that no one here made: of installed packages, and of MMQA_DATA."""
+    import matplotlib
+    import sklearn
+
+    folders = [
+        Path(matplotlib.get_data_path()) / "sample_data",
+        Path(sklearn.__file__).parent / "datasets" / "images",
+    ]
+    if samples.has_real("images"):
+        folders.append(samples.real_path("images"))
+    endings = {".jpg", ".png", ".tif"}
+    return [
+        file for folder in folders for file in sorted(folder.iterdir()) if file.suffix in endings
+    ]
+
+
+@pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
+def test_photographs_without_a_chart_get_a_sentence(file):
+    grey = io.read_grey(file)
+    rows, columns = grey.shape
+    box = [[0, rows - 1], [columns - 1, rows - 1], [columns - 1, 0], [0, 0]]
+    with pytest.raises(ValueError, match="coded targets"):
+        chart_image.evaluate_file(file, CHART)
+    with pytest.raises(ValueError, match=r"is the chart there|Must be given to"):
+        chart_image.evaluate_file(file, CHART, corners=box)
+
+
+@pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
+def test_parts_of_photographs_are_an_edge_with_uncertainty_or_a_sentence(file):
+    grey = io.read_grey(file) / 255.0
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        row, column = (int(rng.integers(0, max(side - 40, 1))) for side in grey.shape)
+        try:
+            found = chart_image.edge_response(grey[row : row + 40, column : column + 40])
+        except ValueError:
+            continue
+        assert np.isnan(found.mtf50) or (found.mtf50 > 0 and found.mtf50_sigma >= 0)
+        assert found.n > 0
