@@ -157,7 +157,7 @@ def test_pattern_measures_a_patch_from_the_shell(tmp_path, capsys):
     setup = replace(MIMIC, speed_m_s=8)
     cloud, truth = simulate_patch(setup, Target(range_m=5), size=1.0, seed=1)
     file = tmp_path / "wall.laz"
-    write_cloud(file, cloud)
+    write_cloud(file, cloud, scale=1e-5)
     assert main(["pattern", str(file), "--json"]) == 0
     rows = {row["quantity"]: row for row in json.loads(capsys.readouterr().out)}
     gap = rows["profile_spacing_perpendicular_m"]
