@@ -323,6 +323,9 @@ METHODS = {
 }
 
 
+STYLES = 9 * ["o-", "s--", "^:", "x-.", "d-", "v--", "*:"]
+"""Lines of methods, told apart without colour."""
+
 EQUATIONS = tuple(METHODS)[:3]
 """The methods that do not look at the points."""
 
@@ -367,7 +370,8 @@ def draw_errors(results):
     for ax, name, label in zip(axes, ("point_mm", "angle_deg"), labels, strict=True):
         size = np.abs(results[name]).to_dataframe().groupby(["range_m", "method"])[name]
         lines = size.median().unstack().dropna(axis=1, how="all")
-        lines.plot(ax=ax, marker="o", logy=True, legend=False, xlabel="range (m)", ylabel=label)
+        lines.plot(ax=ax, style=STYLES[: len(lines.columns)], logy=True, legend=False)
+        ax.set(xlabel="range (m)", ylabel=label)
         ax.set_ylim(bottom=1e-3)  # rounding errors lie far below
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
