@@ -140,7 +140,7 @@ def profiles_from_pattern(xy, *, widest=0.5):
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         In the plane, metres, about their centre.
     widest : float
         Widest gap between profiles that is looked for, metres; never more than 0.45 of the patch.
