@@ -320,6 +320,26 @@ def test_ground_follows_a_slope_and_ignores_what_stands_on_it(rng):
     assert np.abs(height[on_roof] - 5).max() < 0.3
 
 
+def test_single_points_below_the_road_are_not_the_ground(rng):
+    plane = rng.uniform(0, 60, (40_000, 2))
+    road = np.column_stack([plane, 0.02 * plane[:, 0]])
+    strays = np.column_stack([rng.uniform(0, 60, (60, 2)), rng.uniform(-5, -1, 60)])
+    height = ground.height_above_ground(np.vstack([road, strays]))
+    assert np.abs(height[:40_000]).max() < 0.12
+    assert height[40_000:].max() < -0.9
+
+
+def test_a_column_of_equal_values_says_nothing_about_lines(street):
+    _, cloud, _ = street
+    unset = np.zeros(len(cloud))
+    given = {"scan_angle": unset, "gps_time": cloud["gps_time"]}
+    line, _ = profiles.scan_lines(Cloud(cloud.points, given))
+    alone, _ = profiles.scan_lines(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}))
+    assert (line == alone).all()
+    assert len(np.unique(line)) > 100
+    assert profiles.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
+
+
 def test_near_axis_is_the_brute_force(rng):
     points = rng.uniform(0, 10, (3000, 3))
     found = columns.rows(points)

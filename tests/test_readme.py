@@ -13,7 +13,7 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.run import readme
 from mmqa_lab.run.notebooks import Outcome
-from mmqa_lab.spacing.quadrants import poisson_spacing
+from mmqa_lab.spacing import poisson_spacing
 from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 
 

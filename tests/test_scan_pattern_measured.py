@@ -8,11 +8,10 @@ from mmqa_lab.scan_pattern import (
     fit_scan_planes,
     measure_pattern,
     mirror_frequency,
-    profiles_from_pattern,
     revolutions_from_time,
 )
-from mmqa_lab.scan_pattern.offsets import mean_gap
-from mmqa_lab.scan_pattern.pulses import pulse_period
+from mmqa_lab.scan_pattern.lines import mean_gap
+from mmqa_lab.scan_pattern.numbering import profiles_from_pattern, pulse_period
 from mmqa_lab.studies.mimic import measuring, real_scans
 
 FIGURES = (
@@ -307,6 +306,28 @@ def test_road_patch_of_two_heads():
 
 
 @pytest.mark.parametrize(
+    ("gap_seed", "ratio"), [(1, 1.2), (2, 1.6), (3, 2.1), (4, 2.6)]
+)  # points farther apart than profiles
+def test_profiles_closer_than_their_points_are_told_by_their_straightness(gap_seed, ratio):
+    setup = ScanSetup(pulse_rate_hz=1e5, mirror_frequency_hz=100, speed_m_s=3,
+                      scanner_heading_deg=35, scanner_tilt_deg=20)  # fmt: skip
+    target = Target(heading_deg=10, tilt_deg=5, range_m=6)
+    dense = scan_lattice(setup, target.patch(setup))
+    share = dense.point_spacing_m / dense.profile_spacing_perpendicular_m / ratio
+    sparse = replace(setup, pulse_rate_hz=float(1e5 * share))
+    cloud, truth = simulate_patch(sparse, target, size=1.0, seed=gap_seed)
+    found = measure_pattern(cloud.points)
+    gap = truth.profile_spacing_perpendicular_m
+    assert truth.point_spacing_m > 1.1 * gap
+    assert found.profile_spacing_perpendicular_m == pytest.approx(gap, rel=0.01)
+
+
+def test_an_exact_lattice_of_two_equal_families_warns():
+    with pytest.warns(UserWarning, match="24.0 mm apart fit as well"):
+        measure_pattern(lattice(35, 0.03, 0.024, shift=0.0))
+
+
+@pytest.mark.parametrize(
     ("call", "sentence"),
     [
         (lambda p: measure_pattern(p[:5]), "Must be 12 or more."),
@@ -319,7 +340,7 @@ def test_road_patch_of_two_heads():
          "Invalid mirror_frequency_hz -1"),
         (lambda p: fit_scan_planes(p, np.zeros(3)), "Invalid gps_time of shape (3,)."),
         (lambda p: fit_scan_planes(p, np.arange(len(p)) * 1e-6, mirror_frequency_hz=10),
-         "Must hold two or more."),
+         "Must span two or more."),
         (lambda p: profiles_from_pattern(np.random.default_rng(0).random((800, 2))),
          "what random points can reach"),
     ],

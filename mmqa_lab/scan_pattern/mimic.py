@@ -1,8 +1,8 @@
 """MIMIC's own equations (Cahalane et al. 2014), as printed and as they must be read.
 
 Sensors 14(6), 9471-9488, doi:10.3390/s140609471. Names follow the paper's symbols; ``symbols()``
-puts ours beside them and ``ambiguities()`` lists what had to be settled. The paper holds
-the scan plane still while the mirror turns; ``scan_geometry`` lets it move. All angles in degrees.
+puts ours beside them and ``ambiguities()`` lists what had to be settled. In these equations the
+scan plane stands still while the mirror turns; in ``scan_lattice`` it moves. Angles in degrees.
 """
 
 from dataclasses import dataclass
@@ -76,10 +76,11 @@ def target_normal(alpha_targ, beta_targ, *, reading="tilt_first"):
 def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
     """Equations 2 and 3: profile spacing along the target's horizontal line.
 
-    Law of sines in the plan view: d sin(theta_2) / sin(theta_4) for a target turned away
-    (alpha_targ < 0, the paper's d+), d sin(theta_3) / sin(theta_5) for one turned towards the
-    vehicle (d-), with theta_2 = theta_3 = 90 - alpha_scan, theta_4 = 90 - alpha_scan - |alpha_targ|
-    and theta_5 = 90 - alpha_scan + |alpha_targ|. Scanner tilt and target tilt do not enter.
+    Law of sines in the plan view: d sin(theta_3) / sin(theta_4) for a target turned away
+    (equation 2, alpha_targ < 0, the paper's d+), d sin(theta_2) / sin(theta_5) for one turned
+    towards the vehicle (equation 3, d-). The angles are drawn in figure 4 only; Table 3 asks for
+    theta_2 = theta_3 = 90 - alpha_scan, theta_4 = 90 - alpha_scan - |alpha_targ| and
+    theta_5 = 90 - alpha_scan + |alpha_targ|. Scanner tilt and target tilt do not enter.
 
     Parameters
     ----------
@@ -108,9 +109,9 @@ def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
     [0.08165, 0.1, 0.141421]
     """
     _check_strike(alpha_scan, alpha_targ)
-    theta_2 = np.radians(90 - np.asarray(alpha_scan, dtype=np.float64))
-    theta_45 = theta_2 + np.radians(alpha_targ)
-    return d * np.sin(theta_2) / np.sin(theta_45)
+    theta_23 = np.radians(90 - np.asarray(alpha_scan, dtype=np.float64))
+    theta_45 = theta_23 + np.radians(alpha_targ)
+    return d * np.sin(theta_23) / np.sin(theta_45)
 
 
 def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
@@ -315,7 +316,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
 
 
 def symbols():
-    """Return a DataFrame: the paper's ``symbol``, its ``meaning``, the name in ``scan_geometry``.
+    """Return a DataFrame: the paper's ``symbol``, its ``meaning``, our name for it.
 
     Returns
     -------
@@ -372,6 +373,7 @@ _SYMBOLS = (
     ("Mf", "mirror frequency", "", "ScanSetup.mirror_frequency_hz"),
     ("alpha_scan", "horizontal rotation of the scanner", "1", "ScanSetup.scanner_heading_deg"),
     ("gamma_scan", "vertical rotation of the scanner", "1", "ScanSetup.scanner_tilt_deg"),
+    ("beta_scan", "axial rotation of the scanner", "1", "ScanSetup.boresight_roll_deg"),
     ("alpha_targ", "horizontal rotation of the target", "1", "Target.heading_deg"),
     ("beta_targ", "vertical rotation of the target", "1", "Target.tilt_deg"),
     ("Hr", "horizontal range at the horizontal pulse", "8", "Target.range_m"),
@@ -392,14 +394,14 @@ _SYMBOLS = (
 _AMBIGUITIES = (
     (
         "equation 1",
-        "R = Rx Ry Rz, order of rotation open",
+        "Rx(gamma_scan) Ry(beta_scan) Rz(alpha_scan); rows or columns not said",
         "row vectors: tilt first, then heading, for scanner and target",
         "column vectors give 0.0751, 0.1000, 0.0745, 0.1667, 0.1000 m and not Table 3",
     ),
     (
         "equations 2, 3",
-        "theta_2 to theta_5 only in a figure",
-        "theta_2 = theta_3 = 90 - alpha_scan; 90 - alpha_scan -+ |alpha_targ|",
+        "theta_2 to theta_5 only in figure 4",
+        "theta_2 = theta_3 = 90 - alpha_scan; theta_4, theta_5 = 90 - alpha_scan -+ |alpha_targ|",
         "Table 3; at 45 degrees the complement gives the same, equation 8 settles it",
     ),
     (
@@ -421,10 +423,17 @@ _AMBIGUITIES = (
         "differs for turned targets; with it the chain agrees with ray casting",
     ),
     (
+        "equation 9",
+        "d2 from heights adjusted for beta_targ (figure 5b), theta_scan from figure 5a",
+        "d2 = Z_diff / sin(theta_scan), with Z_diff of equations 6 and 7",
+        "equals (h_targ - h_scan) / (cos(beta_targ) sin(theta_PrA)) up to rounding",
+    ),
+    (
         "equation 10",
         "r1 sin(theta_A) / sin(theta_o)",
         "r2 in place of r1",
-        "with r2 the chain agrees with ray casting; r1 is right only where h_targ = h_scan",
+        "the text calls r2 what d_PS needs; with r2 the chain agrees with ray casting, with r1 "
+        "only where h_targ = h_scan",
     ),
     (
         "equation 10",
@@ -441,13 +450,13 @@ _AMBIGUITIES = (
     (
         "all equations",
         "scan plane at rest during a revolution",
-        "the vehicle moves from pulse to pulse: use scan_geometry",
+        "the vehicle moves from pulse to pulse: use scan_lattice",
         "turns profiles by about d / (2 pi R): 0.08 degrees at 4 m for d = 0.1 m",
     ),
     (
         "real targets",
-        "targets at -60 degrees seen by a scanner at +45 degrees",
-        "cannot have been seen: |alpha_targ| < 90 - alpha_scan on that side",
-        "the horizontal pulse would strike the back",
+        "targets at -60 to +60 degrees; mountings of XP1 and Lynx M1 not printed",
+        "none: predictions for single targets cannot be repeated",
+        "alpha_scan, gamma_scan, speeds and ranges are missing",
     ),
 )

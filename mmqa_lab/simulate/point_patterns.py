@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab.spacing.quadrants import poisson_spacing
+from mmqa_lab.spacing import poisson_spacing
 
 CORE = 0.7
 """Hard-core patterns: smallest distance in units of sqrt(1 / density)."""

@@ -32,7 +32,7 @@ def extraction(*, seed, density, noise, tolerance=0.04, size=2.0, minimum=150):
     cloud = canyon_cloud(scene, "TLS", density=density, noise=noise, seed=seed)
     began = time.perf_counter()
     sizes = {"tolerance": tolerance, "size": size, "minimum": minimum}
-    found = extract_edges(cloud.points, seed=seed, **sizes)
+    found = extract_edges(cloud.points, **sizes)
     seconds = time.perf_counter() - began
     true = canyon_edges(scene)
     rows, columns = _shown(found.segments, true)
@@ -72,7 +72,7 @@ def chain(*, seeds, density, noise, tolerance=0.06, size=2.0, minimum=100):
         found = {}
         for name in ("C1", "C2", "TLS"):
             cloud = canyon_cloud(scene, name, density=density, noise=noise, seed=seed)
-            found[name] = extract_edges(cloud.points, seed=seed, **sizes).segments
+            found[name] = extract_edges(cloud.points, **sizes).segments
         for names in (("C1", "TLS"), ("C2", "TLS"), ("C1", "C2")):
             for matcher in ("all", "displaced"):
                 rows.append({"seed": seed, **_compared(scene, names, found, matcher)})
