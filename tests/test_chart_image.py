@@ -478,42 +478,73 @@ def test_edges_without_plain_ground_have_a_remark():
 # --- the test site
 
 
-def test_the_closest_image_at_the_distance_or_farther_is_chosen():
-    corners = chart_image.chart_site().set_index("chart").loc["image 10 m", "corners"]
-    north = np.arange(-20.0, 61, 2.5)
-    stations = pd.DataFrame(
-        {"time_s": north / 10, "easting_m": 0.0, "northing_m": north, "height_m": 1.5}
+SITE = chart_image.chart_site().set_index("chart")
+
+
+def stations(north, *, easting=-5.0, heading=1):
+    """Images of a straight drive at 1.5 m, north or (heading -1) south."""
+    return pd.DataFrame(
+        {"easting_m": easting, "northing_m": np.asarray(north)[::heading], "height_m": 1.5}
     )
-    chosen = chart_image.choose_images(stations, corners, distance=10).set_index("view")
-    middle = corners.mean(axis=0)
-    for view, (low, high) in {
-        "forward": (30, 90),
-        "orthogonal": (-30, 30),
-        "backward": (-90, -30),
-    }.items():
-        best = None
-        for k, place in enumerate(north):
-            angle = np.degrees(np.arctan2(middle[1] - place, middle[0]))
-            distance = np.hypot(middle[1] - place, middle[0])
-            inside = low <= angle < high if low > 0 else low < angle <= high
-            if view == "orthogonal":
-                inside = low < angle < high
-            if inside and distance >= 10 and (best is None or distance < best[1]):
-                best = k, distance, angle
-        assert chosen.loc[view, "station"] == best[0]
-        assert chosen.loc[view, "distance_m"] == pytest.approx(best[1])
-        assert chosen.loc[view, "direction_deg"] == pytest.approx(best[2])
-    none = chart_image.choose_images(stations.iloc[:2], corners, distance=10)
-    assert none["station"].isna().sum() == 2
+
+
+def test_three_pairs_stand_on_one_line_one_along_and_two_across_it():
+    middles = np.stack(SITE["corners"]).mean(axis=1)
+    assert SITE["kind"].value_counts().to_dict() == {"image": 3, "point": 3}
+    for corners in SITE["corners"]:
+        sides = np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1)
+        assert sides == pytest.approx([1, 1, 1, 1])
+    # counterclockwise as one looks at it: the normal points to the viewer
+    normals = {
+        view: np.cross(*(np.diff(part["corners"].iloc[0][:3], axis=0)))
+        for view, part in SITE.groupby("view")
+    }
+    assert normals["orthogonal"] == pytest.approx([-1, 0, 0])
+    assert normals["forward"] == pytest.approx([0, -1, 0])
+    assert normals["backward"] == pytest.approx([0, 1, 0])
+    assert (middles[SITE["kind"] == "image", 0] == 0).all()
+
+
+@pytest.mark.parametrize("heading", [1, -1])
+@pytest.mark.parametrize("easting", [-5.0, -10.0])
+def test_images_are_chosen_as_a_search_by_hand_does(easting, heading):
+    north = np.arange(-40.0, 61, 2.5)
+    drive = stations(north, easting=easting, heading=heading)
+    views = {"forward": "backward", "backward": "forward"} if heading < 0 else {}
+    for chart in ("image forward", "image orthogonal", "image backward"):
+        middle = SITE.loc[chart, "corners"].mean(axis=0)
+        found = chart_image.choose_images(drive, SITE.loc[chart, "corners"], distance=10).iloc[0]
+        view = chart.split()[1]
+        assert found["view"] == views.get(view, view)
+        away = drive["northing_m"] - middle[1]
+        distance = np.hypot(away, easting)
+        if view == "orthogonal":
+            best = away.abs().idxmin()
+            off = np.degrees(np.arctan2(abs(away[best]), abs(easting)))
+        else:
+            front = away < 0 if view == "forward" else away > 0
+            best = distance[front & (distance >= 10)].idxmin()
+            off = np.degrees(np.arctan2(abs(easting), abs(away[best])))
+        assert found["station"] == best
+        assert found["distance_m"] == pytest.approx(distance[best])
+        assert found["off_normal_deg"] == pytest.approx(off)
+
+
+def test_a_board_that_no_image_shows_has_none():
+    past = stations([20.0, 30.0, 40.0])
+    none = chart_image.choose_images(past, SITE.loc["image forward", "corners"], distance=10)
+    assert none.iloc[0].isna().tolist() == [False, True, True, True]
+    with pytest.raises(ValueError, match="Must be two or more"):
+        chart_image.choose_images(past[:1], SITE.loc["image forward", "corners"], distance=10)
 
 
 def drive(**changes):
-    """A drive north at 40 km/h on the axis, 10 m from the chart, with attitude."""
+    """A drive north at 42 km/h, 10 m beside the charts, with attitude."""
     time = np.arange(0, 8, 0.1)
     frame = {
         "time_s": time,
-        "easting_m": np.zeros(len(time)),
-        "northing_m": -20 + time * 40 / 3.6,
+        "easting_m": np.full(len(time), -10.0),
+        "northing_m": -10 + time * 42 / 3.6,
         "height_m": np.full(len(time), 1.5),
         "roll_deg": np.full(len(time), 359.0),
         "pitch_deg": np.zeros(len(time)),
@@ -522,20 +553,25 @@ def drive(**changes):
     return pd.DataFrame(frame | changes)
 
 
-def test_a_drive_is_held_against_the_limits():
-    corners = chart_image.chart_site(distances=(10,))["corners"][0]
+def test_a_drive_is_compared_with_the_limits():
+    corners = SITE.loc["image orthogonal", "corners"]
     limits = Limits(distance_m=10)
     table = chart_image.check_drive(drive(), corners, limits).set_index("quantity")
     assert table["passed"].all()
-    assert table.loc["speed_kmh", "low"] == pytest.approx(40)
+    assert table.loc["speed_kmh", "low"] == pytest.approx(42)
     assert table.loc["roll_deg", "low"] == pytest.approx(-1)
+    north = drive()["northing_m"]
     for name, change, failing in (
-        ("easting_m", 0.8, "distance_m"),
+        ("easting_m", -10.8, "distance_m"),
+        ("northing_m", -10 + (north + 10) * 36 / 42, "speed_kmh"),
         ("roll_deg", 10.0, "roll_deg"),
-        ("heading_deg", 12.0, "heading_from_chart_deg"),
+        ("heading_deg", 12.0, "heading_from_line_deg"),
     ):
         other = chart_image.check_drive(drive(**{name: change}), corners, limits)
         assert other.loc[~other["passed"], "quantity"].tolist() == [failing]
+    # at least 40 km/h: faster is right
+    fast = drive(northing_m=-10 + (north + 10) * 60 / 42)
+    assert chart_image.check_drive(fast, corners, limits)["passed"].all()
     away = np.array([1e7, -1e7, 0])
     far = drive()
     far[["easting_m", "northing_m"]] += away[:2]
@@ -543,6 +579,8 @@ def test_a_drive_is_held_against_the_limits():
     # steps of 2e-9 m in 0.1 s
     assert moved["low"].to_numpy() == pytest.approx(table["low"].to_numpy(), abs=1e-5)
     with pytest.raises(ValueError, match="Must be two"):
-        chart_image.check_drive(drive(northing_m=900.0), corners, limits)
+        chart_image.check_drive(drive(northing_m=900.0 + north), corners, limits)
+    with pytest.raises(ValueError, match="Must stand along it"):
+        chart_image.check_drive(drive(), SITE.loc["image forward", "corners"], limits)
     with pytest.raises(ValueError, match="Invalid speed_kmh"):
         replace(limits, speed_kmh=0)

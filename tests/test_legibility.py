@@ -1,20 +1,13 @@
-"""Legibility: a jury's agreement, errors of a reader, crops, and readers that may be missing."""
+"""Legibility: a jury's agreement, crops of texts, the quality index."""
 
 import functools
-import shutil
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mmqa_lab import chart_image, charts
-from mmqa_lab.chart_image import legibility
 from mmqa_lab.simulate import cameras
-
-LETTERS = st.text(alphabet="aäbßc1²", max_size=7)
 
 
 def votes(*rows):
@@ -25,52 +18,43 @@ def votes(*rows):
     return pd.DataFrame(found, columns=["juror", "element", "mark"])
 
 
-def edits(one, two):
-    """Levenshtein's distance by its recursion."""
-    if not one or not two:
-        return len(one) + len(two)
-    same = edits(one[1:], two[1:])
-    if one[0] == two[0]:
-        return same
-    return 1 + min(same, edits(one[1:], two), edits(one, two[1:]))
-
-
 def test_kappa_equals_fleiss_by_hand():
     marks = ["aaa", "aab", "bbb", "bcc", "ccc", "abc"]
     counts = np.array([[row.count(mark) for mark in "abc"] for row in marks])
     agreeing = ((counts**2).sum(axis=1) - 3) / 6
     chance = ((counts.sum(axis=0) / counts.sum()) ** 2).sum()
     expected = (agreeing.mean() - chance) / (1 - chance)
-    verdict = chart_image.agreement(votes(*marks))
-    assert verdict.attrs["fleiss_kappa"] == pytest.approx(expected, abs=1e-12)
-    assert verdict["mark"].tolist() == ["a", "a", "b", "c", "c", None]
-    assert verdict["unanimous"].tolist() == [True, False, True, False, True, False]
-    assert verdict.attrs["unanimous_share"] == 0.5
+    found = chart_image.agreement(votes(*marks))
+    assert found.fleiss_kappa == pytest.approx(expected, abs=1e-12)
+    assert found.verdict["mark"].tolist() == ["a", "a", "b", "c", "c", None]
+    assert found.verdict["unanimous"].tolist() == [True, False, True, False, True, False]
+    assert found.unanimous_share == 0.5
 
 
 def test_kappa_of_juries_that_always_and_never_agree():
-    assert chart_image.agreement(votes("aaa", "ccc")).attrs["fleiss_kappa"] == pytest.approx(1)
+    assert chart_image.agreement(votes("aaa", "ccc")).fleiss_kappa == pytest.approx(1)
     # two marks used equally by two who never agree: (0 - 1/2) / (1 - 1/2)
-    assert chart_image.agreement(votes("ab", "ba")).attrs["fleiss_kappa"] == pytest.approx(-1)
+    assert chart_image.agreement(votes("ab", "ba")).fleiss_kappa == pytest.approx(-1)
 
 
 def test_kappa_of_one_mark_is_not_defined():
-    assert np.isnan(chart_image.agreement(votes("aaa", "aaa")).attrs["fleiss_kappa"])
+    assert np.isnan(chart_image.agreement(votes("aaa", "aaa")).fleiss_kappa)
 
 
 def test_kappa_leaves_out_elements_that_a_juror_did_not_mark():
     marks = votes("aaa", "ccc", "abc").drop(index=8)
-    verdict = chart_image.agreement(marks)
-    assert verdict.attrs["fleiss_kappa"] == pytest.approx(1)
-    assert verdict["n"].tolist() == [3, 3, 2]
+    found = chart_image.agreement(marks)
+    assert found.fleiss_kappa == pytest.approx(1)
+    assert found.verdict["n"].tolist() == [3, 3, 2]
 
 
 def test_order_of_votes_does_not_matter(rng):
     marks = votes("aab", "bbc", "ccc", "abb")
     mixed = marks.iloc[rng.permutation(len(marks))]
-    one, two = (chart_image.agreement(m).set_index("element").sort_index() for m in (marks, mixed))
-    pd.testing.assert_frame_equal(one, two)
-    assert one.attrs["fleiss_kappa"] == pytest.approx(two.attrs["fleiss_kappa"])
+    one, two = (chart_image.agreement(m) for m in (marks, mixed))
+    tables = [found.to_frame().set_index("element").sort_index() for found in (one, two)]
+    pd.testing.assert_frame_equal(*tables)
+    assert one.fleiss_kappa == pytest.approx(two.fleiss_kappa)
 
 
 @pytest.mark.parametrize(
@@ -84,16 +68,6 @@ def test_order_of_votes_does_not_matter(rng):
 def test_marks_are_checked(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         chart_image.agreement(change(votes("abc")))
-
-
-@given(one=LETTERS, two=LETTERS)
-def test_letter_errors_equal_the_recursion(one, two):
-    error = chart_image.character_error(one, two)
-    assert error == pytest.approx(edits(one, two) / max(len(two), 1))
-
-
-def test_spaces_and_kinds_of_dashes_are_no_errors():
-    assert chart_image.character_error("Mo.-Fr. 6 - 19h", "Mo.–Fr. 6–19 h") == 0
 
 
 @functools.cache
@@ -130,67 +104,8 @@ def test_crops_over_the_edge_are_left_out():
     assert left < names
 
 
-def test_lines_are_read_at_their_best_enlargement_and_marked():
-    crops = [
-        chart_image.Crop(name, "Halteverbot", np.eye(12), 10.0) for name in ("one", "two", "three")
-    ]
-    sizes, answers = [], iter(["Halt", "Halteverbot", "Haltverbot", "Halteverb", "x", ""])
-
-    def read(image):
-        sizes.append(image.shape)
-        assert image.dtype == np.uint8
-        return next(answers)
-
-    found = chart_image.read_crops(crops, read)
-    assert found["ocr_mark"].tolist() == ["a", "b", "c"]
-    assert found["read"].tolist() == ["Halteverbot", "Haltverbot", "x"]
-    # capitals of 10 px are enlarged to 20 and to 30
-    assert sizes[:2] == [(24, 24), (36, 36)]
-
-
 def test_quality_index_of_documents():
     # ANSI/AIIM MS23: 8 line pairs per mm and letters of 1 mm read excellently
     assert chart_image.quality_index(1.0, 1 / 8) == pytest.approx(0.75 * 8)
     with pytest.raises(ValueError, match="Invalid cap_mm 0"):
         chart_image.quality_index(0, 1)
-
-
-def test_missing_readers_are_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "rapidocr", None)
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(ImportError, match="rapidocr with onnxruntime is not installed, tesseract"):
-        chart_image.reader()
-    with pytest.raises(ImportError, match="pip install rapidocr onnxruntime"):
-        chart_image.reader("rapidocr")
-    with pytest.raises(ValueError, match="Invalid engine 'eye'"):
-        chart_image.reader("eye")
-
-
-def test_tesseract_without_german_is_named(monkeypatch, tmp_path):
-    program = tmp_path / "tesseract"
-    program.write_text("#!/bin/sh\necho 'List of available languages (1):'; echo eng\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    with pytest.raises(ImportError, match="tesseract has no German data"):
-        chart_image.reader("tesseract")
-    program.write_text("#!/bin/sh\necho 'no library' >&2; exit 1\n")
-    with pytest.raises(ImportError, match=r"tesseract does not run \(no library\)"):
-        chart_image.reader("tesseract")
-
-
-@pytest.mark.parametrize("engine", legibility.ENGINES)
-def test_reader_reads_a_sharp_chart_and_not_a_coarse_one(engine):
-    try:
-        read = chart_image.reader(engine)
-    except ImportError as error:
-        pytest.skip(str(error))
-    assert read.name.startswith(engine)
-    errors = []
-    for megapixels in (250, 4):
-        layout, taken = photo(megapixels)
-        crops = chart_image.text_crops(taken.image, layout, taken.chart_map)
-        plain = [crop for crop in crops if crop.name in ("text_1", "text_4")]
-        errors.append(chart_image.read_crops(plain, read)["error"])
-    # capitals of 14 px are read; those of 2 px nobody can, even who guesses words
-    assert errors[0].max() == 0
-    assert errors[1].min() > 0.2

@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 from mmqa_lab import chart_image, tender
 from mmqa_lab.charts import Bar, Layout
 from mmqa_lab.published import pfeifer2021_images as published
-from mmqa_lab.studies.chart_tables import images
-from mmqa_lab.studies.chart_tables.images import legible
-from mmqa_lab.studies.chart_tables.images.rendered import FINER_MM, ROW
+from mmqa_lab.studies import chart_images as images
+from mmqa_lab.studies.chart_images import legible
+from mmqa_lab.studies.chart_images.rendered import FINER_MM, ROW
 
 DIRECTIONS = st.sampled_from("hv")
 

@@ -72,7 +72,7 @@ def test_jurors_share_a_file_and_see_only_their_own_state(form):
     jurors[1].back()
     assert [one.element for one in jurors] == [None, "z", None]
     jurors[1].mark("b")
-    verdict = chart_image.agreement(jurors[0].marks)
+    verdict = chart_image.agreement(jurors[0].marks).to_frame()
     assert verdict["n"].tolist() == [3, 3, 3]
     assert verdict["element"].tolist() == ["x", "y", "z"]
 
@@ -96,7 +96,7 @@ def test_a_failed_write_leaves_the_marks_as_they_were(form, monkeypatch):
 def test_picture_is_the_crop_enlarged_without_interpolation(form):
     one = form()
     shown = cv2.imdecode(np.frombuffer(one.box.children[1].value, np.uint8), cv2.IMREAD_UNCHANGED)
-    zoom = widgets.LARGEST_ZOOM
+    zoom = jury.LARGEST_ZOOM
     assert shown.shape == (6 * zoom, 9 * zoom)
     for k in range(1, zoom):
         assert np.array_equal(shown[::zoom, ::zoom], shown[k::zoom, k::zoom])

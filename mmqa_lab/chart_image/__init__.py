@@ -23,12 +23,10 @@ from mmqa_lab.chart_image.files import (
     read_orientation,
 )
 from mmqa_lab.chart_image.legibility import (
+    Agreement,
     Crop,
     agreement,
-    character_error,
     quality_index,
-    read_crops,
-    reader,
     text_crops,
 )
 from mmqa_lab.chart_image.levels import Tones, tones
@@ -43,10 +41,11 @@ from mmqa_lab.chart_image.line_pairs import (
 from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
-from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images, view_name
+from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images
 from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
 
 __all__ = [
+    "Agreement",
     "ChartMap",
     "Crop",
     "EdgeResponse",
@@ -62,7 +61,6 @@ __all__ = [
     "agreement",
     "align",
     "bar_edges",
-    "character_error",
     "chart_site",
     "check_drive",
     "choose_images",
@@ -77,14 +75,11 @@ __all__ = [
     "pixel_size",
     "pixel_sizes",
     "quality_index",
-    "read_crops",
     "read_layout",
     "read_orientation",
     "read_pairs",
     "read_pattern",
-    "reader",
     "resolution",
     "text_crops",
     "tones",
-    "view_name",
 ]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab.chart_image.levels import Tones, tones
-from mmqa_lab.chart_image.line_pairs import read_pairs, resolution
+from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX, read_pairs, resolution
 from mmqa_lab.chart_image.locate import align
 from mmqa_lab.chart_image.mapping import ChartMap
 from mmqa_lab.chart_image.pixel_size import SLENDERNESS, pixel_size, pixel_sizes
@@ -26,6 +26,9 @@ SHORTEST_REACH_PX = 2.0
 
 FREE_REACH_PX = 4.0
 """With less plain ground the fit is one Gaussian: more could not be told from the neighbours."""
+
+OUTLINES = {True: "C5", False: "C1"}
+"""Colours of resolved and refused patterns."""
 
 EDGE_COLUMNS = (
     *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "sigma_px", "angle_deg"),
@@ -97,6 +100,57 @@ class ImageQuality:
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
         return pd.DataFrame([row])
+
+    def _repr_html_(self):
+        """The figures, one a line."""
+        return self.to_frame().T.to_html(header=False)
+
+    def plot(self, image, layout, *, ax):
+        """Draw the photograph with its line pairs outlined: resolved or refused.
+
+        Parameters
+        ----------
+        image : array, shape (rows, columns)
+        layout : Layout
+        ax : matplotlib Axes
+
+        Returns
+        -------
+        Axes
+        """
+        ax.imshow(image, cmap="gray", interpolation="nearest")
+        for row in self.pairs.itertuples():
+            pairs = layout[row.name]
+            low, size = np.array([pairs.x, pairs.y]), np.array([pairs.width, pairs.height])
+            outline = low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+            ax.plot(*self.chart_map.pixels(outline).T, color=OUTLINES[row.resolved], lw=1)
+        for resolved, label in ((True, "resolved"), (False, "refused")):
+            ax.plot([], [], color=OUTLINES[resolved], label=label)
+        ax.set_axis_off()
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2)
+        return ax
+
+    def plot_contrast(self, *, ax):
+        """Draw the contrast of line pairs over their width in pixels; resolved ones are filled.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes
+
+        Returns
+        -------
+        Axes
+        """
+        for direction, marker, label in (("h", "o", "standing bars"), ("v", "s", "lying bars")):
+            part = self.pairs[self.pairs["direction"] == direction]
+            faces = part["resolved"].map({True: "C0", False: "none"})
+            shape = {"marker": marker, "s": 18, "facecolors": faces, "edgecolors": "C0"}
+            ax.scatter(part["width_px"], part["contrast"], label=label, **shape)
+        ax.axhline(SMALLEST_GAP, color="C1", ls="--", lw=0.8)
+        ax.axvspan(0.3, SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
+        ax.set(xscale="log", xlabel="width of a line pair (pixels)", ylabel="contrast")
+        ax.legend()
+        return ax
 
 
 def evaluate_image(image, layout, chart_map, *, aligned=True):

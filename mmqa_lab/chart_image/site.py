@@ -1,33 +1,39 @@
-"""The test configuration: pairs of charts along a drive, and what a drive must keep to."""
+"""The test configuration: pairs of charts along a line, and what a drive past them must keep to.
+
+Pfeifer et al. 2021, section 4.1: three pairs of boards stand along one line, one pair parallel to
+it, two pairs across it. The vehicle passes on straight lines 5 m and 10 m beside them, at 40 km/h
+or faster. The forward view is of a board across the path that faces the vehicle as it comes, the
+backward view of one that it sees once it has passed.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import check_points, check_positive
 
-VIEWS = ("forward", "orthogonal", "backward")
+ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
-ORTHOGONAL_DEG = 30.0
-"""A view is orthogonal while its direction leaves the chart's normal by less."""
-
-COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
+PLACE = ["easting_m", "northing_m", "height_m"]
 
 
 @dataclass(frozen=True)
 class Limits:
     """What a test drive must keep to while it passes a chart.
 
+    The paper gives distance and smallest speed; the tolerances are this package's own.
+
     Parameters
     ----------
     distance_m, distance_tolerance_m : float
-        Between the path and the chart's plane.
-    speed_kmh, speed_tolerance_kmh : float
+        Between the path and the line of charts.
+    speed_kmh : float
+        At least.
     roll_deg, pitch_deg : float
         Largest values to either side.
     heading_deg : float
-        Largest angle between heading and the chart's plane.
+        Largest angle between heading and the line of charts.
     reach_m : float
         The drive counts so far before and after the chart.
 
@@ -38,15 +44,13 @@ class Limits:
 
     Examples
     --------
-    >>> limits = Limits(distance_m=5)
-    >>> limits.speed_kmh - limits.speed_tolerance_kmh
-    35.0
+    >>> Limits(distance_m=5).speed_kmh
+    40.0
     """
 
     distance_m: float
     distance_tolerance_m: float = 0.5
     speed_kmh: float = 40.0
-    speed_tolerance_kmh: float = 5.0
     roll_deg: float = 3.0
     pitch_deg: float = 3.0
     heading_deg: float = 5.0
@@ -57,76 +61,32 @@ class Limits:
             check_positive(value, name)
 
 
-def chart_site(*, distances=(5.0, 10.0), spacing=10.0, height=1.5, size=1.0):
-    """Return a straight test site: a pair of charts beside each of two driving axes.
+def chart_site(*, spacing=10.0, height=1.5, size=1.0):
+    """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
-    The axes run north; the charts of a pair, image chart first, stand to the right of them and face
-    west.
+    The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
+    second stands along the line and faces west; the third faces north, to be seen behind. How far
+    the pairs are apart, their heights and which way they face the paper does not say.
 
     Parameters
     ----------
-    distances : sequence of float
-        From each axis to its charts, metres.
     spacing : float
-        Between charts along the axis, metres.
+        Between the pairs, metres; the two boards of a pair are one size apart.
     height : float
-        Of the charts' middle above the ground, metres.
+        Of the boards' middle above the ground, metres.
     size : float
-        Side of a chart, metres.
+        Side of a board, metres.
 
     Returns
     -------
     DataFrame
-        A row per chart: ``chart``, ``kind``, ``axis_m`` (distance), ``corners`` (array (4, 3) from
-        the lower left as seen from the axis, metres: easting, northing, height).
+        A row for each of six boards: ``chart``, ``kind`` (image or point), ``view`` and ``corners``
+        (array (4, 3) from the lower left as one looks at it: easting, northing, height, metres).
 
     Raises
     ------
     ValueError
-        If a distance is not above zero.
-
-    Examples
-    --------
-    >>> chart_site()["chart"].tolist()
-    ['image 5 m', 'point 5 m', 'image 10 m', 'point 10 m']
-    """
-    rows = []
-    for distance in distances:
-        distance = check_positive(distance, "distance", unit="m")
-        for kind in ("image", "point"):
-            north = spacing * len(rows)
-            # to the left as one faces the chart from the west is north
-            low = np.array([distance, north + size / 2, height - size / 2])
-            along, up = np.array([0.0, -size, 0.0]), np.array([0.0, 0.0, size])
-            corners = np.stack([low, low + along, low + along + up, low + up])
-            rows.append((f"{kind} {distance:g} m", kind, distance, corners))
-    return pd.DataFrame(rows, columns=["chart", "kind", "axis_m", "corners"])
-
-
-def choose_images(stations, corners, *, distance):
-    """Choose the image of each view by the paper's rule: the closest at the distance or farther.
-
-    Parameters
-    ----------
-    stations : DataFrame
-        Places of the images: ``time_s``, ``easting_m``, ``northing_m``, ``height_m``, in the order
-        of the drive.
-    corners : array_like, shape (4, 3)
-        Of the chart, from the lower left counterclockwise, metres.
-    distance : float
-        Required distance between camera and middle of the chart, metres.
-
-    Returns
-    -------
-    DataFrame
-        For each of the views forward, orthogonal and backward: ``view``, ``station`` (row of
-        ``stations``; None where no image qualifies), ``distance_m`` and ``direction_deg`` against
-        the chart's normal, positive before the chart is passed.
-
-    Raises
-    ------
-    ValueError
-        If the distance is not above zero.
+        If a length is not above zero.
 
     References
     ----------
@@ -134,27 +94,91 @@ def choose_images(stations, corners, *, distance):
 
     Examples
     --------
-    >>> stations = pd.DataFrame({"time_s": range(5), "northing_m": [-8.0, -4.0, 0.0, 4.0, 8.0]})
-    >>> stations = stations.assign(easting_m=0.0, height_m=1.5)
-    >>> corners = chart_site(distances=[5.0])["corners"][0]
-    >>> choose_images(stations, corners, distance=5)["station"].tolist()
-    [1, 2, 3]
+    >>> chart_site()["chart"].tolist()[:3]
+    ['image forward', 'point forward', 'image orthogonal']
+    """
+    for name, value in (("spacing", spacing), ("height", height), ("size", size)):
+        check_positive(value, name, unit="m")
+    # to the right as one looks at the board
+    rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
+    rows = []
+    for number, (view, right) in enumerate(rightward.items()):
+        step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
+        for place, kind in enumerate(("image", "point")):
+            middle = np.array([0.0, number * spacing, height]) + 2 * size * place * step
+            aside, up = np.array(right) * size / 2, np.array([0.0, 0.0, size / 2])
+            corners = middle + [-aside - up, aside - up, aside + up, up - aside]
+            rows.append((f"{kind} {view}", kind, view, corners))
+    return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
+
+
+def choose_images(stations, corners, *, distance):
+    """Choose the image of a board by the paper's rules.
+
+    Of a board across the path: the closest image at the required distance or farther. Of a board
+    along the path: the image that the vehicle takes as it passes, which may be somewhat nearer.
+
+    Parameters
+    ----------
+    stations : DataFrame
+        Places of the images, ``easting_m``, ``northing_m``, ``height_m``, in the order of a
+        straight drive; two or more.
+    corners : array_like, shape (4, 3)
+        Of the board, from the lower left counterclockwise, metres.
+    distance : float
+        Required distance between camera and middle of the board, metres.
+
+    Returns
+    -------
+    DataFrame
+        One row: ``view`` (orthogonal, forward or backward, as the board stands to the drive),
+        ``station`` (row of ``stations``; None where no image qualifies), ``distance_m`` and
+        ``off_normal_deg``, the level angle between the line of sight and the board's normal.
+
+    Raises
+    ------
+    ValueError
+        If the distance is not above zero, or there are fewer than two stations.
+
+    References
+    ----------
+    Pfeifer et al. 2021, sections 3.2 and 4.1. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> north = [-24.0, -16.0, -8.0, 0.0, 8.0, 16.0]
+    >>> stations = pd.DataFrame({"easting_m": -5.0, "northing_m": north, "height_m": 1.5})
+    >>> boards = chart_site().set_index("chart")["corners"]
+    >>> found = choose_images(stations, boards["image forward"], distance=10)
+    >>> found[["view", "station"]].to_numpy().tolist(), found["distance_m"].round(1).item()
+    ([['forward', 1]], 16.8)
+    >>> choose_images(stations, boards["image orthogonal"], distance=10)["distance_m"].round(1).item()
+    5.4
     """
     distance = check_positive(distance, "distance", unit="m")
-    table = _around(stations, corners)
-    rows = []
-    for view in VIEWS:
-        fitting = table[(table["view"] == view) & (table["distance_m"] >= distance)]
-        if fitting.empty:
-            rows.append((view, None, np.nan, np.nan))
-            continue
-        best = fitting["distance_m"].idxmin()
-        rows.append((view, best, *table.loc[best, ["distance_m", "direction_deg"]]))
-    return pd.DataFrame(rows, columns=["view", "station", "distance_m", "direction_deg"])
+    frame = _frame(corners)
+    away = _places(stations) - frame.middle
+    view = _view(frame, away)
+    seen = pd.DataFrame(
+        {
+            "distance_m": np.linalg.norm(away, axis=1),
+            "off_normal_deg": np.degrees(
+                np.arctan2(np.abs(away @ frame.right), away @ frame.normal)
+            ),
+        },
+        index=stations.index,
+    )
+    seen = seen[away @ frame.normal > 0]
+    if view != ALONG:
+        seen = seen[seen["distance_m"] >= distance]
+    if seen.empty:
+        return pd.DataFrame([{"view": view, "station": None, **dict.fromkeys(seen, np.nan)}])
+    station = seen["off_normal_deg" if view == ALONG else "distance_m"].idxmin()
+    return pd.DataFrame([{"view": view, "station": station, **seen.loc[station]}])
 
 
 def check_drive(trajectory, corners, limits):
-    """Check a drive past a chart against limits of distance, speed and attitude.
+    """Check a drive past a board that stands along it: distance, speed and attitude.
 
     Parameters
     ----------
@@ -162,115 +186,100 @@ def check_drive(trajectory, corners, limits):
         As :func:`mmqa_lab.io.read_trajectory` gives it; angles are checked where present. Headings
         count clockwise from north.
     corners : array_like, shape (4, 3)
-        Of the chart, from the lower left counterclockwise, metres.
+        Of a board along the path, from the lower left counterclockwise, metres.
     limits : Limits
 
     Returns
     -------
     DataFrame
-        Per quantity: ``quantity``, ``low``, ``high`` (extremes near the chart), ``at_least``,
+        Per quantity: ``quantity``, ``low``, ``high`` (extremes near the board), ``at_least``,
         ``at_most``, ``n`` values, ``passed``. Angles that the trajectory lacks are left out.
 
     Raises
     ------
     ValueError
-        If fewer than two poses lie near the chart.
+        If fewer than two poses lie near the board, or it stands across the path.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
 
     Examples
     --------
-    >>> along = np.linspace(-20, 20, 41)
-    >>> drive = {"time_s": along / 10, "easting_m": 0.0, "northing_m": along, "height_m": 1.5}
-    >>> corners = chart_site(distances=[5.0])["corners"][0]
+    >>> north = np.linspace(-10, 30, 41)
+    >>> drive = {"time_s": north / 12, "easting_m": -5.0, "northing_m": north, "height_m": 1.5}
+    >>> corners = chart_site().set_index("chart")["corners"]["image orthogonal"]
     >>> found = check_drive(pd.DataFrame(drive), corners, Limits(distance_m=5))
-    >>> found["high"].round(6).tolist(), found["passed"].tolist()
-    ([5.0, 36.0], [True, True])
+    >>> found["low"].round(6).tolist(), found["passed"].tolist()
+    ([5.0, 43.2], [True, True])
     """
-    frame = _chart_frame(corners)
-    places = trajectory[COLUMNS[1:]].to_numpy(dtype=float) - frame[0]
-    across, along = places @ frame[2], places @ frame[1]
-    near = np.abs(along) <= limits.reach_m
+    frame = _frame(corners)
+    places = _places(trajectory) - frame.middle
+    if _view(frame, places) != ALONG:
+        raise ValueError("Invalid board: stands across the path. Must stand along it.")
+    near = np.abs(places @ frame.right) <= limits.reach_m
     if near.sum() < 2:
-        raise ValueError(f"Invalid trajectory: {near.sum()} poses near the chart. Must be two.")
+        raise ValueError(f"Invalid trajectory: {near.sum()} poses near the board. Must be two.")
     steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
     speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
-    quantities = {
-        "distance_m": (across[near], limits.distance_m, limits.distance_tolerance_m),
-        "speed_kmh": (speed, limits.speed_kmh, limits.speed_tolerance_kmh),
+    away, slack = limits.distance_m, limits.distance_tolerance_m
+    checked = {
+        "distance_m": ((places @ frame.normal)[near], away - slack, away + slack),
+        "speed_kmh": (speed, limits.speed_kmh, np.inf),
     }
-    for name, limit in (("roll_deg", limits.roll_deg), ("pitch_deg", limits.pitch_deg)):
+    azimuth = np.degrees(np.arctan2(*frame.right[:2]))
+    for name, reference in (("roll_deg", 0.0), ("pitch_deg", 0.0), ("heading_deg", azimuth)):
         if name in trajectory:
-            quantities[name] = (_signed(trajectory[name].to_numpy()[near]), 0.0, limit)
-    if "heading_deg" in trajectory:
-        azimuth = np.degrees(np.arctan2(frame[1][0], frame[1][1]))
-        turned = _signed(2 * (trajectory["heading_deg"].to_numpy()[near] - azimuth)) / 2
-        quantities["heading_from_chart_deg"] = (turned, 0.0, limits.heading_deg)
+            angles = trajectory[name].to_numpy(dtype=float)[near] - reference
+            # the board's line has no direction
+            turn = 180 if name == "heading_deg" else 360
+            limit = getattr(limits, name)
+            checked[name] = ((angles + turn / 2) % turn - turn / 2, -limit, limit)
     rows = [
-        (name, values.min(), values.max(), goal - slack, goal + slack, len(values))
-        for name, (values, goal, slack) in quantities.items()
+        (name, values.min(), values.max(), least, most, len(values))
+        for name, (values, least, most) in checked.items()
     ]
-    names = ["quantity", "low", "high", "at_least", "at_most", "n"]
-    table = pd.DataFrame(rows, columns=names)
-    table["passed"] = (table["low"] >= table["at_least"]) & (table["high"] <= table["at_most"])
-    return table
-
-
-def view_name(direction_deg):
-    """Return the view's name by its direction against the chart's normal, positive ahead.
-
-    Parameters
-    ----------
-    direction_deg : float
-        -90 to 90.
-
-    Returns
-    -------
-    str
-        forward, orthogonal or backward.
-
-    Raises
-    ------
-    ValueError
-        If the direction lies outside -90 to 90 degrees.
-
-    Examples
-    --------
-    >>> view_name(45), view_name(-10), view_name(-45)
-    ('forward', 'orthogonal', 'backward')
-    """
-    direction = check_number(direction_deg, "direction_deg", low=-90, high=90, unit="degrees")
-    if abs(direction) < ORTHOGONAL_DEG:
-        return "orthogonal"
-    return "forward" if direction > 0 else "backward"
-
-
-def _around(stations, corners):
-    """Distance, direction and view of each station that sees the chart's front."""
-    missing = set(COLUMNS) - set(stations.columns)
-    if missing:
-        raise ValueError(f"Invalid stations: no column {sorted(missing)[0]!r}. Must have one.")
-    middle, along, normal = _chart_frame(corners)
-    places = stations[COLUMNS[1:]].to_numpy(dtype=float) - middle
-    travel = np.sign((places[-1] - places[0]) @ along) if len(places) > 1 else 1.0
-    direction = -travel * np.degrees(np.arctan2(places @ along, places @ normal))
-    table = pd.DataFrame(
-        {"distance_m": np.linalg.norm(places, axis=1), "direction_deg": direction},
-        index=stations.index,
+    table = pd.DataFrame(rows, columns=["quantity", "low", "high", "at_least", "at_most", "n"])
+    table["quantity"] = table["quantity"].replace("heading_deg", "heading_from_line_deg")
+    return table.assign(
+        passed=(table["low"] >= table["at_least"]) & (table["high"] <= table["at_most"])
     )
-    table = table[places @ normal > 0]
-    return table.assign(view=[view_name(angle) for angle in table["direction_deg"]])
 
 
-def _chart_frame(corners):
-    """Middle, level direction to the right and outward normal of a chart."""
+@dataclass(frozen=True)
+class _Frame:
+    """Middle of a board, its level direction to the right and its outward normal."""
+
+    middle: np.ndarray
+    right: np.ndarray
+    normal: np.ndarray
+
+
+def _frame(corners):
+    """The frame of a board from its corners."""
     corners = check_points(corners, name="corners", minimum=4)
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
-    along = corners[1] - corners[0]
-    normal = np.cross(along, corners[3] - corners[0])
-    along, normal = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
-    return corners.mean(axis=0), along, normal
+    right = corners[1] - corners[0]
+    normal = np.cross(right, corners[3] - corners[0])
+    unit = [vector / np.linalg.norm(vector) for vector in (right, normal)]
+    return _Frame(corners.mean(axis=0), *unit)
 
 
-def _signed(angles):
-    """Angles between -180 and 180 degrees."""
-    return (np.asarray(angles, dtype=float) + 180) % 360 - 180
+def _places(stations):
+    """Eastings, northings and heights of two or more stations."""
+    missing = set(PLACE) - set(stations.columns)
+    if missing:
+        raise ValueError(f"Invalid stations: no column {sorted(missing)[0]!r}. Must have one.")
+    if len(stations) < 2:
+        raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
+    return stations[PLACE].to_numpy(dtype=float)
+
+
+def _view(frame, places):
+    """How a straight drive sees a board: as it passes, ahead, or behind."""
+    travel = places[-1] - places[0]
+    facing = travel @ frame.normal
+    if abs(facing) <= abs(travel @ frame.right):
+        return ALONG
+    return AHEAD if facing < 0 else BEHIND

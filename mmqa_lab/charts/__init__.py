@@ -5,10 +5,9 @@ photograph, and tells the evaluation where everything lies. The origin is the lo
 to the right, y up. Tones are relative reflectances, 0 black, 1 white.
 """
 
-from mmqa_lab.charts.drawing import to_pdf, to_svg
+from mmqa_lab.charts.drawing import reflectance, to_pdf, to_svg
 from mmqa_lab.charts.elements import Bar, Cells, Layout, LinePairs, Marker, Text, from_json, to_json
 from mmqa_lab.charts.layouts import WIDTHS_H_MM, WIDTHS_V_MM, imaging_chart, point_chart
-from mmqa_lab.charts.reflectance import reflectance
 
 __all__ = [
     "WIDTHS_H_MM",

@@ -2,13 +2,13 @@
 
 import dataclasses
 import json
+import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.charts import glyphs
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
@@ -110,8 +110,22 @@ class LinePairs:
         return np.array([self.x, self.x + self.length]), self.y + steps, tones[:, None]
 
 
+class _Square:
+    """What has one side for its width and height."""
+
+    @property
+    def width(self):
+        """Side, mm."""
+        return self.size
+
+    @property
+    def height(self):
+        """Side, mm."""
+        return self.size
+
+
 @dataclass(frozen=True)
-class Marker:
+class Marker(_Square):
     """A coded square target of an OpenCV dictionary, black border included.
 
     Parameters
@@ -148,16 +162,6 @@ class Marker:
     identifier: int
     ground: float = WHITE
 
-    @property
-    def width(self):
-        """Side, mm."""
-        return self.size
-
-    @property
-    def height(self):
-        """Side, mm."""
-        return self.size
-
     def grid(self):
         """Return the edges in x and y and the tones between them."""
         bits = _marker_bits(self.dictionary, self.identifier)
@@ -172,7 +176,7 @@ class Marker:
 
 
 @dataclass(frozen=True)
-class Cells:
+class Cells(_Square):
     """A square of black and white cells, ``bits`` in hexadecimal, row by row from below.
 
     Parameters
@@ -203,16 +207,6 @@ class Cells:
     bits: str
     ground: float = WHITE
 
-    @property
-    def width(self):
-        """Side, mm."""
-        return self.size
-
-    @property
-    def height(self):
-        """Side, mm."""
-        return self.size
-
     def grid(self):
         """Return the edges in x and y and the tones between them."""
         packed = np.frombuffer(bytes.fromhex(self.bits), dtype=np.uint8)
@@ -235,11 +229,18 @@ class Text:
         Height of the capitals, mm.
     tone, ground : float
         Reflectance of the letters and of what is around them.
+    font : str
+        Name of a TrueType file that matplotlib brings along, such as ``"DejaVuSerif"``.
+
+    Raises
+    ------
+    ValueError
+        If the font is unknown or lacks a letter, once the text is drawn or measured.
 
     Examples
     --------
     >>> one, two = Text("a", 0, 0, "HH", 20.0), Text("b", 0, 0, "HH", 40.0)
-    >>> one.height, two.width / one.width
+    >>> one.height, round(two.width / one.width, 6)
     (20.0, 2.0)
     """
 
@@ -250,21 +251,25 @@ class Text:
     cap: float
     tone: float = BLACK
     ground: float = WHITE
+    font: str = "DejaVuSans"
 
     @property
     def width(self):
-        """Advance width, mm."""
-        return glyphs.advance(self.text, self.cap)
+        """From the start of the base line to the right end of the letters, mm."""
+        vertices = _letters(self.text, self.font).vertices
+        return float(vertices[:, 0].max(initial=0)) * self.cap
 
     @property
     def height(self):
         """Height of the capitals, mm; accents and descenders reach beyond."""
         return self.cap
 
-    def outlines(self):
-        """Return the closed outlines of all letters, arrays (k, 2) in mm, to be filled even-odd."""
-        origin = np.array([self.x, self.y])
-        return [outline + origin for outline in glyphs.outlines(self.text, self.cap)]
+    def outline(self):
+        """Return the letters' outline as a matplotlib Path, mm, to be filled."""
+        from matplotlib.transforms import Affine2D
+
+        place = Affine2D().scale(self.cap).translate(self.x, self.y)
+        return place.transform_path(_letters(self.text, self.font))
 
 
 KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
@@ -422,6 +427,28 @@ def _check_element(element):
             check_count(value, f"{field.name} {name}")
         elif field.name == "direction":
             check_choice(value, f"direction {name}", ("h", "v"))
+
+
+@lru_cache(maxsize=128)
+def _letters(text, font):
+    """Outline of a text from the start of its base line, in heights of its capitals."""
+    from matplotlib import get_data_path
+    from matplotlib.font_manager import FontProperties, get_font
+    from matplotlib.path import Path
+    from matplotlib.textpath import TextPath
+
+    file = os.path.join(get_data_path(), "fonts", "ttf", f"{font}.ttf")
+    if not os.path.isfile(file):
+        raise ValueError(f"Invalid font {font!r}. Must be one of matplotlib's, like DejaVuSans.")
+    missing = [letter for letter in text if not get_font(file).get_char_index(ord(letter))]
+    if missing:
+        raise ValueError(f"Invalid text {text!r}. Must do without {missing[0]!r}: not in the font.")
+    face = FontProperties(fname=file)
+    cap = TextPath((0, 0), "H", size=1, prop=face).get_extents().ymax
+    # matplotlib flattens curves to half a unit: here a two thousandth of the capitals
+    outline = TextPath((0, 0), text, size=1000 / cap, prop=face).cleaned(curves=False)
+    drawn = outline.codes != Path.STOP
+    return Path(outline.vertices[drawn] / 1000, outline.codes[drawn])
 
 
 @lru_cache

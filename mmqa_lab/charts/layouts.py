@@ -8,6 +8,7 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 from mmqa_lab.charts.elements import (
     BLACK,
     GREY,
+    WHITE,
     Bar,
     Cells,
     Layout,
@@ -15,7 +16,6 @@ from mmqa_lab.charts.elements import (
     Marker,
     Text,
 )
-from mmqa_lab.charts.glyphs import advance
 
 SIDE_MM = 1000.0
 
@@ -26,15 +26,17 @@ WIDTHS_V_MM = WIDTHS_H_MM[1:]
 """Widths of the line pairs read in vertical direction, mm."""
 
 TEXTS = (
-    (50.0, "Halteverbot"),
-    (45.0, "Mo.–Fr. 6–19 h"),
-    (42.0, "Allee 7¹ / 12ª"),
+    (50.0, "Linienomnibusse"),
+    (45.0, "Aus-ᵤ. Einsteigen"),
+    (42.0, "ausgen. v. 18³⁰"),
+    (40.0, "Mo.-Fr. (werkt). v."),
+    (40.0, "6³⁰-19ʰ"),
     (40.0, "Müllsammelfzge."),
-    (40.0, "Illhof §52 × 3½ m²"),
+    (40.0, "Müllsammelfzge.", "DejaVuSerif"),
 )
-"""Height of the capitals in mm and text: umlauts, double l, abbreviations, superscripts, signs."""
+"""Height of the capitals in mm, text and, where it is another, font."""
 
-FAINT_TEXT = (40.0, "Stillleben", 0.35, 0.6)
+FAINT_TEXT = (40.0, "ausgen.", 0.35, 0.6)
 """Height of the capitals, text, and the tones of letters and panel: the reduced contrast."""
 
 REPEATS, LENGTH_MM = 8, 80.0
@@ -68,8 +70,8 @@ def imaging_chart(
         The lying bar as built, or black as the authors recommend after their test.
     widths_h, widths_v : sequence of float
         Widths of the line pairs, mm, from coarse to fine, for standing and for lying bars.
-    texts : sequence of (float, str)
-        Height of the capitals in mm and text of each line.
+    texts : sequence of (float, str) or (float, str, str)
+        Height of the capitals in mm, text and, where it is another, font of each line.
     dictionary : str or None
         OpenCV dictionary of the coded targets; None leaves them out.
     first_marker : int
@@ -86,12 +88,15 @@ def imaging_chart(
 
     Notes
     -----
-    The paper gives lengths, numbers and ladder ends; the places on the chart, the rungs between the
-    ends and the wording of the texts are this package's own.
+    The paper gives lengths, numbers of pairs and the ends of the ladder; the rungs of 30 to 4 mm
+    occur as readings in its Table 1, that of 3 mm is assumed. It names the texts and the heights of
+    letters, 40 to 50 mm; raised and small letters are those of Unicode here. Which text has which
+    height, the places on the chart and the fonts are this package's own; the symbols, the lying
+    and the coloured texts are left out.
 
     References
     ----------
-    Pfeifer et al. 2021, section 3.2. doi:10.3390/rs13020237
+    Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
 
     Examples
     --------
@@ -112,17 +117,21 @@ def imaging_chart(
     return Layout(f"imaging chart, {horizontal_bar} bar", SIDE_MM, SIDE_MM, tuple(elements))
 
 
-def point_chart(*, seed=0, cells=100, square=200.0):
-    """Return the point-distribution chart: random cells, one black and one white square.
+def point_chart(
+    *, seed: int = 0, cells: int = 100, square: float = 200.0, border: float = 50.0
+) -> Layout:
+    """Return the point-distribution chart: random cells, a border, a black and a white square.
 
     Parameters
     ----------
     seed : int
         Of the random cells.
     cells : int
-        Cells along a side.
+        Cells along a side of 1 m.
     square : float
-        Side of the two plain squares at the lower edge, mm.
+        Side of the two plain squares in the lower corners of the pattern, mm.
+    border : float
+        Width of the white border, mm.
 
     Returns
     -------
@@ -131,26 +140,48 @@ def point_chart(*, seed=0, cells=100, square=200.0):
     Raises
     ------
     ValueError
-        If a count is below its least value, or the squares overlap.
+        If a count is below its least value, or border and squares leave no pattern between them.
+
+    Notes
+    -----
+    The paper prints 100 cells of 10 mm along a side of 1 m, a border, and one black and one white
+    square in the lower part. The widths of border and squares and their places are assumed.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
 
     Examples
     --------
     >>> chart = point_chart(seed=1)
     >>> chart["cells"].count, chart["black"].tone, chart["white"].tone
     (100, 0.0, 1.0)
+    >>> chart["black"].x, chart["black"].y, chart["white"].x + chart["white"].width
+    (50.0, 50.0, 950.0)
     """
     seed, cells = check_count(seed, "seed", low=0), check_count(cells, "cells")
     square = check_number(square, "square", low=1, high=SIDE_MM / 2, unit="mm")
+    border = check_number(border, "border", low=0, high=SIDE_MM / 2 - square, unit="mm")
+    right = SIDE_MM - border - square
+    edges = np.linspace(0, SIDE_MM, cells + 1)
+    rows = _overlapped(edges, border, border + square)
     bits = np.random.default_rng(seed).random((cells, cells)) < 0.5
-    covered = int(np.ceil(square / SIDE_MM * cells - 1e-9))
-    bits[:covered, :covered] = bits[:covered, cells - covered :] = True
-    packed = np.packbits(bits).tobytes().hex()
+    for low in (border, right):  # white below the squares, which are drawn over it
+        bits[np.ix_(rows, _overlapped(edges, low, low + square))] = True
+    for low in (0.0, SIDE_MM - border):
+        outer = _overlapped(edges, low, low + border)
+        bits[outer] = bits[:, outer] = True
     elements = (
-        Cells("cells", 0.0, 0.0, SIDE_MM, cells, packed),
-        Bar("black", 0.0, 0.0, square, square, BLACK),
-        Bar("white", SIDE_MM - square, 0.0, square, square, 1.0),
+        Cells("cells", 0.0, 0.0, SIDE_MM, cells, np.packbits(bits).tobytes().hex()),
+        Bar("black", border, border, square, square, BLACK),
+        Bar("white", right, border, square, square, WHITE),
     )
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
+
+
+def _overlapped(edges, low, high):
+    """Which cells between the edges reach into an interval."""
+    return (edges[1:] > low + 1e-9) & (edges[:-1] < high - 1e-9)
 
 
 def _ladder(widths, name):
@@ -211,16 +242,15 @@ def _place_texts(texts, top):
     """Lines of text below each other, then the panel of reduced contrast."""
     x, bottom, room, _ = FIELD
     placed = []
-    for number, (cap, text) in enumerate(texts, start=1):
-        placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap))
-        top -= 1.55 * cap
+    for number, (cap, text, *font) in enumerate(texts, start=1):
+        face = font[0] if font else Text.font
+        placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap, font=face))
+        top -= 1.65 * cap
     if texts:
         cap, text, tone, panel = FAINT_TEXT
-        width = advance(text, cap) + cap
-        placed += [
-            Bar("panel", x, top - 1.9 * cap, width, 1.7 * cap, panel),
-            Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel),
-        ]
+        faint = Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel)
+        placed.append(Bar("panel", x, top - 1.9 * cap, faint.width + cap, 1.7 * cap, panel))
+        placed.append(faint)
     for element in placed:
         if element.y < bottom or element.width > room:
             raise ValueError(f"Invalid texts: {element.name!r} does not fit. Must be fewer.")

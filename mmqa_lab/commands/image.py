@@ -45,7 +45,6 @@ def add_arguments(parser):
     parser.add_argument("--orientation", type=Path, metavar="FILE", help="JSON, see above")
     parser.add_argument("--panorama", action="store_true", help="equirectangular, 2 : 1")
     parser.add_argument("--linear", action="store_true", help="grey values are linear in light")
-    parser.add_argument("--text", action="store_true", help="read the texts automatically, too")
     parser.add_argument(
         "--patterns", type=output_file, metavar="FILE", help="write every pattern's reading as CSV"
     )
@@ -70,7 +69,6 @@ def run(options):
     if options.out is not None:
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
     layout = chart_image.read_layout(options.chart)
-    read = chart_image.reader() if options.text else None
     choices = {
         "corners": None if options.corners is None else _corners(options.corners),
         "camera": "panorama" if options.panorama else "plain",
@@ -81,13 +79,7 @@ def run(options):
     rows, patterns = [], []
     for file in with_progress(options.image, "image"):
         quality, window = chart_image.evaluate_file(file, layout, **choices)
-        row = quality.to_frame().assign(file=str(file))
-        if read is not None:
-            crops = chart_image.text_crops(window.values, layout, quality.chart_map)
-            lines = chart_image.read_crops(crops, read)
-            row["ocr_error"] = lines["error"].median()
-            row["ocr_marks"] = "".join(lines["ocr_mark"])
-        rows.append(row)
+        rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
     if options.patterns is not None:
         table = pd.concat(patterns)
@@ -102,12 +94,11 @@ def _draw(window, quality, layout, file):
     """Write the figure of one evaluated photograph."""
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
-    from mmqa_lab.studies.chart_tables import images
 
     plots.use_style()
     figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
-    images.draw_photo(window.values, quality.chart_map, layout, quality.pairs, ax=axes[0])
-    images.draw_contrast(quality.pairs, ax=axes[1])
+    quality.plot(window.values, layout, ax=axes[0])
+    quality.plot_contrast(ax=axes[1])
     write_atomically(file, figure.savefig)
 
 

@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import (
     check_number,
@@ -97,7 +98,7 @@ class Plane:
         return np.array([level, np.cross(self.normal, level)])
 
 
-def fit_plane(points, *, robust=False):
+def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     """Fit the orthogonal regression plane.
 
     The normal is the eigenvector of the smallest eigenvalue of the centred scatter matrix, the axes
@@ -106,7 +107,7 @@ def fit_plane(points, *, robust=False):
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres, n >= 3, not on one line.
     robust : bool
         Weigh down points off the plane. The residuals of all points are returned all the same.
@@ -223,7 +224,7 @@ class Line:
         return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
 
 
-def fit_line(points, *, robust=False):
+def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
     """Fit the orthogonal regression line to points in plan, as ``fit_plane`` fits planes.
 
     Parameters
@@ -258,7 +259,7 @@ def fit_line(points, *, robust=False):
     return Line(origin + centre, direction)
 
 
-def sigma_mad(residuals, scale=CONSISTENT_SCALE):
+def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
     """Robust standard deviation: scale x median(|r - median r|).
 
     Parameters
@@ -286,7 +287,8 @@ def sigma_mad(residuals, scale=CONSISTENT_SCALE):
 
     References
     ----------
-    Pfeifer et al. 2021, equation in section 3.3 and Appendix A. doi:10.3390/rs13020237
+    Pfeifer et al. 2021, section 3.3 (recommended, no formula) and Appendix A (the code).
+    doi:10.3390/rs13020237
 
     Examples
     --------
@@ -302,7 +304,7 @@ def sigma_mad(residuals, scale=CONSISTENT_SCALE):
     return float(scale * np.median(np.abs(residuals - np.median(residuals))))
 
 
-def turned_axes(axes, angle):
+def turned_axes(axes: ArrayLike, angle: float) -> np.ndarray:
     """Return in-plane ``axes`` (2, 3) turned by ``angle`` degrees from the first to the second.
 
     Parameters

@@ -46,7 +46,7 @@ STUDIES = (
         stem="repeatability",
         title="Repeatability",
         question="How much do density, sigma_MAD and f vary when the same chart is selected again?",
-        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 4.2",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 4.4",
     ),
     Study(
         number=3,
@@ -89,6 +89,13 @@ STUDIES = (
         title="Image radiometry",
         question="What do a camera's numbers say of resolution and reflectance, and how surely?",
         source="EuroSDR 2013, image radiometry",
+    ),
+    Study(
+        number=9,
+        stem="chart_images",
+        title="Chart images",
+        question="What do photographs of a chart say of a camera, and what does its specification?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 1",
     ),
 )
 
