@@ -225,9 +225,9 @@ class LHD:
 
     def plot(self, *, ax=None):
         """Draw both sets from above and a line between the midpoints of each pair."""
-        from matplotlib import pyplot as plt
+        from mmqa_lab import plots
 
-        ax = ax or plt.gca()
+        ax = plots.subplots()[1] if ax is None else ax
         for ends in self.model.ends:
             ax.plot(ends[:, 0], ends[:, 1], color="0.75", lw=3, solid_capstyle="round")
         for ends in self.test.ends:
