@@ -337,7 +337,9 @@ def test_a_column_of_equal_values_says_nothing_about_lines(street):
     alone, _ = profiles.scan_lines(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}))
     assert (line == alone).all()
     assert len(np.unique(line)) > 100
-    assert profiles.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
+    assert (
+        profiles.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
+    )
 
 
 def test_near_axis_is_the_brute_force(rng):

@@ -339,7 +339,9 @@ def _positionings(conditions, rng):
         shared = length + (conditions.course2_m if name == "C2" else 0.0)
         own = conditions.own_m * _unit_vector(rng)
         drift = conditions.drift_m * _gauss_markov(nodes, rng)
-        errors[name] = Positioning(shared * towards + own, drift, np.radians(rng.normal(0, YAW_DEG)))
+        errors[name] = Positioning(
+            shared * towards + own, drift, np.radians(rng.normal(0, YAW_DEG))
+        )
     still = np.zeros((len(STREETS), nodes, 3))
     return errors | {"TLS": Positioning(np.zeros(3), still, 0.0)}
 

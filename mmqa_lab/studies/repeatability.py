@@ -17,7 +17,7 @@ from mmqa_lab.repeatability import (
     with_strays,
 )
 from mmqa_lab.run import Check
-from mmqa_lab.simulate import chart_corners, systems
+from mmqa_lab.simulate import MatchingCamera, chart_corners, systems
 from mmqa_lab.simulate.point_patterns import point_pattern
 
 QUICK = {
@@ -38,7 +38,7 @@ SENSORS = {
     "A": systems.SYSTEM_A,
     "B": UPRIGHT,
     "B tilted": replace(UPRIGHT, tilt_deg=45.0),
-    "C": replace(systems.SYSTEM_C, focal_px=2000, width_px=425, height_px=425),
+    "C": MatchingCamera(focal_px=2000, width_px=425, height_px=425, base_m=1.0),
 }
 """A and B as stated, but for B's noise. B's mounting is not stated: once upright, once tilted by 45
 degrees, which comes close to the published spacings. C is fitted: its resolution gives the
