@@ -435,8 +435,8 @@ def ledger_entries(table, chosen):
     return entries
 
 
-def checks(table, parameters, capped, models, readings, patch):
-    """Compare what the notebook says with a run.
+def checks(table, parameters, capped, models):
+    """Compare what the notebook says of the three systems with a run.
 
     Parameters
     ----------
@@ -445,11 +445,7 @@ def checks(table, parameters, capped, models, readings, patch):
     capped : float
         Density that goes with the printed d4 of A at 200 Hz, points per m2.
     models : DataFrame
-        Models of system C: ``model``, ``distance_m``, the figures, ``misfit``.
-    readings : DataFrame
-        Of :func:`readings_table`.
-    patch : DataFrame
-        ``cloud`` and ``f`` of the road patch.
+        Models of system C: ``model`` and ``misfit``.
     """
     yield Check(
         "At 1 MHz and 200 Hz, A's printed d4 goes with 3300 to 3600 points/m2, not with 4629.",
@@ -484,6 +480,18 @@ def checks(table, parameters, capped, models, readings, patch):
         ", ".join(f"{name} {value:.1f}" for name, value in wrong.items()),
         "the printed densities differ by 7 %, 1.7 tolerances of 2 % from their mean",
     )
+
+
+def reading_checks(readings, patch):
+    """Compare what the notebook says of readings and of the road patch with a run.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        Of :func:`readings_table`.
+    patch : DataFrame
+        ``cloud`` and ``f`` of the road patch.
+    """
     polygon = readings.set_index(["method", "system"]).loc["section 3.3", "density_percent"]
     along, oblique = -polygon[["A upright", "B"]], -polygon[["A", "C"]]
     yield Check(
