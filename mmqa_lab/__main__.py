@@ -94,7 +94,8 @@ def prepare(wanted):
     if sys.version_info < (3, 11):  # noqa: UP036 - an older Python gets a sentence
         sys.exit(f"mmqa: Invalid Python {sys.version.split()[0]}. Must be 3.11 or newer.")
     began = time.monotonic()
-    print(f"Preparing {VENV} from {wanted.name}, once; takes minutes.", file=sys.stderr)
+    name = wanted.relative_to(ROOT)
+    print(f"Preparing {VENV} from {name}, once; this takes minutes.", file=sys.stderr)
     try:
         with tempfile.TemporaryDirectory() as folder:
             _install(wanted, python, _uv(folder))

@@ -22,9 +22,9 @@ HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "h", "hoehe", "hö
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
 
-    Takes an array, a Cloud, a DataFrame with named coordinates (see :func:`coordinate_columns`)
-    the path of a file that ``io`` reads, and an xarray DataArray of heights over ``x`` and ``y``
-    (its cells that have a height). Two columns of them are those in plan.
+    Takes an array, a Cloud, a DataFrame with named coordinates (see :func:`coordinate_columns`), a
+    GeoDataFrame of points, the path of a file that ``io`` reads, and an xarray DataArray of heights
+    over ``x`` and ``y`` (its cells that have a height). Two columns of them are those in plan.
 
     Raises
     ------
@@ -157,6 +157,8 @@ def _coordinates(points, name, columns):
     found = coordinate_columns(points.columns)[:columns]
     if len(found) == columns:
         return np.ascontiguousarray(points[found].to_numpy(dtype=np.float64))
+    if not found and hasattr(points, "geometry"):
+        return np.column_stack([getattr(points.geometry, axis) for axis in "xyz"[:columns]])
     if found or points.shape[1] != columns:
         listed = ", ".join(str(column) for column in points.columns)
         wanted = ", ".join("xyz"[:columns])

@@ -89,6 +89,8 @@ def _ring(vertices, name):
 
 def _coordinates(node):
     """The rings of every polygon in a GeoJSON-like mapping."""
+    if node is None:  # a row without a geometry
+        return []
     kind = node["type"]
     if kind == "Feature":
         return _coordinates(node["geometry"])

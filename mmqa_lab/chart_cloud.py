@@ -1,19 +1,23 @@
 """The point-distribution chart: from a selection of points to its quality figures.
 
-Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix A.
+Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix A. Every figure has
+a 95 % interval that follows from the points themselves, see :meth:`CloudQuality.intervals`.
 """
 
 import numbers
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
+from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
 from mmqa_lab._results import Shown
-from mmqa_lab.cloud import as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     Plane,
@@ -22,15 +26,20 @@ from mmqa_lab.planes import (
     sigma_mad,
     turned_axes,
 )
-from mmqa_lab.spacing.quadrants import spacing
+from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
 
 AXES = ("principal", "horizontal")
 
 STEEPEST = 0.5
 """Cosine of the slope up to which a polygon in plan is laid onto the surface under it."""
 
-CHART_MARGIN_M = 0.145
-"""Leaves 0.71 m x 0.71 m, half a square metre, of a 1 m x 1 m chart."""
+CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
+"""Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
+chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge) stay 4 cm away,
+more than twice the error of a click."""
+
+BLOCKS = 4
+"""Blocks along each axis, from which intervals follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +63,13 @@ class CloudQuality(Shown):
         Points that share their place with another one.
     axes : str
         The axes of the quadrants.
+    rho0_per_m2 : float
+        Density that is asked for; NaN where none is.
     plane : Plane
-    xy : array, shape (n, 2)
-        The points in the plane along those axes, from its centre, m.
-    distances_mm : array, shape (n, 4)
-        Their sorted quadrant distances, NaN where a quadrant is empty.
+    spacing : Spacing
+        Of the points in the plane along those axes, from its centre.
+    outline : shapely geometry
+        The polygon, or the hull where there is none, in the same coordinates, m.
 
     Examples
     --------
@@ -80,46 +91,175 @@ class CloudQuality(Shown):
     incomplete_share: float
     coincident: int
     axes: str
-    plane: Plane
-    xy: np.ndarray = field(repr=False)
-    distances_mm: np.ndarray = field(repr=False)
+    rho0_per_m2: float
+    plane: Plane = field(repr=False)
+    spacing: Spacing = field(repr=False)
+    outline: object = field(repr=False)
 
     @property
-    def density_polygon_per_m2(self):
-        """Points per square metre of the selection polygon (text of the paper)."""
+    def xy(self) -> np.ndarray:
+        """The points in the plane, shape (n, 2), m."""
+        return self.spacing.xy
+
+    @property
+    def distances_mm(self) -> np.ndarray:
+        """Sorted quadrant distances of each point, shape (n, 4), NaN where a quadrant is empty."""
+        return 1000 * self.spacing.distances
+
+    @property
+    def density_polygon_per_m2(self) -> float:
+        """Points per square metre of the selection polygon (section 3.3)."""
         return self.n / self.area_polygon_m2
 
     @property
-    def density_hull_per_m2(self):
-        """Points per square metre of their convex hull (Appendix A of the paper)."""
+    def density_hull_per_m2(self) -> float:
+        """Points per square metre of their convex hull (Appendix A)."""
         return self.n / self.area_hull_m2 if self.area_hull_m2 > 0 else np.nan
 
     @property
-    def linear_point_distance_mm(self):
+    def linear_point_distance_mm(self) -> float:
         """sqrt(1 / density), of the polygon where there is one, else of the hull."""
         polygon = np.isfinite(self.area_polygon_m2)
         density = self.density_polygon_per_m2 if polygon else self.density_hull_per_m2
         return 1000 / np.sqrt(density)
 
     @property
-    def f(self):
+    def f(self) -> float:
         """Inhomogeneity d4 / d1; NaN where d1 is zero or either is not measurable."""
         return self.d4_mm / self.d1_mm if self.d1_mm > 0 else np.nan
 
-    def to_frame(self):
+    @property
+    def f_exempt(self) -> bool | None:
+        """Whether f does not matter (section 3.3), see :func:`mmqa_lab.spacing.exempt`.
+
+        None where no density is asked for.
+        """
+        if np.isnan(self.rho0_per_m2):
+            return None
+        return bool(exempt(self.d1_mm / 1000, self.d4_mm / 1000, self.rho0_per_m2))
+
+    @cached_property
+    def directional(self) -> DirectionalSpacing:
+        """The spacing by direction, with the ratio g."""
+        return directional(self.xy)
+
+    def intervals(self) -> pd.DataFrame:
+        """Return every figure with the 95 % interval that the pattern's own chance leaves it.
+
+        Returns
+        -------
+        DataFrame
+            ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN where not measurable.
+
+        Notes
+        -----
+        A grid of 4 x 4 blocks parts the points. sigma_MAD, d1..d4 and the two spacings behind g
+        are medians, f and g ratios of two: :func:`mmqa_lab.stats.median_interval` and
+        :func:`mmqa_lab.stats.median_ratio_interval`. The density and the variance behind std are
+        means: their standard errors follow from the sums over the blocks, with Student's t. The
+        intervals say what another scan with the same mean pattern would give; the operator's
+        part is :func:`mmqa_lab.repeatability.repeatability`. Those of the density are too
+        wide for regular patterns, whose blocks make up for each other.
+
+        Examples
+        --------
+        >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [1, 1, 0.01]
+        >>> table = evaluate_cloud(points).intervals().set_index("figure")
+        >>> table.index.tolist()
+        ['density', 'std', 'sigma_mad', 'd1', 'd2', 'd3', 'd4', 'f', 'g']
+        >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
+        True
+        """
+        block = stats.blocks(self.xy, side=BLOCKS)
+        off = np.abs(self.plane.residuals - np.median(self.plane.residuals))
+        factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
+        ends = np.multiply(factor, stats.median_interval(off, block))
+        rows = [
+            ("density", *self._density_interval(), "points/m2"),
+            ("std", self.std_mm, *self._std_interval(block), "mm"),
+            ("sigma_mad", self.sigma_mad_mm, *ends, "mm"),
+        ]
+        names = ["figure", "value", "low", "high", "unit"]
+        parts = [self.spacing.to_frame(), self.directional.to_frame().iloc[2:]]
+        return pd.concat([pd.DataFrame(rows, columns=names), *(part[names] for part in parts)])
+
+    def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units."""
         names = (
             *("n", "area_polygon_m2", "area_hull_m2"),
             *("density_polygon_per_m2", "density_hull_per_m2", "linear_point_distance_mm"),
             *("std_mm", "sigma_mad_mm", "d1_mm", "d2_mm", "d3_mm", "d4_mm", "f"),
-            *("incomplete_share", "coincident", "axes"),
+            *("f_exempt", "incomplete_share", "coincident", "axes"),
         )
         return pd.DataFrame([{name: getattr(self, name) for name in names}])
 
+    def plot(self):
+        """Draw the points, their distances from the plane, and the histograms of both.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from mmqa_lab import plots
+
+        figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
+        residuals_mm = 1000 * self.plane.residuals
+        limits = (-3 * self.sigma_mad_mm, 3 * self.sigma_mad_mm)
+        plots.draw_points(self.xy, ax=axes[0, 0])
+        shades = {"label": "distance from plane (mm)", "cmap": plots.DIVERGING_MAP}
+        plots.draw_points(self.xy, ax=axes[0, 1], values=residuals_mm, limits=limits, **shades)
+        medians = {"d1_mm": self.d1_mm, "d4_mm": self.d4_mm}
+        plots.draw_spacing_histogram(self.distances_mm, ax=axes[1, 0], **medians)
+        measures = {"std_mm": self.std_mm, "sigma_mad_mm": self.sigma_mad_mm}
+        plots.draw_residual_histogram(residuals_mm, ax=axes[1, 1], **measures)
+        return figure
+
+    def _repr_html_(self):
+        return self.intervals().to_html(index=False, float_format="{:.4g}".format)
+
+    def _density_interval(self):
+        """Density of the outline and its interval, from counts in the blocks' parts of it."""
+        import shapely
+
+        whole = self.outline
+        if whole.area == 0:
+            return np.nan, np.nan, np.nan
+        low, extent = np.array(whole.bounds[:2]), np.diff(np.reshape(whole.bounds, (2, 2)), axis=0)
+        extent = extent[0] / BLOCKS
+        column, row = np.divmod(np.arange(BLOCKS**2), BLOCKS)
+        corners = low + extent * np.column_stack([column, row])
+        boxes = shapely.box(*corners.T, *(corners + extent).T)
+        areas = shapely.area(shapely.intersection(whole, boxes))
+        place = np.clip(((self.xy - low) / extent).astype(int), 0, BLOCKS - 1)
+        counts = np.bincount(place[:, 0] * BLOCKS + place[:, 1], minlength=BLOCKS**2)
+        density = self.n / whole.area
+        count = (areas > 0).sum()
+        error = np.sqrt(count / (count - 1) * ((counts - density * areas) ** 2).sum()) / whole.area
+        reach = stats.student_t(count - 1) * error
+        return density, max(density - reach, 0.0), density + reach
+
+    def _std_interval(self, block):
+        """Interval of std, from the sums of squares in the blocks."""
+        squares = (1000 * self.plane.residuals) ** 2
+        sums = np.bincount(block, squares - squares.mean(), minlength=BLOCKS**2)
+        count = len(np.unique(block))
+        if count < 2:
+            return np.nan, np.nan
+        error = np.sqrt(count / (count - 1) * (sums**2).sum()) / self.n
+        reach = stats.student_t(count - 1) * error
+        return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
+
 
 def evaluate_cloud(
-    points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5, scale=CONSISTENT_SCALE
-):
+    points: Cloud | ArrayLike,
+    *,
+    polygon: ArrayLike | None = None,
+    thickness: float = 0.1,
+    axes: str | float = "principal",
+    radius: float = 0.5,
+    scale: float = CONSISTENT_SCALE,
+    rho0: float | None = None,
+) -> CloudQuality:
     """Evaluate the points on one planar surface.
 
     The points, or those that the polygon selects, get an orthogonal regression plane; its residuals
@@ -128,7 +268,7 @@ def evaluate_cloud(
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres; three or more after selection.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
         The selection, metres; see :func:`inside_polygon`.
@@ -141,6 +281,9 @@ def evaluate_cloud(
         Neighbours farther than this do not count, m.
     scale : float
         Factor of sigma_MAD, see :func:`mmqa_lab.planes.sigma_mad`.
+    rho0 : float, optional
+        Density that is asked for, points per m2: where d1 and d4 are both at most
+        sqrt(1 / rho0), f does not matter (``f_exempt``).
 
     Returns
     -------
@@ -159,10 +302,11 @@ def evaluate_cloud(
 
     Notes
     -----
-    f depends on the axes: the same scan lines give another f when they run along an axis than when
-    they run across both. A homogeneous random pattern has f = 3.257 at every density, so f <= 2
-    asks for more regularity than chance gives. The hull's area is smaller than that of the surface
-    the points were drawn from, by about (8/3) ln(n)/n for a square, so its density is too high.
+    Nearly square selections have principal axes that turn by chance, and f depends on the axes:
+    the same scan lines give another f when they run along an axis than when they run across both.
+    A homogeneous random pattern has f = 3.257 at every density, so f < 2 asks for more regularity
+    than chance gives. The hull's area is smaller than that of the surface the points were drawn
+    from, by about (8/3) ln(n)/n for a square, so its density is too high.
 
     References
     ----------
@@ -177,38 +321,43 @@ def evaluate_cloud(
     """
     cloud = as_cloud(points)
     points = check_points(cloud, minimum=3)
+    rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     if polygon is not None:
         inside, polygon = _selected(points, polygon, thickness)
         points = check_points(points[inside], name="points inside the polygon", minimum=3)
     plane = fit_plane(points)
-    directions = _directions(plane, axes)
-    xy = (points - plane.centre) @ directions.T
-    gaps = spacing(xy, radius=radius)
-    d = 1000 * np.asarray(gaps.d)
+    framed = replace(plane, axes=_directions(plane, axes))
+    xy = framed.project(points)
+    gaps = quadrants(xy, radius=radius)
+    hull = _hull(xy)
+    outline = hull if polygon is None else _outline(polygon, framed)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    _remark_on_resolution(1000 * cloud.resolution, sigma_mad_mm, d[0])
+    _remark_on_resolution(1000 * cloud.resolution, sigma_mad_mm, 1000 * gaps.d[0])
     return CloudQuality(
         n=len(points),
-        area_polygon_m2=np.nan if polygon is None else _outline(polygon, plane).area,
-        area_hull_m2=hull_area(xy),
+        area_polygon_m2=np.nan if polygon is None else outline.area,
+        area_hull_m2=float(hull.area),
         std_mm=1000 * plane.std,
         sigma_mad_mm=sigma_mad_mm,
-        **{f"d{k + 1}_mm": float(d[k]) for k in range(4)},
+        **{f"d{k + 1}_mm": float(1000 * gaps.d[k]) for k in range(4)},
         incomplete_share=gaps.incomplete_share,
         coincident=gaps.coincident,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
+        rho0_per_m2=rho0,
         plane=plane,
-        xy=xy,
-        distances_mm=1000 * gaps.distances,
+        spacing=gaps,
+        outline=outline,
     )
 
 
-def inside_polygon(points, polygon, *, thickness=0.1):
+def inside_polygon(
+    points: Cloud | ArrayLike, polygon: ArrayLike, *, thickness: float = 0.1
+) -> np.ndarray:
     """Return the mask of the points inside a 3-D polygon's projection and near its plane.
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres.
     polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
         Vertices in order, metres, convex or concave. Holes are left out, the parts of a
@@ -243,7 +392,9 @@ def inside_polygon(points, polygon, *, thickness=0.1):
     return _selected(check_points(points, minimum=0), polygon, thickness)[0]
 
 
-def chart_polygon(corners, *, margins=CHART_MARGIN_M):
+def chart_polygon(
+    corners: ArrayLike, *, margins: float | tuple[float, ...] = CHART_MARGINS_M
+) -> np.ndarray:
     """Return the part of a chart to evaluate, from its four surveyed corners.
 
     Parameters
@@ -251,9 +402,9 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
     corners : array_like, shape (4, 3)
         Metres, in order around the chart, from the lower left one.
     margins : float or sequence of four
-        Width left out inwards from the lower, right, upper and left edge, m; by default half a
-        square metre in the middle of a 1 m chart remains, without the border. Give wider
-        margins on the sides where the plain squares lie.
+        Width left out inwards from the lower, right, upper and left edge, m. By default half a
+        square metre of the random pattern of a 1 m chart remains, without the border and the
+        plain squares in the lower part (section 3.3).
 
     Returns
     -------
@@ -263,6 +414,10 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
     ------
     ValueError
         If there are not four corners or the margins leave nothing.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
 
     Examples
     --------
@@ -287,12 +442,12 @@ def chart_polygon(corners, *, margins=CHART_MARGIN_M):
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
 
 
-def hull_area(xy):
+def hull_area(xy: ArrayLike) -> float:
     """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line.
 
     Parameters
     ----------
-    xy : array_like, shape (n, 2)
+    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
 
     Returns
@@ -309,11 +464,15 @@ def hull_area(xy):
     >>> hull_area([[0, 0], [2, 0], [2, 1], [0, 1], [1, 0.5]]), hull_area([[0, 0], [1, 1]])
     (2.0, 0.0)
     """
+    return float(_hull(flat_points(xy)).area)
+
+
+def _hull(xy):
+    """The convex hull, a line where the points lie on one."""
     import shapely
 
-    xy = flat_points(xy)
     outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
-    return float(shapely.convex_hull(shapely.linestrings(outline)).area)
+    return shapely.convex_hull(shapely.linestrings(outline))
 
 
 def _directions(plane, axes):

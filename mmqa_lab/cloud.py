@@ -21,7 +21,7 @@ PLOTTED = 50_000
 """Points that a plot draws; of larger clouds every k-th."""
 
 
-class MissingColumnError(KeyError, ValueError):
+class _MissingColumnError(KeyError, ValueError):
     """A column that a cloud does not have."""
 
     def __str__(self):
@@ -102,7 +102,7 @@ class Cloud:
         """A column, or the sentence that lists those present."""
         if name not in self.columns:
             present = ", ".join(self.columns) or "none"
-            raise MissingColumnError(
+            raise _MissingColumnError(
                 f"Invalid column {name!r}. Must be one of those present: {present}."
             )
         return self.columns[name]

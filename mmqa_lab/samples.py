@@ -126,6 +126,32 @@ def path(name):
     return found
 
 
+def road_patch_heads() -> dict:
+    """Return the road patch parted by scan head, without repeated points.
+
+    The two heads passed it one after the other, so the largest gap in GPS time parts them.
+
+    Returns
+    -------
+    dict of str to array, shape (n, 3)
+        ``head A``, ``head B`` and ``both heads``, m.
+
+    Examples
+    --------
+    >>> {name: len(points) for name, points in road_patch_heads().items()}
+    {'head A': 12265, 'head B': 6373, 'both heads': 18335}
+    """
+    import numpy as np
+
+    from mmqa_lab.io import read_cloud
+
+    cloud = read_cloud(path("road_patch"), columns=["gps_time"])
+    times = np.sort(cloud["gps_time"])
+    first = cloud["gps_time"] <= times[np.argmax(np.diff(times))]
+    parts = {"head A": first, "head B": ~first, "both heads": np.ones(len(cloud), dtype=bool)}
+    return {name: np.unique(cloud.points[mask], axis=0) for name, mask in parts.items()}
+
+
 def sha256(file):
     """Return the SHA-256 of a file in hexadecimal.
 

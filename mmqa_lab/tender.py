@@ -1,10 +1,17 @@
-"""A tender's verdict: measured figures against criteria, with margin and uncertainty."""
+"""A tender's verdict: measured figures against criteria, with margin and uncertainty.
+
+:func:`verdicts` compares any figures with any criteria, :func:`qualification` sums up per system.
+:func:`published_criteria` and :func:`published_results` are those of Pfeifer et al. 2021
+(doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2.
+"""
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab import published
+from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab.chart_image.legibility import MARKS
+from mmqa_lab.spacing import exempt
 
 RELATIONS = {
     ">=": lambda value, threshold: value >= threshold,
@@ -13,7 +20,7 @@ RELATIONS = {
     "<": lambda value, threshold: value < threshold,
 }
 
-VERDICTS = ("met", "not met", "undecided", "not measured")
+VERDICTS = ("met", "exempt", "not met", "undecided", "not measured")
 
 COVERAGE = 1.96
 """Multiples of a figure's standard deviation within which a threshold leaves it undecided."""
@@ -21,6 +28,24 @@ COVERAGE = 1.96
 CRITERIA = ("criterion", "quantity", "relation", "threshold")
 
 RESULTS = ("system", "quantity", "value")
+
+SETS = ("test", "scenario 1", "scenario 2")
+"""Sets of criteria that Pfeifer et al. 2021 print: the test (section 4.2), two examples (4.4)."""
+
+RUNGS_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0)
+"""Widths of line pairs that Table 1 shows."""
+
+COARSEST_MM = {"h": 40.0, "v": 30.0}
+"""Widest line pairs on the chart (section 3.2): a dash in Table 1 is coarser."""
+
+RANGE_OF_FIVE = 2.326
+"""Mean range of five normal values in standard deviations: five selections were compared."""
+
+REPEATED = ("selection_density", "selection_precision", "bar_std")
+"""Printed numbers (section 4.4) that say how repeatable a figure is."""
+
+TEXT_MM = 40.0
+"""Capital height of the text that was judged (section 4.2)."""
 
 
 def check_criteria(criteria):
@@ -31,7 +56,8 @@ def check_criteria(criteria):
     criteria : DataFrame
         A row per criterion: ``criterion`` (name), ``quantity``, ``relation`` (>=, >, <=, <),
         ``threshold`` (a number, or a mark a, b, c); optionally ``distance_m``, ``view`` and
-        ``direction``, where empty means all.
+        ``direction``, where empty means all, and for f ``rho0_per_m2``, the density from which
+        its exemption follows (:func:`mmqa_lab.spacing.exempt`).
 
     Returns
     -------
@@ -57,6 +83,9 @@ def check_criteria(criteria):
         check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
         if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
             raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
+    criteria["rho0_per_m2"] = _numbers(criteria, "rho0_per_m2")
+    for rho0 in criteria["rho0_per_m2"].dropna():
+        check_positive(rho0, "rho0_per_m2")
     return criteria
 
 
@@ -67,7 +96,8 @@ def check_results(results):
     ----------
     results : DataFrame
         A row per figure: ``system``, ``quantity``, ``value`` (a number, or a mark a, b, c; empty
-        where not measured); optionally ``sigma`` (standard deviation), ``distance_m``, ``view``,
+        where not measured); optionally ``sigma`` (standard deviation) or ``low`` and ``high`` (95 %
+        interval, or a bound of what could not be measured), ``distance_m``, ``view``,
         ``direction``.
 
     Returns
@@ -77,7 +107,7 @@ def check_results(results):
     Raises
     ------
     ValueError
-        If a column is missing, or a value is neither number nor mark.
+        If a column is missing, a value is neither number nor mark, or an interval is empty.
 
     Examples
     --------
@@ -92,11 +122,16 @@ def check_results(results):
     if (results["sigma"] < 0).any():
         worst = results["sigma"].min()
         raise ValueError(f"Invalid sigma {worst}. Must be 0 or more.")
+    for end in ("low", "high"):
+        results[end] = _numbers(results, end)
+    if (results["low"] > results["high"]).any():
+        low = results.loc[results["low"] > results["high"], "low"].iloc[0]
+        raise ValueError(f"Invalid low {low}. Must not exceed high.")
     return results
 
 
-def verdicts(criteria, results):
-    """Hold every system's figures against every criterion.
+def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
+    """Compare every system's figures with every criterion.
 
     Parameters
     ----------
@@ -108,9 +143,11 @@ def verdicts(criteria, results):
     -------
     DataFrame
         A row per system, criterion and figure: ``system``, ``criterion``, ``quantity``,
-        ``distance_m``, ``view``, ``direction``, ``value``, ``sigma``, ``relation``, ``threshold``,
-        ``margin`` (positive inside; in the quantity's unit, for marks in steps) and ``verdict``:
-        *met*, *not met*, *undecided* (within 1.96 sigma of the threshold) or *not measured*.
+        ``distance_m``, ``view``, ``direction``, ``value``, ``low``, ``high``, ``relation``,
+        ``threshold``, ``margin`` (positive inside; in the quantity's unit, for marks in steps) and
+        ``verdict``: *met*, *not met*, *undecided* (the threshold lies within low and high, or
+        within 1.96 sigma), *exempt* (f where d1 and d4 are small enough for the density asked for)
+        or *not measured*.
 
     Raises
     ------
@@ -136,11 +173,15 @@ def verdicts(criteria, results):
             fitting = figures[_matches(figures, criterion)]
             if fitting.empty:
                 rows.append(_row(system, criterion, None))
-            rows += [_row(system, criterion, figure) for figure in fitting.itertuples()]
+            for figure in fitting.itertuples():
+                row = _row(system, criterion, figure)
+                if _is_exempt(figures, criterion, figure):
+                    row["verdict"] = "exempt"
+                rows.append(row)
     return pd.DataFrame(rows)
 
 
-def qualification(table):
+def qualification(table: pd.DataFrame) -> pd.DataFrame:
     """Sum verdicts up per system.
 
     Parameters
@@ -151,30 +192,120 @@ def qualification(table):
     Returns
     -------
     DataFrame
-        ``system``, ``verdict`` (*qualifies* when all figures meet their criteria; *fails* when one
-        does not; else *open*), the numbers of figures ``met``, ``not_met``, ``undecided``,
-        ``not_measured``, and ``because``: the criteria that are not met, or leave it open.
+        ``system``, ``verdict`` (*qualifies* when all figures meet their criteria or are exempt;
+        *fails* when one does not; else *open*), the numbers of figures ``met``, ``exempt``,
+        ``not_met``, ``undecided``, ``not_measured``, and ``because``: the criteria that are not
+        met, or leave it open.
 
     Examples
     --------
-    >>> from mmqa_lab.published import pfeifer2021_images as published
-    >>> table = qualification(verdicts(published.tender_criteria(2), published.results()))
-    >>> int((table["verdict"] == "qualifies").sum())
-    2
+    Scenario 2 of the source on its printed figures: A hangs on a text that was not judged.
+
+    >>> table = verdicts(published_criteria("scenario 2"), published_results())
+    >>> qualification(table)[["system", "verdict", "because"]].values.tolist()
+    [['A', 'open', 'legibility'], ['B', 'qualifies', ''], ['C', 'fails', 'precision']]
     """
     rows = []
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
         if counts["not met"]:
             verdict, deciding = "fails", part["verdict"] == "not met"
-        elif counts["met"] == len(part):
-            verdict, deciding = "qualifies", np.zeros(len(part), dtype=bool)
         else:
-            verdict, deciding = "open", part["verdict"] != "met"
+            deciding = ~part["verdict"].isin(["met", "exempt"])
+            verdict = "open" if deciding.any() else "qualifies"
         because = ", ".join(part.loc[deciding, "criterion"].drop_duplicates())
         rows.append((system, verdict, *counts, because))
     names = [verdict.replace(" ", "_") for verdict in VERDICTS]
     return pd.DataFrame(rows, columns=["system", "verdict", *names, "because"])
+
+
+def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFrame:
+    """Return a set of criteria as Pfeifer et al. 2021 print it.
+
+    Parameters
+    ----------
+    name : {"test", "scenario 1", "scenario 2"}
+        The test of section 4.2, or an example of section 4.4.
+    cloud_distance_m : float
+        Where no distance is printed for a figure of the cloud: the 5 m of the other criteria.
+
+    Returns
+    -------
+    DataFrame
+        As :func:`check_criteria` wants it. Where the paper prints no relation (section 4.4), a
+        figure may reach its threshold.
+
+    Raises
+    ------
+    ValueError
+        If the name is another.
+
+    Examples
+    --------
+    >>> table = published_criteria("scenario 1")
+    >>> table[["quantity", "relation", "threshold", "distance_m"]].values.tolist()
+    [['legibility_40mm', '<=', 'b', 10.0], ['density_per_m2', '>=', 4000.0, 5.0],
+     ['sigma_mad_mm', '<=', 5.0, 5.0]]
+    """
+    check_choice(name, "criteria", SETS)
+    table = published.table("pfeifer2021", "criteria").query("set == @name").reset_index(drop=True)
+    names = {"pixel size": "pixel_mm", "line-pair width": "w_mm", "density": "density_per_m2"}
+    names["sigma_mad"] = "sigma_mad_mm"
+    text = table["quantity"] == "legibility"
+    height = table["text_height_mm"].map("legibility_{:.0f}mm".format)
+    table["quantity"] = height.where(text, table["quantity"].replace(names))
+    table["threshold"] = table["threshold"].astype(object).where(~text, table["printed"])
+    cloud = table["quantity"].isin(["density_per_m2", "sigma_mad_mm", "f"])
+    table["distance_m"] = table["distance_m"].mask(
+        cloud & table["distance_m"].isna(), cloud_distance_m
+    )
+    table["view"] = np.where(text & table["views"].str.startswith("orthogonal"), "orthogonal", "")
+    rho0 = float(table.loc[table["quantity"] == "density_per_m2", "threshold"].iloc[0])
+    table["rho0_per_m2"] = np.where(table["quantity"] == "f", rho0, np.nan)
+    return table[[*CRITERIA, "distance_m", "view", "rho0_per_m2"]]
+
+
+def published_results(*, repeatability: bool = False, by_pixels: bool = False) -> pd.DataFrame:
+    """Return Tables 1 and 2 of Pfeifer et al. 2021 in the form that :func:`verdicts` wants.
+
+    Parameters
+    ----------
+    repeatability : bool
+        Add what section 4.4 says of repeated measurements: ``sigma`` of the density (five
+        selections vary by 1 %), of sigma_MAD (by 1 mm) and of pixel sizes (1 px for a bar), and one
+        rung to either side of a line-pair width. Upper bounds are printed, so these are too wide.
+    by_pixels : bool
+        Give texts of 60 mm that were not judged the mark of the judged text with the most pixels
+        per capital height among those with no more pixels than theirs.
+
+    Returns
+    -------
+    DataFrame
+        ``system``, ``quantity``, ``value``, ``low``, ``high``, ``sigma``, ``distance_m``, ``view``,
+        ``direction``. A dash of a line-pair width is an interval that begins at the coarsest
+        pattern of the chart. Texts of 60 mm at 5 m, which the chart does not have, are as legible
+        as those of 40 mm where these are (a, b); else empty.
+
+    Examples
+    --------
+    >>> results = published_results(by_pixels=True)
+    >>> texts = results.query("quantity == 'legibility_60mm'")
+    >>> texts[["system", "value"]].values.tolist()
+    [['A', 'b'], ['B', 'a'], ['C', 'b']]
+    """
+    images = published.table("pfeifer2021", "table_1").query("status != 'not_evaluated'")
+    rows = [_image_row(row) for row in images.to_dict("records")]
+    rows += _larger_text(images, by_pixels)
+    for cloud in published.table("pfeifer2021", "table_2").to_dict("records"):
+        place = {"system": cloud["system"], "distance_m": float(cloud["distance_m"])}
+        names = ("density_per_m2", "sigma_mad_mm", "d1_mm", "d4_mm", "f")
+        rows += [{**place, "quantity": name, "value": float(cloud[name])} for name in names]
+    table = pd.DataFrame(rows)
+    table[["view", "direction"]] = table[["view", "direction"]].fillna("")
+    table["sigma"] = np.nan
+    if repeatability:
+        table = table.apply(_repeated, axis=1)
+    return table
 
 
 def _with_columns(frame, needed, what):
@@ -228,27 +359,28 @@ def _matches(figures, criterion):
     return fits
 
 
+def _is_exempt(figures, criterion, figure):
+    """Whether f does not matter: d1 and d4 of the same place reach the density asked for."""
+    if criterion.quantity != "f" or np.isnan(criterion.rho0_per_m2):
+        return False
+    same = (figures["view"] == figure.view) & (figures["direction"] == figure.direction)
+    here, there = figures["distance_m"], figure.distance_m
+    same &= here.isna() if np.isnan(there) else here == there
+    found = [
+        figures.loc[same & (figures["quantity"] == name), "value"] for name in ("d1_mm", "d4_mm")
+    ]
+    if any(len(values) != 1 for values in found):
+        return False
+    d1, d4 = (_rank(values.item(), "spacing") / 1000 for values in found)
+    return bool(exempt(d1, d4, criterion.rho0_per_m2))
+
+
 def _row(system, criterion, figure):
     """The verdict on one figure, or on a criterion without one."""
-    same_kind, rank, sigma = True, np.nan, np.nan
     limit = _rank(criterion.threshold, "threshold")
-    if figure is not None:
-        rank, sigma = _rank(figure.value, criterion.quantity), figure.sigma
-        is_mark = isinstance(figure.value, str) and figure.value.strip() in MARKS
-        same_kind = not np.isfinite(rank) or is_mark == (str(criterion.threshold) in MARKS)
-    if not same_kind:
-        raise ValueError(
-            f"Invalid {criterion.quantity} {figure.value!r} of {system}. Must be of the kind of "
-            f"the threshold {criterion.threshold!r}."
-        )
-    margin = (rank - limit) * (1 if criterion.relation.startswith(">") else -1)
-    if not np.isfinite(rank):
-        verdict = "not measured"
-    elif np.isfinite(sigma) and sigma > 0 and abs(margin) <= COVERAGE * sigma:
-        verdict = "undecided"
-    else:
-        verdict = "met" if RELATIONS[criterion.relation](rank, limit) else "not met"
     place = criterion if figure is None else figure
+    rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure)
+    sign = 1 if criterion.relation.startswith(">") else -1
     return {
         "system": system,
         "criterion": criterion.criterion,
@@ -257,9 +389,84 @@ def _row(system, criterion, figure):
         "view": place.view,
         "direction": place.direction,
         "value": None if figure is None else figure.value,
-        "sigma": sigma,
+        "low": low,
+        "high": high,
         "relation": criterion.relation,
         "threshold": criterion.threshold,
-        "margin": margin,
-        "verdict": verdict,
+        "margin": sign * (rank - limit) + 0.0,  # no negative zero
+        "verdict": _verdict(RELATIONS[criterion.relation], limit, low, high),
     }
+
+
+def _ends(criterion, figure):
+    """A figure as a number, and the ends of its interval; NaN where it was not measured."""
+    rank = _rank(figure.value, criterion.quantity)
+    is_mark = isinstance(figure.value, str) and figure.value.strip() in MARKS
+    if np.isfinite(rank) and is_mark != (str(criterion.threshold) in MARKS):
+        raise ValueError(
+            f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
+            f"kind of the threshold {criterion.threshold!r}."
+        )
+    reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
+    low = rank - reach if np.isnan(figure.low) else figure.low
+    high = rank + reach if np.isnan(figure.high) else figure.high
+    if np.isnan(rank) and not (np.isnan(low) and np.isnan(high)):  # a bound of one side
+        low, high = np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf, posinf=np.inf)
+    return rank, low, high
+
+
+def _verdict(relation, limit, low, high):
+    """What both ends of an interval say."""
+    if np.isnan(low):
+        return "not measured"
+    met = relation(low, limit), relation(high, limit)
+    return "met" if all(met) else "undecided" if any(met) else "not met"
+
+
+def _image_row(row):
+    """A cell of Table 1 as a result."""
+    names = {"legibility": "legibility_40mm", "pixel size": "pixel_mm", "line-pair width": "w_mm"}
+    result = {name: row[name] for name in ("system", "distance_m", "view", "direction")}
+    result["quantity"] = names[row["quantity"]]
+    result["value"] = row["printed"] if row["quantity"] == "legibility" else row["value"]
+    if row["status"] == "not_resolved" and row["quantity"] == "line-pair width":
+        coarsest = COARSEST_MM[row["direction"]]
+        result |= {"low": np.nextafter(coarsest, np.inf), "high": np.inf}
+    return result
+
+
+def _larger_text(images, by_pixels):
+    """Results for text of 60 mm in the orthogonal view at 5 m."""
+    place = ["system", "distance_m", "view"]
+    marks = images.query("quantity == 'legibility'").set_index(place)["printed"]
+    pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(place)["value"]
+    judged = pd.DataFrame({"mark": marks, "pixels": TEXT_MM / pixels}).sort_values("pixels")
+    rows = []
+    for system in "ABC":
+        key = (system, 5.0, "orthogonal")
+        mark = marks[key]
+        if mark == "c":
+            fewer = judged[judged["pixels"] <= 60 / pixels[key]]
+            mark = fewer["mark"].iloc[-1] if by_pixels else None
+        rows.append(
+            {**dict(zip(place, key, strict=True)), "quantity": "legibility_60mm", "value": mark}
+        )
+    return rows
+
+
+def _repeated(row):
+    """A result with the repeatability that section 4.4 prints."""
+    of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
+    row = row.copy()
+    if row["quantity"] == "density_per_m2":
+        row["sigma"] = of["selection_density"] / 100 * row["value"] / RANGE_OF_FIVE
+    elif row["quantity"] == "sigma_mad_mm":
+        row["sigma"] = of["selection_precision"] / RANGE_OF_FIVE
+    elif row["quantity"] == "pixel_mm":  # of a bar of L: pixel / (L / pixel); v is a mean of two
+        bar, count = (600, 1) if row["direction"] == "h" else (800, 2)
+        row["sigma"] = of["bar_std"] * row["value"] ** 2 / bar / np.sqrt(count)
+    elif row["quantity"] == "w_mm" and np.isfinite(row["value"]):
+        rung = RUNGS_MM.index(row["value"])
+        row["low"] = RUNGS_MM[min(rung + 1, len(RUNGS_MM) - 1)]
+        row["high"] = RUNGS_MM[rung - 1] if rung else np.inf
+    return row

@@ -78,6 +78,11 @@ def show_cloud(cloud, values, *, label):
     -------
     pyvista viewer or matplotlib figure
 
+    Raises
+    ------
+    ValueError
+        If a point is not finite or they do not have three coordinates.
+
     Examples
     --------
     >>> from unittest.mock import patch
@@ -103,6 +108,11 @@ def save_cloud(path, cloud, values, *, label):
         Its ending says the format; an existing file is replaced.
     cloud, values, label
         See :func:`show_cloud`.
+
+    Raises
+    ------
+    ValueError
+        If a point is not finite or they do not have three coordinates.
 
     Examples
     --------

@@ -19,7 +19,7 @@ from mmqa_lab.chart_cloud import (
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
-from mmqa_lab.published.pfeifer2021 import rounding_check, table_2
+from mmqa_lab.simulate.point_patterns import point_pattern
 
 CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
 
@@ -40,6 +40,11 @@ def brute_force(xy, radius):
             near = gaps[mask & (gaps <= radius)]
             rows[i, q] = near.min() if len(near) else np.nan
     return np.nanmedian(np.sort(rows, axis=1), axis=0), np.isnan(rows).any(axis=1).mean()
+
+
+def fit_plane_area(polygon):
+    """Area of a polygon in space by the cross products of its diagonals."""
+    return np.linalg.norm(np.cross(polygon[2] - polygon[0], polygon[3] - polygon[1])) / 2
 
 
 def scan_lines(rng, *, along=0.0046, across=0.047, turn=0.3, noise=0.001):
@@ -117,7 +122,7 @@ def test_any_turn_changes_nothing(rng):
     points = scan_lines(rng, along=0.02)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     here, there = evaluate_cloud(points).to_frame(), evaluate_cloud(points @ turn).to_frame()
-    numbers = here.columns.drop("axes")
+    numbers = here.columns.drop(["axes", "f_exempt"])
     # the points themselves are rounded anew by the turn, to 1e-16 m
     assert np.allclose(here[numbers], there[numbers], rtol=1e-9, atol=1e-9, equal_nan=True)
 
@@ -152,8 +157,8 @@ def test_points_behind_the_chart_are_left_out(rng):
 def test_chart_polygon_leaves_out_its_margins():
     polygon = chart_polygon(CHART, margins=[0.1, 0.2, 0.3, 0.4])  # lower, right, upper, left
     assert np.allclose(polygon, [[0.4, 0, 0.1], [0.8, 0, 0.1], [0.8, 0, 0.7], [0.4, 0, 0.7]])
-    side = np.linalg.norm(chart_polygon(CHART)[1] - chart_polygon(CHART)[0])
-    assert side**2 == pytest.approx(0.5, abs=0.005)  # section 4.2: about half a square metre
+    # section 3.3: typically half a square metre
+    assert fit_plane_area(chart_polygon(CHART)) == pytest.approx(0.5, abs=0.005)
 
 
 def test_spacing_of_one_place_is_not_measurable():
@@ -180,11 +185,74 @@ def test_road_patch_by_head_as_brute_force_and_as_known(real):
     assert evaluate_cloud(np.unique(cloud.points, axis=0)).f == pytest.approx(2.2, abs=0.05)
 
 
-def test_published_table_is_consistent_where_it_says_so():
-    check = rounding_check()
-    assert check["f_consistent"].tolist()[:4] == [True] * 4  # Table 2, rows A and B
-    assert check["lattice_consistent"].tolist()[:2] == [False, True]  # A at 5 m and at 10 m
-    assert table_2().attrs["missing"] == "12 cells not at hand"
+def test_default_selection_stays_in_the_random_pattern_of_the_simulated_chart():
+    """No plain cell of the border or of the two squares lies in it, even with 3 cm of click."""
+    from mmqa_lab.charts import point_chart
+    from mmqa_lab.simulate import Scene, chart, chart_corners
+
+    polygon = chart_polygon(chart_corners((5, 0, 1), heading=-90))
+    middle = polygon.mean(axis=0)
+    wider = middle + (polygon - middle) * (1 + 0.03 / np.abs(polygon - middle).max(axis=0).max())
+    low, high = wider[:, 1:].min(axis=0), wider[:, 1:].max(axis=0)
+    y, z = np.meshgrid(np.linspace(low[0], high[0], 60), np.linspace(low[1], high[1], 60))
+    ways = np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])
+    seen = []
+    for seed in range(20):
+        there = Scene([chart((5, 0, 1), heading=-90, layout=point_chart(seed=seed))])
+        seen.append(there.cast(np.zeros_like(ways), ways).reflectance > 0.5)
+    always = np.mean(seen, axis=0)
+    # a random cell is bright in all of 20 charts once in a million
+    assert always.min() > 0
+    assert always.max() < 1
+
+
+def test_default_selection_stays_in_the_random_pattern_of_the_printed_chart():
+    from mmqa_lab.charts import point_chart
+
+    layout = point_chart()
+    polygon = 1000 * chart_polygon(CHART)[:, [0, 2]]
+    for square in (layout["black"], layout["white"]):
+        assert polygon[:, 1].min() > square.y + square.height + 30
+
+
+def coverage(kind, *, scans=80, **choices):
+    """How often the intervals of a pattern's windows contain the mean of all, with fixed axes."""
+    tables = []
+    for seed in range(scans):
+        xy = point_pattern(kind, density=3000, size=0.71, seed=seed, **choices)
+        z = np.random.default_rng([seed, 1]).normal(0, 0.005, len(xy))
+        upright = np.column_stack([xy[:, 0], z, xy[:, 1]])
+        quality = evaluate_cloud(upright, polygon=0.71 * CHART, axes="horizontal")
+        tables.append(quality.intervals().set_index("figure"))
+    truth = sum(table["value"] for table in tables) / scans
+    inside = [(table["low"] <= truth) & (truth <= table["high"]) for table in tables]
+    return sum(inside) / scans
+
+
+@pytest.mark.parametrize("kind", ["poisson", "scan_lines", "clusters"])
+def test_intervals_cover(kind):
+    """95 % of 80 scans less four standard errors, 27 being tried; regular patterns more often."""
+    shares = coverage(kind, ratio=3, angle=20, noise=0.001)
+    assert shares.min() > 0.85
+    if kind == "poisson":
+        assert shares.mean() < 0.99
+
+
+def test_exemption_needs_a_density_that_is_asked_for(rng):
+    points = np.column_stack([rng.uniform(0, 1, (8000, 2)), np.zeros(8000)])
+    assert evaluate_cloud(points).f_exempt is None
+    assert evaluate_cloud(points, rho0=3000).f_exempt is True  # 8000 > 2.34 x 3000
+    assert evaluate_cloud(points, rho0=5000).f_exempt is False
+    assert evaluate_cloud(points, rho0=3000).to_frame()["f_exempt"].item() is True
+
+
+def test_a_shapely_polygon_selects_as_its_vertices_do(rng):
+    import shapely
+
+    points = rng.uniform(0, 1, (500, 3)) * [1, 1, 0.01]
+    square = [[0.2, 0.2, 0], [0.8, 0.2, 0], [0.8, 0.8, 0], [0.2, 0.8, 0]]
+    found = evaluate_cloud(points, polygon=shapely.Polygon(square))
+    assert found.n == evaluate_cloud(points, polygon=square).n
 
 
 @pytest.mark.parametrize(
@@ -198,6 +266,7 @@ def test_published_table_is_consistent_where_it_says_so():
         ({"polygon": CHART[[0, 2, 1, 3]]}, "Must be an outline that encloses an area."),
         ({"polygon": CHART + 50}, "Invalid points inside the polygon: 0 given."),
         ({"scale": 0}, "Invalid scale 0. Must be > 0."),
+        ({"rho0": -1}, "Invalid rho0 -1. Must be > 0 points per m2."),
     ],
 )
 def test_rejects(rng, choices, sentence):

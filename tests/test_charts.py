@@ -152,13 +152,29 @@ def test_point_chart_is_random_with_two_plain_squares():
     layout = charts.point_chart(seed=3)
     _, _, tones = layout["cells"].grid()
     assert tones.shape == (100, 100)
-    free = tones[20:]
-    # 8,000 fair coins: within four standard deviations
+    free = tones[25:95, 5:95]
+    # 6,300 fair coins: within four standard deviations
     assert abs(free.mean() - 0.5) < 4 * 0.5 / np.sqrt(free.size)
     image = charts.reflectance(layout, cell=10)
-    assert (image[:20, :20] == 0).all()
-    assert (image[:20, 80:] == 1).all()
+    assert (image[5:25, 5:25] == 0).all()
+    assert (image[5:25, 75:95] == 1).all()
+    border = np.ones_like(image, dtype=bool)
+    border[5:-5, 5:-5] = False
+    assert (image[border] == 1).all()
     assert charts.point_chart(seed=4) != layout
+
+
+def test_point_chart_without_a_border_reaches_its_edges():
+    image = charts.reflectance(charts.point_chart(border=0, square=150), cell=10)
+    assert (image[:15, :15] == 0).all()
+    assert (image[:15, 85:] == 1).all()
+    assert set(np.unique(image[-1])) == {0, 1}
+
+
+def test_squares_off_the_cells_are_plain_to_their_edge():
+    image = charts.reflectance(charts.point_chart(square=203, border=47), cell=1)
+    assert (image[47:250, 47:250] == 0).all()
+    assert (image[47:250, 750:953] == 1).all()
 
 
 @settings(max_examples=25, deadline=None)

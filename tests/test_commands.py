@@ -26,6 +26,7 @@ JSON_KEYS = [
     "d3_mm",
     "d4_mm",
     "f",
+    "f_exempt",
     "incomplete_share",
     "coincident",
     "axes",
@@ -39,6 +40,16 @@ def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):
     assert rows[0]["n"] == 28185
     assert rows[0]["area_polygon_m2"] is None  # no polygon was given
     assert len(pd.read_csv(tmp_path / "o.csv")) == 2
+
+
+def test_evaluate_gives_intervals_and_the_exemption_of_f(capsys):
+    assert main(["evaluate", PATCH, "--rho0", "1000", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["f_exempt"] is True  # d4 is 22.4 mm, sqrt(1 / 1000) = 31.6 mm
+    assert main(["evaluate", PATCH, "--intervals", "--json"]) == 0
+    rows = {row["figure"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["f"]["value"] == row["f"]
+    assert rows["density"]["low"] < row["density_hull_per_m2"] < rows["density"]["high"]
 
 
 def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):

@@ -185,8 +185,19 @@ def test_tender_reads_csv_and_json_alike(capsys, tmp_path, ending):
 def test_tender_status_says_whether_any_system_qualifies(capsys, tmp_path):
     assert main(["tender", "pfeifer2021:1", "pfeifer2021"]) == 1
     assert "qualifies" not in capsys.readouterr().out
-    assert main(["tender", "pfeifer2021:2", "pfeifer2021"]) == 0
-    assert capsys.readouterr().out.count("qualifies") == 2
+    for results, count in {"pfeifer2021": 1, "pfeifer2021:pixels": 2}.items():
+        assert main(["tender", "pfeifer2021:2", results]) == 0
+        assert capsys.readouterr().out.count("qualifies") == count
+
+
+def test_tender_exempts_f_for_the_density_asked_for(capsys, tmp_path):
+    (tmp_path / "c.csv").write_text("criterion,quantity,relation,threshold\neven,f,<,2\n")
+    call = ["tender", str(tmp_path / "c.csv"), "pfeifer2021", "--json"]
+    assert main(call) == 1
+    capsys.readouterr()
+    assert main([*call, "--rho0", "3000"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["system"], row["exempt"]) for row in rows] == [("A", 0), ("B", 0), ("C", 2)]
 
 
 @pytest.mark.parametrize(

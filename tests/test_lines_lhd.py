@@ -345,6 +345,8 @@ def test_segment_files_come_back_to_the_bit(tmp_path, scene):
     assert read_segments(plain).ends.tolist() == [[[0, 0, 0], [0, 0, 9]], [[1, 1, 1], [2, 2, 2]]]
     plain.write_text("x1,y1,z1,x2,y2,z2\n")
     assert len(read_segments(plain)) == 0
+    plain.write_text("id,Z1,x1,y1,kind,x2,y2,z2\n7,3,1,2,eave,4,5,6\n")
+    assert read_segments(plain).ends.tolist() == [[[1, 2, 3], [4, 5, 6]]]
 
 
 @pytest.mark.parametrize(
@@ -353,6 +355,8 @@ def test_segment_files_come_back_to_the_bit(tmp_path, scene):
         ("0,0,0,1,0,0\n1,2,3,4,5\n", "in line 2"),
         ("0,0,0,1,0,0\nx1,y1,z1,x2,y2,z2\n", "in line 2"),
         ("x1,y1,z1,x2,y2,z2\n0,0,0,nan,0,0\n", "in line 2.*six finite numbers"),
+        ("id,xa,ya,za,xb,yb,zb\n1,0,0,0,1,1,1\n", "Must have x1, y1, z1, x2, y2, z2"),
+        ("1,,0,0,0,1,1,1\n", "in line 1"),
         ("1,1,1,2,2,2\n\n3,3,3,3,3,3\n", "no length in line 3"),
     ],
 )

@@ -107,7 +107,9 @@ def test_options_have_one_name_and_one_meaning(case):
 def test_json_is_all_that_is_printed_and_csv_holds_the_rows(case, call, tmp_path):
     name, line, rows, _ = case
     status, out, err = call(f"{line} --json --csv rows.csv")
-    assert (status, err) == (0, "")
+    assert status == 0
+    # the sample's coordinates are in steps of a centimetre, too coarse for its figures
+    assert err == "" or (name == "evaluate" and "in steps of 10 mm: too coarse for" in err)
     printed = json.loads(out)
     assert isinstance(printed, dict if name in OBJECT else list)
     table = pd.read_csv("rows.csv")

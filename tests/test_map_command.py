@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from mmqa_lab import samples
 from mmqa_lab.__main__ import main
@@ -40,6 +41,31 @@ def test_a_map_comes_with_summary_figure_and_report(tmp_path, capsys):
     ):
         assert word in page
     assert (tmp_path / "patch.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_map_says_where_f_does_not_matter(tmp_path, capsys):
+    import xarray as xr
+
+    from mmqa_lab.spacing import exempt
+
+    out = tmp_path / "patch.nc"
+    assert main(["map", PATCH, "--out", str(out), "--rho0", "1800", "--json", *QUICK]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    share = next(r["exempt_share"] for r in rows if (r["layer"], r["variable"]) == ("level", "f"))
+    with xr.open_dataset(out) as dataset:
+        level = dataset.sel(layer="level").load()
+    known = np.isfinite(level["f"].values)
+    expected = exempt(level["d1"] / 1000, level["d4"] / 1000, 1800)
+    np.testing.assert_array_equal(level["exempt"].values[known], expected[known])
+    weights = level["area"].values[known]
+    assert share == pytest.approx(np.average(np.asarray(expected)[known], weights=weights))
+    assert 0 < share < 1
+
+
+def test_rho0_needs_spacing(tmp_path, capsys):
+    given = ["map", PATCH, "--out", str(tmp_path / "m.nc"), "--metrics", "density"]
+    assert main([*given, "--rho0", "3000"]) == 2
+    assert "metric for --rho0" in capsys.readouterr().err
 
 
 def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mmqa_lab.maps import LAYERS, METRICS, UNITS, Window, evaluate_tile, reach
 from mmqa_lab.planes import fit_plane, sigma_mad
-from mmqa_lab.spacing.quadrants import poisson_spacing, quadrant_distances, spacing
+from mmqa_lab.spacing import poisson_spacing, quadrant_distances, quadrants
 
 LEVEL, UPRIGHT, OTHER = range(3)
 
@@ -214,7 +214,7 @@ def test_spacing_is_that_of_a_selection(rng):
     """The medians of one full cell are those of spacing() over its points."""
     points = sheet(rng, 3000, size=0.5) + [0.25, 0.25, 0.1]
     found = evaluate_tile(points, Window(0, 0, 1, 1), cell=0.5, surface="horizontal")
-    whole = spacing(points[:, :2], radius=0.5)
+    whole = quadrants(points[:, :2], radius=0.5)
     assert [found[f"d{k}"][0, 0, 0] for k in range(1, 5)] == (1000 * whole.d).tolist()
     assert found["f"][0, 0, 0] == whole.f
     assert found["incomplete_share"][0, 0, 0] == pytest.approx(whole.incomplete_share)

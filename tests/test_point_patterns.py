@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist
 
 from mmqa_lab.simulate import point_patterns
 from mmqa_lab.simulate.point_patterns import KINDS, expected_f, expected_g, point_pattern
-from mmqa_lab.spacing.quadrants import quadrant_distances
+from mmqa_lab.spacing import quadrant_distances
 
 DENSITY = 2500.0
 

@@ -55,9 +55,8 @@ CALLS = {
     "distances": (TILTED, lambda p: planes.fit_plane(p).distances(p)),
     "flat_points": (TILTED, planes.flat_points),
     "quadrant_distances": (TILTED, spacing.quadrant_distances),
-    "spacing": (TILTED, spacing.spacing),
-    "count_coincident": (TILTED, spacing.count_coincident),
-    "directional_spacing": (TILTED, spacing.directional_spacing),
+    "quadrants": (TILTED, spacing.quadrants),
+    "directional": (TILTED, spacing.directional),
     "turned_f": (TILTED, lambda p: spacing.turned_f(p, angles=[0, 20])),
     "structure_tensor_ratio": (TILTED, spacing.structure_tensor_ratio),
     "pair_contrast": (TILTED, lambda p: spacing.pair_contrast(p, reach=0.1)),
@@ -166,5 +165,5 @@ def test_a_trajectory_is_a_table_an_array_or_a_cloud():
 
 def test_a_result_shows_itself_as_a_table():
     quality = chart_cloud.evaluate_cloud(FLOOR)
-    assert "<th>CloudQuality</th>" in quality._repr_html_()
+    assert "<th>high</th>" in quality._repr_html_()  # every figure with its interval
     assert f"<td>{quality.f:.4g}</td>" in quality._repr_html_()

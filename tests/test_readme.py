@@ -13,7 +13,7 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.run import readme
 from mmqa_lab.run.notebooks import Outcome
-from mmqa_lab.spacing.quadrants import poisson_spacing
+from mmqa_lab.spacing import poisson_spacing
 from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 
 
@@ -52,7 +52,8 @@ def test_a_quick_or_failed_run_is_refused(results, change):
 def test_ledger_is_counted_by_source_and_verdict():
     published = pytest.importorskip("mmqa_lab.published.ledger")
     ledger = published.collect("no such folder")
-    head, _, *rows, total = readme.ledger_table(ledger).splitlines()
+    figure, _, head, _, *rows, total = readme.ledger_table(ledger).splitlines()
+    assert "(notebooks/ledger.png)" in figure
     assert head == "| source | reproduced | consistent | contradicted | not comparable |"
     assert len(rows) == 5
     assert total.startswith("| all | 0 | 0 | 0 | ")

@@ -153,11 +153,10 @@ def test_a_figure_has_its_data_and_says_what_is_seen(run):
     run.save_figure(figure, "again", seen="One rising line.")
     plt.close(figure)
     assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
-    seen = read_record(run.folder)["seen"]
-    assert seen == {
-        "errors": "plain: error (mm) over range (m) of a line",
-        "again": "One rising line.",
-    }
+    figures = read_record(run.folder)["figures"]
+    assert figures["errors"]["seen"] == "plain: error (mm) over range (m) of a line"
+    assert figures["errors"]["width_mm"] == pytest.approx(85, abs=5)
+    assert figures["again"]["seen"] == "One rising line."
 
 
 def test_texts_on_each_other_or_outside_are_named():

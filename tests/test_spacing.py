@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab.spacing.quadrants import (
+from mmqa_lab.spacing import (
     Spacing,
-    count_coincident,
+    exempt,
     poisson_spacing,
     quadrant_distances,
-    spacing,
+    quadrants,
 )
 
 NAN = np.nan
@@ -136,7 +136,7 @@ def test_a_lone_point_has_no_distances():
 
 def test_spacing_of_a_lattice():
     x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(40) * 0.05)
-    found = spacing(np.stack([x.ravel(), y.ravel()], axis=1))
+    found = quadrants(np.stack([x.ravel(), y.ravel()], axis=1))
     # Lattice coordinates are rounded to 1e-16 of a metre and differences of them a little more.
     np.testing.assert_allclose(found.d, [0.02, 0.02, 0.05, 0.05], rtol=1e-12)
     assert found.f == pytest.approx(2.5)
@@ -148,7 +148,7 @@ def test_spacing_of_a_lattice():
 
 def test_medians_over_each_rank_or_over_complete_points():
     cross = [[0, 0], [1, 0], [0, 2], [-3, 0], [0, -4]]
-    every, complete = spacing(cross, radius=4), spacing(cross, radius=4, complete=True)
+    every, complete = quadrants(cross, radius=4), quadrants(cross, radius=4, complete=True)
     np.testing.assert_array_equal(complete.d, [1, 2, 3, 4])
     np.testing.assert_array_equal(complete.counts, [1, 1, 1, 1])
     assert every.counts[0] == 5
@@ -157,7 +157,7 @@ def test_medians_over_each_rank_or_over_complete_points():
 
 
 def test_nothing_measurable_is_nan_with_a_count_of_none():
-    found = spacing([[0, 0], [10, 10]])
+    found = quadrants([[0, 0], [10, 10]])
     assert np.isnan(found.d).all()
     assert np.isnan(found.f)
     np.testing.assert_array_equal(found.counts, 0)
@@ -165,7 +165,7 @@ def test_nothing_measurable_is_nan_with_a_count_of_none():
 
 
 def test_coincident_points_are_counted_once_each():
-    assert count_coincident([[0, 0], [1, 1], [-0.0, 0], [1, 2], [1, 1], [1, 1]]) == 5
+    assert quadrants([[0, 0], [1, 1], [-0.0, 0], [1, 2], [1, 1], [1, 1]]).coincident == 5
 
 
 # Independent references
@@ -207,7 +207,7 @@ def test_distances_of_some_points_are_those_of_all(name, share):
 def test_random_points_have_the_closed_form(density):
     side = np.sqrt(100_000 / density)
     xy = side * np.random.default_rng(density).random((100_000, 2))
-    found = spacing(xy, radius=side / 20)
+    found = quadrants(xy, radius=side / 20)
     # Medians of 100 000 dependent values scatter by about 0.5 %; the edge adds less than that.
     np.testing.assert_allclose(found.d, poisson_spacing(density), rtol=0.015)
     assert found.f == pytest.approx(3.257, rel=0.02)
@@ -220,6 +220,54 @@ def test_closed_form_from_its_own_order_statistics():
     np.testing.assert_allclose(poisson_spacing(7.0), simulated, rtol=0.005)
     d = poisson_spacing(7.0)
     assert d[3] / d[0] == pytest.approx(3.257, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("system", "distance", "expected"),
+    [("A", 5, False), ("A", 10, False), ("B", 5, False), ("C", 5, True), ("C", 10, True)],
+)
+def test_exemption_of_the_published_systems(system, distance, expected):
+    """Section 3.3 with rho0 = 3000, so d0 = 18.3 mm, and Table 2 of Pfeifer et al. 2021."""
+    d1, d4 = {"A5": (4, 47), "A10": (9, 46), "B5": (10, 25), "C5": (3, 8), "C10": (3, 8)}[
+        f"{system}{distance}"
+    ]
+    assert exempt(d1 / 1000, d4 / 1000, 3000) == expected
+
+
+def test_a_random_pattern_is_exempt_from_2_34_times_the_threshold():
+    for share, expected in ((2.33, False), (2.35, True)):
+        d1, _, _, d4 = poisson_spacing(share * 3000)
+        assert exempt(d1, d4, 3000) == expected
+
+
+def test_not_measurable_is_not_exempt():
+    assert exempt([NAN, 0.001, NAN], [0.001, NAN, NAN], 100).tolist() == [False] * 3
+    with pytest.raises(ValueError, match="Invalid rho0 0"):
+        exempt(0.1, 0.2, 0)
+
+
+def test_intervals_of_a_random_pattern_cover_the_closed_form():
+    """95 % of 100 windows, or 88 % with three standard errors; only points away from the edge."""
+    truth = [*poisson_spacing(4000), 3.257]
+    inside = np.zeros(5)
+    for seed in range(100):
+        xy = 1.2 * np.random.default_rng(seed).random((5760, 2))
+        middle = (np.abs(xy - 0.6) < 0.5).all(axis=1)
+        distances = quadrant_distances(xy)[middle]
+        found = Spacing(np.median(distances, axis=0), np.ones(4), 0.0, 0, xy[middle], distances)
+        low, high = found.intervals.T
+        inside += (low <= truth) & (truth <= high)
+    assert (inside >= 88).all()
+    assert (inside < 100).any()
+
+
+def test_table_of_a_spacing():
+    table = quadrants(pattern("uniform", 500)).to_frame().set_index("figure")
+    assert table.index.tolist() == ["d1", "d2", "d3", "d4", "f"]
+    assert (table["low"] <= table["value"]).all()
+    assert (table["value"] <= table["high"]).all()
+    ratio = table.loc["d4", "value"] / table.loc["d1", "value"]
+    assert table.loc["f", "value"] == pytest.approx(ratio)
 
 
 # Invariances
@@ -242,10 +290,12 @@ def test_a_quarter_turn_changes_nothing(name):
 
 def test_ten_thousand_kilometres_away():
     xy = pattern("scan lines", 20_000).round(4)
-    near, far = spacing(xy), spacing(xy + 1e7)
+    near, far = quadrants(xy), quadrants(xy + 1e7)
     # A coordinate of 1e7 m is rounded to 1.9e-9 m, a difference of two to twice that.
     np.testing.assert_allclose(far.d, near.d, rtol=0, atol=4e-9)
-    np.testing.assert_allclose(spacing(xy + 1e7, angle=20).d, spacing(xy, angle=20).d, atol=8e-9)
+    np.testing.assert_allclose(
+        quadrants(xy + 1e7, angle=20).d, quadrants(xy, angle=20).d, atol=8e-9
+    )
 
 
 @pytest.mark.parametrize("angle", [12.5, -40, 100])
@@ -259,10 +309,10 @@ def test_turned_axes_equal_turned_points(angle):
 
 def test_axes_along_noisy_scan_lines_hide_the_gap_between_them():
     xy = pattern("scan lines", 20_000)
-    across, along = spacing(xy, angle=34 + 45), spacing(xy, angle=34)
+    across, along = quadrants(xy, angle=34 + 45), quadrants(xy, angle=34)
     # Half way between the axes, two quadrants face the next lines: 47 mm, give or take the noise.
     np.testing.assert_allclose(across.d[2:], 0.047, rtol=0.01)
-    np.testing.assert_array_equal(across.d, spacing(xy, angle=34 - 45).d)
+    np.testing.assert_array_equal(across.d, quadrants(xy, angle=34 - 45).d)
     # Along the axes, noise of 0.3 mm puts points of the own line into all four.
     assert along.d[3] < 0.6 * 0.047
     # Turning rounds coordinates below 10 m to 2e-15 m.
@@ -322,7 +372,7 @@ def test_extents_that_differ_beyond_measure():
         ([[0, 0], [1e200, 0]], {}, r"Invalid xy, 1e\+200 m wide\. Must be less than 1e\+150 m\."),
     ],
 )
-@pytest.mark.parametrize("measure", [quadrant_distances, spacing])
+@pytest.mark.parametrize("measure", [quadrant_distances, quadrants])
 def test_bad_values(measure, xy, choices, sentence):
     with pytest.raises(ValueError, match=sentence):
         measure(xy, **choices)
@@ -350,4 +400,4 @@ def test_bad_density(density):
 
 def test_results_cannot_be_changed():
     with pytest.raises(AttributeError):
-        Spacing(np.ones(4), np.ones(4), 0.0, 0, 1, np.ones((1, 4))).n = 2
+        Spacing(np.ones(4), np.ones(4), 0.0, 0, np.ones((1, 2)), np.ones((1, 4))).coincident = 2

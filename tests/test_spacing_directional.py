@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.simulate.point_patterns import expected_g, point_pattern
-from mmqa_lab.spacing.directional import (
+from mmqa_lab.spacing import (
     clark_evans,
-    directional_spacing,
+    directional,
     pair_contrast,
+    quadrants,
     structure_tensor_ratio,
     turned_f,
 )
-from mmqa_lab.spacing.quadrants import spacing
 
 
 def pattern(kind, seed=1, **choices):
@@ -34,21 +34,21 @@ def medians_by_brute_force(xy):
 @pytest.mark.parametrize("kind", ["lattice", "hexagonal"])
 @pytest.mark.parametrize("ratio", [1.5, 4, 12])
 def test_lattices(kind, ratio):
-    found = directional_spacing(pattern(kind, ratio=ratio, angle=35, size=1))
+    found = directional(pattern(kind, ratio=ratio, angle=35, size=1))
     assert found.g == pytest.approx(expected_g(kind, ratio))
     assert found.direction_deg == pytest.approx(35, abs=2.1)  # half a step of the directions
 
 
 def test_scan_lines_have_their_closed_form():
     choices = {"ratio": 5, "angle": 20, "size": 1, "jitter": 0}
-    seen = [directional_spacing(pattern("scan_lines", s, **choices)).g for s in range(12)]
+    seen = [directional(pattern("scan_lines", s, **choices)).g for s in range(12)]
     error = np.std(seen, ddof=1) / np.sqrt(len(seen))
     assert abs(np.mean(seen) - expected_g("scan_lines", 5)) < 3 * error
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0])
 def test_chance_in_random_patterns_goes_with_the_root_of_n(size):
-    seen = [directional_spacing(pattern("poisson", s, size=size)).g for s in range(30)]
+    seen = [directional(pattern("poisson", s, size=size)).g for s in range(30)]
     chance = (np.mean(seen) - expected_g("poisson", 1)) * np.sqrt(2500) * size
     # 1.6 in the docstring; 30 patterns know it to 3 x 0.9 / sqrt(30) = 0.5
     assert chance == pytest.approx(1.6, abs=0.5)
@@ -57,57 +57,68 @@ def test_chance_in_random_patterns_goes_with_the_root_of_n(size):
 @pytest.mark.parametrize("angle", [0, 0.01, 10, 45, 89])
 def test_g_of_noisy_lines_does_not_know_the_axes_and_f_does(angle):
     xy = pattern("scan_lines", ratio=15, angle=angle, noise=0.0005, size=1)
-    found = directional_spacing(xy)
+    found = directional(xy)
     # noise and jitter shorten the spacing along by a tenth
     assert found.g == pytest.approx(15, rel=0.15)
     assert (found.direction_deg - angle + 90) % 180 - 90 == pytest.approx(0, abs=2)
     aligned = min(angle, 90 - angle) < 1
-    assert (spacing(xy).f < 8) == aligned
+    assert (quadrants(xy).f < 8) == aligned
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32), count=st.integers(2, 120), flat=st.sampled_from([0.01, 0.3, 1]))
-def test_directional_spacing_equals_brute_force(seed, count, flat):
+def test_directional_equals_brute_force(seed, count, flat):
     xy = np.random.default_rng(seed).random((count, 2)) * [0.3, 0.3 * flat]
     expected = np.array(medians_by_brute_force(xy))
-    found = directional_spacing(xy, radius=10).spacing
+    found = directional(xy, radius=10).spacing
     assert found == pytest.approx(np.where(np.isinf(expected), np.nan, expected), nan_ok=True)
 
 
 def test_turn_and_shift():
     xy = pattern("clusters", ratio=3)
-    before = directional_spacing(xy)
+    before = directional(xy)
     turn = np.radians(36)
     c, s = np.cos(turn), np.sin(turn)
-    turned = directional_spacing(xy @ np.array([[c, s], [-s, c]]))
+    turned = directional(xy @ np.array([[c, s], [-s, c]]))
     assert turned.g == pytest.approx(before.g, rel=1e-9)
     assert (turned.direction_deg - before.direction_deg) % 180 == pytest.approx(36)
     # 10,000 km leave nanometres of a double: medians follow within that
-    far = directional_spacing(xy + [1e7, -1e7])
+    far = directional(xy + [1e7, -1e7])
     assert far.spacing == pytest.approx(before.spacing, abs=1e-8)
+
+
+def test_intervals_of_scan_lines_cover_the_closed_form():
+    """95 % of 80 windows, or 70 with three standard errors; 20 degrees is a direction tried."""
+    choices = {"ratio": 3, "angle": 20, "size": 1, "jitter": 0.2}
+    found = [directional(pattern("scan_lines", seed, **choices)) for seed in range(80)]
+    low, high = np.array([one.intervals[2] for one in found]).T
+    truth = np.mean([one.g for one in found])  # jitter shortens the spacing along
+    assert 70 <= ((low <= truth) & (truth <= high)).sum() <= 80
+    assert (high / low < 1.1).all()
+    assert found[0].to_frame()["figure"].tolist() == ["along", "across", "g"]
 
 
 def test_repeated_points_count_once():
     xy = pattern("poisson")
-    repeated = directional_spacing(np.concatenate([xy, xy[:300]]))
+    repeated = directional(np.concatenate([xy, xy[:300]]))
     assert repeated.n == len(xy)
-    assert repeated.g == directional_spacing(xy).g
+    assert repeated.g == directional(xy).g
 
 
 def test_not_measurable_is_nan():
     one_line = np.stack([np.arange(20) * 0.01, np.zeros(20)], axis=1)
-    found = directional_spacing(one_line)
+    found = directional(one_line)
     assert found.along == pytest.approx(0.01)
     assert np.isnan(found.g)
-    assert np.isnan(directional_spacing([[0, 0], [3, 0]]).g)
+    assert np.isnan(directional([[0, 0], [3, 0]]).g)
 
 
 def test_turned_f_equals_turned_points():
     xy = pattern("scan_lines", ratio=4, angle=12)
     turn = np.radians(-30)
     c, s = np.cos(turn), np.sin(turn)
-    by_hand = spacing(xy @ np.array([[c, s], [-s, c]])).f
-    assert turned_f(xy, angles=[0, 30]) == pytest.approx([spacing(xy).f, by_hand])
+    by_hand = quadrants(xy @ np.array([[c, s], [-s, c]])).f
+    assert turned_f(xy, angles=[0, 30]) == pytest.approx([quadrants(xy).f, by_hand])
 
 
 def test_structure_tensor_sees_lines_only_when_it_sees_one():
@@ -133,8 +144,8 @@ def test_clark_evans_published_extremes():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: directional_spacing([[0, 0]]), "Invalid xy: 1 given. Must be 2 or more."),
-        (lambda: directional_spacing([[0, 0], [1, 1]], radius=0), "Invalid radius 0. Must be > 0"),
+        (lambda: directional([[0, 0]]), "Invalid xy: 1 given. Must be 2 or more."),
+        (lambda: directional([[0, 0], [1, 1]], radius=0), "Invalid radius 0. Must be > 0"),
         (lambda: pair_contrast([[0, 0], [1, 1]], reach=-1), "Invalid reach -1. Must be > 0 m."),
         (lambda: structure_tensor_ratio([[0, 0, 0, 0]]), "Invalid xy of shape"),
         (lambda: clark_evans([[0, 0], [1, 1], [2, np.nan]]), "not finite"),

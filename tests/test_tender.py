@@ -1,4 +1,4 @@
-"""A tender's verdicts: written out by hand, and the two published scenarios."""
+"""A tender's verdicts: written out by hand, and the published criteria on the published tables."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import tender
-from mmqa_lab.published import pfeifer2021_images as published
+from mmqa_lab.published import table as published_table
 
 CRITERIA = pd.DataFrame(
     [
@@ -117,26 +117,106 @@ def test_order_of_rows_changes_nothing():
     assert (first["met"] == second["met"]).all()
 
 
-def test_the_first_published_scenario_has_no_winner_and_says_why():
-    # section 4.4: no system meets every criterion
-    table = tender.verdicts(published.tender_criteria(1), published.results())
-    summary = tender.qualification(table).set_index("system")
-    assert (summary["verdict"] == "fails").all()
-    assert "inhomogeneity" in summary.loc["B", "because"]  # f 2.5 and 2.6, above 2.0
-    assert summary.loc["B", "not_met"] == 2
-    for criterion in ("pixel_size", "legibility"):
-        for system in "AC":
-            assert criterion in summary.loc[system, "because"]
+def summary_of(name, **choices):
+    found = tender.verdicts(tender.published_criteria(name), tender.published_results(**choices))
+    return tender.qualification(found).set_index("system")
 
 
-def test_the_second_published_scenario_has_two_winners():
-    # section 4.4: two systems qualify
-    table = tender.verdicts(published.tender_criteria(2), published.results())
-    summary = tender.qualification(table).set_index("system")
-    assert summary["verdict"].to_dict() == {"A": "fails", "B": "qualifies", "C": "qualifies"}
-    assert summary.loc["A", "because"] == "line_pairs_orthogonal, legibility_5_m"
-    tight = table[(table["system"] == "C") & (table["margin"] == 0)]
-    assert set(tight["criterion"]) == {"line_pairs_orthogonal", "legibility_5_m"}
+def test_scenario_1_as_printed_has_no_winner():
+    """Section 4.4: no system can be chosen. Reasons from Tables 1 and 2."""
+    table = summary_of("scenario 1")
+    assert (table["verdict"] == "fails").all()
+    assert table["because"].to_dict() == {
+        "A": "legibility",  # c at 10 m; 4629 per m2 and 1.1 mm are met
+        "B": "density, precision",  # 3140 per m2, 9.2 mm
+        "C": "legibility, precision",  # c at 10 m, 14 mm
+    }
+
+
+def test_scenario_2_as_printed_has_b_and_leaves_a_open():
+    """Section 4.4: two can be chosen. C has 14 mm where 10 are asked; 60 mm text was not judged."""
+    table = summary_of("scenario 2")
+    assert table["verdict"].to_dict() == {"A": "open", "B": "qualifies", "C": "fails"}
+    assert table.loc["C", "because"] == "precision"
+    by_pixels = summary_of("scenario 2", by_pixels=True)
+    assert by_pixels["verdict"].to_dict() == {"A": "qualifies", "B": "qualifies", "C": "fails"}
+
+
+def test_scenario_2_is_not_firm_for_b():
+    """9.2 mm of 10 mm, where five selections range over up to 1 mm (section 4.4)."""
+    table = summary_of("scenario 2", by_pixels=True, repeatability=True)
+    assert table["verdict"].to_dict() == {"A": "qualifies", "B": "open", "C": "fails"}
+    assert table.loc["B", "because"] == "precision"
+
+
+def test_a_text_of_60_mm_has_more_pixels_than_one_that_was_read():
+    pixels = published_table("pfeifer2021", "table_1").query("quantity == 'pixel size'")
+    v = pixels.query("direction == 'v' and view == 'orthogonal' and distance_m == 5")
+    v = v.set_index("system")["value"]
+    assert 60 / v["A"] > 40 / v["C"] > 60 / 6  # 11.3 > 10.5 pixels; C's mark is b
+
+
+def test_the_test_of_section_4_2_at_its_distances():
+    table = summary_of("test")
+    assert (table["verdict"] == "fails").all()
+    assert table["because"].to_dict() == {
+        "A": "legibility, pixel size, resolution, homogeneity",
+        "B": "homogeneity",  # f = 2.5 at 5 m
+        "C": "legibility, pixel size, resolution",  # f = 2.6, but exempt: d4 = 8 <= 18.3 mm
+    }
+    assert table["exempt"].to_dict() == {"A": 0, "B": 0, "C": 1}
+
+
+def test_dashes_of_line_pairs_fail_and_that_of_a_pixel_size_is_not_measured():
+    found = tender.verdicts(tender.published_criteria("test"), tender.published_results())
+    dashes = found[(found["system"] == "A") & found["value"].isna()]
+    verdicts = dict(zip(dashes["criterion"] + " " + dashes["view"], dashes["verdict"], strict=True))
+    assert verdicts == {
+        "pixel size forward": "not measured",
+        "resolution backward": "not met",
+        "resolution forward": "not met",
+    }
+
+
+def test_a_density_without_a_printed_distance_is_asked_where_one_says():
+    criteria = tender.published_criteria("scenario 1", cloud_distance_m=10)
+    found = tender.qualification(tender.verdicts(criteria, tender.published_results()))
+    assert found["because"].iloc[0] == "legibility, density"  # A has 2437 at 10 m
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (None, 19, "undecided"),  # at most 19 of a threshold of at least 10
+        (None, 9, "not met"),
+        (12, None, "met"),
+        (8, None, "undecided"),
+        (8, 12, "undecided"),
+        (10, 12, "met"),
+        (None, None, "not measured"),
+    ],
+)
+def test_bounds_decide_where_they_can(low, high, verdict):
+    criteria = pd.DataFrame([("c", "q", ">=", 10)], columns=tender.CRITERIA)
+    figure = {"system": "S", "quantity": "q", "value": None, "low": low, "high": high}
+    assert tender.verdicts(criteria, pd.DataFrame([figure]))["verdict"].item() == verdict
+
+
+@pytest.mark.parametrize(
+    ("d4", "verdict"), [(18.2, "exempt"), (18.3, "not met"), (None, "not met")]
+)
+def test_f_does_not_matter_where_points_are_dense_enough(d4, verdict):
+    """Section 3.3: d1 and d4 at most sqrt(1 / 3000) = 18.26 mm."""
+    criteria = pd.DataFrame([("h", "f", "<", 2.0)], columns=tender.CRITERIA)
+    figures = [("S", "f", 2.5, 5), ("S", "d1_mm", 7.0, 5), ("S", "d4_mm", d4, 5)]
+    results = pd.DataFrame(figures, columns=["system", "quantity", "value", "distance_m"])
+    found = tender.verdicts(criteria.assign(rho0_per_m2=3000), results)
+    assert found["verdict"].item() == verdict
+    assert tender.verdicts(criteria, results)["verdict"].item() == "not met"
+    elsewhere = results.assign(distance_m=[5, 10, 10])
+    assert (
+        tender.verdicts(criteria.assign(rho0_per_m2=3000), elsewhere)["verdict"].item() == "not met"
+    )
 
 
 @pytest.mark.parametrize(
@@ -156,6 +236,8 @@ def test_the_second_published_scenario_has_two_winners():
         (CRITERIA, RESULTS.assign(distance_m="near"), "Invalid distance_m 'near'"),
         (CRITERIA, RESULTS.replace({"value": {"a": 1.0}}), "Must be of the kind"),
         (CRITERIA, RESULTS.assign(value=np.inf), "Must be finite"),
+        (CRITERIA, RESULTS.assign(low=3, high=2), "Invalid low 3"),
+        (CRITERIA.assign(rho0_per_m2=-1), RESULTS, "Invalid rho0_per_m2 -1"),
     ],
 )
 def test_rejects(criteria, results, sentence):

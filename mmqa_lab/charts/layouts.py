@@ -8,6 +8,7 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 from mmqa_lab.charts.elements import (
     BLACK,
     GREY,
+    WHITE,
     Bar,
     Cells,
     Layout,
@@ -116,17 +117,21 @@ def imaging_chart(
     return Layout(f"imaging chart, {horizontal_bar} bar", SIDE_MM, SIDE_MM, tuple(elements))
 
 
-def point_chart(*, seed=0, cells=100, square=200.0):
-    """Return the point-distribution chart: random cells, one black and one white square.
+def point_chart(
+    *, seed: int = 0, cells: int = 100, square: float = 200.0, border: float = 50.0
+) -> Layout:
+    """Return the point-distribution chart: random cells, a border, a black and a white square.
 
     Parameters
     ----------
     seed : int
         Of the random cells.
     cells : int
-        Cells along a side.
+        Cells along a side of 1 m.
     square : float
-        Side of the two plain squares at the lower edge, mm.
+        Side of the two plain squares in the lower corners of the pattern, mm.
+    border : float
+        Width of the white border, mm.
 
     Returns
     -------
@@ -135,26 +140,48 @@ def point_chart(*, seed=0, cells=100, square=200.0):
     Raises
     ------
     ValueError
-        If a count is below its least value, or the squares overlap.
+        If a count is below its least value, or border and squares leave no pattern between them.
+
+    Notes
+    -----
+    The paper prints 100 cells of 10 mm along a side of 1 m, a border, and one black and one white
+    square in the lower part. The widths of border and squares and their places are assumed.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
 
     Examples
     --------
     >>> chart = point_chart(seed=1)
     >>> chart["cells"].count, chart["black"].tone, chart["white"].tone
     (100, 0.0, 1.0)
+    >>> chart["black"].x, chart["black"].y, chart["white"].x + chart["white"].width
+    (50.0, 50.0, 950.0)
     """
     seed, cells = check_count(seed, "seed", low=0), check_count(cells, "cells")
     square = check_number(square, "square", low=1, high=SIDE_MM / 2, unit="mm")
+    border = check_number(border, "border", low=0, high=SIDE_MM / 2 - square, unit="mm")
+    right = SIDE_MM - border - square
+    edges = np.linspace(0, SIDE_MM, cells + 1)
+    rows = _overlapped(edges, border, border + square)
     bits = np.random.default_rng(seed).random((cells, cells)) < 0.5
-    covered = int(np.ceil(square / SIDE_MM * cells - 1e-9))
-    bits[:covered, :covered] = bits[:covered, cells - covered :] = True
-    packed = np.packbits(bits).tobytes().hex()
+    for low in (border, right):  # white below the squares, which are drawn over it
+        bits[np.ix_(rows, _overlapped(edges, low, low + square))] = True
+    for low in (0.0, SIDE_MM - border):
+        outer = _overlapped(edges, low, low + border)
+        bits[outer] = bits[:, outer] = True
     elements = (
-        Cells("cells", 0.0, 0.0, SIDE_MM, cells, packed),
-        Bar("black", 0.0, 0.0, square, square, BLACK),
-        Bar("white", SIDE_MM - square, 0.0, square, square, 1.0),
+        Cells("cells", 0.0, 0.0, SIDE_MM, cells, np.packbits(bits).tobytes().hex()),
+        Bar("black", border, border, square, square, BLACK),
+        Bar("white", right, border, square, square, WHITE),
     )
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
+
+
+def _overlapped(edges, low, high):
+    """Which cells between the edges reach into an interval."""
+    return (edges[1:] > low + 1e-9) & (edges[:-1] < high - 1e-9)
 
 
 def _ladder(widths, name):

@@ -26,7 +26,7 @@ CHECKPOINTS = 30
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
     parser.add_argument(
         "reference",
         metavar="REFERENCE",

@@ -3,7 +3,8 @@
 One row per cloud. The plane is the orthogonal regression plane of the points; density is given for
 the selection polygon and for the convex hull of the points; d1..d4 are the medians of the sorted
 distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021,
-doi 10.3390/rs13020237). Without --polygon the whole cloud is taken for the surface.
+doi 10.3390/rs13020237). With --rho0, f_exempt says that f does not matter, as d1 and d4 are both at
+most sqrt(1 / rho0). Without --polygon the whole cloud is taken for the surface.
 """
 
 import argparse
@@ -21,18 +22,24 @@ EPILOG = """\
 example:
   mmqa evaluate data_samples/road_patch.laz --out patch.pdf
   mmqa evaluate chart.laz --polygon "0,0,0; 1,0,0; 1,0,1; 0,0,1" --json
+  mmqa evaluate chart.laz --rho0 3000 --intervals
 """
 
 COLUMNS = (
     *("file", "n", "area_polygon_m2", "area_hull_m2"),
     *("density_polygon_per_m2", "density_hull_per_m2", "std_mm", "sigma_mad_mm"),
-    *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f", "incomplete_share", "coincident", "axes"),
+    *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f", "f_exempt"),
+    *("incomplete_share", "coincident", "axes"),
 )
+
+INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit")
 
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument(
+        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
+    )
     parser.add_argument(
         "--polygon",
         metavar="VERTICES",
@@ -59,6 +66,17 @@ def add_arguments(parser):
         metavar="M",
         help="farther neighbours do not count, default %(default)s m",
     )
+    parser.add_argument(
+        "--rho0",
+        type=float,
+        metavar="DENSITY",
+        help="density that is asked for, points/m2: says where f does not matter",
+    )
+    parser.add_argument(
+        "--intervals",
+        action="store_true",
+        help="a row for each figure, and for g, with its 95 %% interval",
+    )
     parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
     parser.add_argument(
         "--out",
@@ -83,15 +101,17 @@ def run(options):
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
     polygon = None if options.polygon is None else read_polygon(options.polygon)
     scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
+    choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
     rows = []
     for file in with_progress(options.cloud, "cloud"):
         cloud = read_cloud(file, columns=())
-        choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
-        quality = evaluate_cloud(cloud, polygon=polygon, scale=scale, **choices)
-        rows.append(quality.to_frame().assign(file=str(file)))
+        quality = evaluate_cloud(cloud, polygon=polygon, scale=scale, rho0=options.rho0, **choices)
+        table = quality.intervals() if options.intervals else quality.to_frame()
+        rows.append(table.assign(file=str(file)))
     if options.out is not None:
         _draw(quality, options.out)
-    print_rows(pd.concat(rows)[list(COLUMNS)], options)
+    names = INTERVAL_COLUMNS if options.intervals else COLUMNS
+    print_rows(pd.concat(rows)[list(names)], options)
 
 
 def _draw(quality, file):
@@ -100,24 +120,7 @@ def _draw(quality, file):
     from mmqa_lab.io import write_atomically
 
     plots.use_style()
-    figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
-    residuals_mm = 1000 * quality.plane.residuals
-    limits = (-3 * quality.sigma_mad_mm, 3 * quality.sigma_mad_mm)
-    plots.draw_points(quality.xy, ax=axes[0, 0])
-    plots.draw_points(
-        quality.xy,
-        ax=axes[0, 1],
-        values=residuals_mm,
-        label="distance from plane (mm)",
-        limits=limits,
-        cmap=plots.DIVERGING_MAP,
-    )
-    medians = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-    plots.draw_spacing_histogram(quality.distances_mm, ax=axes[1, 0], **medians)
-    plots.draw_residual_histogram(
-        residuals_mm, ax=axes[1, 1], std_mm=quality.std_mm, sigma_mad_mm=quality.sigma_mad_mm
-    )
-    write_atomically(file, figure.savefig)
+    write_atomically(file, quality.plot().savefig)
 
 
 def _axes(text):

@@ -119,7 +119,7 @@ def _segments(path, options):
 
     points = read_cloud(path, columns=()).points
     sizes = {"tolerance": options.tolerance, "size": options.size, "minimum": options.minimum}
-    edges = extract_edges(points, **sizes, seed=options.seed)
+    edges = extract_edges(points, **sizes)
     if not len(edges):
         raise ValueError(f"Invalid cloud {path}: no edges between planes. Must have some.")
     if options.out is not None:

@@ -20,6 +20,7 @@ SUMMARY = "density, spacing, f and sigma_MAD of a whole campaign, cell by cell"
 EPILOG = """\
 example:
   mmqa map drive/ --cell 0.5 --out drive.nc --below density=3000,f=2
+  mmqa map drive/ --rho0 3000 --out drive.nc
   mmqa map drive/ more.copc.laz --metrics density,void_share --out map.tif --crs EPSG:25832
   mmqa map drive/ --out drive.zarr --scheduler tcp://10.0.0.5:8786
 
@@ -65,6 +66,12 @@ def add_arguments(parser):
         metavar="NAME=VALUE,...",
         help="report the share of the area below these values, as density=1000,f=2",
     )
+    parser.add_argument(
+        "--rho0",
+        type=float,
+        metavar="DENSITY",
+        help="density that is asked for, points/m2: map where f does not matter",
+    )
     parser.add_argument("--crs", metavar="EPSG:N", help="of the files, where they do not say")
     parser.add_argument(
         "--tile", type=float, metavar="M", help="side of the tiles; changes no result"
@@ -79,6 +86,7 @@ def run(options):
     import sys
 
     from mmqa_lab import maps
+    from mmqa_lab._checks import check_choice, check_positive
     from mmqa_lab.maps import VARIABLES
     from mmqa_lab.maps.files import known_crs
     from mmqa_lab.maps.outputs import check_crs, check_ending, check_place
@@ -87,6 +95,9 @@ def run(options):
     check_ending(options.out)
     wanted = [name for metric in options.metrics for name in VARIABLES.get(metric, ())]
     check_thresholds(options.below, wanted)
+    if options.rho0 is not None:
+        check_positive(options.rho0, "rho0", unit="points per m2")
+        check_choice("spacing", "metric for --rho0", options.metrics)
     if options.crs:
         check_crs(options.crs)
     elif options.out.suffix == ".tif":
@@ -95,7 +106,7 @@ def run(options):
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
     outcome = maps.map_campaign(options.cloud, folder, progress=sys.stderr.isatty(), **choices)
-    dataset = maps.open_map(folder, crs=options.crs)
+    dataset = maps.open_map(folder, crs=options.crs, rho0=options.rho0)
     if dataset.nbytes < IN_MEMORY:
         dataset = dataset.persist()
     table = maps.summarise(dataset, below=options.below)

@@ -3,8 +3,10 @@
 Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as recorded,
 or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: the
 axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m, tilt_deg,
-score, method. A reference is a CSV file with x_m, y_m and, where known, class, height_m,
-diameter_m; detections and references are matched one to one within --gate.
+score, method; of itc also is_tree. A reference is a CSV file with x_m, y_m and, where known, class,
+height_m (below 1 m: no target), diameter_m, visible and ignore (no target where False and True);
+detections and references are matched one to one within --gate. Where there is a trajectory, points,
+detections and references beyond the corridor do not count.
 """
 
 from pathlib import Path
@@ -31,11 +33,14 @@ COLUMNS = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "scor
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
+    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
     parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
     parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
     parser.add_argument(
-        "--corridor", type=float, metavar="M", help="half width about the trajectory, default 30 m"
+        "--corridor",
+        type=float,
+        metavar="M",
+        help="half width about the trajectory, default 15 m for itc and 30 m for the others",
     )
     parser.add_argument("--reference", type=Path, metavar="FILE", help="CSV of known poles")
     parser.add_argument(
@@ -61,18 +66,21 @@ def run(options):
         table = read_trajectory(options.trajectory)
         path = table[["easting_m", "northing_m"]].to_numpy()
     reference = None if options.reference is None else _read_reference(options.reference)
-    choices = {"method": options.method, "trajectory": path, "corridor": options.corridor}
+    corridor = options.corridor
+    if path is not None and corridor is None:
+        corridor = poles.CORRIDORS_M[options.method]
+    scope = {"trajectory": path, "corridor": corridor}
     for file in with_progress([options.cloud], "cloud"):
-        found = poles.detect(read_cloud(file), explain=options.explain, **choices)
-    columns = [*COLUMNS, "rejected_by"] if options.explain else COLUMNS
-    shown = found[columns]
+        found = poles.detect(
+            read_cloud(file), method=options.method, explain=options.explain, **scope
+        )
+    shown = found[[*COLUMNS, *found.columns.intersection(["is_tree", "rejected_by"])]]
     if options.out is not None:
         _write_geojson(options.out, shown)
     if reference is None:
         print_rows(shown, options)
         return
     accepted = found[found["rejected_by"] == ""] if options.explain else found
-    scope = {"corridor": options.corridor, "trajectory": path} if options.corridor else {}
     scores = poles.score(accepted, reference, gate=gate, **scope)
     if not options.json:
         print_rows(shown, options)
@@ -106,25 +114,17 @@ def _read_reference(path):
 
 
 def _write_geojson(path, table):
-    """Write the poles as GeoJSON points in the coordinates of the cloud."""
+    """Write the poles as GeoJSON points in the coordinates of the cloud; null: not measurable."""
     import json
-
-    import numpy as np
 
     from mmqa_lab.io import write_atomically
 
+    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
     features = []
-    for row in table.to_dict(orient="records"):
+    for row in rows:
         place = [round(float(row[name]), 4) for name in ("x_m", "y_m", "z_base_m")]
-        rest = {name: _plain(row[name], np) for name in table if name not in ("x_m", "y_m")}
+        rest = {name: value for name, value in row.items() if name not in ("x_m", "y_m")}
         geometry = {"type": "Point", "coordinates": place}
         features.append({"type": "Feature", "geometry": geometry, "properties": rest})
     text = json.dumps({"type": "FeatureCollection", "features": features}, indent=1)
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _plain(value, np):
-    """A value as JSON knows it: null where not measurable."""
-    if isinstance(value, float):
-        return float(value) if np.isfinite(value) else None
-    return value

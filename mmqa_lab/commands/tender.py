@@ -2,12 +2,16 @@
 
 CRITERIA has a row per criterion: criterion, quantity, relation (>=, >, <=, <), threshold, and
 optionally distance_m, view, direction; empty means all. RESULTS has a row per figure: system,
-quantity, value, and optionally sigma, distance_m, view, direction; an empty value is not measured.
-Both are CSV, or JSON lists of objects. Values are numbers or the marks a, b, c. A figure within
-1.96 sigma of its threshold is undecided. Exit status 1 when no system qualifies.
+quantity, value, and optionally sigma or low and high, distance_m, view, direction; an empty value
+is not measured. Both are CSV, or JSON lists of objects. Values are numbers or the marks a, b, c. A
+figure is undecided where its threshold lies within low and high, or within 1.96 sigma. With --rho0,
+f does not matter where d1_mm and d4_mm of the same place are small enough for that density. Exit
+status 1 when no system qualifies.
 
-CRITERIA may be pfeifer2021:1 or pfeifer2021:2, RESULTS pfeifer2021: the published scenarios and
-tables (doi 10.3390/rs13020237).
+CRITERIA may be pfeifer2021:test, pfeifer2021:1 or pfeifer2021:2, the test and the two scenarios of
+Pfeifer et al. 2021 (doi 10.3390/rs13020237). RESULTS may be pfeifer2021, their Tables 1 and 2;
+pfeifer2021:pixels judges text of 60 mm by its pixels; pfeifer2021:repeated adds the repeatability
+that they print.
 """
 
 import argparse
@@ -34,21 +38,34 @@ def add_arguments(parser):
         default=False,
         help="a row per figure instead of one per system",
     )
+    parser.add_argument(
+        "--rho0",
+        type=float,
+        metavar="POINTS",
+        help="density that is asked for, points per m2, from which the exemption of f follows",
+    )
     add_output_arguments(parser)
 
 
 def run(options):
     """Print the verdicts; return 1 when no system qualifies."""
     from mmqa_lab import tender
-    from mmqa_lab.published import pfeifer2021_images
 
-    scenarios = {f"pfeifer2021:{number}": number for number in pfeifer2021_images.SCENARIOS}
-    if options.criteria in scenarios:
-        criteria = pfeifer2021_images.tender_criteria(scenarios[options.criteria])
+    sets = {"pfeifer2021:test": "test"}
+    sets |= {f"pfeifer2021:{number}": f"scenario {number}" for number in (1, 2)}
+    if options.criteria in sets:
+        criteria = tender.published_criteria(sets[options.criteria])
     else:
         criteria = _read(options.criteria, "criteria")
-    if options.results == "pfeifer2021":
-        results = pfeifer2021_images.results()
+    if options.rho0 is not None:
+        criteria = criteria.assign(rho0_per_m2=options.rho0)
+    choices = {
+        "pfeifer2021": {},
+        "pfeifer2021:pixels": {"by_pixels": True},
+        "pfeifer2021:repeated": {"by_pixels": True, "repeatability": True},
+    }
+    if options.results in choices:
+        results = tender.published_results(**choices[options.results])
     else:
         results = _read(options.results, "results")
     table = tender.verdicts(criteria, results)

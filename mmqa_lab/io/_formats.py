@@ -29,12 +29,12 @@ def pcd_tables(path):
     with damage_named(path, "a PCD file with x, y, z, ascii or binary"), open(path, "rb") as file:
         header = _pcd_header(file)
         fields = _pcd_fields(header)
-        count = int(header["POINTS"][0])
+        count, size = int(header["POINTS"][0]), path.stat().st_size
         kind = header["DATA"][0].lower()
         if kind == "ascii":
             rows = np.loadtxt(file, dtype=fields, ndmin=1, max_rows=count)
         elif kind == "binary":
-            rows = np.frombuffer(file.read(count * fields.itemsize), fields)
+            rows = np.frombuffer(file.read(min(count * fields.itemsize, size)), fields)
         else:
             raise ValueError(f"data are {kind}")
         if len(rows) != count:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,8 @@ def read_segments(path: str | os.PathLike) -> Segments:
     ----------
     path : path
         A segment in a line: six numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas,
-        semicolons or white space. A header is optional; ``#`` begins a comment; further columns
-        are ignored.
+        semicolons or white space. A header is optional; one with the names x1, y1, z1, x2, y2, z2
+        may have them in any order among others. ``#`` begins a comment.
 
     Returns
     -------
@@ -58,17 +59,17 @@ def read_segments(path: str | os.PathLike) -> Segments:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"Invalid segments {path}: no text. Must be lines of numbers.") from error
-    rows, numbers, header = [], [], False
+    rows, numbers, places = [], [], None
     for number, line in enumerate(lines, start=1):
-        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
+        words = _words(line)
+        if not any(words):
             continue
-        if not rows and not header and _is_header(words):
-            header = True
+        if not rows and places is None and _is_header(words):
+            places = _places(path, words)
             continue
-        rows.append(_row(path, number, words))
+        rows.append(_row(path, number, words, places or range(6)))
         numbers.append(number)
-    if not rows and not header:
+    if not rows and places is None:
         raise ValueError(f"Invalid segments {path}: empty. Must have a header or lines of numbers.")
     ends = np.array(rows, dtype=np.float64).reshape(-1, 2, 3)
     short = np.flatnonzero((ends[:, 0] == ends[:, 1]).all(axis=1))
@@ -108,14 +109,32 @@ def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> N
     write_atomically(path, lambda temporary: frame.to_csv(temporary, index=False))
 
 
+def _words(line):
+    """The words of a line without its comment; empty ones between two commas."""
+    return re.split(r"\s*[,;]\s*|\s+", line.split("#")[0].strip())
+
+
+def _places(path, names):
+    """The places of x1 to z2 among a header's names."""
+    plain = [name.lower().strip('"') for name in names]
+    if all(column in plain for column in COLUMNS):
+        return [plain.index(column) for column in COLUMNS]
+    if len(names) > len(COLUMNS):
+        raise ValueError(
+            f"Invalid segments {path} with columns {', '.join(names)}. "
+            f"Must have {', '.join(COLUMNS)}."
+        )
+    return range(6)
+
+
 def _is_header(words):
     """Whether no word of the first line is a number."""
     return not any(_number(word) is not None for word in words)
 
 
-def _row(path, number, words):
-    """The first six words as finite numbers, or the sentence that names the line."""
-    values = [_number(word) for word in words[:6]]
+def _row(path, number, words, places):
+    """The six words as finite numbers, or the sentence that names the line."""
+    values = [_number(words[place]) for place in places if place < len(words)]
     if len(values) < 6 or any(value is None or not np.isfinite(value) for value in values):
         raise ValueError(
             f"Invalid segments {path}: {' '.join(words)[:60]!r} in line {number}. "

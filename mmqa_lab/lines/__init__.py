@@ -7,11 +7,10 @@ from mmqa_lab.lines.compensation import DisplacedMatch, match_displaced
 from mmqa_lab.lines.correspondence import MATCHERS, correspond
 from mmqa_lab.lines.displacement import Displacement, DriftPrior, fit_displacement
 from mmqa_lab.lines.distance import Components, components, distance_matrix
+from mmqa_lab.lines.edges import Edges, extract_edges, intersect_patches
 from mmqa_lab.lines.geometry import Segments, check_segments
-from mmqa_lab.lines.hausdorff import LHD, Directed, lhd, olhd
-from mmqa_lab.lines.intersections import Edges, extract_edges, intersect_patches
+from mmqa_lab.lines.hausdorff import LHD, Directed, hausdorff, lhd, olhd
 from mmqa_lab.lines.outlines import Outline, fit_outline
-from mmqa_lab.lines.patches import Patch, detect_planes
 from mmqa_lab.lines.scores import PairingScores, pairing_scores, scores_from_counts
 from mmqa_lab.lines.thresholds import (
     Threshold,
@@ -33,18 +32,17 @@ __all__ = [
     "Edges",
     "Outline",
     "PairingScores",
-    "Patch",
     "Segments",
     "Threshold",
     "check_segments",
     "components",
     "correspond",
-    "detect_planes",
     "distance_matrix",
     "extract_edges",
     "fit_displacement",
     "fit_outline",
     "fixed_threshold",
+    "hausdorff",
     "intersect_patches",
     "lhd",
     "mad_threshold",

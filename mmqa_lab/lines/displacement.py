@@ -118,7 +118,7 @@ def fit_displacement(test, model, pairs):
 
     Examples
     --------
-    >>> from mmqa_lab.lines import Segments
+    >>> from mmqa_lab.lines.geometry import Segments
     >>> ends = [[[0, 0, 0], [0, 0, 9]], [[0, 0, 9], [8, 0, 9]], [[8, 0, 0], [8, 5, 0]]]
     >>> shift = fit_displacement(Segments(ends).moved([0.3, 0, 0.1]), ends, np.eye(3, dtype=bool))
     >>> shift.vector.round(2).tolist()

@@ -1,16 +1,21 @@
 """The line-segment Hausdorff distance of two segment sets and what it is made of."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
+import pandas as pd
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.lines.compensation import match_displaced
 from mmqa_lab.lines.correspondence import MATCHERS, correspond
 from mmqa_lab.lines.displacement import Displacement, fit_displacement
-from mmqa_lab.lines.distance import components
-from mmqa_lab.lines.geometry import check_segments
+from mmqa_lab.lines.distance import components, distance_matrix
+from mmqa_lab.lines.geometry import Segments, check_segments
 from mmqa_lab.lines.thresholds import Threshold, peak_threshold
 
 NORMS = ("pairs", "matched", "all")
@@ -41,6 +46,8 @@ class Directed:
         Source segment of each pair.
     coverage : float
         Share of the source set's length that is paired.
+    total : float
+        What the weighted sum of :meth:`olhd` is divided by, m.
 
     Examples
     --------
@@ -60,6 +67,7 @@ class Directed:
     length: np.ndarray
     source: np.ndarray
     coverage: float
+    total: float
 
     @property
     def n(self):
@@ -67,7 +75,7 @@ class Directed:
         return len(self.length)
 
     def olhd(self, weight):
-        """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (eq. 7)."""
+        """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (equation 7)."""
         squares = weight * self.angle**2 + self.parallel**2 + self.perpendicular**2
         return self._mean(np.sqrt(squares))
 
@@ -89,10 +97,10 @@ class Directed:
         sums = np.bincount(cluster, self.length * np.sqrt(squares))
         lengths = np.bincount(cluster, self.length)
         draws = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=repeats)
-        return (draws @ sums) / (draws @ lengths)
+        return (draws @ sums) / (draws @ lengths) * (lengths.sum() / self.total)
 
     def _mean(self, values):
-        return float(self.length @ values / self.length.sum()) if self.n else np.nan
+        return float(self.length @ values / self.total) if self.n else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +115,8 @@ class LHD:
         The matcher that made the pairs.
     test_model, model_test : Directed
         Both directions.
-    displacement : Displacement
-        Of the test set from the model set, from the pairs of ``test_model``.
+    test, model : Segments
+        The sets.
     asked : str
         The matcher that was asked for; differs when the displaced matcher gave way.
 
@@ -132,12 +140,18 @@ class LHD:
     matcher: str
     test_model: Directed
     model_test: Directed
-    displacement: Displacement
+    test: Segments
+    model: Segments
     asked: str
+
+    @cached_property
+    def displacement(self) -> Displacement:
+        """Displacement of the test set from the model set, from the pairs of ``test_model``."""
+        return fit_displacement(self.test, self.model, self.test_model.pairs)
 
     @property
     def value(self):
-        """The larger of both directed distances, m (equation 8); NaN without pairs."""
+        """The larger of both directed distances, m (equation 2); NaN without pairs."""
         return self.at_weight(self.weight)
 
     def at_weight(self, weight):
@@ -164,6 +178,65 @@ class LHD:
         values = np.max([d.resampled(self.weight, repeats, rng) for d in directions], axis=0)
         low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
+
+    def kinds(self):
+        """Return how many segments have which correspondence (section 2.3): Series of int.
+
+        ``one-to-null``: without a partner, in either set. ``one-to-one``; ``one-to-multiple``: a
+        test segment with several partners of its own; ``multiple-to-one``: a model segment with
+        several; ``multiple-to-multiple``: what remains, as groups that hang together.
+        """
+        pairs = self.test_model.pairs
+        p, q = pairs.shape
+        rows, columns = np.nonzero(pairs)
+        graph = coo_array((np.ones(len(rows)), (rows, p + columns)), shape=(p + q, p + q))
+        _, group = connected_components(graph, directed=False)
+        tests, models = np.bincount(group[:p]), np.bincount(group[p:])
+        size = max(len(tests), len(models))
+        tests, models = (np.pad(n, (0, size - len(n))) for n in (tests, models))
+        counts = {
+            "one-to-null": (tests + models == 1).sum(),
+            "one-to-one": ((tests == 1) & (models == 1)).sum(),
+            "one-to-multiple": ((tests == 1) & (models > 1)).sum(),
+            "multiple-to-one": ((tests > 1) & (models == 1)).sum(),
+            "multiple-to-multiple": ((tests > 1) & (models > 1)).sum(),
+        }
+        return pd.Series(counts, name="groups")
+
+    def to_frame(self):
+        """Return one row per direction: segments, pairs, threshold, distances, coverage."""
+        rows = []
+        for name, part in (("test to model", self.test_model), ("model to test", self.model_test)):
+            rows.append(
+                {
+                    "direction": name,
+                    "pairs": part.n,
+                    "threshold_m": part.threshold.delta,
+                    "olhd_m": part.olhd(self.weight),
+                    "olhd_w0_m": part.olhd(0),
+                    "perpendicular_m": part.perpendicular_only,
+                    "coverage": part.coverage,
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def _repr_html_(self):
+        return self.to_frame()._repr_html_()
+
+    def plot(self, *, ax=None):
+        """Draw both sets from above and a line between the midpoints of each pair."""
+        from matplotlib import pyplot as plt
+
+        ax = ax or plt.gca()
+        for ends in self.model.ends:
+            ax.plot(ends[:, 0], ends[:, 1], color="0.75", lw=3, solid_capstyle="round")
+        for ends in self.test.ends:
+            ax.plot(ends[:, 0], ends[:, 1], color="black", lw=1)
+        for row, column in np.argwhere(self.test_model.pairs):
+            link = self.test.midpoints[row], self.model.midpoints[column]
+            ax.plot(*np.array(link)[:, :2].T, color="tab:red", lw=0.7)
+        ax.set(xlabel="easting (m)", ylabel="northing (m)", aspect="equal")
+        return ax
 
     def to_dict(self):
         """Return what ``mmqa lhd --json`` prints; NaN becomes None."""
@@ -193,7 +266,62 @@ class LHD:
         return {key: _none_for_nan(value) for key, value in values.items()}
 
 
-def lhd(test, model, *, weight=10.0, sensitivity=0.5, matcher="all", rotate="test", radius=4.0):
+def hausdorff(
+    test: Segments,
+    model: Segments,
+    *,
+    weight: float = 10.0,
+    rotate: str = "test",
+    within: str = "containment",
+) -> float:
+    """Plain Hausdorff distance of two segment sets: the largest of all nearest distances.
+
+    Parameters
+    ----------
+    test, model : Segments or array_like
+        p and q segments, m.
+    weight, rotate, within
+        As in :func:`mmqa_lab.lines.distance_matrix`.
+
+    Returns
+    -------
+    float
+        The larger of both directions, m; NaN when a set is empty.
+
+    Notes
+    -----
+    A single segment without a counterpart decides it: hence the mean over pairs of :func:`lhd`.
+
+    References
+    ----------
+    Poreba & Goulette 2013 (hal-00846334), equations 1 and 2.
+
+    Examples
+    --------
+    >>> model = [[[0, 0, 0], [9, 0, 0]], [[0, 5, 0], [9, 5, 0]]]
+    >>> hausdorff([[[0, 0.5, 0], [9, 0.5, 0]]], model)
+    4.5
+    """
+    choices = {"weight": weight, "rotate": rotate, "within": within}
+    there, back = distance_matrix(test, model, **choices), distance_matrix(model, test, **choices)
+    if not there.size:
+        return np.nan
+    return float(max(there.min(axis=1).max(), back.min(axis=1).max()))
+
+
+def lhd(
+    test: Segments,
+    model: Segments,
+    *,
+    weight: float = 10.0,
+    sensitivity: float = 0.5,
+    matcher: str = "all",
+    rotate: str = "test",
+    within: str = "containment",
+    norm: str = "pairs",
+    threshold: Callable | None = None,
+    radius: float = 4.0,
+) -> LHD:
     """Line-segment Hausdorff distance between a test and a model set.
 
     Each direction takes the distances of all pairs, finds the threshold where the sorted nearest
@@ -211,8 +339,13 @@ def lhd(test, model, *, weight=10.0, sensitivity=0.5, matcher="all", rotate="tes
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments", "displaced"}
         ``all`` is the published method. ``displaced`` estimates the displacement first
         (:func:`match_displaced`); where it finds too little it gives way to ``fragments``.
-    rotate : {"test", "shorter"}
+    rotate, within
         As in :func:`components`.
+    norm : {"pairs", "matched", "all"}
+        As in :func:`olhd`.
+    threshold : callable, optional
+        Takes the nearest distances of one direction and returns a :class:`Threshold`, or its
+        delta; by default :func:`peak_threshold` with ``sensitivity``.
     radius : float
         Largest displacement that ``displaced`` seeks, m.
 
@@ -240,11 +373,11 @@ def lhd(test, model, *, weight=10.0, sensitivity=0.5, matcher="all", rotate="tes
 
     References
     ----------
-    Poreba & Goulette 2013 (hal-00846334), section 2 and equations 3-8.
+    Poreba & Goulette 2013 (hal-00846334), section 2 and equations 2 to 7.
 
     Examples
     --------
-    >>> from mmqa_lab.lines import Segments
+    >>> from mmqa_lab.lines.geometry import Segments
     >>> both = [[[0, 0, 0], [9, 0, 0]], [[0, 0, 0], [0, 0, 6]], [[9, 0, 0], [9, 0, 7]],
     ...         [[9, 0, 7], [9, 8, 7]], [[0, 0, 6], [0, 8, 6]]]
     >>> model = Segments([*both, [[0, 20, 0], [0, 20, 6]]])
@@ -256,12 +389,13 @@ def lhd(test, model, *, weight=10.0, sensitivity=0.5, matcher="all", rotate="tes
     weight = check_number(weight, "weight", low=0)
     sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
     check_choice(matcher, "matcher", (*MATCHERS, "displaced"))
+    check_choice(norm, "norm", NORMS)
+    threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
-    forward = components(test, model, rotate=rotate)
-    backward = components(model, test, rotate=rotate)
+    forward = components(test, model, rotate=rotate, within=within)
+    backward = components(model, test, rotate=rotate, within=within)
     thresholds = [
-        peak_threshold(_nearest(parts.distance(weight)), sensitivity=sensitivity)
-        for parts in (forward, backward)
+        _as_threshold(threshold, _nearest(parts.distance(weight))) for parts in (forward, backward)
     ]
     _refuse_apart(thresholds[0], test, model)
     used, pairs = _pairs(
@@ -273,9 +407,12 @@ def lhd(test, model, *, weight=10.0, sensitivity=0.5, matcher="all", rotate="tes
         weight=weight,
         sensitivity=sensitivity,
         matcher=used,
-        test_model=_directed(thresholds[0], pairs[0], forward, test, model),
-        model_test=_directed(thresholds[1], pairs[1].T, backward, model, test, turned=True),
-        displacement=fit_displacement(test, model, pairs[0]),
+        test_model=_directed(thresholds[0], pairs[0], forward, test, model, norm=norm),
+        model_test=_directed(
+            thresholds[1], pairs[1].T, backward, model, test, norm=norm, turned=True
+        ),
+        test=test,
+        model=model,
         asked=matcher,
     )
     _warn(result, test, model)
@@ -346,12 +483,25 @@ def _pairs(matcher, sets, parts, thresholds, *, weight, radius):
     return matcher, both
 
 
-def _directed(threshold, pairs, parts, source, target, *, turned=False):
+def _as_threshold(threshold, nearest):
+    """What a threshold function returns, a bare number made one."""
+    found = threshold(nearest)
+    return (
+        found if isinstance(found, Threshold) else Threshold(float(found), False, np.sort(nearest))
+    )
+
+
+def _directed(threshold, pairs, parts, source, target, *, norm, turned=False):
     """One direction; ``pairs`` are (test, model), turned where the model is the source."""
     rows, columns = np.nonzero(pairs)
     here = (columns, rows) if turned else (rows, columns)
     matched = np.isin(np.arange(len(source)), here[0])
-    total = source.lengths.sum()
+    whole = source.lengths.sum()
+    totals = {
+        "pairs": target.lengths[here[1]].sum(),
+        "matched": target.lengths[np.unique(here[1])].sum(),
+        "all": target.lengths.sum(),
+    }
     return Directed(
         threshold=threshold,
         pairs=pairs,
@@ -360,7 +510,8 @@ def _directed(threshold, pairs, parts, source, target, *, turned=False):
         perpendicular=parts.perpendicular[here],
         length=target.lengths[here[1]],
         source=here[0],
-        coverage=float(source.lengths[matched].sum() / total) if total else np.nan,
+        coverage=float(source.lengths[matched].sum() / whole) if whole else np.nan,
+        total=float(totals[norm]),
     )
 
 

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.lines import Segments
+from mmqa_lab.lines.geometry import Segments
 from mmqa_lab.planes import Plane, fit_plane
 
 

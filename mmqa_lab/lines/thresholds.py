@@ -6,7 +6,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_positive
 
-PLACES = ("below", "index", "middle")
+PLACES = ("below", "index", "middle", "value")
 MAD_FACTOR = 3 * 1.482602218505602
 """Median + 3 sigma_MAD."""
 
@@ -39,7 +39,7 @@ class Threshold:
     peak: int | None = None
 
 
-def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
+def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below", sort_again=False):
     """Threshold at the first peak of the differences of the sorted nearest distances.
 
     The distances are sorted, differenced ``order`` times, and searched for the first maximum
@@ -56,9 +56,12 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
         simulated canyon, 0.1 m or 2 m do not. It decides more than W does.
     order : {2, 1}
         Second differences as in the paper, or first.
-    at : {"below", "index", "middle"}
-        The distance before the jump, the first that the difference spans, or the middle of the
-        jump.
+    at : {"below", "index", "middle", "value"}
+        The distance before the jump, the first that the difference spans, the middle of the jump,
+        or the value of the difference itself, which is what the paper says to the letter.
+    sort_again : bool
+        Sort the first differences before they are differenced again, another reading of "the new
+        list".
 
     Returns
     -------
@@ -83,7 +86,8 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
     sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
     check_choice(order, "order", (1, 2))
     check_choice(at, "at", PLACES)
-    peak = _first_peak(np.diff(nearest, order), sensitivity)
+    curve = np.diff(np.sort(np.diff(nearest))) if sort_again else np.diff(nearest, order)
+    peak = _first_peak(curve, sensitivity)
     if peak is None:
         return _without_jump(nearest)
     jump = peak + order - 1
@@ -91,6 +95,7 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below"):
         "below": nearest[jump],
         "index": nearest[peak],
         "middle": (nearest[jump] + nearest[jump + 1]) / 2,
+        "value": curve[peak],
     }
     return Threshold(float(values[at]), False, nearest, peak)
 

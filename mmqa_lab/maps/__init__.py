@@ -8,7 +8,7 @@ point distance, share of voids. The order of work is that of the modules:
    *upright*, or *other* where the points show no plane. Level cubes on top of each other that show
    one surface become one patch.
 3. ``unfolding``: patches are laid out side by side, each in its own plane, and searched at once by
-   :func:`mmqa_lab.spacing.quadrants.quadrant_distances`.
+   :func:`mmqa_lab.spacing.quadrant_distances`.
 4. ``tile``: per cell and layer, counts and medians.
 
 Nothing here depends on what lies beyond the search radius, nor on the tile: the same points give

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps.files import read_array
 from mmqa_lab.maps.run import tile_name
@@ -34,7 +34,7 @@ MEANINGS = {
 }
 
 
-def open_map(folder, *, crs=None):
+def open_map(folder, *, crs=None, rho0=None):
     """Open the tiles of a run as one lazy Dataset.
 
     Parameters
@@ -43,6 +43,9 @@ def open_map(folder, *, crs=None):
         The run folder.
     crs : str, optional
         Coordinate reference system, where the files do not say: ``EPSG:25832`` or the like.
+    rho0 : float, optional
+        Density that is asked for, points per m2. The map then has ``exempt``: 1 where f does not
+        matter (:func:`mmqa_lab.spacing.exempt`), 0 where it does, NaN where d4 is not measurable.
 
     Returns
     -------
@@ -55,7 +58,8 @@ def open_map(folder, *, crs=None):
     FileNotFoundError
         If the folder holds no run.
     ValueError
-        If the coordinate reference system is unknown.
+        If the coordinate reference system is unknown, or ``rho0`` is not above zero or given for a
+        map without spacing.
 
     Examples
     --------
@@ -96,7 +100,24 @@ def open_map(folder, *, crs=None):
     about = {f"{name}_m" if name != "surface" else name: record[name] for name in kept}
     about["axes"] = "quadrants: east and north; on upright planes horizontal and steepest line"
     dataset = xr.Dataset(variables, coords=axes, attrs=about)
+    if rho0 is not None:
+        dataset = _with_exemption(dataset, check_positive(rho0, "rho0", unit="points per m2"))
     return _referenced(dataset, crs or record["crs"])
+
+
+def _with_exemption(dataset, rho0):
+    """The map and where f does not matter, since d1 and d4 are small enough."""
+    import xarray as xr
+
+    from mmqa_lab.spacing import exempt
+
+    if "d1" not in dataset:
+        raise ValueError(f"Invalid rho0 {rho0:g}: no spacing in the map. Must have d1 and d4.")
+    lazily = {"dask": "parallelized", "output_dtypes": [bool], "kwargs": {"rho0": rho0}}
+    found = xr.apply_ufunc(exempt, dataset["d1"] / 1000, dataset["d4"] / 1000, **lazily)
+    about = {"units": "1", "long_name": "1 where f does not matter: d1, d4 <= sqrt(1 / rho0)"}
+    found = found.where(dataset["d4"].notnull()).assign_attrs(about)
+    return dataset.assign(exempt=found).assign_attrs(rho0_per_m2=rho0)
 
 
 def write_map(dataset, path):

@@ -23,12 +23,13 @@ def summarise(dataset, *, below=None):
     DataFrame
         A row per layer and variable: ``layer``, ``variable``, ``unit``, ``n`` (cells that have the
         figure), ``area_m2`` (of the surface in them), area-weighted quantiles ``q05`` .. ``q95``,
-        ``threshold`` and ``share_below`` (of the area; NaN without a threshold).
+        ``threshold`` and ``share_below`` (of the area; NaN without a threshold). Where the map
+        says where f is exempt, the rows of f have ``exempt_share`` of their area, too.
 
     Raises
     ------
     ValueError
-        If a threshold is for a variable that the map does not hold.
+        If a threshold is for a variable that the map does not have.
 
     Examples
     --------
@@ -40,7 +41,7 @@ def summarise(dataset, *, below=None):
     [[1.5, 0.75]]
     """
     below = {} if below is None else below
-    names = [name for name in dataset.data_vars if name not in ("n", "area")]
+    names = [name for name in dataset.data_vars if name not in ("n", "area", "exempt")]
     check_thresholds(below, names)
     layers = dataset["layer"].values
     area = dataset["area"].transpose("layer", ...).values
@@ -51,6 +52,12 @@ def summarise(dataset, *, below=None):
             known = np.isfinite(figures[k]) & (area[k] > 0)
             found = _figures(figures[k][known], area[k][known], below.get(name, np.nan))
             about = {"layer": str(layer), "variable": name, "unit": dataset[name].attrs["units"]}
+            if name == "f" and "exempt" in dataset:
+                free = dataset["exempt"].transpose("layer", ...).values[k][known]
+                share = (
+                    (free * area[k][known]).sum() / area[k][known].sum() if len(free) else np.nan
+                )
+                found["exempt_share"] = float(share)
             rows[k, name] = about | found
     table = pd.DataFrame([rows[k, name] for k in range(len(layers)) for name in names])
     return table[table["n"] > 0].reset_index(drop=True)

@@ -142,7 +142,7 @@ def evaluate_tile(
     ``thickness`` of the border. The quadrants' axes are east and
     north, on upright planes the horizontal and the line of greatest slope; f depends on them.
     d1..d4 are medians over the cell's points that have a neighbour of that rank, as in
-    :func:`mmqa_lab.spacing.quadrants.spacing`. sigma_MAD is about the cubes' planes (on horizontal
+    :func:`mmqa_lab.spacing.quadrants`. sigma_MAD is about the cubes' planes (on horizontal
     maps, about the plane of the cell's points).
 
     References
@@ -178,7 +178,7 @@ def _fill(result, points, window, cell, surface, lengths):
     from mmqa_lab.maps.cubes import join, moved, ranges_around, sort_into_cubes
     from mmqa_lab.maps.tangents import OTHER, fuller_parts, one_surface, tangent_planes
     from mmqa_lab.maps.unfolding import distances_in_planes
-    from mmqa_lab.spacing.quadrants import quadrant_distances
+    from mmqa_lab.spacing import quadrant_distances
 
     radius, thickness, void = lengths
     local = surface == "local"

@@ -13,7 +13,7 @@ patches with a point that needs more get a wider one in the next, up to the radi
 import numpy as np
 
 from mmqa_lab.maps._grouped import flatten, outline_patches
-from mmqa_lab.spacing.quadrants import quadrant_distances
+from mmqa_lab.spacing import quadrant_distances
 
 MARGINS = (4.0, 8.0, np.inf)
 """Of the rounds, in mean spacings. Of random points, one quadrant in 300 000 is empty out to the

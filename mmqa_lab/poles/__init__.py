@@ -1,4 +1,4 @@
-"""Poles: two published detectors, a better one, and their scores against a reference.
+"""Poles: two published detectors, a learned one, and their scores against a reference.
 
     from mmqa_lab import poles
 
@@ -7,37 +7,43 @@
     result.recall, result.precision, result.by_class()
 
 Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et al. 2011) and
-``ours``. Their thresholds are the fields of ``settings_of(method)``.
+``ours`` (learned). Their thresholds are the fields of ``settings_of(method)``.
 """
 
 import warnings
 from importlib import import_module
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_plan, check_positive
-from mmqa_lab.cloud import as_cloud
+from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.poles.scores import Score, curve, match, path_distance, score
 
 METHODS = ("ours", "fgi", "itc")
 
-__all__ = ["METHODS", "curve", "detect", "match", "score", "settings_of"]
+CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
+"""Half width of the corridor where a trajectory comes without one: that of the report's tables."""
+
+__all__ = ["CORRIDORS_M", "METHODS", "Score", "curve", "detect", "match", "score", "settings_of"]
 
 
 def detect(
-    points,
+    points: Cloud | ArrayLike | pd.DataFrame,
     *,
-    method="ours",
-    trajectory=None,
-    corridor=None,
-    explain=False,
+    method: str = "ours",
+    trajectory: ArrayLike | None = None,
+    corridor: float | None = None,
+    explain: bool = False,
     model=None,
     **thresholds,
-):
+) -> pd.DataFrame:
     """Detect poles.
 
     Parameters
     ----------
-    points : Cloud or array_like, shape (n, 3)
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
         Metres, any origin. The scan-line method needs a cloud with ``scan_line`` and ``pulse`` or
         ``gps_time``, or with ``gps_time`` or ``scan_angle`` from which lines are recovered; without
         them it warns and the component method answers.
@@ -45,10 +51,10 @@ def detect(
     trajectory : array_like, shape (m, 2) or (m, 3), optional
         Points farther than ``corridor`` from it are left out.
     corridor : float, optional
-        Metres; 15 m for the component method and 30 m for the others where left out.
+        Metres; ``CORRIDORS_M`` of the method where left out.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
-    model : mmqa_lab.poles.trees.Trees, optional
+    model : lightgbm.Booster, optional
         Verifier of the learned method, one's own for instance; others have none.
     **thresholds
         Fields of the method's settings, see :func:`settings_of`.
@@ -58,7 +64,8 @@ def detect(
     DataFrame
         One row a pole, from south to north: ``x_m``, ``y_m`` (the axis at half the height),
         ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (NaN where not
-        measurable), ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m).
+        measurable), ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m); of
+        ``itc`` also ``is_tree``.
 
     Raises
     ------
@@ -68,8 +75,9 @@ def detect(
 
     Notes
     -----
-    The score is a probability for ``ours``; for the others it is the share of points that the inner
-    cylinder holds and the share of slices that are pole-like, which order detections and no more.
+    The score of ``ours`` is the probability that its trees give on streets like the training ones;
+    on others it is no probability. For the other methods it is the share of points in the inner
+    cylinder and the share of slices that are pole-like, which order detections and no more.
 
     Examples
     --------
@@ -85,6 +93,7 @@ def detect(
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
     cloud = as_cloud(points)
+    inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
     lines = None
     if method != "itc":
         from mmqa_lab.poles.profiles import scan_lines
@@ -100,7 +109,8 @@ def detect(
         method, thresholds = "itc", {}
     module = import_module(f"mmqa_lab.poles.{method}")
     settings = _settings(module, method, thresholds)
-    local, origin, lines = _clipped(cloud.points, lines, trajectory, corridor, settings)
+    local = cloud.points[inside] - origin
+    lines = None if lines is None else tuple(values[inside] for values in lines)
     if method == "fgi":
         found = module.detect(local, *lines, settings, explain=explain)
     elif method == "itc":
@@ -111,7 +121,7 @@ def detect(
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 
 
-def settings_of(method):
+def settings_of(method: str):
     """Return the default thresholds of a method; each is documented at the class returned.
 
     Parameters
@@ -137,90 +147,6 @@ def settings_of(method):
     return import_module(f"mmqa_lab.poles.{method}").Settings()
 
 
-def match(detections, references, **choices):
-    """Match detections and references one to one; see :func:`mmqa_lab.poles.scores.match`.
-
-    Parameters
-    ----------
-    detections, references : DataFrame
-        With ``x_m``, ``y_m``, metres.
-    **choices
-        Of that function: ``gate``, m.
-
-    Returns
-    -------
-    DataFrame
-        ``detection``, ``reference`` (row numbers), ``distance_m``.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> found = pd.DataFrame({"x_m": [0.125, 9.0], "y_m": 0.0})
-    >>> truth = pd.DataFrame({"x_m": [5.0, 0.0], "y_m": 0.0})
-    >>> match(found, truth).to_numpy().tolist()
-    [[0.0, 1.0, 0.125]]
-    """
-    from mmqa_lab.poles import scores
-
-    return scores.match(detections, references, **choices)
-
-
-def score(detections, references, **choices):
-    """Score detections against references; see :func:`mmqa_lab.poles.scores.score`.
-
-    Parameters
-    ----------
-    detections, references : DataFrame
-        With ``x_m``, ``y_m``, metres.
-    **choices
-        Of that function: ``gate``, ``corridor`` (m), ``trajectory``.
-
-    Returns
-    -------
-    Scores
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0})
-    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
-    >>> result = score(found, truth)
-    >>> result.recall.value, result.precision.value
-    (0.5, 0.5)
-    """
-    from mmqa_lab.poles import scores
-
-    return scores.score(detections, references, **choices)
-
-
-def curve(detections, references, **choices):
-    """Return the precision-recall curve; see :func:`mmqa_lab.poles.scores.curve`.
-
-    Parameters
-    ----------
-    detections, references : DataFrame
-        With ``score``, ``x_m``, ``y_m``; with ``x_m``, ``y_m``; metres.
-    **choices
-        Of that function: ``gate``, ``corridor`` (m), ``trajectory``.
-
-    Returns
-    -------
-    DataFrame
-        A row a threshold, from the highest score down.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0, "score": [0.9, 0.4]})
-    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
-    >>> curve(found, truth)[["recall", "precision"]].to_numpy().tolist()
-    [[0.5, 1.0], [0.5, 0.5]]
-    """
-    from mmqa_lab.poles import scores
-
-    return scores.curve(detections, references, **choices)
-
-
 def _settings(module, method, thresholds):
     """The settings of a method with some thresholds changed."""
     known = vars(module.Settings())
@@ -231,24 +157,21 @@ def _settings(module, method, thresholds):
     return module.Settings(**thresholds)
 
 
-def _clipped(points, lines, trajectory, corridor, settings):
-    """Points from an origin nearby, that origin, and lines, of what lies in the corridor."""
+def _within(cloud, trajectory, corridor, usual):
+    """Which points lie in the corridor, all without a trajectory, and an origin near them."""
+    points, inside = cloud.points, slice(None)
     if corridor is not None and trajectory is None:
         raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
     if trajectory is not None:
-        reach = getattr(settings, "corridor", 30.0) if corridor is None else corridor
-        path = check_plan(trajectory, name="trajectory")
-        inside = _near_path(points, path, check_positive(reach, "corridor", unit="m"))
+        reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
+        path = np.asarray(trajectory, dtype=np.float64)[:, :2]
+        inside = _near_path(points, check_points(path, name="trajectory", columns=2), reach)
         points = points[inside]
-        lines = None if lines is None else tuple(values[inside] for values in lines)
-    origin = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
-    return points - origin, origin, lines
+    return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
 
 
 def _near_path(points, path, reach):
     """Which points lie within reach of a path; far ones are told by cells of 1 m."""
-    from mmqa_lab.poles.scores import path_distance
-
     cells, cell = np.unique(np.floor(points[:, :2] - path[0]), axis=0, return_inverse=True)
     distance = path_distance(cells + path[0] + 0.5, path)
     inside = (distance <= reach - 0.71)[cell.ravel()]

@@ -13,10 +13,16 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from mmqa_lab.poles.axes import circle_diameter, shaft_diameter
-from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.common import (
+    base,
+    drop_duplicates,
+    first_reason,
+    joined,
+    near_axis,
+    pole_table,
+    rows,
+)
 from mmqa_lab.poles.profiles import pulse_numbers
-from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
-from mmqa_lab.poles.walls import joined
 
 BIN_M = 0.1
 """Resolution along the axis at which the mask counts points."""
@@ -26,9 +32,8 @@ BIN_M = 0.1
 class Settings:
     """Thresholds of the scan-line method.
 
-    The report states the shell of the mask (0.2-0.8 m), the mask's length (at most the least
-    length) and the least length (1 m). The other values are ours: the thresholds of the 2010 paper
-    were not at hand.
+    The report states the shell of the mask (0.2-0.8 m, as an example), the mask's length (at most
+    the least length) and the least length (1 m). The other values are ours: the report prints none.
 
     Parameters
     ----------
@@ -58,13 +63,14 @@ class Settings:
     mask_length, mask_step : float
         Of the moving mask, metres; the length is at most ``minimum_length``.
     maximum_radius : float
-        Of the inner cylinder, metres.
+        Of the inner cylinder, metres; the report has no such limit.
     shell : float
         Outer minus inner radius, metres (stated: 0.2 to 0.8).
     mask_share : float
-        Least share of the points in both cylinders that the inner one holds.
+        Least share of the points in both cylinders that lie in the inner one.
     circle_fit : bool
-        Diameters from circles fitted to slices, as the report says, instead of from chords.
+        Diameters from circles fitted to slices instead of from chords. The report does not say how
+        it measures diameters.
     """
 
     segment_distance: float = 0.10

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.columns import base, near_axis, rows
+from mmqa_lab.poles.common import base, near_axis, rows
 from mmqa_lab.poles.features import MAX_LEAN, fit_axis, longest_run
 
 WIDEST_M = 0.8

@@ -9,10 +9,24 @@ et al. 2011, ISPRS Journal 66, S28-S39, doi:10.1016/j.isprsjprs.2011.08.006). No
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
-from mmqa_lab.poles.table import drop_duplicates, first_reason, pole_table
-from mmqa_lab.poles.walls import RAISED, cells, joined, rough_classes, touching
+from mmqa_lab.poles.common import (
+    drop_duplicates,
+    first_reason,
+    height_above_ground,
+    joined,
+    pole_table,
+)
+
+GROUND, WALL, RAISED = 0, 1, 2
+"""Rough classes: ground, wall, and everything that is neither."""
+
+LEAST_VOTES = 8
+"""Points of a cell that are enough for a Hough transform."""
+
+DIRECTIONS = 200
+"""Normals of the planes that each point votes for."""
 
 TURNS = 18
 """Directions tried for the enclosing rectangle, 5 degrees apart."""
@@ -20,12 +34,10 @@ TURNS = 18
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Thresholds of the component method. All values are ours: the papers' were not at hand.
+    """Thresholds of the component method. All values are ours: the report prints none.
 
     Parameters
     ----------
-    corridor : float
-        Points farther from the trajectory are left out, metres (15 m in Table 4-2).
     plane_cell : float
         Cells in which seed planes are fitted and over which they grow, metres.
     plane_thickness : float
@@ -55,7 +67,6 @@ class Settings:
         A component wider than this above its pole-like part is a tree, metres.
     """
 
-    corridor: float = 15.0
     plane_cell: float = 0.4
     plane_thickness: float = 0.03
     plane_angle: float = 12.0
@@ -86,7 +97,8 @@ def detect(points, settings, *, explain=False):
     Returns
     -------
     DataFrame
-        See :func:`mmqa_lab.poles.detect`; with ``is_tree``: a wide crown above the stack.
+        See :func:`mmqa_lab.poles.detect`; the diameter is the longer side of the rectangle; with
+        ``is_tree``: a wide crown above the stack.
     """
     rough = rough_classes(points, settings)
     component = components(points, rough == RAISED, settings.link_distance)
@@ -115,8 +127,8 @@ def components(points, chosen, link_distance):
 
 @njit(cache=True)
 def _rectangle(xy):
-    """Centre and diagonal of the smallest enclosing rectangle among ``TURNS`` directions."""
-    best, cx, cy, diagonal = np.inf, 0.0, 0.0, 0.0
+    """Centre, diagonal and longer side of the smallest enclosing rectangle of ``TURNS`` ones."""
+    best, cx, cy, diagonal, longer = np.inf, 0.0, 0.0, 0.0, 0.0
     for k in range(TURNS):
         turn = 0.5 * np.pi * k / TURNS
         c, s = np.cos(turn), np.sin(turn)
@@ -130,14 +142,14 @@ def _rectangle(xy):
             best = (width + 1e-3) * (depth + 1e-3)
             u, v = (u_low + u_high) / 2, (v_low + v_high) / 2
             cx, cy = c * u - s * v, s * u + c * v
-            diagonal = np.sqrt(width * width + depth * depth)
-    return cx, cy, diagonal
+            diagonal, longer = np.sqrt(width * width + depth * depth), max(width, depth)
+    return cx, cy, diagonal, longer
 
 
 @njit(cache=True)
 def _rectangles(xy, first):
-    """Centre and diagonal of the rectangle of each run of points, (k, 3)."""
-    out = np.empty((len(first) - 1, 3))
+    """Centre, diagonal and longer side of the rectangle of each run of points, (k, 4)."""
+    out = np.empty((len(first) - 1, 4))
     for k in range(len(first) - 1):
         out[k] = _rectangle(xy[first[k] : first[k + 1]])
     return out
@@ -204,8 +216,201 @@ def _describe(out, k, level, rectangle, begin, end, settings):
         out[f"{name}_m"][k], out[f"lean_{name}"][k] = value, slope
     out["z_base_m"][k] = level[begin] * size
     out["length"][k] = (level[end - 1] - level[begin] + 1) * size
-    out["diameter"][k] = np.median(stack[:, 2])
+    out["diameter"][k] = np.median(stack[:, 3])
     out["slices"][k] = end - begin
     out["regularity"][k] = (end - begin) / len(level)
     above = rectangle[end:, 2]
     out["is_tree"][k] = bool(len(above) and above.max() > settings.crown_width)
+
+
+def rough_classes(points, settings):
+    """Return GROUND, WALL or RAISED for each point.
+
+    Planes are fitted to the points of each cell and grown over neighbouring cells whose planes
+    agree; upright ones that are long and high enough are walls. The ground is what lies low above
+    the ground's own model.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+    settings : Settings
+
+    Returns
+    -------
+    array of int8, shape (n,)
+    """
+    rough = np.full(len(points), RAISED, dtype=np.int8)
+    if not len(points):
+        return rough
+    height = height_above_ground(points)
+    segment, normal, extent = planar_segments(points, settings)
+    upright = np.abs(normal[:, 2]) < np.sin(np.radians(15))
+    wall = upright & (extent[:, 0] >= settings.wall_length) & (extent[:, 1] >= settings.wall_height)
+    inside = segment >= 0
+    rough[inside] = np.where(wall[segment[inside]], WALL, RAISED)
+    rough[height < settings.ground_height] = GROUND
+    return rough
+
+
+def planar_segments(points, settings):
+    """Grow planar segments over cells, from seeds that a Hough transform finds.
+
+    A cell whose points lie on one plane is its own seed. In the others every point votes for the
+    planes through it, and the plane with the most votes is the seed, without the points off it.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+    settings : Settings
+
+    Returns
+    -------
+    segment : array of int, shape (n,)
+        Segment of each point, -1 where it lies on no plane of its cell.
+    normal : array, shape (k, 3)
+        Of each segment.
+    extent : array, shape (k, 2)
+        Horizontal diagonal and height of each segment, metres.
+
+    Notes
+    -----
+    A Hough transform and not RANSAC: it tries all directions, so that the same cloud in another
+    order gives the same segments, and a cell of 0.4 m needs few (8 degrees apart, then least
+    squares).
+    """
+    cell, index = cells(points, settings.plane_cell)
+    off = points - (index[cell] + 0.5) * settings.plane_cell - points.min(axis=0)
+    on = np.ones(len(points), dtype=bool)
+    count, centre, values, normals = _planes(off, cell, on)
+    thick = ~_is_flat(count, values, settings) & (count >= LEAST_VOTES)
+    order = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[order], np.arange(len(index) + 1))
+    on[order] = _on_seeds(off[order], start, thick, _directions(), settings.plane_thickness)
+    count, centre, values, normals = _planes(off, cell, on)
+    centre += (index + 0.5) * settings.plane_cell
+    flat = _is_flat(count, values, settings)
+    a, b = touching(index)
+    linked = flat[a] & flat[b] & _agree(centre, normals, a, b, settings)
+    part = joined(a[linked], b[linked], len(count))
+    largest = np.lexsort([-count, part])
+    first = largest[np.unique(part[largest], return_index=True)[1]]
+    extent = _extents(centre[flat], part[flat], part.max(initial=-1) + 1)
+    return np.where(flat[cell] & on, part[cell], -1), normals[first], extent
+
+
+def _planes(off, cell, on):
+    """Count, centre, variances (rising) and normal of the chosen points of each cell."""
+    n = int(cell.max()) + 1
+    cell, off = cell[on], off[on]
+    count = np.bincount(cell, minlength=n)
+    centre = np.stack([np.bincount(cell, off[:, k], n) for k in range(3)], axis=1)
+    centre /= np.maximum(count, 1)[:, None]
+    off = off - centre[cell]
+    covariance = np.empty((n, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            sums = np.bincount(cell, off[:, i] * off[:, j], n) / np.maximum(count, 1)
+            covariance[:, i, j] = covariance[:, j, i] = sums
+    values, vectors = np.linalg.eigh(covariance)
+    return count, centre, values, vectors[:, :, 0]
+
+
+def _is_flat(count, values, settings):
+    """Whether the points of cells with these variances lie on a plane and not on a line."""
+    thick = np.sqrt(np.maximum(values[:, 0], 0))
+    flat = (count >= 4) & (thick < settings.plane_thickness) & (values[:, 1] > 4 * values[:, 0])
+    return flat & (values[:, 1] > (settings.plane_cell / 10) ** 2)
+
+
+def _agree(centre, normals, a, b, settings):
+    """Whether the planes of cells a and b continue each other."""
+    joint = centre[b] - centre[a]
+    near = np.abs(np.einsum("ij,ij->i", joint, normals[a])) < settings.plane_offset
+    near &= np.abs(np.einsum("ij,ij->i", joint, normals[b])) < settings.plane_offset
+    cosine = np.abs(np.einsum("ij,ij->i", normals[a], normals[b]))
+    return near & (cosine > np.cos(np.radians(settings.plane_angle)))
+
+
+def _directions():
+    """Normals over the half sphere, a spiral about 8 degrees apart."""
+    z = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(DIRECTIONS)
+    across = np.sqrt(1 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
+
+@njit(cache=True, parallel=True)
+def _on_seeds(off, start, thick, directions, thickness):
+    """Which points, sorted by cell, lie on the seed plane of their cell; all of those not thick."""
+    on = np.ones(len(off), np.bool_)
+    for c in prange(len(thick)):
+        if thick[c]:
+            part = off[start[c] : start[c + 1]]
+            on[start[c] : start[c + 1]] = _seed(part, directions, thickness)
+    return on
+
+
+@njit(cache=True)
+def _seed(part, directions, thickness):
+    """Which points lie on the plane with the most votes."""
+    most, best, best_bin = 0, 0, 0
+    reach = int(np.sqrt((part**2).sum(axis=1).max()) / (2 * thickness)) + 1
+    votes = np.zeros(2 * reach + 1, np.int64)
+    for d in range(len(directions)):
+        votes[:] = 0
+        for k in range(len(part)):
+            away = (part[k] * directions[d]).sum()
+            votes[int(np.floor(away / (2 * thickness))) + reach] += 1
+        top = votes.argmax()
+        if votes[top] > most:
+            most, best, best_bin = votes[top], d, top
+    middle = (best_bin - reach + 0.5) * 2 * thickness
+    on = np.empty(len(part), np.bool_)
+    for k in range(len(part)):
+        on[k] = abs((part[k] * directions[best]).sum() - middle) <= 2 * thickness
+    return on
+
+
+def _extents(centre, part, n):
+    """Horizontal diagonal and height of the cells of each part."""
+    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+    np.minimum.at(low, part, centre)
+    np.maximum.at(high, part, centre)
+    size = np.maximum(high - low, 0)
+    return np.column_stack([np.hypot(size[:, 0], size[:, 1]), size[:, 2]])
+
+
+def cells(points, size):
+    """Number of the occupied cell of each point, and the cells' indices, (k, 3)."""
+    index = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    spans = index.max(axis=0) + 3
+    key = (index[:, 0] * spans[1] + index[:, 1]) * spans[2] + index[:, 2]
+    keys, cell = np.unique(key, return_inverse=True)
+    rest, z = np.divmod(keys, spans[2])
+    x, y = np.divmod(rest, spans[1])
+    return cell, np.stack([x, y, z], axis=1)
+
+
+def touching(index):
+    """Pairs of occupied cells that share a face, an edge or a corner."""
+    spans = index.max(axis=0) + 3
+    key = ((index[:, 0] + 1) * spans[1] + index[:, 1] + 1) * spans[2] + index[:, 2] + 1
+    order = np.argsort(key)
+    sorted_key = key[order]
+    first, second = [], []
+    for step in _HALF:
+        other = key + (step[0] * spans[1] + step[1]) * spans[2] + step[2]
+        at = np.minimum(np.searchsorted(sorted_key, other), len(key) - 1)
+        found = np.flatnonzero(sorted_key[at] == other)
+        first.append(found)
+        second.append(order[at[found]])
+    return np.concatenate(first), np.concatenate(second)
+
+
+_HALF = [
+    (dx, dy, dz)
+    for dx in (-1, 0, 1)
+    for dy in (-1, 0, 1)
+    for dz in (-1, 0, 1)
+    if (dx, dy, dz) > (0, 0, 0)
+]

@@ -25,11 +25,12 @@ def scan_lines(cloud):
 
     Notes
     -----
-    Without ``scan_line``, a line ends where the scan angle turns back by more than a quarter of its
-    range while time runs on: this finds the turns of a full-circle profiler and the ends of an
-    oscillating one. Without time, the points must lie in the order in which they were measured.
-    From time alone, lines are cut in the pause that all revolutions share, the sky above the
-    vehicle; without such a pause there is no answer.
+    A column whose values are all equal, as LAS files have it where nothing was recorded, says
+    nothing. Without ``scan_line``, a line ends where the scan angle turns back by more than a
+    quarter of its range while time runs on: this finds the turns of a full-circle profiler and the
+    ends of an oscillating one. Without time, the points must lie in the order in which they were
+    measured. From time alone, lines are cut in the pause that all revolutions share, the sky above
+    the vehicle; without such a pause there is no answer.
 
     Examples
     --------
@@ -41,14 +42,14 @@ def scan_lines(cloud):
     [0, 0, 1, 2]
     """
     source = _source(cloud)
-    if "scan_line" in cloud and ("pulse" in cloud or "gps_time" in cloud):
-        line = np.asarray(cloud["scan_line"], dtype=np.int64)
-        place = cloud["pulse"] if "pulse" in cloud else cloud["gps_time"]
-    elif "scan_angle" in cloud:
-        order = cloud["gps_time"] if "gps_time" in cloud else np.arange(len(cloud))
+    along = "pulse" if "pulse" in cloud else "gps_time"
+    if "scan_line" in cloud and along in cloud:
+        line, place = np.asarray(cloud["scan_line"], dtype=np.int64), cloud[along]
+    elif _varies(cloud, "scan_angle"):
+        order = cloud["gps_time"] if _varies(cloud, "gps_time") else np.arange(len(cloud))
         place = np.asarray(order, dtype=np.float64)
         line = _lines_by_angle(place, np.asarray(cloud["scan_angle"], dtype=np.float64), source)
-    elif "gps_time" in cloud and len(cloud):
+    elif _varies(cloud, "gps_time"):
         place = np.asarray(cloud["gps_time"], dtype=np.float64)
         line = _lines_by_time(place, source)
     else:
@@ -109,6 +110,11 @@ def _nearest(points, pulse, start):
         for axis in range(2):
             near[k, axis] = points[low:high, axis][chosen].mean()
     return near
+
+
+def _varies(cloud, name):
+    """Whether a cloud has a column with more than one value."""
+    return name in cloud and len(cloud) > 0 and np.ptp(cloud[name]) > 0
 
 
 def _source(cloud):

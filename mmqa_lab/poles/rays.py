@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.columns import base, beside, near_axis, rows
+from mmqa_lab.poles.common import base, beside, near_axis, rows
 from mmqa_lab.poles.features import longest_run
 
 REACH_M = 0.7

@@ -12,6 +12,8 @@ from mmqa_lab.run.results import read_record
 KEY_FIGURE = "anisotropy/patterns.png"
 """Of a run's results: what the README shows first."""
 
+LEDGER_FIGURE = "![Verdicts on the printed results of each source](notebooks/ledger.png)\n\n"
+
 HEAD = "| study | question | answer | source |\n|---|---|---|---|\n"
 
 
@@ -27,13 +29,13 @@ def studies_table(folder, studies):
 
 
 def ledger_table(ledger):
-    """Return the ledger's counts by source and verdict as Markdown."""
+    """Return the ledger's figure and its counts by source and verdict as Markdown."""
     from mmqa_lab.published.ledger import summary
 
     counts = summary(ledger)
     lines = [["source", *counts.columns], ["---"] * (1 + len(counts.columns))]
     lines += [[source, *map(str, row)] for source, *row in counts.itertuples()]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return LEDGER_FIGURE + "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def ledger_figure(ledger):

@@ -288,13 +288,14 @@ def _parameters(stem, given):
 def _environment():
     """Version and commit of the package, of Python and of the libraries it asks for."""
     asked = metadata.requires("mmqa_lab") or []
-    names = sorted({re.match(r"[\w.-]+", line)[0] for line in asked if "extra ==" not in line})
+    names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
+    installed = {one.name.lower(): one.version for one in metadata.distributions()}
     return {
         "version": metadata.version("mmqa_lab"),
         "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "versions": {name: metadata.version(name) for name in names},
+        "versions": {name: installed[name] for name in sorted(names & set(installed))},
     }
 
 

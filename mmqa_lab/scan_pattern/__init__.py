@@ -25,24 +25,17 @@ Measured patterns: :func:`measure_pattern` on planar patches, :func:`fit_scan_pl
 profiles with time.
 """
 
-from mmqa_lab.scan_pattern.lattice import (
-    QUANTITIES,
-    Lattice,
-    crossing_angle,
-    lattice_distances,
-    scan_lattice,
+from mmqa_lab.scan_pattern import mimic
+from mmqa_lab.scan_pattern.lattice import QUANTITIES, Lattice, scan_lattice
+from mmqa_lab.scan_pattern.measure import (
+    PatternMeasurement,
+    ScanPlanes,
+    fit_scan_planes,
+    measure_pattern,
 )
-from mmqa_lab.scan_pattern.measure import PatternMeasurement, measure_pattern
-from mmqa_lab.scan_pattern.numbering import (
-    mirror_frequency,
-    profiles_from_pattern,
-    revolutions_from_time,
-)
-from mmqa_lab.scan_pattern.planning import largest_speed
-from mmqa_lab.scan_pattern.scan_planes import ScanPlanes, fit_scan_planes
-from mmqa_lab.scan_pattern.setups import ScanSetup
-from mmqa_lab.scan_pattern.surfaces import Patch, Target, cylinder_patch, mesh_patch
-from mmqa_lab.scan_pattern.uncertainty import propagate, sensitivities
+from mmqa_lab.scan_pattern.numbering import mirror_frequency, revolutions_from_time
+from mmqa_lab.scan_pattern.planning import explain_error, largest_speed, propagate, sensitivities
+from mmqa_lab.scan_pattern.setups import Patch, ScanSetup, Target
 
 __all__ = [
     "QUANTITIES",
@@ -52,15 +45,12 @@ __all__ = [
     "ScanPlanes",
     "ScanSetup",
     "Target",
-    "crossing_angle",
-    "cylinder_patch",
+    "explain_error",
     "fit_scan_planes",
     "largest_speed",
-    "lattice_distances",
     "measure_pattern",
-    "mesh_patch",
+    "mimic",
     "mirror_frequency",
-    "profiles_from_pattern",
     "propagate",
     "revolutions_from_time",
     "scan_lattice",

@@ -1,8 +1,8 @@
 """The scan lattice: the two steps that lay a surface out with points, and what follows from them.
 
 Around a spot of a plane, two successive pulses and two successive revolutions are solved exactly,
-with the motion of the vehicle in between. Cahalane et al. 2014 (doi 10.3390/s140609471) hold the
-scan plane still during a revolution; it is not still.
+with the motion of the vehicle in between. In the equations of Cahalane et al. 2014
+(doi 10.3390/s140609471) the scan plane stands still during a revolution.
 """
 
 from dataclasses import dataclass
@@ -151,11 +151,54 @@ class Lattice:
         """Inhomogeneity d4 / d1."""
         return self.distances_m[..., 3] / self.distances_m[..., 0]
 
+    def crossing_angle(self, other):
+        """Angle between these profiles and another lattice's at the same places, 0 to 90 degrees.
+
+        Examples
+        --------
+        >>> from dataclasses import replace
+        >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+        >>> slow = ScanSetup(pulse_rate_hz=1e8, mirror_frequency_hz=200, speed_m_s=0.1)
+        >>> heads = (replace(slow, scanner_tilt_deg=tilt) for tilt in (-30, 30))
+        >>> left, right = (scan_lattice(head, Target(range_m=5).patch(head)) for head in heads)
+        >>> round(float(left.crossing_angle(right)), 2)
+        60.0
+        """
+        lengths = self.point_spacing_m * other.point_spacing_m
+        return np.degrees(np.arccos(np.minimum(np.abs(_dot(self.a, other.a)) / lengths, 1)))
+
     def to_frame(self):
         """Return a DataFrame of ``QUANTITIES``, a row per spot."""
         shape = np.shape(self.range_m)
         columns = {name: np.broadcast_to(self.quantity(name), shape).ravel() for name in QUANTITIES}
         return pd.DataFrame(columns)
+
+    def _repr_html_(self):
+        """The table, in a notebook."""
+        return self.to_frame()._repr_html_()
+
+    def points(self, half_width=0.25):
+        """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
+        a, _, b = self.plane_steps()
+        reach = np.abs(np.linalg.inv(np.array([a, b]).T)).sum(axis=1) * half_width
+        i, j = np.meshgrid(*(np.arange(-r, r + 1) for r in np.minimum(np.ceil(reach), 2000)))
+        xy = np.multiply.outer(i, a) + np.multiply.outer(j, b)
+        return xy[(np.abs(xy) <= half_width).all(axis=-1)]
+
+    def plot(self, ax=None, *, half_width=0.25):
+        """Draw the points about a single spot and the two steps, millimetres; return the axes."""
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots()[1] if ax is None else ax
+        ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
+        a, _, b = 1000 * np.array(self.plane_steps())
+        for step, name, colour in ((a, "a", "#D55E00"), (b, "b", "#0072B2")):
+            ax.annotate("", step, (0, 0), arrowprops={"arrowstyle": "-|>", "color": colour})
+            ax.annotate(name, step, (4, 4), textcoords="offset points", color=colour)
+        ends = (-1000 * half_width, 1000 * half_width)
+        ax.set(xlim=ends, ylim=ends, aspect="equal")
+        ax.set(xlabel="along the level line (mm)", ylabel="up the slope (mm)")
+        return ax
 
     def quantity(self, name):
         """Return one of ``QUANTITIES`` by its name."""
@@ -225,33 +268,6 @@ def scan_lattice(setup, patch):
         _step(setup, beam, normal, whole / pulse_rate, whole * mirror / pulse_rate - 1),
     )
     return Lattice(setup, beam, normal, *(np.broadcast_to(step, shape) for step in steps))
-
-
-def crossing_angle(first, second):
-    """Return the angle between the profiles of two lattices on one surface, 0 to 90 degrees.
-
-    Parameters
-    ----------
-    first, second : Lattice
-        At the same places.
-
-    Returns
-    -------
-    float or array
-        Degrees.
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
-    >>> slow = ScanSetup(pulse_rate_hz=1e8, mirror_frequency_hz=200, speed_m_s=0.1)
-    >>> left, right = (replace(slow, scanner_tilt_deg=tilt) for tilt in (-30, 30))
-    >>> pair = [scan_lattice(setup, Target(range_m=5).patch(setup)) for setup in (left, right)]
-    >>> round(float(crossing_angle(*pair)), 2)
-    60.0
-    """
-    cosine = np.abs(_dot(first.a, second.a)) / (first.point_spacing_m * second.point_spacing_m)
-    return np.degrees(np.arccos(np.minimum(cosine, 1)))
 
 
 def lattice_distances(a, b):
@@ -351,8 +367,8 @@ def _reduced(a, b):
 def _nearest(short, long, side):
     """Distance of the nearest lattice point in the first (1) or second (-1) quadrant.
 
-    A quadrant holds a disc of the covering radius, at most |long| / sqrt(2), within 1.71 |long| of
-    the origin; rows are |long| sin(60) or more apart, so that the second row is out of reach.
+    A quadrant contains a disc of the covering radius, at most |long| / sqrt(2), within 1.71 |long|
+    of the origin; rows are |long| sin(60) or more apart, so that the second row is out of reach.
     """
     best = np.full(short.shape[:-1], np.inf)
     mirror = np.array([side, 1.0])

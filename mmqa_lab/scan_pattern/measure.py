@@ -1,26 +1,46 @@
-"""Profile spacing, profile angle and point spacing measured in the points of a planar patch.
+"""Scan patterns measured: in the points of a planar patch, and in a whole street with time.
 
-In place of distances clicked between points (Cahalane et al. 2014, section 4.2): all profiles are
-fitted at once, and every figure comes with its standard deviation.
+In place of distances clicked between points (Cahalane et al. 2014, section 4.2), all profiles of a
+patch are fitted at once, and every figure comes with its standard deviation. From the times of a
+whole street follows the moving plane of the scanner.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_points
-from mmqa_lab.planes import Plane, fit_plane, sigma_mad
-from mmqa_lab.scan_pattern.lines import first_direction, fit_profiles, group_means
-from mmqa_lab.scan_pattern.numbering import profiles_from_pattern, revolutions_from_time
-from mmqa_lab.scan_pattern.offsets import mean_gap
-from mmqa_lab.scan_pattern.pulses import point_spacing, pulses_from_pattern, pulses_from_time
-
-OFF_PLANE = 4.685
-"""Points farther off the plane, in robust standard deviations, are left out."""
+from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab.planes import TUKEY, Plane, fit_plane, sigma_mad
+from mmqa_lab.scan_pattern.lines import (
+    first_direction,
+    fit_profiles,
+    group_means,
+    mean_gap,
+    solve_groups,
+)
+from mmqa_lab.scan_pattern.numbering import (
+    mirror_frequency,
+    point_spacing,
+    profiles_from_pattern,
+    pulses_from_pattern,
+    pulses_from_time,
+    revolutions_from_time,
+)
 
 LEVEL = np.sin(np.radians(0.1))
 """A plane closer to level than 0.1 degree has no horizontal line of its own."""
+
+
+CLEAR = 1 / 3
+"""The straightest lines are taken if points stray from others three times as far."""
+
+ENOUGH = 1500
+"""Points from which straying from the lines of a family is found."""
+
+PHASES = 1500
+"""Parts of a revolution within which the beam is taken to have one direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +124,10 @@ class PatternMeasurement:
         ]
         return pd.DataFrame(rows, columns=["quantity", "measured", "std", "n"])
 
+    def _repr_html_(self):
+        """The table, in a notebook."""
+        return self.to_frame()._repr_html_()
+
     def _spread(self, by_gap, by_angle):
         """Standard deviation of a function of gap and angle from its derivatives."""
         angle_std = np.radians(self.profile_angle_std)
@@ -127,7 +151,7 @@ def measure_pattern(
     Profiles are numbered by ``scan_line`` or from ``gps_time``, else from the pattern alone. One
     direction, one curvature and one way of sliding along the beam (range noise moves points off
     the plane and across the profiles at the same time) are fitted to all profiles at once; the mean
-    gap follows from their offsets (``offsets.mean_gap``). Points along a profile are counted by
+    gap follows from their offsets (``lines.mean_gap``). Points along a profile are counted by
     time and ``pulse_rate_hz`` or by rounding their distances, and spacing is the slope of distance
     over count at the reference point.
 
@@ -154,12 +178,18 @@ def measure_pattern(
         If columns are not as long as the points, or fewer than two profiles of three points and
         twelve points in all are found.
 
+    Warns
+    -----
+    UserWarning
+        If without time and scan line another family of lines fits as well as the one that was
+        taken for the profiles.
+
     Notes
     -----
-    Standard deviations hold what shows in the patch: range and angle noise, drop-outs, drift of
-    speed, jitter of attitude. They do not hold what turns or stretches the whole patch: boresight,
-    attitude bias. Distances between neighbouring points, the obvious measure, are 1 to 3 mm too
-    long at 5 mm range noise.
+    Standard deviations contain what shows in the patch: range and angle noise, drop-outs, drift of
+    speed, jitter of attitude. They do not contain what turns or stretches the whole patch:
+    boresight, attitude bias. Distances between neighbouring points, the obvious measure, are 1 to
+    3 mm too long at 5 mm range noise.
 
     References
     ----------
@@ -177,12 +207,12 @@ def measure_pattern(
     time = _column(gps_time, "gps_time", len(points))
     line = _column(scan_line, "scan_line", len(points))
     plane = fit_plane(points, robust=True)
-    near = np.abs(plane.residuals) <= OFF_PLANE * max(sigma_mad(plane.residuals), 1e-9)
+    near = np.abs(plane.residuals) <= TUKEY * max(sigma_mad(plane.residuals), 1e-9)
     flat = fit_plane(points[near])
     centre = flat.centre if reference is None else check_points([reference], name="reference")[0]
     uv = flat.project(points[near]) - flat.project(centre)
     picked = [None if values is None else values[near] for values in (time, line)]
-    numbers, numbering = _numbers(uv, *picked, mirror_frequency_hz)
+    numbers, numbering = _numbers(uv, flat.residuals, *picked, mirror_frequency_hz)
     fit = fit_profiles(uv, flat.residuals, numbers, turn=first_direction(uv, numbers))
     picked_time = None if time is None else picked[0][fit.used]
     pulse = _pulses(fit, picked_time, pulse_rate_hz)
@@ -196,20 +226,50 @@ def _column(values, name, n):
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (n,) or not np.isfinite(values).all():
         raise ValueError(
-            f"Invalid {name} of shape {values.shape}. Must hold one finite value for each of {n} "
+            f"Invalid {name} of shape {values.shape}. Must have one finite value for each of {n} "
             "points."
         )
     return values
 
 
-def _numbers(uv, time, line, mirror_frequency_hz):
+def _numbers(uv, off, time, line, mirror_frequency_hz):
     """Profile of each point, and where that came from."""
     if line is not None:
         return line.astype(np.int64), "scan_line"
     if time is not None:
         numbers = revolutions_from_time(time, mirror_frequency_hz=mirror_frequency_hz)
         return numbers, "gps_time"
-    return profiles_from_pattern(uv), "pattern"
+    return _straightest(uv, off, profiles_from_pattern(uv)), "pattern"
+
+
+def _straightest(uv, off, families):
+    """The family of lines from which points stray least, or the densest where that is not clear."""
+    if len(families) == 1:
+        return families[0]
+    some = np.random.default_rng(0).permutation(len(uv))[:ENOUGH]
+    found = [_stray(uv[some], off[some], numbers[some]) for numbers in families]
+    strays, gaps = np.array(found).T
+    best, other = np.argsort(strays)[:2]
+    if strays[best] < CLEAR * strays[other]:
+        return families[best]
+    rival = gaps[1:].max()
+    if rival > gaps[0] / 2:
+        warnings.warn(
+            f"Lines {1000 * gaps[0]:.1f} mm apart were taken for the profiles, but others "
+            f"{1000 * rival:.1f} mm apart fit as well. Give gps_time or scan_line.",
+            stacklevel=4,
+        )
+    return families[0]
+
+
+def _stray(uv, off, numbers):
+    """Scatter of points about their lines as a share of the lines' gap, and that gap, metres."""
+    try:
+        fit = fit_profiles(uv, off, numbers, turn=first_direction(uv, numbers))
+    except ValueError:  # lines of fewer than three points
+        return np.inf, 0.0
+    gap = abs(np.polyfit(fit.numbers, fit.offsets, 1)[0])
+    return max(np.sqrt(np.median(fit.variances * fit.counts)), 1e-9) / gap, gap
 
 
 def _pulses(fit, time, pulse_rate_hz):
@@ -313,3 +373,170 @@ def _angle(normal, along, across, slide):
     return np.arctan2(along @ slope, along @ level), shear + turning * np.array(
         [level @ along, level @ across]
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPlanes:
+    """Profiles of a scan as planes that follow each other.
+
+    Parameters
+    ----------
+    normal : array, shape (3,)
+        Of the scan plane, in the direction in which it moves.
+    speed_m_s : float
+        Of the plane along its normal, the vehicle taken to move without turning.
+    scatter_m : float
+        Robust standard deviation of the points about that plane.
+    mirror_frequency_hz : float
+    centre : array, shape (3,)
+        Where the advance is ``advance_m``.
+    advance_m, advance_std : float
+        How far points at the same mirror angle move along the normal in a revolution.
+    turning, turning_std : array, shape (3,)
+        Change of that per metre of place, within the plane: a turn of the vehicle, m/m.
+    points : int
+
+    Examples
+    --------
+    >>> y, x = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    >>> still = {"turning": np.zeros(3), "turning_std": np.zeros(3), "points": 1000}
+    >>> drive = {"speed_m_s": 10.0, "mirror_frequency_hz": 100.0, "advance_m": 0.1}
+    >>> found = ScanPlanes(y, scatter_m=0.0, centre=x, advance_std=0.0, **drive, **still)
+    >>> float(found.spacing_on(x, [1, 0, 0]))  # a wall beside the track
+    0.1
+    """
+
+    normal: np.ndarray
+    speed_m_s: float
+    scatter_m: float
+    mirror_frequency_hz: float
+    centre: np.ndarray
+    advance_m: float
+    advance_std: float
+    turning: np.ndarray
+    turning_std: np.ndarray
+    points: int
+
+    @property
+    def turn_rate_deg_s(self):
+        """Turn of the plane about an axis in it, degrees per second."""
+        return float(np.degrees(np.linalg.norm(self.turning) * self.mirror_frequency_hz))
+
+    def advance_at(self, places):
+        """How far the plane moves along its normal in a revolution at places (..., 3), metres."""
+        return self.advance_m + (np.asarray(places, dtype=np.float64) - self.centre) @ self.turning
+
+    def spacing_on(self, places, surface_normal):
+        """Profile spacing, square to the profiles, on a surface through places, metres.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+        surface_normal : array_like, shape (3,)
+        """
+        normal = np.asarray(surface_normal, dtype=np.float64)
+        crossing = np.linalg.norm(np.cross(self.normal, normal / np.linalg.norm(normal)))
+        return self.advance_at(places) / crossing
+
+
+def fit_scan_planes(points, gps_time, *, mirror_frequency_hz=None, phases=PHASES):
+    """Fit the moving plane of a profile scanner to points of many surfaces.
+
+    First n.P - v t = c, a plane in uniform motion (total least squares, Tukey's weights). Then, for
+    points of the same mirror angle in successive revolutions, the displacement along n as
+    a linear function of place: what MIMIC leaves out, the turn of the vehicle, is its slope.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Two revolutions or more of one scanner head, metres.
+    gps_time : array_like, shape (n,)
+        Seconds.
+    mirror_frequency_hz : float, optional
+        From the pauses of the times where left out.
+    phases : int
+        Parts of a revolution within which points are compared.
+
+    Returns
+    -------
+    ScanPlanes
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two revolutions, or no points at the same angle in them.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import ProfileScanner, Scene, ground, scan_all, straight, wall
+    >>> street = Scene([ground(), wall((5, 9, 0), (0, -20, 0), 8)])
+    >>> scanner = ProfileScanner(pulse_rate_hz=36_000, mirror_frequency_hz=100, heading_deg=60)
+    >>> cloud = scan_all(street, scanner, straight(1, 10, start=(0, 0, 2)), seed=1)
+    >>> found = fit_scan_planes(cloud.points, cloud["gps_time"], mirror_frequency_hz=100)
+    >>> round(found.speed_m_s, 3)  # of the plane along its normal: 10 cos(60 degrees)
+    5.0
+    """
+    points = check_points(points, minimum=20)
+    time = np.asarray(gps_time, dtype=np.float64)
+    if time.shape != (len(points),) or not np.isfinite(time).all():
+        raise ValueError(f"Invalid gps_time of shape {time.shape}. Must be {len(points)} seconds.")
+    since = time - time.min()
+    number = revolutions_from_time(since, mirror_frequency_hz=mirror_frequency_hz)
+    if number.max() < 1:
+        raise ValueError("Invalid gps_time within one revolution. Must span two or more.")
+    frequency = mirror_frequency_hz or mirror_frequency(since)
+    centre = points.mean(axis=0)
+    local = points - centre
+    normal, speed, residuals = _moving_plane(local, since)
+    if speed < 0:
+        normal, speed = -normal, -speed
+    axes = np.linalg.svd(normal[None])[2][1:]
+    frequency = check_positive(frequency, "mirror_frequency_hz", unit="Hz")
+    phase = np.floor(since * frequency % 1 * phases)
+    found, used = _displacement(local, local @ normal, number, phase, axes)
+    spread = np.sqrt(np.diag(found.covariance))
+    return ScanPlanes(
+        normal=normal,
+        speed_m_s=float(speed),
+        scatter_m=sigma_mad(residuals),
+        mirror_frequency_hz=float(frequency),
+        centre=centre,
+        advance_m=float(found.coefficients[0]),
+        advance_std=float(spread[0]),
+        turning=found.coefficients[1:3] @ axes,
+        turning_std=spread[1:3] @ np.abs(axes),
+        points=used,
+    )
+
+
+def _moving_plane(local, since, rounds=50):
+    """Normal and speed of a plane in uniform motion, and the points' distances from it."""
+    weights = np.ones(len(local))
+    for _ in range(rounds):
+        share = weights / weights.sum()
+        time, place = since - share @ since, local - share @ local
+        velocity = (share * time) @ place / (share @ time**2)
+        still = place - np.outer(time, velocity)
+        normal = np.linalg.eigh((still * share[:, None]).T @ still)[1][:, 0]
+        residuals = still @ normal
+        sigma = max(sigma_mad(residuals), 1e-9)
+        u = residuals / (TUKEY * sigma)
+        previous, weights = weights, np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+        if np.abs(weights - previous).max() < 1e-6:
+            break
+    return normal, normal @ velocity, residuals
+
+
+def _displacement(local, height, number, phase, axes, rounds=4):
+    """Displacement per revolution and its slopes, from points of the same mirror angle."""
+    place = number[:, None] * np.column_stack([np.ones(len(local)), local @ axes.T])
+    kept = np.arange(len(local))
+    for _ in range(rounds):
+        group = np.unique(phase[kept], return_inverse=True)[1]
+        found = solve_groups(place[kept], height[kept], group)
+        sigma = max(sigma_mad(found.residuals), 1e-9)
+        inside = np.abs(found.residuals) <= 4 * sigma
+        if inside.all():
+            break
+        kept = kept[inside]
+    return found, len(found.residuals)

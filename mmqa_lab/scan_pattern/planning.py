@@ -1,11 +1,15 @@
-"""Planning: the largest speed at which a surface still gets what is required."""
+"""Planning: the largest speed that will do, how sure a prediction is, what explains an error."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
+import pandas as pd
+from scipy.optimize import brentq
 
-from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.scan_pattern.lattice import QUANTITIES, scan_lattice
+from mmqa_lab.scan_pattern.setups import NUMBERS, Patch, Target, target_normal
 
 SLOWEST, FASTEST = 0.01, 100.0
 """Speeds that are searched, m/s."""
@@ -14,6 +18,28 @@ SPEEDS = 4001
 """Speeds tried before the last one that will do is refined: a step of 0.23 %."""
 
 ANGLE = "profile_angle_deg"
+
+TWO_SIDED_95 = 1.959963984540054
+"""Quantile of the normal distribution that leaves 2.5 % above it."""
+
+TARGET_NAMES = {f"target_{field.name}": field.name for field in fields(Target)}
+TARGET_NAMES["range_m"] = TARGET_NAMES.pop("target_range_m")
+TARGET_NAMES["height_difference_m"] = TARGET_NAMES.pop("target_height_difference_m")
+
+SMOOTH = QUANTITIES[:6]
+"""Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point."""
+
+INPUTS = (*NUMBERS, *TARGET_NAMES)
+"""Names of what may be in error."""
+
+EXPLAINED = (
+    *("scanner_heading_deg", "scanner_tilt_deg", "target_heading_deg", "target_tilt_deg"),
+    *("mirror_frequency_hz", "speed_m_s"),
+)
+"""The inputs of Table 6."""
+
+STEPS = {"pulse_rate_hz": 1.0, "mirror_frequency_hz": 1e-3, "speed_m_s": 1e-4}
+"""Half steps of the central differences where 1e-4 (degree, degree/s, metre) is not apt."""
 
 
 def largest_speed(setup, target, *, quantity, limit):
@@ -95,3 +121,208 @@ def _refined(setup, patch, quantity, limit, low, high):
             return float(high)
         low, high = speeds[last], speeds[last + 1]
     return float(low)
+
+
+def sensitivities(setup, target, *, inputs=INPUTS):
+    """Return the derivative of the predicted quantities by the inputs.
+
+    The plane stays where the nominal set-up finds it, whatever the scanner does: a turned vehicle
+    strikes the same spot of the wall, at another moment. A turned target turns about that spot.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers.
+    target : Target
+    inputs : sequence of str
+        Fields of ``ScanSetup``; ``target_heading_deg``, ``target_tilt_deg``, ``range_m``,
+        ``height_difference_m``.
+
+    Returns
+    -------
+    DataFrame
+        A row per input, a column per quantity that has derivatives (d1..d4 and f have none: they
+        jump when another point becomes the nearest): change of the quantity in its unit per unit
+        of the input.
+
+    Raises
+    ------
+    ValueError
+        If an input is unknown.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> table = sensitivities(setup, Target(range_m=8), inputs=["speed_m_s"])
+    >>> print(table.loc["speed_m_s", "profile_spacing_horizontal_m"].round(6))
+    0.01
+    """
+    rows = {}
+    for name in inputs:
+        check_choice(name, "input", INPUTS)
+        step = STEPS.get(name, 1e-4)
+        ends = _predicted(setup, target, {name: np.array([-step, step])}, SMOOTH)
+        rows[name] = [(ends[key][1] - ends[key][0]) / (2 * step) for key in SMOOTH]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(SMOOTH))
+    return table.rename_axis("input")
+
+
+def propagate(setup, target, *, sigmas, method="first_order", draws=20_000, seed=0):
+    """Return what errors of set-up and target make of the prediction.
+
+    First order adds the squares of sensitivity times standard deviation; Monte Carlo draws
+    independent normal errors and predicts each time.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers.
+    target : Target
+    sigmas : dict of str to float
+        Standard deviation of inputs by their names, see ``sensitivities``.
+    method : {"first_order", "monte_carlo"}
+    draws, seed : int
+        For Monte Carlo.
+
+    Returns
+    -------
+    DataFrame
+        A row per quantity: ``quantity``, ``predicted``, ``std``, ``low`` and ``high`` (2.5 % and
+        97.5 %), ``n`` draws (0 for first order), ``method``. First order has NaN for d1..d4 and f,
+        which jump from lattice point to lattice point.
+
+    Raises
+    ------
+    ValueError
+        If an input is unknown, a deviation negative, or ``draws`` below 100.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> table = propagate(setup, Target(range_m=8), sigmas={"speed_m_s": 0.1})
+    >>> print(table.set_index("quantity").loc["profile_spacing_horizontal_m", "std"].round(6))
+    0.001
+    """
+    check_choice(method, "method", ("first_order", "monte_carlo"))
+    for name, sigma in sigmas.items():
+        check_choice(name, "input", INPUTS)
+        check_number(sigma, f"sigma of {name}", low=0)
+    predicted = {key: values[0] for key, values in _predicted(setup, target, {}).items()}
+    table = pd.DataFrame({"quantity": list(QUANTITIES), "predicted": predicted.values()})
+    if method == "first_order":
+        slopes = sensitivities(setup, target, inputs=list(sigmas))
+        spread = np.sqrt((slopes.mul(pd.Series(sigmas, dtype=float), axis=0) ** 2).sum())
+        table["std"] = table["quantity"].map(spread)
+        table["low"] = table["predicted"] - TWO_SIDED_95 * table["std"]
+        table["high"] = table["predicted"] + TWO_SIDED_95 * table["std"]
+        return table.assign(n=0, method=method)
+    draws = check_count(draws, "draws", low=100)
+    rng = np.random.default_rng(seed)
+    errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
+    drawn = pd.DataFrame(_predicted(setup, target, errors)).to_numpy()
+    table["std"] = np.std(drawn, axis=0, ddof=1)
+    table["low"], table["high"] = np.quantile(drawn, (0.025, 0.975), axis=0)
+    return table.assign(n=draws, method=method)
+
+
+def explain_error(setup, target, *, quantity, measured, inputs=EXPLAINED):
+    """Return the change of each input, one at a time, that turns the prediction into a measurement.
+
+    What Table 6 of Cahalane et al. 2014 gives for an error of 2 mm: of the changes that do it, the
+    smallest, found within a tenth of a rate, 15 degrees or a fifth of a range.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers.
+    target : Target
+    quantity : str
+        One of the spacings, the angle or the density, see ``sensitivities``.
+    measured : float
+        In the quantity's unit.
+    inputs : sequence of str
+        As for ``sensitivities``; those of Table 6 where left out.
+
+    Returns
+    -------
+    DataFrame
+        ``input``, ``unit``, ``change`` (signed; NaN where no change in the range will do),
+        ``predicted`` and ``measured``.
+
+    Raises
+    ------
+    ValueError
+        If quantity or input is unknown, or the measured value not finite.
+
+    References
+    ----------
+    Cahalane et al. 2014, section 4.3, Table 6. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> table = explain_error(setup, Target(range_m=8), measured=0.102,
+    ...                       quantity="profile_spacing_horizontal_m", inputs=["speed_m_s"])
+    >>> print(table["change"].round(6).item())
+    0.2
+    """
+    check_choice(quantity, "quantity", SMOOTH)
+    check_number(measured, "measured")
+    rows = []
+    for name in inputs:
+        check_choice(name, "input", INPUTS)
+        lack = partial(_lack, setup, target, quantity, measured, name)
+        rows.append((name, _unit(name), _nearest_root(lack, _reach(setup, target, name))))
+    table = pd.DataFrame(rows, columns=["input", "unit", "change"])
+    predicted = _predicted(setup, target, {}, [quantity])[quantity][0]
+    return table.assign(predicted=predicted, measured=measured)
+
+
+def _lack(setup, target, quantity, measured, name, change):
+    """By how much the prediction exceeds the measurement once an input is changed."""
+    return _predicted(setup, target, {name: change}, [quantity])[quantity] - measured
+
+
+def _reach(setup, target, name):
+    """How far an input is changed at most."""
+    if name.endswith(("_deg", "_deg_s")):
+        return 15.0
+    given = getattr(target, TARGET_NAMES[name]) if name in TARGET_NAMES else getattr(setup, name)
+    return 0.2 * abs(given) or 1.0
+
+
+def _unit(name):
+    """Unit of an input, from its name."""
+    endings = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_m_s": "m/s", "_m": "m"}
+    return next(unit for ending, unit in endings.items() if name.endswith(ending))
+
+
+def _nearest_root(lack, reach):
+    """The root of a function nearest to zero, NaN where it has none or is constant."""
+    tried = np.linspace(-reach, reach, 601)
+    values = lack(tried)
+    crossed = np.flatnonzero(np.sign(values[1:]) * np.sign(values[:-1]) <= 0)
+    if not len(crossed) or np.ptp(values) < 1e-12:
+        return np.nan
+    nearest = crossed[np.argmin(np.abs(tried[crossed] + tried[crossed + 1]))]
+    return float(brentq(lambda x: lack(np.array([x]))[0], tried[nearest], tried[nearest + 1]))
+
+
+def _predicted(setup, target, errors, names=QUANTITIES):
+    """Quantities, as arrays, with errors added to the named inputs."""
+    shift = {name: np.atleast_1d(values) for name, values in errors.items()}
+    changed = {name: getattr(setup, name) + shift[name] for name in shift if name in NUMBERS}
+    moved = {
+        field: getattr(target, field) + shift.get(name, np.zeros(1))
+        for name, field in TARGET_NAMES.items()
+    }
+    normal = target_normal(moved.pop("heading_deg"), moved.pop("tilt_deg"))
+    points = replace(target, **moved).patch(setup).points
+    lattice = scan_lattice(replace(setup, **changed), Patch(points, -normal))
+    return {name: np.atleast_1d(lattice.quantity(name)) for name in names}

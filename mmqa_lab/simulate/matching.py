@@ -3,11 +3,13 @@
 Points are drawn in the image at random but not closer than a hard core, their rays are cast
 exactly, and their depths get the error of stereo matching, which grows with the square of the
 depth, is shared by neighbours, and draws ghosts between foreground and background along edges.
+A cloud may be resampled in object space, so that its density does not depend on the distance.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
@@ -32,8 +34,13 @@ class MatchingCamera:
     hard_core : float
         Smallest distance of two points, as a share of 1 / sqrt(points_per_px); 0 for a Poisson
         pattern, at most 0.56 (Matern's second process cannot be packed more densely).
+    resampled_per_m2 : float
+        Points per square metre of surface after resampling in object space, with the hard core as
+        a share of their mean distance; 0 for none. Fewer where matching gives fewer.
     noise_px : float
         Standard deviation of the disparity; the depth errs by depth^2 / (base x focal) times it.
+    floor_m : float
+        Standard deviation of the part of the depth's error that does not grow with the depth.
     correlated_share : float
         Share of that variance which neighbours have in common.
     correlation_px : float
@@ -67,7 +74,9 @@ class MatchingCamera:
     base_m: float
     points_per_px: float = 0.25
     hard_core: float = 0.4
+    resampled_per_m2: float = 0.0
     noise_px: float = 0.3
+    floor_m: float = 0.0
     correlated_share: float = 0.7
     correlation_px: float = 8.0
     window_px: float = 3.0
@@ -82,7 +91,7 @@ class MatchingCamera:
             check_positive(getattr(self, name), name)
         for name in ("width_px", "height_px"):
             check_count(getattr(self, name), name)
-        for name in ("noise_px", "window_px"):
+        for name in ("resampled_per_m2", "noise_px", "floor_m", "window_px"):
             check_number(getattr(self, name), name, low=0)
         for name in ("correlated_share", "ghost_share"):
             check_number(getattr(self, name), name, low=0, high=1)
@@ -127,20 +136,22 @@ def match(scene, camera, trajectory, *, times, seed):
     positions, attitudes = trajectory.at(times)
     for image, time in enumerate(np.asarray(times, dtype=np.float64)):
         rng = np.random.default_rng([seed, image])
+        origin = positions[image] + attitudes[image] @ np.asarray(camera.lever_arm_m)
         pixels = hard_core_points(
             camera.width_px,
             camera.height_px,
             density=camera.points_per_px,
-            hard_core=camera.hard_core,
+            hard_core=0.0 if camera.resampled_per_m2 else camera.hard_core,
             rng=rng,
         ) - [camera.width_px / 2, camera.height_px / 2]
-        origin = positions[image] + attitudes[image] @ np.asarray(camera.lever_arm_m)
         rays = camera.rays(pixels) @ attitudes[image].T
         hits = scene.cast(origin, rays)
         scale = np.linalg.norm(rays, axis=1)
         depth, ghost = _ghosts(scene, camera, origin, attitudes[image], pixels, hits, rng)
         depth = depth + _depth_noise(camera, pixels, depth, rng)
         seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
+        if camera.resampled_per_m2:
+            seen[seen] = _resampled(camera, rays[seen], scale[seen], hits, seen, rng)
         cosine = np.cos(np.radians(hits.incidence_deg[seen]))
         yield Cloud(
             origin + depth[seen, None] * rays[seen],
@@ -157,6 +168,44 @@ def match(scene, camera, trajectory, *, times, seed):
                 ),
             },
         )
+
+
+def thin(points: ArrayLike, least: float) -> np.ndarray:
+    """Say which points remain when none may be nearer to another one than a least distance.
+
+    A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in
+    object space so make the density independent of the distance.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2) or (n, 3)
+        Metres, in the order in which they are taken.
+    least : float
+        Metres.
+
+    Returns
+    -------
+    array of bool, shape (n,)
+
+    Examples
+    --------
+    >>> thin([[0, 0], [0.6, 0], [1.2, 0]], least=1.0).tolist()
+    [True, False, True]
+    """
+    from scipy.spatial import cKDTree
+
+    points = np.asarray(points, dtype=np.float64)
+    keep = np.ones(len(points), dtype=bool)
+    near = cKDTree(points).query_pairs(check_positive(least, "least"), output_type="ndarray")
+    first, later = np.sort(near, axis=1).T
+    while len(first):
+        waits, gone = np.zeros((2, len(points)), dtype=bool)
+        waits[later] = True
+        gone[later[~waits[first]]] = True  # the one before it stays for sure
+        keep &= ~gone
+        open_pairs = waits[first] & ~gone[first] & ~gone[later]
+        first, later = first[open_pairs], later[open_pairs]
+    return keep
 
 
 def hard_core_points(width, height, *, density, hard_core, rng):
@@ -179,19 +228,40 @@ def hard_core_points(width, height, *, density, hard_core, rng):
     Illian, Penttinen, Stoyan & Stoyan 2008, Statistical Analysis and Modelling of Spatial Point
     Patterns, section 6.5.2.
     """
-    from scipy.spatial import cKDTree
-
-    core = hard_core / np.sqrt(density)
-    disc = np.pi * core**2
-    needed = density if core == 0 else -np.log(1 - density * disc) / disc
+    core, needed = _matern(density, hard_core)
     low, high = np.array([-core, -core]), np.array([width + core, height + core])
     points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
+    points = points[~_younger(points, core)]
+    return points[((points >= 0) & (points < [width, height])).all(axis=1)]
+
+
+def _resampled(camera, rays, scale, hits, seen, rng):
+    """Which of the seen points stay so that surfaces have the density asked for, and its core."""
+    range_m, incidence = hits.range_m[seen], np.radians(hits.incidence_deg[seen])
+    depth = range_m / scale
+    matched = camera.points_per_px * (camera.focal_px / depth) ** 2 * np.cos(incidence) * scale
+    core, needed = _matern(camera.resampled_per_m2, camera.hard_core)
+    stays = rng.random(len(rays)) * matched < needed
+    stays[stays] = ~_younger((depth[:, None] * rays)[stays], core)
+    return stays
+
+
+def _matern(density, hard_core):
+    """Core radius, and Poisson density of which ``density`` remains after thinning."""
+    core = hard_core / np.sqrt(density)
+    disc = np.pi * core**2
+    return core, density if core == 0 else -np.log(1 - density * disc) / disc
+
+
+def _younger(points, core):
+    """Which points have an older one, that is an earlier one, within the core."""
+    from scipy.spatial import cKDTree
+
+    younger = np.zeros(len(points), dtype=bool)
     if core:
         pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
-        younger = np.zeros(len(points), dtype=bool)
         younger[pairs.max(axis=1)] = True
-        points = points[~younger]
-    return points[((points >= 0) & (points < [width, height])).all(axis=1)]
+    return younger
 
 
 def _ghosts(scene, camera, origin, attitude, pixels, hits, rng):
@@ -220,5 +290,6 @@ def _depth_noise(camera, pixels, depth, rng):
     shared = map_coordinates(field, [row, column], order=3, mode="nearest")
     alone = rng.standard_normal(len(pixels))
     c = camera.correlated_share
-    sigma = depth**2 / (camera.base_m * camera.focal_px) * camera.noise_px
+    stereo = depth**2 / (camera.base_m * camera.focal_px) * camera.noise_px
+    sigma = np.hypot(stereo, camera.floor_m)
     return sigma * (np.sqrt(c) * shared + np.sqrt(1 - c) * alone)

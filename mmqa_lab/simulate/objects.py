@@ -3,9 +3,14 @@
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.simulate.surfaces import board, group, polygon, rectangle, vector
+from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab.charts import Layout, point_chart, reflectance
+from mmqa_lab.simulate.surfaces import Surface, board, group, polygon, rectangle, vector
+
+CELL_MM = 10.0
+"""Cells of the printed chart; a scanner sees their mean reflectance."""
 
 
 def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflectance=0.5):
@@ -102,9 +107,15 @@ def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
 
 
 def chart(
-    centre, *, heading, size=1.0, cells=40, border=0.05, bright=0.8, dark=0.1, seed=0, label="chart"
-):
-    """Return a test chart: a random pattern of bright and dark cells, a border, two plain squares.
+    centre: ArrayLike,
+    *,
+    heading: float,
+    layout: Layout | None = None,
+    bright: float = 0.8,
+    dark: float = 0.1,
+    label: str = "chart",
+) -> Surface:
+    """Return the point chart as it is printed, as a surface that scanners and cameras see.
 
     Parameters
     ----------
@@ -112,50 +123,39 @@ def chart(
         Metres.
     heading : float
         Where its front looks to, degrees clockwise from +y.
-    size : float
-        Side of the square, metres.
-    cells : int
-        Cells along a side.
-    border : float
-        Share of the side on every edge that is bright throughout.
+    layout : Layout, optional
+        What is printed; by default :func:`mmqa_lab.charts.point_chart`.
     bright, dark : float
-        Reflectances. The lower corners hold a plain bright and a plain dark square, a fifth of the
-        side each.
-    seed : int
+        Reflectances of white and of black.
     label : str
 
     Returns
     -------
     Surface
+        With the mean reflectance of each cell of 10 mm.
 
     Raises
     ------
     ValueError
-        If there are fewer than five cells, the border is wider than a quarter or a reflectance lies
-        outside 0 to 1.
+        If a reflectance lies outside 0 to 1.
 
     References
     ----------
-    After Pfeifer et al. 2021, section 3 (doi:10.3390/rs13020237); the pattern is our own.
+    Pfeifer et al. 2021, section 3.3 (doi:10.3390/rs13020237); the random cells are this package's.
 
     Examples
     --------
     >>> from mmqa_lab.simulate import Scene
     >>> there = Scene([chart((5, 0, 1), heading=-90)])
     >>> corners = [[0, 0.35, 0.65], [0, -0.35, 0.65]]  # the plain squares below, left and right
-    >>> there.cast(corners, [[1, 0, 0]] * 2).reflectance.tolist()
-    [0.8, 0.1]
+    >>> there.cast(corners, [[1, 0, 0]] * 2).reflectance.round(6).tolist()
+    [0.1, 0.8]
     """
-    n = check_count(cells, "cells", low=5)
-    border = check_number(border, "border", low=0, high=0.25)
-    pattern = np.where(np.random.default_rng(seed).random((n, n)) < 0.5, bright, dark)
-    edge, plain = round(border * n), round(0.2 * n)
-    pattern[edge : edge + plain, edge : edge + plain] = bright
-    pattern[edge : edge + plain, n - edge - plain : n - edge] = dark
-    frame = np.ones((n, n), dtype=bool)
-    frame[edge : n - edge, edge : n - edge] = False
-    pattern[frame] = bright
-    return board(centre, size, size, heading=heading, label=label, reflectance=pattern)
+    layout = point_chart() if layout is None else layout
+    tones = reflectance(layout, cell=CELL_MM).astype(np.float64)
+    size = layout.width / 1000, layout.height / 1000
+    pattern = dark + (bright - dark) * tones
+    return board(centre, *size, heading=heading, label=label, reflectance=pattern)
 
 
 def chart_corners(centre, *, heading, size=1.0):

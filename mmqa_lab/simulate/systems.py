@@ -36,8 +36,21 @@ SYSTEM_A = replace(presets.ZF_9012, tilt_deg=45)
 SYSTEM_B = presets.HDL_32E
 """0.7 MHz are stated, the mounting is not: upright, as most are."""
 
-SYSTEM_C = MatchingCamera(focal_px=4000, width_px=850, height_px=850, base_m=1.0)
-"""Nothing is stated of the images; only the pattern, not its density, can be predicted."""
+SYSTEM_C = MatchingCamera(
+    focal_px=1233,
+    width_px=280,
+    height_px=280,
+    base_m=1.0,
+    points_per_px=4.0,
+    hard_core=0.34,
+    resampled_per_m2=29_900,
+    noise_px=0.23,
+    floor_m=0.0132,
+    correlation_px=3.0,
+)
+"""A panorama of 30 megapixels is stated, so 1233 pixels per radian; which images were matched, and
+how, is not. Density, hard core and noise are fitted to Table 2, whose density does not fall with
+the distance: it takes more than two points per pixel at 10 m, so several pairs, and resampling."""
 
 
 def pass_chart(sensor, distance, *, seed, height=0.0, speed=SPEED, rounding_m=0.0):
@@ -61,7 +74,7 @@ def pass_chart(sensor, distance, *, seed, height=0.0, speed=SPEED, rounding_m=0.
     -------
     Cloud
         The chart's centre lies at (distance, 0, 0), the path runs along +y. As of ``scan`` or
-        ``match``; of a camera, the one stereo pair taken opposite the chart.
+        ``match``; a camera takes its images opposite the chart.
 
     Examples
     --------

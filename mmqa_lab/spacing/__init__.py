@@ -1,31 +1,35 @@
-"""Spacing of points: quadrant distances d1..d4, f, directional spacing, g, coincident points."""
+"""Spacing of points in a plane: quadrant distances, d1..d4, f, spacing by direction, g, and others.
 
-from mmqa_lab.spacing.directional import (
+:func:`quadrants` gives d1..d4 and f, :func:`directional` the spacing by direction and g, each with
+95 % intervals; :func:`exempt` says where f does not matter.
+"""
+
+from mmqa_lab.spacing._directional import (
     DirectionalSpacing,
     clark_evans,
-    directional_spacing,
+    directional,
     pair_contrast,
     structure_tensor_ratio,
     turned_f,
 )
-from mmqa_lab.spacing.quadrants import (
+from mmqa_lab.spacing._quadrants import (
     Spacing,
-    count_coincident,
+    exempt,
     poisson_spacing,
     quadrant_distances,
-    spacing,
+    quadrants,
 )
 
 __all__ = [
     "DirectionalSpacing",
     "Spacing",
     "clark_evans",
-    "count_coincident",
-    "directional_spacing",
+    "directional",
+    "exempt",
     "pair_contrast",
     "poisson_spacing",
     "quadrant_distances",
-    "spacing",
+    "quadrants",
     "structure_tensor_ratio",
     "turned_f",
 ]

@@ -46,7 +46,7 @@ STUDIES = (
         stem="repeatability",
         title="Repeatability",
         question="How much do density, sigma_MAD and f vary when the same chart is selected again?",
-        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 4.2",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, section 4.4",
     ),
     Study(
         number=3,

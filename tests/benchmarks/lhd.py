@@ -11,7 +11,8 @@ import tracemalloc
 import numpy as np
 
 from mmqa_lab import lines
-from mmqa_lab.lines import detect_planes, intersect_patches
+from mmqa_lab.lines import intersect_patches
+from mmqa_lab.planes import detect_planes
 from mmqa_lab.simulate.canyon import canyon
 from mmqa_lab.simulate.canyon_cloud import canyon_cloud
 

@@ -35,7 +35,7 @@ from mmqa_lab.chart_cloud import evaluate_cloud, hull_area
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE
-from mmqa_lab.spacing.quadrants import quadrant_distances
+from mmqa_lab.spacing import quadrant_distances
 
 CHART_POINTS = 30_000
 NEAR_M = 0.05

@@ -91,7 +91,7 @@ def points(name, n, order):
 
 def quadrants(xy):
     """This package."""
-    from mmqa_lab.spacing.quadrants import quadrant_distances
+    from mmqa_lab.spacing import quadrant_distances
 
     return quadrant_distances(xy, radius=RADIUS_M)
 

@@ -1,0 +1,30 @@
+"""Planes: the regression plane of points, their dispersion, and the planes of whole clouds."""
+
+from mmqa_lab.planes.detection import Patch, detect_planes
+from mmqa_lab.planes.regression import (
+    CONSISTENT_SCALE,
+    PAPER_SCALE,
+    TUKEY,
+    Line,
+    Plane,
+    fit_line,
+    fit_plane,
+    flat_points,
+    sigma_mad,
+    turned_axes,
+)
+
+__all__ = [
+    "CONSISTENT_SCALE",
+    "PAPER_SCALE",
+    "TUKEY",
+    "Line",
+    "Patch",
+    "Plane",
+    "detect_planes",
+    "fit_line",
+    "fit_plane",
+    "flat_points",
+    "sigma_mad",
+    "turned_axes",
+]

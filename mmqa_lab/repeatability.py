@@ -1,0 +1,543 @@
+"""How far quality figures vary when an operator selects the same surface again.
+
+An operator's polygon is a nominal outline whose vertices carry a click error. Selections of one
+scan differ in it alone (repeatability), scans of one surface differ too; ISO 5725 and the analysis
+of variance separate these parts, and :func:`strip_law` says what to expect.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab._polygons import polygon_vertices
+from mmqa_lab._results import Shown
+from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
+
+__all__ = [
+    "PowerLaw",
+    "Repeatability",
+    "contaminated_sigma_mad",
+    "evaluate_selections",
+    "operator_polygons",
+    "power_law",
+    "repeatability",
+    "strip_law",
+    "variance_components",
+    "with_strays",
+]
+
+STRIP = 0.4579
+"""Half of the mean area between two jittered outlines, per perimeter and click error."""
+
+
+LIMIT = 2.8
+"""1.96 sqrt(2): two results differ by less than 2.8 standard deviations in 95 % (ISO 5725-6)."""
+
+
+def operator_polygons(
+    corners: ArrayLike, *, repeats: int, click: float, seed, vertices: int = 4
+) -> np.ndarray:
+    """Draw the polygons of an operator who clicks the same outline again and again.
+
+    Vertices lie evenly on the outline, the corners among them, and get independent normal errors in
+    both directions of the plane.
+
+    Parameters
+    ----------
+    corners : array_like, shape (4, 3)
+        The outline meant, in order, metres, such as
+        :func:`mmqa_lab.chart_cloud.chart_polygon` gives.
+    repeats : int
+        Number of polygons.
+    click : float
+        Standard deviation of a vertex in each direction, m; 1 to 2 cm in a 3-D editor.
+    seed : int
+    vertices : int
+        A multiple of 4; 4 for a quadrilateral, more for a free polygon.
+
+    Returns
+    -------
+    array, shape (repeats, vertices, 3)
+        Metres.
+
+    Raises
+    ------
+    ValueError
+        If a polygon crosses itself because the click error is too large for the outline.
+
+    Examples
+    --------
+    >>> square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    >>> polygons = operator_polygons(square, repeats=5, click=0.01, seed=1, vertices=8)
+    >>> polygons.shape, bool(abs(polygons[:, 1] - [0.5, 0, 0]).max() < 0.05)
+    ((5, 8, 3), True)
+    """
+    import shapely
+
+    corners = polygon_vertices(corners, name="corners")
+    repeats = check_count(repeats, "repeats")
+    click = check_number(click, "click", low=0, unit="m")
+    if len(corners) != 4 or check_count(vertices, "vertices", low=4) % 4:
+        raise ValueError(f"Invalid vertices {vertices}. Must be a multiple of four corners.")
+    plane = fit_plane(corners)
+    steps = np.arange(vertices // 4)[:, None] * 4 / vertices
+    sides = np.roll(corners, -1, axis=0) - corners
+    outline = (corners[:, None] + steps * sides[:, None]).reshape(-1, 3)
+    errors = click * np.random.default_rng(seed).standard_normal((repeats, vertices, 2))
+    polygons = outline + errors @ plane.axes
+    valid = shapely.is_valid(shapely.polygons(plane.project(polygons)))
+    if not valid.all():
+        raise ValueError(
+            f"Invalid click {click}: {int((~valid).sum())} of {repeats} polygons cross themselves. "
+            "Must be well below the distance of the vertices."
+        )
+    return polygons
+
+
+def with_strays(
+    points: ArrayLike, *, share: float, depths: tuple[float, float], seed: int
+) -> np.ndarray:
+    """Add points that a selection catches by mistake behind or in front of a surface.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        On the surface, metres.
+    share : float
+        Of all points afterwards, 0 to 0.5.
+    depths : pair of float
+        Strays lie between these distances along the plane's normal, m; equally likely anywhere.
+    seed : int
+
+    Returns
+    -------
+    array, shape (m, 3)
+        The points, then the strays: copies of random points, moved.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points or the share lies outside 0 to 0.5.
+
+    Examples
+    --------
+    >>> surface = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    >>> with_strays(surface, share=0.2, depths=(0.1, 0.1), seed=1)[-1, 2].item()
+    0.1
+    """
+    points = check_points(points, minimum=3)
+    share = check_number(share, "share", low=0, high=0.5)
+    rng = np.random.default_rng(seed)
+    count = round(len(points) * share / (1 - share))
+    depth = rng.uniform(*depths, count)[:, None]
+    strays = points[rng.integers(len(points), size=count)] + depth * fit_plane(points).normal
+    return np.concatenate([points, strays])
+
+
+def evaluate_selections(
+    points: ArrayLike,
+    polygons: ArrayLike,
+    *,
+    thickness: float = 0.1,
+    axes: str | float = "principal",
+    radius: float = 0.5,
+) -> pd.DataFrame:
+    """Evaluate one cloud with each of many polygons.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    polygons : array_like, shape (repeats, vertices, 3)
+        Metres.
+    thickness, axes, radius
+        See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+
+    Returns
+    -------
+    DataFrame
+        A row per polygon: ``selection`` and the figures of ``CloudQuality.to_frame``.
+
+    Raises
+    ------
+    ValueError
+        As :func:`mmqa_lab.chart_cloud.evaluate_cloud`: too few points in a polygon, and the like.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(50) * 0.02)
+    >>> cloud = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    >>> square = np.array([[0.1, 0.1, 0], [0.9, 0.1, 0], [0.9, 0.9, 0], [0.1, 0.9, 0]]) - 0.01
+    >>> evaluate_selections(cloud, [square, square + [0.04, 0, 0]])["n"].tolist()
+    [1600, 1600]
+    """
+    points = check_points(points, minimum=3)
+    choices = {"thickness": thickness, "axes": axes, "radius": radius}
+    frames = [evaluate_cloud(points, polygon=p, **choices).to_frame() for p in polygons]
+    table = pd.concat(frames, ignore_index=True)
+    return table.rename_axis("selection").reset_index()
+
+
+@dataclass(frozen=True)
+class Repeatability(Shown):
+    """Repeatability of one figure, as ISO 5725-2 names its parts.
+
+    Parameters
+    ----------
+    mean : float
+        Mean of all results, in the unit of the figure, like all standard deviations here.
+    s_r : float
+        Repeatability standard deviation: between selections of the same scan.
+    s_l : float
+        Standard deviation between scans, beyond what selections explain; 0 where none is seen.
+    icc : float
+        Intraclass correlation ICC(1,1): share of the variance that lies between scans.
+    icc_low, icc_high : float
+        Its 95 % interval (F distribution).
+    s_r_low, s_r_high : float
+        95 % interval of s_r, bootstrap over the selections within each scan.
+    groups, n : int
+        Scans, and results in all.
+
+    Examples
+    --------
+    >>> found = Repeatability(100.0, 1.0, 0.0, 0.0, 0.0, 0.2, 0.8, 1.2, groups=4, n=40)
+    >>> found.r, found.reproducibility_limit
+    (2.8, 2.8)
+    """
+
+    mean: float
+    s_r: float
+    s_l: float
+    icc: float
+    icc_low: float
+    icc_high: float
+    s_r_low: float
+    s_r_high: float
+    groups: int
+    n: int
+
+    @property
+    def r(self):
+        """Repeatability limit 2.8 s_r."""
+        return LIMIT * self.s_r
+
+    @property
+    def reproducibility_limit(self):
+        """2.8 s_R with s_R^2 = s_L^2 + s_r^2: another selection of another scan."""
+        return LIMIT * float(np.hypot(self.s_r, self.s_l))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row with all parts, ``r`` and ``relative_s_r_percent`` with its interval."""
+        percent = 100 / self.mean
+        relative = {
+            "relative_s_r_percent": percent * self.s_r,
+            "low_percent": percent * self.s_r_low,
+            "high_percent": percent * self.s_r_high,
+        }
+        return pd.DataFrame([asdict(self) | {"r": self.r} | relative])
+
+
+def repeatability(
+    table: pd.DataFrame, value: str, *, group: str = "scan", draws: int = 500, seed: int = 0
+) -> Repeatability:
+    """Separate repeatability and the variance between scans.
+
+    One-way analysis of variance of ``value`` over ``group`` (ISO 5725-2, section 7.4); unequal
+    numbers are allowed.
+
+    Parameters
+    ----------
+    table : DataFrame
+        A row per selection.
+    value, group : str
+        Columns: the figure, and what names the scan.
+    draws : int
+        Of the bootstrap.
+    seed : int
+
+    Returns
+    -------
+    Repeatability
+        Between-scan parts are NaN with one scan only.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or a scan has fewer than two selections.
+
+    References
+    ----------
+    ISO 5725-2:2019; Shrout and Fleiss 1979, doi:10.1037/0033-2909.86.2.420 (ICC(1,1), interval).
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"scan": [1, 1, 2, 2], "f": [2.0, 2.2, 3.0, 3.2]})
+    >>> found = repeatability(table, "f")
+    >>> round(found.s_r, 3), round(found.s_l, 3), round(found.icc, 3)
+    (0.141, 0.7, 0.961)
+    """
+    parts = [rows.to_numpy(dtype=np.float64) for _, rows in table.groupby(group)[value]]
+    if not parts or min(len(part) for part in parts) < 2:
+        raise ValueError(f"Invalid {group}: a single selection. Must be two or more of each.")
+    if not np.isfinite(np.concatenate(parts)).all():
+        raise ValueError(f"Invalid {value}: not finite. Must be measured in every selection.")
+    rng = np.random.default_rng(seed)
+    drawn = [_pooled(rng.choice(part, (draws, len(part))) for part in parts)]
+    # resampled deviations are too small by n / (n - 1)
+    grown = np.sqrt(np.mean([len(part) / (len(part) - 1) for part in parts]))
+    low, high = np.quantile(drawn, [0.025, 0.975]) * grown
+    s_r = float(_pooled(part[None] for part in parts)[0])
+    between, icc, interval = _between(parts, s_r**2)
+    return Repeatability(
+        mean=float(np.mean(np.concatenate(parts))),
+        s_r=s_r,
+        s_l=float(np.sqrt(max(between, 0.0))) if np.isfinite(between) else np.nan,
+        icc=icc,
+        icc_low=interval[0],
+        icc_high=interval[1],
+        s_r_low=float(low),
+        s_r_high=float(high),
+        groups=len(parts),
+        n=sum(len(part) for part in parts),
+    )
+
+
+def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[str]) -> pd.DataFrame:
+    """Estimate the variance that each level of a balanced nested design adds.
+
+    Analysis of variance of the logarithms (so that the parts are relative), with every factor
+    nested in those before it; a component is the difference of two mean squares over the number of
+    results behind one level.
+
+    Parameters
+    ----------
+    table : DataFrame
+        A row per result.
+    value : str
+        The figure; positive.
+    factors : sequence of str
+        Columns from the coarsest to the finest, for example system, distance_m, scan.
+
+    Returns
+    -------
+    DataFrame
+        ``factor`` (the last is ``selection``), ``degrees_of_freedom``, ``mean_square``,
+        ``variance`` (of the natural logarithm, 0 where the difference is negative), ``share``,
+        ``relative_sd`` (1), ``n``.
+
+    Raises
+    ------
+    ValueError
+        If a value is not positive or the design is not balanced.
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"scan": [1, 1, 2, 2], "f": [2.0, 2.1, 4.0, 4.2]})
+    >>> found = variance_components(table, "f", factors=["scan"])
+    >>> found["factor"].tolist(), found["relative_sd"].round(3).tolist()
+    (['scan', 'selection'], [0.49, 0.034])
+    """
+    from statsmodels.formula.api import ols
+    from statsmodels.stats.anova import anova_lm
+
+    if not (np.isfinite(table[value]) & (table[value] > 0)).all():
+        raise ValueError(f"Invalid {value}: not positive. Must be so in every selection.")
+    sizes = [table.groupby(list(factors[: k + 1])).size() for k in range(len(factors))]
+    if any(size.nunique() > 1 for size in sizes):
+        raise ValueError("Invalid table: not balanced. Must have as many results in every cell.")
+    data = pd.DataFrame({"y": np.log(table[value].to_numpy())})
+    for k in range(len(factors)):  # a level of its own within each of those before it
+        data[f"level{k}"] = table.groupby(list(factors[: k + 1])).ngroup().to_numpy()
+    models = ["y ~ 1", *(f"y ~ C(level{k})" for k in range(len(factors)))]
+    compared = anova_lm(*(ols(model, data).fit() for model in models))
+    last = compared.iloc[-1]
+    freedom = [*compared["df_diff"].iloc[1:], last["df_resid"]]
+    if min(freedom) < 1:
+        raise ValueError(f"Invalid factors {factors}. Must have two levels or more each.")
+    squares = np.array([*compared["ss_diff"].iloc[1:], last["ssr"]]) / freedom
+    behind = np.array([len(table) / data[f"level{k}"].nunique() for k in range(len(factors))])
+    variances = np.clip([*(-np.diff(squares) / behind), squares[-1]], 0, None)
+    return pd.DataFrame(
+        {
+            "factor": [*factors, "selection"],
+            "degrees_of_freedom": np.array(freedom, dtype=int),
+            "mean_square": squares,
+            "variance": variances,
+            "share": variances / variances.sum(),
+            "relative_sd": np.sqrt(variances),
+            "n": len(table),
+        }
+    )
+
+
+def _pooled(parts):
+    """Pooled standard deviation within groups, each (draws, n): shape (draws,)."""
+    squares, freedom = 0.0, 0
+    for part in parts:
+        squares = squares + ((part - part.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
+        freedom += part.shape[1] - 1
+    return np.sqrt(squares / freedom)
+
+
+def _between(parts, within):
+    """Variance between groups, ICC(1,1) and its 95 % interval; NaN for a single group."""
+    from scipy.stats import f as f_distribution
+
+    groups, sizes = len(parts), np.array([len(part) for part in parts])
+    if groups < 2:
+        return np.nan, np.nan, (np.nan, np.nan)
+    n, means = sizes.sum(), np.array([part.mean() for part in parts])
+    typical = (n - (sizes**2).sum() / n) / (groups - 1)
+    centre = np.concatenate(parts).mean()
+    between = (sizes * (means - centre) ** 2).sum() / (groups - 1)
+    if within == 0:
+        return between / typical, np.nan, (np.nan, np.nan)
+    ratio, freedom = between / within, (groups - 1, n - groups)
+    low, high = f_distribution.ppf(0.975, *freedom), f_distribution.ppf(0.975, *freedom[::-1])
+    icc, low, high = ((x - 1) / (x + typical - 1) for x in (ratio, ratio / low, ratio * high))
+    return (between - within) / typical, float(icc), (float(low), float(high))
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """y = factor x^exponent, fitted to the logarithms, with standard errors of ln and exponent.
+
+    Parameters
+    ----------
+    exponent, standard_error : float
+        The latter of the former.
+    factor : float
+        y at x = 1.
+    n : int
+        Pairs fitted.
+
+    Examples
+    --------
+    >>> law = power_law([1, 2, 4], [5.0, 20.0, 80.0])
+    >>> round(law.exponent, 9), round(law.standard_error, 9), round(law.factor, 9)
+    (2.0, 0.0, 5.0)
+    """
+
+    exponent: float
+    standard_error: float
+    factor: float
+    n: int
+
+
+def strip_law(*, density: float, area: float, click: float, influence: float = 1.0) -> float:
+    """Predicted relative s_r of a figure when square selections of one random pattern vary.
+
+    Two selections share all points but those in the strip between their outlines, whose mean area
+    is 0.916 P click for the perimeter P. The figure changes by the chance in these points:
+    s_r / value = influence sqrt(0.458 P click / density) / area, with P = 4 sqrt(area). So it falls
+    with area^(-3/4) and density^(-1/2), not with the number of points alone.
+
+    Parameters
+    ----------
+    density : float
+        Points per square metre.
+    area : float
+        Of the selection, square metres.
+    click : float
+        Standard deviation of a vertex in each direction, m.
+    influence : float
+        Standard deviation of one point's influence over the value: 1 for the density,
+        sqrt(1/2) for std, 1.166 for sigma_MAD of normal residuals (asymptotic).
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If density or area is not above zero or ``click`` is negative.
+
+    Notes
+    -----
+    For a Poisson pattern; points on scan lines come in whole lines and vary otherwise.
+
+    Examples
+    --------
+    >>> round(100 * strip_law(density=1712, area=0.5, click=0.015), 2)
+    0.67
+    """
+    density = check_positive(density, "density", unit="points per m2")
+    area = check_positive(area, "area", unit="m2")
+    click = check_number(click, "click", low=0, unit="m")
+    return float(influence * np.sqrt(STRIP * 4 * np.sqrt(area) * click / density) / area)
+
+
+def contaminated_sigma_mad(share: float) -> float:
+    """sigma_MAD of normal residuals over their standard deviation, with strays far to one side.
+
+    The median moves to m, Phi(m) (1 - share) = 1/2, and d, half of the points about it, solves
+    (1 - share) (Phi(m + d) - Phi(m - d)) = 1/2.
+
+    Parameters
+    ----------
+    share : float
+        Of all points, 0 to below 0.5.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If the share lies outside 0 to 0.49.
+
+    Examples
+    --------
+    >>> [round(contaminated_sigma_mad(share), 3) for share in (0, 0.05, 0.1)]
+    [1.0, 1.065, 1.145]
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import norm
+
+    share = check_number(share, "share", low=0, high=0.49)
+    half = 0.5 / (1 - share)
+    median = norm.ppf(half)
+    d = brentq(lambda d: norm.cdf(median + d) - norm.cdf(median - d) - half, 0, 20)
+    return float(CONSISTENT_SCALE * d)
+
+
+def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
+    """Fit y = factor x^exponent by least squares on the logarithms.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        Above zero, n >= 3.
+
+    Returns
+    -------
+    PowerLaw
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three pairs or one is not above zero.
+
+    Examples
+    --------
+    >>> law = power_law([1, 4, 16, 64], [3.0, 1.5, 0.75, 0.375])
+    >>> round(law.exponent, 6), round(law.factor, 6), law.n
+    (-0.5, 3.0, 4)
+    """
+    import statsmodels.api as sm
+
+    pairs = check_points(np.stack([x, y], axis=1), name="pairs", columns=2, minimum=3)
+    if (pairs <= 0).any():
+        raise ValueError(f"Invalid pairs: the smallest is {pairs.min()}. Must be > 0.")
+    logarithms = np.log(pairs)
+    fit = sm.OLS(logarithms[:, 1], sm.add_constant(logarithms[:, 0])).fit()
+    intercept, exponent = fit.params
+    return PowerLaw(float(exponent), float(fit.bse[1]), float(np.exp(intercept)), len(pairs))
