@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
+from mmqa_lab._polygons import path_distance
 from mmqa_lab.stats import Rate, average_precision, errors, f1, wilson
 
 GATE_M = 0.5
@@ -327,20 +328,6 @@ def curve(detections, references, **choices):
         average_precision(frame["recall"], frame["precision"]) if known else np.nan
     )
     return frame
-
-
-def path_distance(xy, path):
-    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
-
-    Examples
-    --------
-    >>> path_distance(np.array([[1.0, 5.0], [0.0, 12.0]]), np.array([[0.0, 0.0], [0.0, 10.0]]))
-    array([1., 2.])
-    """
-    import shapely
-
-    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    return shapely.distance(shapely.points(xy), line)
 
 
 def _path(trajectory):
