@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
+from mmqa_lab._polygons import path_distance
 from mmqa_lab.stats import Errors, Rate, errors, f1, wilson
 
 GATE_M = 0.5
@@ -350,20 +351,6 @@ def curve(detections: pd.DataFrame, references: pd.DataFrame, **choices) -> pd.D
     frame["recall"] = frame["hits"] / total if result.recall.n else np.nan
     frame["precision"] = frame["hits"] / (frame["hits"] + frame["false"])
     return frame
-
-
-def path_distance(xy, path):
-    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
-
-    Examples
-    --------
-    >>> path_distance(np.array([[1.0, 5.0], [0.0, 12.0]]), np.array([[0.0, 0.0], [0.0, 10.0]]))
-    array([1., 2.])
-    """
-    import shapely
-
-    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    return shapely.distance(shapely.points(xy), line)
 
 
 def _path(trajectory):
