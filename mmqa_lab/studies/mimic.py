@@ -369,7 +369,7 @@ def draw_errors(results):
     labels = ("error of point spacing, median (mm)", "of profile angle, median (degrees)")
     for ax, name, label in zip(axes, ("point_mm", "angle_deg"), labels, strict=True):
         size = np.abs(results[name]).to_dataframe().groupby(["range_m", "method"])[name]
-        lines = size.median().unstack().dropna(axis=1, how="all")
+        lines = size.median().unstack()
         lines.plot(ax=ax, style=STYLES[: len(lines.columns)], logy=True, legend=False)
         ax.set(xlabel="range (m)", ylabel=label)
         ax.set_ylim(bottom=1e-3)  # rounding errors lie far below
