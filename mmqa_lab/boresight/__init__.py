@@ -16,6 +16,6 @@ pitches about x and heads about -z, so that the true beam is R(boresight) times 
 """
 
 from mmqa_lab.boresight.adjustment import PARAMETERS
-from mmqa_lab.boresight.mounting import Calibration, calibrate
+from mmqa_lab.boresight.mounting import Calibration, calibrate, corrected
 
-__all__ = ["PARAMETERS", "Calibration", "calibrate"]
+__all__ = ["PARAMETERS", "Calibration", "calibrate", "corrected"]

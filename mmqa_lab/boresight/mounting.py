@@ -70,17 +70,46 @@ class Calibration:
         trajectory
             The path it was computed from.
         """
-        origin = cloud.points[0].round() if len(cloud) else np.zeros(3)
-        points = placed_points(
-            cloud.points,
-            np.asarray(cloud["gps_time"], dtype=np.float64),
-            heads(cloud),
-            trajectory=trajectory,
-            lever=self.lever_arms_m,
-            values=radians(self.values),
-            origin=origin,
-        )
-        return Cloud(origin + points, cloud.columns, cloud.name)
+        return corrected(cloud, trajectory, lever_arms_m=self.lever_arms_m, values=self.values)
+
+
+def corrected(cloud, trajectory, *, lever_arms_m, values):
+    """Return a cloud as another mounting of its heads makes it.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With ``gps_time`` and, for several heads, ``head``; computed with the assumed mounting.
+    trajectory
+        The path it was computed from.
+    lever_arms_m : array_like, shape (h, 3)
+        As assumed.
+    values : array_like, shape (h, 6)
+        Of each head: boresight in degrees, and metres to add to the assumed lever arm.
+
+    Returns
+    -------
+    Cloud
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import straight
+    >>> cloud = Cloud(np.array([[3.0, 5.0, 0.0]]), {"gps_time": np.array([0.5])})
+    >>> raised = {"lever_arms_m": [[0, 0, 2]], "values": [[0, 0, 0, 0, 0, 0.1]]}
+    >>> corrected(cloud, straight(20, 10), **raised).points.round(6).tolist()
+    [[3.0, 5.0, 0.1]]
+    """
+    origin = cloud.points[0].round() if len(cloud) else np.zeros(3)
+    points = placed_points(
+        cloud.points,
+        np.asarray(cloud["gps_time"], dtype=np.float64),
+        heads(cloud),
+        trajectory=trajectory,
+        lever=np.asarray(lever_arms_m, dtype=np.float64),
+        values=radians(np.asarray(values, dtype=np.float64)),
+        origin=origin,
+    )
+    return Cloud(origin + points, cloud.columns, cloud.name)
 
 
 def calibrate(

@@ -239,7 +239,7 @@ def _resampled(camera, rays, scale, hits, seen, rng):
     """Which of the seen points stay so that surfaces have the density asked for, and its core."""
     range_m, incidence = hits.range_m[seen], np.radians(hits.incidence_deg[seen])
     depth = range_m / scale
-    matched = camera.points_per_px * (camera.focal_px / depth) ** 2 * np.cos(incidence) / scale**3
+    matched = camera.points_per_px * (camera.focal_px / depth) ** 2 * np.cos(incidence) * scale
     core, needed = _matern(camera.resampled_per_m2, camera.hard_core)
     stays = rng.random(len(rays)) * matched < needed
     stays[stays] = ~_younger((depth[:, None] * rays)[stays], core)

@@ -90,6 +90,13 @@ STUDIES = (
         question="What do a camera's numbers say of resolution and reflectance, and how surely?",
         source="EuroSDR 2013, image radiometry",
     ),
+    Study(
+        number=9,
+        stem="chart_images",
+        title="Chart images",
+        question="What do photographs of a chart say of a camera, and what does its specification?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 1",
+    ),
 )
 
 

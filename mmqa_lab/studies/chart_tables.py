@@ -215,8 +215,9 @@ def plot_readings(results):
     figure, axes = plots.subplots(1, 5, width="double", height_mm=60, sharey=True)
     for ax, name in zip(axes, table.columns.unique(0), strict=True):
         table[name].plot.barh(ax=ax, legend=False, width=0.8)
-        ax.set(title=name.removesuffix("_percent"), xlabel="from Appendix A (%)", ylabel="")
-    axes[2].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=5)
+        ax.set(title=name.removesuffix("_percent"), ylabel="")
+    figure.supxlabel("difference from Appendix A (%)")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 

@@ -15,8 +15,12 @@ RMSE_V, that of the plan (equation 3-1) RMSE_H, and add to both the uncertainty 
 own survey. They have given up 95 % confidence levels, and ask for 30 check points or more.
 """
 
-from mmqa_lab.testfield.drives import between_drives, split_drives
-from mmqa_lab.testfield.heights import height_accuracy, height_differences
+from mmqa_lab.testfield.heights import (
+    between_drives,
+    height_accuracy,
+    height_differences,
+    split_drives,
+)
 from mmqa_lab.testfield.planimetry import (
     corner_positions,
     plan_accuracy,

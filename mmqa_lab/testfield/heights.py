@@ -20,6 +20,9 @@ GROSS = 5.0
 REASONS = ("", "no points", "not surrounded", "slope", "gross error")
 """Why a reference point has no valid difference; empty where it has."""
 
+GAP_S = 3600.0
+"""A drive may pass a place more than once; an hour without points is another drive."""
+
 
 def height_differences(
     points, reference, *, radius=0.2, slope_limit=20.0, gross_limit=None, progress=False
@@ -122,9 +125,9 @@ def height_accuracy(table):
 
     Notes
     -----
-    The shift kept is absolute accuracy, and hangs on the reference's own height system; removed, it
-    is what the cloud is like in itself. LE90 is taken from the differences, not 1.645 RMSE, which
-    holds for normal errors only.
+    The shift kept is absolute accuracy and depends on the height system of the reference; removed,
+    it is what the cloud is like in itself. LE90 is taken from the differences, not 1.645 RMSE,
+    which is true of normal errors only.
 
     Examples
     --------
@@ -137,13 +140,82 @@ def height_accuracy(table):
     dz = 1000 * table.loc[table["reason"] == "", "dz_m"].to_numpy(dtype=np.float64)
     shift = dz.mean() if len(dz) else np.nan
     parts = (("kept", 0), ("removed", shift))
-    table = pd.DataFrame([{"shift": name, **summary(dz - part)} for name, part in parts])
+    table = pd.DataFrame([{"shift": name, **_summary(dz - part)} for name, part in parts])
     table["mean_mm"] = table["mean_mm"].round(9) + 0.0  # never -0
     return table
 
 
-def summary(values):
-    """Return the figures of one row of an accuracy table, in mm, of differences in mm."""
+def split_drives(gps_time, *, gap_s=GAP_S):
+    """Return the number of the drive of each point: a gap in time begins a new one.
+
+    Parameters
+    ----------
+    gps_time : array_like, shape (n,)
+        Seconds, in any order.
+    gap_s : float
+        Shortest gap, s.
+
+    Returns
+    -------
+    array of int, shape (n,)
+        Counted from 0 in the order of time.
+
+    Raises
+    ------
+    ValueError
+        If a time is not finite or the gap is not above zero.
+
+    Examples
+    --------
+    >>> split_drives([5.0, 90_000.0, 6.0, 90_001.0]).tolist()
+    [0, 1, 0, 1]
+    """
+    time = np.asarray(gps_time, dtype=np.float64)
+    if time.ndim != 1 or not len(time) or not np.isfinite(time).all():
+        raise ValueError(f"Invalid gps_time of shape {time.shape}. Must be finite seconds.")
+    gap = check_positive(gap_s, "gap_s", unit="s")
+    order = np.argsort(time, kind="stable")
+    number = np.empty(len(time), dtype=int)
+    number[order] = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap)
+    return number
+
+
+def between_drives(first, second):
+    """Return the height differences of two drives at the reference points that both have.
+
+    Parameters
+    ----------
+    first, second : DataFrame
+        From ``height_differences`` at the same reference points.
+
+    Returns
+    -------
+    DataFrame
+        As ``first``, with ``dz_m`` of the first drive less that of the second: relative accuracy,
+        in which errors of the reference cancel. ``reason`` is that of whichever has one.
+
+    Raises
+    ------
+    ValueError
+        If the reference points are not the same.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> place = {"x_m": [0.0], "y_m": 0.0, "reference_m": 5.0}
+    >>> first = pd.DataFrame(place | {"dz_m": 0.5, "reason": ""})
+    >>> between_drives(first, first.assign(dz_m=0.25))["dz_m"].tolist()
+    [0.25]
+    """
+    places = ["x_m", "y_m", "reference_m"]
+    if len(first) != len(second) or not np.array_equal(first[places], second[places]):
+        raise ValueError("Invalid tables. Must be of the same reference points.")
+    reason = first["reason"].where(first["reason"] != "", second["reason"])
+    return first.assign(dz_m=first["dz_m"] - second["dz_m"], reason=reason)
+
+
+def _summary(values):
+    """The figures of one row of an accuracy table, in mm, of differences in mm."""
     found = errors(values)
     known = values[np.isfinite(values)]
     low, high, le90 = (
@@ -153,49 +225,6 @@ def summary(values):
         **{"n": found.n, "mean_mm": found.bias, "min_mm": low, "max_mm": high},
         **{"std_mm": found.std, "rmse_mm": found.rmse, "nmad_mm": found.nmad, "le90_mm": le90},
     }
-
-
-def rms_check(table, *, unit_mm=1.0, n=None):
-    """Check printed RMSE against printed mean and standard deviation.
-
-    RMSE^2 = mean^2 + std^2 (n - 1) / n; every printed value stands for half a unit of its last
-    digit to either side.
-
-    Parameters
-    ----------
-    table : DataFrame
-        ``mean_mm``, ``std_mm``, ``rmse_mm`` as printed.
-    unit_mm : float
-        Of the last printed digit.
-    n : int, optional
-        Number of points; where left out, any n of two or more will do.
-
-    Returns
-    -------
-    DataFrame
-        The input with ``rmse_low_mm``, ``rmse_high_mm`` and ``agrees`` (None where a cell is
-        missing).
-
-    Examples
-    --------
-    >>> printed = pd.DataFrame({"mean_mm": [3.0, 3.0], "std_mm": [4.0, 4.0], "rmse_mm": [5.0, 9.0]})
-    >>> rms_check(printed)["agrees"].tolist()
-    [True, False]
-    """
-    half = check_positive(unit_mm, "unit_mm", unit="mm") / 2
-    mean, std = table["mean_mm"].abs(), table["std_mm"]
-    fewest, most = (2, np.inf) if n is None else (n, n)
-    low = np.hypot((mean - half).clip(lower=0), (std - half).clip(lower=0) * _share(fewest))
-    high = np.hypot(mean + half, (std + half) * _share(most))
-    inside = (table["rmse_mm"] + half >= low) & (table["rmse_mm"] - half <= high)
-    known = table[["mean_mm", "std_mm", "rmse_mm"]].notna().all(axis=1)
-    agrees = inside.astype(object).where(known, None)
-    return table.assign(rmse_low_mm=low, rmse_high_mm=high, agrees=agrees)
-
-
-def _share(n):
-    """Root of (n - 1) / n."""
-    return np.sqrt(1 - 1 / n)
 
 
 def _gross(dz, valid, limit):
