@@ -544,7 +544,6 @@ def answer(by_weight, held_out, rows):
     return (
         f"In simulated canyons whose distances are within a factor of {ratio:.2f} of the printed "
         f"ones, F1 is {over.min():.2f} to {over.max():.2f} for any W from {weights[0]} to "
-        f"{weights[-1]} and "
-        f"{f1['displaced']:.2f} once the displacement is estimated first; the distance saturates "
-        "and does not show it."
+        f"{weights[-1]} and {f1['displaced']:.2f} once the displacement is estimated first; the "
+        "distance saturates and does not show it."
     )
