@@ -58,6 +58,7 @@ LAYERS = {
 
 LAZY = {
     **{"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": {"plots"}},
+    "lines": {"plots"},
     "scan_pattern": {"plots"},
 }
 """Whatever takes points takes the path of a file of points, and reads it when it gets one. A result
