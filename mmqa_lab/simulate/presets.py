@@ -96,8 +96,8 @@ ZF_9012_FITTED = replace(
     tilt_deg=53.6,
     range_noise_m=0.0011,
     status="calibrated",
-    source="mirror frequency, tilt and noise fitted to Table 2 of Pfeifer et al. 2021, which contradicts "
-    "the 200 Hz stated there (study chart_tables)",
+    source="mirror frequency, tilt and noise fitted to Table 2 of Pfeifer et al. 2021, which "
+    "contradicts the 200 Hz stated there (study chart_tables)",
 )
 
 HDL_32E_FITTED = replace(
