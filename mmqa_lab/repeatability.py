@@ -5,10 +5,12 @@ scan differ in it alone (repeatability), scans of one surface differ too; ISO 57
 of variance separate these parts, and :func:`strip_law` says what to expect.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab._polygons import polygon_vertices
@@ -37,7 +39,9 @@ LIMIT = 2.8
 """1.96 sqrt(2): two results differ by less than 2.8 standard deviations in 95 % (ISO 5725-6)."""
 
 
-def operator_polygons(corners, *, repeats, click, seed, vertices=4):
+def operator_polygons(
+    corners: ArrayLike, *, repeats: int, click: float, seed, vertices: int = 4
+) -> np.ndarray:
     """Draw the polygons of an operator who clicks the same outline again and again.
 
     Vertices lie evenly on the outline, the corners among them, and get independent normal errors in
@@ -95,7 +99,9 @@ def operator_polygons(corners, *, repeats, click, seed, vertices=4):
     return polygons
 
 
-def with_strays(points, *, share, depths, seed):
+def with_strays(
+    points: ArrayLike, *, share: float, depths: tuple[float, float], seed: int
+) -> np.ndarray:
     """Add points that a selection catches by mistake behind or in front of a surface.
 
     Parameters
@@ -133,7 +139,14 @@ def with_strays(points, *, share, depths, seed):
     return np.concatenate([points, strays])
 
 
-def evaluate_selections(points, polygons, *, thickness=0.1, axes="principal", radius=0.5):
+def evaluate_selections(
+    points: ArrayLike,
+    polygons: ArrayLike,
+    *,
+    thickness: float = 0.1,
+    axes: str | float = "principal",
+    radius: float = 0.5,
+) -> pd.DataFrame:
     """Evaluate one cloud with each of many polygons.
 
     Parameters
@@ -230,8 +243,10 @@ class Repeatability(Shown):
         return pd.DataFrame([asdict(self) | {"r": self.r} | relative])
 
 
-def repeatability(table, value, *, group="scan", draws=500, seed=0):
-    """Take repeatability and the variance between scans from each other.
+def repeatability(
+    table: pd.DataFrame, value: str, *, group: str = "scan", draws: int = 500, seed: int = 0
+) -> Repeatability:
+    """Separate repeatability and the variance between scans.
 
     One-way analysis of variance of ``value`` over ``group`` (ISO 5725-2, section 7.4); unequal
     numbers are allowed.
@@ -293,7 +308,7 @@ def repeatability(table, value, *, group="scan", draws=500, seed=0):
     )
 
 
-def variance_components(table, value, *, factors):
+def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[str]) -> pd.DataFrame:
     """Estimate the variance that each level of a balanced nested design adds.
 
     Analysis of variance of the logarithms (so that the parts are relative), with every factor
@@ -415,7 +430,7 @@ class PowerLaw:
     n: int
 
 
-def strip_law(*, density, area, click, influence=1.0):
+def strip_law(*, density: float, area: float, click: float, influence: float = 1.0) -> float:
     """Predicted relative s_r of a figure when square selections of one random pattern vary.
 
     Two selections share all points but those in the strip between their outlines, whose mean area
@@ -459,7 +474,7 @@ def strip_law(*, density, area, click, influence=1.0):
     return float(influence * np.sqrt(STRIP * 4 * np.sqrt(area) * click / density) / area)
 
 
-def contaminated_sigma_mad(share):
+def contaminated_sigma_mad(share: float) -> float:
     """sigma_MAD of normal residuals over their standard deviation, with strays far to one side.
 
     The median moves to m, Phi(m) (1 - share) = 1/2, and d, half of the points about it, solves
@@ -494,7 +509,7 @@ def contaminated_sigma_mad(share):
     return float(CONSISTENT_SCALE * d)
 
 
-def power_law(x, y):
+def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
     """Fit y = factor x^exponent by least squares on the logarithms.
 
     Parameters

@@ -48,7 +48,7 @@ TEXT_MM = 40.0
 """Capital height of the text that was judged (section 4.2)."""
 
 
-def check_criteria(criteria):
+def check_criteria(criteria: pd.DataFrame) -> pd.DataFrame:
     """Return criteria as a DataFrame, checked and with every column.
 
     Parameters
@@ -89,7 +89,7 @@ def check_criteria(criteria):
     return criteria
 
 
-def check_results(results):
+def check_results(results: pd.DataFrame) -> pd.DataFrame:
     """Return results as a DataFrame, checked and with every column.
 
     Parameters

@@ -56,7 +56,10 @@ LAYERS = {
 }
 """A room may import rooms of its own layer and of those below."""
 
-LAZY = {"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": {"plots"}}
+LAZY = {
+    **{"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": {"plots"}},
+    "scan_pattern": {"plots"},
+}
 """Whatever takes points takes the path of a file of points, and reads it when it gets one. A result
 draws itself with the room of plots, which it imports when asked to."""
 

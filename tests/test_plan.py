@@ -13,6 +13,7 @@ from mmqa_lab.scan_pattern import (
     QUANTITIES,
     ScanSetup,
     Target,
+    explain_error,
     largest_speed,
     propagate,
     scan_lattice,
@@ -121,3 +122,46 @@ def test_plan_rejects_in_one_sentence(arguments, sentence, capsys):
     error = capsys.readouterr().err
     assert sentence in error
     assert len(error.strip().splitlines()) == 1
+
+
+def test_plan_prints_uncertainty_and_sensitivities():
+    arguments = "--scanner vq-250 --speed 10 --range 8 --sigma speed_m_s=0.2 --sensitivities --json"
+    status, out = plan(*arguments.split())
+    rows = {row["quantity"]: row for row in json.loads(out)}
+    level = rows["profile_spacing_horizontal_m"]
+    assert status == 0
+    assert level["std"] == pytest.approx(0.002, rel=1e-3)  # v / Mf of 0.2 m/s and 100 Hz
+    assert level["per_speed_m_s"] == pytest.approx(0.01, rel=1e-3)
+    assert rows["f"]["std"] is None  # jumps from point to point: no derivative
+
+
+def test_explained_errors_are_errors_that_they_explain():
+    target = Target(heading_deg=-20, tilt_deg=10, range_m=9, height_difference_m=1)
+    quantity = "profile_spacing_vertical_m"
+    now = float(scan_lattice(MIMIC, target.patch(MIMIC)).quantity(quantity))
+    table = explain_error(MIMIC, target, quantity=quantity, measured=now + 0.002)
+    change = table.set_index("input")["change"]
+    for name in ("scanner_heading_deg", "scanner_tilt_deg", "mirror_frequency_hz", "speed_m_s"):
+        changed = replace(MIMIC, **{name: getattr(MIMIC, name) + change[name]})
+        patch = target.patch(MIMIC)
+        assert scan_lattice(changed, patch).quantity(quantity) == pytest.approx(now + 0.002)
+    assert change["speed_m_s"] > 0 > change["mirror_frequency_hz"]
+    with pytest.raises(ValueError, match="Invalid quantity 'f'"):
+        explain_error(MIMIC, target, quantity="f", measured=2.0)
+
+
+def test_pattern_measures_a_patch_from_the_shell(tmp_path, capsys):
+    from mmqa_lab.io import write_cloud
+    from mmqa_lab.studies.mimic import simulate_patch
+
+    setup = replace(MIMIC, speed_m_s=8)
+    cloud, truth = simulate_patch(setup, Target(range_m=5), size=1.0, seed=1)
+    file = tmp_path / "wall.laz"
+    write_cloud(file, cloud, scale=1e-5)
+    assert main(["pattern", str(file), "--json"]) == 0
+    rows = {row["quantity"]: row for row in json.loads(capsys.readouterr().out)}
+    gap = rows["profile_spacing_perpendicular_m"]
+    assert gap["numbering"] != "pattern"
+    assert gap["measured"] == pytest.approx(truth.profile_spacing_perpendicular_m, abs=2e-4)
+    assert main(["pattern", str(file), "--alone", "--csv", str(tmp_path / "p.csv")]) == 0
+    assert (tmp_path / "p.csv").read_text().count(",pattern\n") == 5

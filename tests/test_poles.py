@@ -9,18 +9,14 @@ from mmqa_lab.planes import fit_circle
 from mmqa_lab.poles import (
     axes,
     candidates,
-    columns,
-    facades,
+    common,
     features,
     fgi,
-    ground,
     groups,
     itc,
     ours,
     profiles,
     rays,
-    trees,
-    walls,
 )
 from mmqa_lab.simulate import streets
 
@@ -315,7 +311,7 @@ def test_ground_follows_a_slope_and_ignores_what_stands_on_it(rng):
     z = 0.05 * plane[:, 0] - 0.02 * plane[:, 1]
     on_roof = (np.abs(plane - 30) < 2.5).all(axis=1)
     points = np.column_stack([plane, z + 5 * on_roof])
-    height = ground.height_above_ground(points)
+    height = common.height_above_ground(points)
     # the lowest point of a 1 m cell lies up to 0.07 m below its middle on this slope
     assert np.abs(height[~on_roof]).max() < 0.12
     assert np.abs(height[on_roof] - 5).max() < 0.3
@@ -325,7 +321,7 @@ def test_single_points_below_the_road_are_not_the_ground(rng):
     plane = rng.uniform(0, 60, (40_000, 2))
     road = np.column_stack([plane, 0.02 * plane[:, 0]])
     strays = np.column_stack([rng.uniform(0, 60, (60, 2)), rng.uniform(-5, -1, 60)])
-    height = ground.height_above_ground(np.vstack([road, strays]))
+    height = common.height_above_ground(np.vstack([road, strays]))
     assert np.abs(height[:40_000]).max() < 0.12
     assert height[40_000:].max() < -0.9
 
@@ -345,9 +341,9 @@ def test_a_column_of_equal_values_says_nothing_about_lines(street):
 
 def test_near_axis_is_the_brute_force(rng):
     points = rng.uniform(0, 10, (3000, 3))
-    found = columns.rows(points)
+    found = common.rows(points)
     for x, y, radius in rng.uniform([0, 0, 0.05], [10, 10, 2], (30, 3)):
-        near = columns.near_axis(found.points, found.start, columns.base(found), x, y, radius)
+        near = common.near_axis(found.points, found.start, common.base(found), x, y, radius)
         inside = np.hypot(points[:, 0] - x, points[:, 1] - y) <= radius
         assert set(found.order[near]) == set(np.flatnonzero(inside))
 
@@ -356,12 +352,12 @@ def test_no_point_near_a_place_is_left_out(rng):
     points = rng.uniform([-5, -7, 0], [6, 4, 3], (3000, 3))
     xy = rng.uniform([-7, -7], [6, 5], (6, 2))  # some lie beyond the points
     for reach in (0.4, 1.0, 1.7):
-        chosen = columns.beside(points, xy, reach)
+        chosen = common.beside(points, xy, reach)
         away = np.hypot(*(points[:, None, :2] - xy).transpose(2, 0, 1)).min(axis=1)
         assert set(np.flatnonzero(away <= reach)) <= set(chosen)
         # two cells' diagonals at most beside the reach
         assert away[chosen].max() < np.ceil(reach) * 2**0.5 + 2**0.5
-    assert len(columns.beside(points, xy[:0], 1.0)) == 0
+    assert len(common.beside(points, xy[:0], 1.0)) == 0
 
 
 def test_candidates_do_not_depend_on_tiles(rng):
@@ -392,21 +388,21 @@ def test_a_wall_behind_a_post_is_measured(degrees):
 
 def test_the_strip_of_a_facade_is_the_longest_of_all(rng):
     # brute force over a thousand directions, every shift
-    cells = rng.integers(-12, 13, (60, 2)) * facades.CELL_M
+    cells = rng.integers(-12, 13, (60, 2)) * features.CELL_M
     cells[:15] = np.stack([np.arange(15) * 0.2 - 1.4, np.full(15, 1.2)], axis=1)
     bins = np.full(60, 12.0)
     away = np.hypot(*cells.T)
-    u, v = cells[(away > facades.OWN_M) & (away < facades.REACH_M)].T
+    u, v = cells[(away > features.OWN_M) & (away < features.WALL_REACH_M)].T
     out = np.zeros(4)
-    facades._strip(u, v, bins[: len(u)], out)
+    features._strip(u, v, bins[: len(u)], out)
     best = 0
     for turn in np.linspace(0, np.pi, 1000, endpoint=False):
         c, s = np.cos(turn), np.sin(turn)
-        along = np.floor((u * c + v * s + facades.REACH_M) / facades.CELL_M)
+        along = np.floor((u * c + v * s + features.WALL_REACH_M) / features.CELL_M)
         across = u * s - v * c
         for low in across:
-            inside = (across >= low) & (across <= low + facades.STRIP_M)
-            best = max(best, facades.CELL_M * len(np.unique(along[inside])))
+            inside = (across >= low) & (across <= low + features.STRIP_M)
+            best = max(best, features.CELL_M * len(np.unique(along[inside])))
     # strips are tried every 5 degrees and 0.2 m: at the row's, by construction, the row is found
     assert 15 * 0.2 - 1e-9 <= out[0] <= best + 1e-9
 
@@ -451,7 +447,7 @@ def test_candidates_without_lines_have_no_stack(street):
     _, cloud, _ = street
     local = cloud.points - np.floor(cloud.points.min(axis=0))
     values, _, _ = ours.described(local, ours.Settings())
-    assert (values[:, len(features.NAMES + facades.NAMES) :] == -1).all()
+    assert (values[:, len(features.NAMES + features.FACADE_NAMES) :] == -1).all()
 
 
 def fans(depth_of, *, step=0.003, scanner=(3.0, -2.0)):
@@ -513,8 +509,8 @@ def test_a_hollow_cylinder_is_told_from_a_full_one(rng):
     full = np.column_stack([rng.uniform(-0.14, 0.14, (300, 2)), h])
     values = []
     for points in (rim, full):
-        found = columns.rows(points)
-        where = (found.points, found.points[:, 2], found.start, columns.base(found))
+        found = common.rows(points)
+        where = (found.points, found.points[:, 2], found.start, common.base(found))
         axis = np.array([[0.0, 0.0, 0.0, 0.0, 1.5]])
         row = features.describe(*where, np.zeros((1, 2)), axis)[0][0]
         values.append(dict(zip(features.NAMES, row, strict=True)))
@@ -529,39 +525,47 @@ def test_a_wall_behind_leaves_is_still_a_plane(rng):
     bare = wall(-4, 4, -3)[0]
     leaves = rng.uniform([-4, -3 + 0.05, 0], [4, -3 + 0.4, 4], (2500, 3))
     points = np.vstack([floor(), bare, leaves])
-    rough = walls.rough_classes(points, itc.Settings())
+    rough = itc.rough_classes(points, itc.Settings())
     on = np.zeros(len(points), dtype=bool)
     on[len(floor()) : len(floor()) + len(bare)] = True
-    score = walls.facade_score(rough, on, counted=points[:, 2] > 0.5)
+    wall_class, high = rough == itc.WALL, points[:, 2] > 0.5
     # least squares through wall and leaves alike would be 0.1 m thick: no plane, no wall
-    assert score.completeness > 0.9
-    assert score.correctness > 0.85
+    assert wall_class[on & high].mean() > 0.9
+    assert on[wall_class & high].mean() > 0.85
     order = rng.permutation(len(points))
-    assert (walls.rough_classes(points[order], itc.Settings()) == rough[order]).all()
+    assert (itc.rough_classes(points[order], itc.Settings()) == rough[order]).all()
 
 
 def test_facade_classes(rng):
     cloud = scene(wall(-4, 4, -3), post(1, 2, line=300), rng=rng)
-    rough = walls.rough_classes(cloud.points, itc.Settings())
+    rough = itc.rough_classes(cloud.points, itc.Settings())
     on_wall = (np.abs(cloud.points[:, 1] + 3) < 0.05) & (cloud.points[:, 2] > 0.5)
     on_post = np.hypot(cloud.points[:, 0] - 1, cloud.points[:, 1] - 2) < 0.1
-    assert (rough[on_wall] == walls.WALL).mean() > 0.9
-    assert (rough[on_post & (cloud.points[:, 2] > 0.5)] == walls.RAISED).all()
+    assert (rough[on_wall] == itc.WALL).mean() > 0.9
+    assert (rough[on_post & (cloud.points[:, 2] > 0.5)] == itc.RAISED).all()
 
 
-def test_the_model_file_is_what_is_used():
-    model = trees.read_model()
-    again = trees.Trees.from_json(model.to_json())
-    values = np.random.default_rng(0).uniform(0, 5, (50, len(model.features)))
-    assert np.allclose(model.probability(values), again.probability(values), atol=1e-9)
-    by_hand = model.base
-    for root in model.roots:
-        node = int(root)
-        while model.nodes[node, 0] >= 0:
-            feature, threshold, left, right, _ = model.nodes[node]
-            node = int(left if values[0, int(feature)] <= threshold else right)
-        by_hand += model.nodes[node, 4]
-    assert model.probability(values)[0] == pytest.approx(1 / (1 + np.exp(-by_hand)))
+def test_the_model_file_says_what_is_decided():
+    model = ours.read_model()
+    assert tuple(model.feature_name()) == ours.FEATURES
+    values = np.random.default_rng(0).uniform(0, 5, (3, len(ours.FEATURES)))
+    for row, given in zip(values, model.predict(values), strict=True):
+        odds = 0.0
+        for tree in model.dump_model()["tree_info"]:
+            node = tree["tree_structure"]
+            while "leaf_value" not in node:
+                left = row[node["split_feature"]] <= node["threshold"]
+                node = node["left_child" if left else "right_child"]
+            odds += node["leaf_value"]
+        assert given == pytest.approx(1 / (1 + np.exp(-odds)))
+
+
+def test_the_component_method_measures_the_width_of_a_post():
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 72), np.arange(0.35, 3, 0.02))
+    ring = np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), rise], axis=-1).reshape(-1, 3)
+    one = poles.detect(np.vstack([floor(), ring]), method="itc").iloc[0]
+    # 36 directions of the rectangle, 5 degrees apart: at most 0.4 % short of the diameter
+    assert one["diameter_m"] == pytest.approx(0.2, abs=0.001)
 
 
 def test_thinning_keeps_one_point_a_cube(rng):

@@ -1,18 +1,74 @@
 """Measured scan patterns: exact ones, simulated ones with their truth, and real ones."""
 
+from dataclasses import replace
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from mmqa_lab import simulate
+from mmqa_lab import samples, simulate
+from mmqa_lab.io import read_cloud
 from mmqa_lab.scan_pattern import (
+    ScanSetup,
+    Target,
     fit_scan_planes,
     measure_pattern,
     mirror_frequency,
     revolutions_from_time,
+    scan_lattice,
 )
 from mmqa_lab.scan_pattern.lines import mean_gap
 from mmqa_lab.scan_pattern.numbering import profiles_from_pattern, pulse_period
-from mmqa_lab.studies.mimic import measuring, real_scans
+from mmqa_lab.studies.mimic import simulate_patch
+
+
+def case_of(pulse_rate, mirror, speed, scanner, target, place):
+    """A set-up and a target from (heading, tilt) pairs and (range, height difference)."""
+    setup = ScanSetup(
+        pulse_rate_hz=pulse_rate,
+        mirror_frequency_hz=mirror,
+        speed_m_s=speed,
+        scanner_heading_deg=scanner[0],
+        scanner_tilt_deg=scanner[1],
+    )
+    return setup, Target(
+        heading_deg=target[0],
+        tilt_deg=target[1],
+        range_m=place[0],
+        height_difference_m=place[1],
+    )
+
+
+CASES = {
+    "5 m, 45/45": case_of(300e3, 100, 8, (45, 45), (0, 0), (5, 0)),
+    "8 m, 45/45, 15/15": case_of(300e3, 100, 10, (45, 45), (15, 15), (8, -1)),
+    "12 m, 45/30, -20/30": case_of(500e3, 200, 12, (45, 30), (-20, 30), (12, 1)),
+    "16 m, 30/30, 40/10": case_of(300e3, 100, 13, (30, 30), (40, 10), (16, 2)),
+    "6 m, 45/20, -10/0": case_of(125e3, 100, 6, (45, 20), (-10, 0), (6, 1)),
+}
+"""Range, rotations of the scanner and of the target: five set-ups from near to far."""
+
+
+def measured_patches(size, seeds):
+    """Measure patches of the five set-ups with time: a row per patch and quantity."""
+    tables = []
+    for place, (case, parts) in enumerate(CASES.items()):
+        for seed in seeds:
+            own = np.random.SeedSequence([place, round(1000 * size), seed]).generate_state(1)[0]
+            cloud, truth = simulate_patch(*parts, size=size, seed=int(own))
+            found = measure_pattern(cloud, gps_time=cloud["gps_time"], reference=truth.beam)
+            found = found.to_frame()
+            found["error"] = found["measured"] - [truth.quantity(q) for q in found["quantity"]]
+            tables.append(found.assign(case=case, size_m=size, z=found["error"] / found["std"]))
+    return pd.concat(tables, ignore_index=True)
+
+
+def rms_errors(table):
+    """Root mean square errors by case, size and quantity; lengths in millimetres."""
+    scale = np.where(table["quantity"].str.endswith("_m"), 1000.0, 1.0)
+    squares = (table["error"] * scale) ** 2
+    return np.sqrt(squares.groupby([table["case"], table["size_m"], table["quantity"]]).mean())
+
 
 FIGURES = (
     "profile_spacing_perpendicular",
@@ -65,8 +121,8 @@ def test_exact_lattices_are_found_from_the_pattern_alone(angle, gap, spacing, ti
 
 def test_without_noise_measurement_closes_on_the_prediction():
     still = {"range_noise_m": 0, "angle_noise_deg": 0, "speed_share": 0, "dropout_share": 0}
-    for setup, target in measuring.CASES.values():
-        cloud, truth = measuring.simulate_patch(setup, target, size=1.0, seed=1, **still)
+    for setup, target in CASES.values():
+        cloud, truth = simulate_patch(setup, target, size=1.0, seed=1, **still)
         found = measure_pattern(cloud.points, gps_time=cloud["gps_time"], reference=truth.beam)
         # the lattice changes over the patch: second order of its size over the range
         gap = truth.profile_spacing_perpendicular_m
@@ -78,17 +134,13 @@ def test_without_noise_measurement_closes_on_the_prediction():
 @pytest.fixture(scope="module")
 def measured():
     """The five set-ups, 12 patches of 1 m and 10 of 2 m each, with time."""
-    both = {"numberings": ("gps_time",), "progress": False}
-    return [
-        measuring.compute(sizes=(1.0,), seeds=range(12), **both),
-        measuring.compute(sizes=(2.0,), seeds=range(10), **both),
-    ]
+    return [measured_patches(1.0, range(12)), measured_patches(2.0, range(10))]
 
 
 def test_errors_of_the_five_set_ups_keep_the_limits(measured):
     wanted = [f"{FIGURES[0]}_m", f"{FIGURES[3]}_deg", f"{FIGURES[4]}_m"]
     for table in measured:
-        errors = measuring.summary(table).set_index(["case", "size_m", "quantity"])["rms_error"]
+        errors = rms_errors(table)
         for (case, size), limits in LIMITS.items():
             if size not in table["size_m"].values:
                 continue
@@ -100,7 +152,7 @@ def test_errors_of_the_five_set_ups_keep_the_limits(measured):
 def test_mean_errors_are_below_the_limits(measured):
     ratio = []
     for table in measured:
-        errors = measuring.summary(table).set_index(["case", "size_m", "quantity"])["rms_error"]
+        errors = rms_errors(table)
         for (case, size), limits in LIMITS.items():
             if size in table["size_m"].values:
                 ratio.append(errors.loc[case, size, f"{FIGURES[0]}_m"] / limits[0])
@@ -117,9 +169,9 @@ def test_intervals_cover_the_truth_though_the_speed_drifts(measured, name):
 
 
 def test_time_and_pattern_give_the_same(rng):
-    setup, target = measuring.CASES["6 m, 45/20, -10/0"]
+    setup, target = CASES["6 m, 45/20, -10/0"]
     for seed in (1, 2, 3):
-        cloud, _ = measuring.simulate_patch(setup, target, size=1.0, seed=seed)
+        cloud, _ = simulate_patch(setup, target, size=1.0, seed=seed)
         with_time = measure_pattern(cloud.points, gps_time=cloud["gps_time"])
         with_line = measure_pattern(cloud.points, scan_line=cloud["scan_line"])
         alone = measure_pattern(cloud.points)
@@ -134,17 +186,19 @@ def test_time_and_pattern_give_the_same(rng):
 
 
 def test_neighbour_distances_are_too_long():
-    setup, target = measuring.CASES["5 m, 45/45"]
-    cloud, truth = measuring.simulate_patch(setup, target, size=1.0, seed=1)
-    naive = measuring.naive_spacing(cloud, scan_line=cloud["scan_line"])
-    found = measure_pattern(cloud.points, reference=truth.beam)
+    setup, target = CASES["5 m, 45/45"]
+    cloud, truth = simulate_patch(setup, target, size=1.0, seed=1)
+    order = np.lexsort((cloud["gps_time"], cloud["scan_line"]))
+    steps = np.linalg.norm(np.diff(cloud.points[order], axis=0), axis=1)
+    naive = steps[np.diff(cloud["scan_line"][order]) == 0].mean()
+    found = measure_pattern(cloud, reference=truth.beam)
     assert naive - truth.point_spacing_m > 0.001
     assert abs(found.point_spacing_m - truth.point_spacing_m) < 3e-5
 
 
 def test_coarse_times_leave_pulses_to_the_pattern():
-    setup, target = measuring.CASES["6 m, 45/20, -10/0"]
-    cloud, truth = measuring.simulate_patch(setup, target, size=1.0, seed=5)
+    setup, target = CASES["6 m, 45/20, -10/0"]
+    cloud, truth = simulate_patch(setup, target, size=1.0, seed=5)
     tick = 4 / setup.pulse_rate_hz
     time = np.floor(cloud["gps_time"] / tick) * tick
     assert np.isnan(pulse_period(time, cloud["scan_line"]))
@@ -167,8 +221,8 @@ def test_missing_revolutions_and_drop_outs_do_not_count(rng):
 
 
 def test_outliers_are_left_out(rng):
-    setup, target = measuring.CASES["8 m, 45/45, 15/15"]
-    cloud, truth = measuring.simulate_patch(setup, target, size=1.0, seed=7)
+    setup, target = CASES["8 m, 45/45, 15/15"]
+    cloud, truth = simulate_patch(setup, target, size=1.0, seed=7)
     dirty = cloud.points.copy()
     stray = rng.random(len(dirty)) < 0.04
     dirty[stray] -= rng.uniform(0.1, 1.0, (stray.sum(), 1)) * [1, 0, 0]  # a hedge before the wall
@@ -179,8 +233,8 @@ def test_outliers_are_left_out(rng):
 
 
 def test_nothing_changes_when_the_cloud_is_moved_turned_or_shuffled(rng):
-    setup, target = measuring.CASES["5 m, 45/45"]
-    cloud, _ = measuring.simulate_patch(setup, target, size=1.0, seed=2)
+    setup, target = CASES["5 m, 45/45"]
+    cloud, _ = simulate_patch(setup, target, size=1.0, seed=2)
     points = np.round(cloud.points * 2**20) / 2**20  # exact when moved by 10,000 km
     here = measure_pattern(points)
     order = rng.permutation(len(points))
@@ -285,24 +339,40 @@ def test_scan_planes_of_a_turning_vehicle(rate):
 
 @pytest.mark.real
 def test_street_profiles(real):
-    real(real_scans.STREET)
-    street = real_scans.street()
-    planes = street.planes
+    street = read_cloud(real("street_profiles/street_0.02_s.laz"))
+    points, time = street.points, street["gps_time"]
+    number = revolutions_from_time(time)
+    planes = fit_scan_planes(points, time)
     assert planes.mirror_frequency_hz == pytest.approx(199.4, abs=0.15)
     assert 1000 * planes.speed_m_s / planes.mirror_frequency_hz == pytest.approx(27.0, abs=0.05)
     assert planes.scatter_m < 0.0008
-    assert len(street.patches) == 6
-    assert street.patches["difference_mm"].abs().max() < 0.3
-    assert street.patches["difference_mm"].abs().mean() < 0.1
-    at_rest = street.patches["measured_mm"] - street.patches["at_rest_mm"]
-    assert at_rest.abs().mean() > 2 * street.patches["difference_mm"].abs().mean()
+    across, height = (points - planes.centre)[:, 1:].T
+    turning, still = [], []
+    for middle in range(-4, 7, 2):
+        patch = (np.abs(across - middle) < 1) & (height < 0.5)
+        found = measure_pattern(points[patch], scan_line=number[patch])
+        others = fit_scan_planes(points[~patch], time[~patch])
+        gap, normal = found.profile_spacing_perpendicular_m, found.plane.normal
+        crossing = np.linalg.norm(np.cross(others.normal, normal))
+        turning.append(gap - others.spacing_on(found.plane.centre, normal))
+        still.append(gap - others.speed_m_s / others.mirror_frequency_hz / crossing)
+    assert np.abs(turning).max() < 0.0003
+    assert np.abs(turning).mean() < 0.0001
+    assert np.abs(still).mean() > 2 * np.abs(turning).mean()
 
 
 def test_road_patch_of_two_heads():
-    road = real_scans.road()
-    assert road.heads["profiles"].tolist() == [65, 62]
-    assert road.heads["mirror_frequency_hz"].to_numpy() == pytest.approx([198.6, 198.6], abs=0.05)
-    assert road.crossing_deg == pytest.approx(89, abs=0.1)
+    road = read_cloud(samples.path("road_patch"))
+    time = road["gps_time"]
+    order = np.sort(time)
+    first = time <= order[np.argmax(np.diff(order))]
+    heads = [measure_pattern(road[part], gps_time=time[part]) for part in (first, ~first)]
+    assert [head.profiles for head in heads] == [65, 62]
+    crossing = np.degrees(np.arccos(abs(heads[0].direction @ heads[1].direction)))
+    assert crossing == pytest.approx(89, abs=0.1)
+    alone = measure_pattern(road[first])
+    gap = heads[0].profile_spacing_perpendicular_m
+    assert alone.profile_spacing_perpendicular_m == pytest.approx(gap, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import simulate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.simulate import MatchingCamera, Scene
-from mmqa_lab.simulate.matching import hard_core_points
+from mmqa_lab.simulate.matching import hard_core_points, thin
 
 CAMERA = MatchingCamera(focal_px=2000, width_px=400, height_px=300, base_m=1.0, noise_px=0.3)
 PATH = simulate.straight(10, 10)
@@ -64,6 +64,45 @@ def test_neighbours_err_together():
     error = alone.points[:, 0] - 5
     near = cKDTree(alone.points[:, 1:]).query(alone.points[:, 1:], k=2)[1]
     assert abs(np.corrcoef(error, error[near[:, 1]])[0, 1]) < 0.05
+
+
+def test_a_floor_of_noise_adds_in_quadrature():
+    noisy = replace(CAMERA, floor_m=0.005)
+    errors = [cloud(wall(5), noisy, seed=seed).points[:, 0] - 5 for seed in range(12)]
+    stereo = 25 / 2000 * 0.3
+    assert np.concatenate(errors).std() == pytest.approx(np.hypot(stereo, 0.005), rel=0.05)
+
+
+@pytest.mark.parametrize("distance", [5, 8])
+def test_resampled_points_have_one_density_and_core_at_any_distance(distance):
+    dense = replace(CAMERA, points_per_px=0.5, resampled_per_m2=5000, noise_px=0.0, hard_core=0.4)
+    points = cloud(wall(distance), dense).points[:, 1:]
+    area = 400 * 300 * (distance / 2000) ** 2
+    assert len(points) == pytest.approx(5000 * area, abs=4 * np.sqrt(5000 * area))
+    nearest = cKDTree(points).query(points, k=2)[0][:, 1].min()
+    core = 0.4 / np.sqrt(5000)
+    assert core <= nearest < 1.2 * core
+
+
+def test_resampling_counts_on_the_surface_not_across_the_view():
+    """A wall seen at 45 degrees has the same points per square metre."""
+    slanted = Scene([simulate.rectangle((10, 0, -9), (-9, 9, 0), (0, 0, 18))])
+    dense = replace(CAMERA, points_per_px=0.5, resampled_per_m2=5000, noise_px=0.0, hard_core=0.0)
+    points = cloud(slanted, dense).points
+    along = (points[:, 1] - 5) * np.sqrt(2)
+    middle = (np.abs(along) < 0.3) & (np.abs(points[:, 2]) < 0.25)
+    expected = 5000 * 0.6 * 0.5
+    assert middle.sum() == pytest.approx(expected, abs=4 * np.sqrt(expected))
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_thinning_keeps_what_a_loop_keeps(rng, columns):
+    points = rng.random((400, columns))
+    keep = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > 0.1 for other in keep):
+            keep.append(point)
+    assert np.array_equal(points[thin(points, 0.1)], keep)
 
 
 def test_ghosts_hang_between_surfaces_along_edges():

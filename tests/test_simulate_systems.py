@@ -1,17 +1,21 @@
-"""Pfeifer's systems past a chart: brute force, the lattice in closed form, fits of known truth."""
+"""Pfeifer's systems past a chart: brute force, the lattice in closed form, the published rows."""
 
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from mmqa_lab.published import pfeifer2021
+from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
-from mmqa_lab.simulate import presets, systems
-from mmqa_lab.studies.chart_tables.systems import compare, hull_bias, model, pulses_per_revolution
+from mmqa_lab.simulate import chart_corners, presets, systems
 
 EXACT_B = replace(systems.SYSTEM_B, range_noise_m=0.0, tilt_deg=38)
+
+
+def read(cloud, distance):
+    """The chart's middle, as it is evaluated by default."""
+    corners = chart_corners((distance, 0, 0), heading=systems.FACING_THE_ROAD)
+    return evaluate_cloud(cloud, polygon=chart_polygon(corners), thickness=0.2)
 
 
 @pytest.mark.parametrize("distance", systems.DISTANCES)
@@ -41,7 +45,7 @@ def test_points_of_a_pitched_multi_beam_scanner_equal_brute_force(distance):
 @pytest.mark.parametrize("preset", [systems.SYSTEM_A, presets.ZF_9012_FITTED])
 @pytest.mark.parametrize("distance", systems.DISTANCES)
 def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
-    quality = model.evaluate(systems.pass_chart(preset, distance, seed=2), distance)
+    quality = read(systems.pass_chart(preset, distance, seed=2), distance)
     setup = ScanSetup.of_scanner(preset, speed_m_s=systems.SPEED)
     lattice = scan_lattice(setup, Patch([distance, 0, 0], [1, 0, 0]))
     # counts of 1000 to 2400 points by lines of 10 to 25: 2 %; off the middle ranges grow by 0.5 %
@@ -56,48 +60,18 @@ def test_density_of_system_b_does_not_depend_on_its_spin():
     for spin in (10, 20):
         spun = replace(EXACT_B, spin_hz=spin)
         clouds = (systems.pass_chart(spun, 5.0, seed=seed) for seed in range(6))
-        means.append(np.mean([model.evaluate(cloud, 5.0).n for cloud in clouds]))
+        means.append(np.mean([read(cloud, 5.0).n for cloud in clouds]))
     assert means[1] == pytest.approx(means[0], rel=0.03)  # 1650 points, clumped by revolution
 
 
-def test_fit_finds_the_parameters_that_made_a_table():
-    truth = {"tilt_deg": 50.0, "height_m": 0.4, "mirror_frequency_hz": 150.0}
-    figures = model._closed_form(list(truth), np.array([[*truth.values()]]), np.array([5.0, 10.0]))
-    target = pd.DataFrame(figures[0], columns=model.FITTED).assign(distance_m=[5.0, 10.0])
-    bounds = model.OPEN["A"] | model.RELEASED["A"]
-    best, misfit = model._search(model._closed_form, bounds, target, 1, 1000)
-    assert misfit < 0.2
-    assert best["mirror_frequency_hz"] == pytest.approx(150, rel=0.02)
-    assert best["tilt_deg"] == pytest.approx(50, abs=2)
-
-
-def test_comparison_keeps_kinds_apart_and_gaps_open():
-    published = pfeifer2021.table_2()
-    rows = published[["system", "distance_m"]].merge(
-        pd.DataFrame({"quantity": model.QUANTITIES}), how="cross"
-    )
-    guess = rows.assign(predicted=5.0, predicted_low=4.0, predicted_high=6.0)
-    table = compare(published, guess, rows.assign(fitted=2.0, fitted_released=np.nan))
-    assert len(table) == 30
-    assert not any("reproduced" in column for column in table)
-    gaps = table["published"].isna()
-    assert gaps.sum() == int(published[list(model.QUANTITIES)].isna().sum().sum())
-    assert table.loc[gaps, "fitted_difference"].isna().all()
-    assert table.loc[gaps, "within"].isna().all()
-    f = table.query("system == 'A' and distance_m == 10 and quantity == 'f'").iloc[0]
-    assert (f["within"], f["fitted_difference"]) == (True, pytest.approx(2.0 - 5.1))
-
-
-def test_printed_digits_ask_for_seven_thousand_pulses():
-    assert pulses_per_revolution(pfeifer2021.table_2()).round().tolist() == [6981, 7392]
-
-
-def test_hull_bias_is_the_lost_line_spacing():
-    bias = hull_bias(turns=(0, 30), seed=1, repeats=6)
-    parallel = bias.loc[bias["turn_deg"] == 0, "bias_percent"]
-    # lines 1000 v / 200 = 55.6 mm apart: of a crop of 710 mm one spacing is lost on average
-    assert parallel.mean() == pytest.approx(100 * 55.6 / (710 - 55.6), abs=3)
-    assert (bias.loc[bias["turn_deg"] == 30, "bias_percent"] < 3).all()
+def test_system_c_keeps_its_density_and_pattern_at_any_distance():
+    """Table 2: d1 = 3 mm, d4 = 8 mm, f = 2.6 at 5 m and at 10 m; 28,901 and 30,915 points/m2."""
+    for distance in systems.DISTANCES:
+        quality = read(systems.pass_chart(systems.SYSTEM_C, distance, seed=3), distance)
+        # 15,000 points: the count repeats to 1 %, d1 and d4 to 1 %
+        assert quality.density_polygon_per_m2 == pytest.approx(29_900, rel=0.03)
+        assert (round(quality.d1_mm), round(quality.d4_mm)) == (3, 8)
+        assert quality.f == pytest.approx(2.6, abs=0.1)
 
 
 def test_scanners_that_see_no_chart_leave_no_points():

@@ -1,196 +1,190 @@
-"""The study's sweeps, held-out table and checks, on few scenes."""
+"""The study of the line-segment Hausdorff distance: its scenes, scores, tables and checks."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from mmqa_lab import lines
-from mmqa_lab.published import poreba2013
+from mmqa_lab import bench, lines
+from mmqa_lab.published import ledger
 from mmqa_lab.simulate.canyon import Conditions, canyon
 from mmqa_lab.studies import lhd_weight as study
-from mmqa_lab.studies.lhd_weight import comparisons, drawings, heldout, sweeps
-
-SMALL = {
-    "sensitivities": (0.5,),
-    "displacements": (0.5,),
-    "angle_noises": (0.4,),
-    "jambs": (0.2,),
-    "kinds": ("absolute", "repeatability"),
-}
 
 
 @pytest.fixture(scope="module")
 def one():
-    """Course 1 against the static scanner."""
-    return comparisons.comparisons(canyon(5))[3]
+    """Course 1 against the static scanner, and what is true."""
+    return study.scene("C1-TLS", seed=5)
 
 
 @pytest.fixture(scope="module")
-def reached():
-    """The held-out table of two scenes."""
-    return heldout.evaluate((901, 902), matchers=("all", "displaced"))
+def replicated():
+    """The published method on the six comparisons of three scenes."""
+    cases = bench.grid(comparison=tuple(study.COURSES))
+    method = {"published": study.METHODS["published"]}
+    scored = {"make": study.scene, "score": study.score_directions}
+    return bench.run(cases, method, seeds=range(3), **scored)
 
 
-@pytest.fixture(scope="module")
-def swept():
-    """W over two scenes."""
-    return sweeps.compute(weights=(0, 10, 100), matchers=("all",), seeds=(1, 2), **SMALL)
+def small_runs():
+    """What the checks read, on two scenes."""
+    by_w = {f"W = {w:g}": lambda sets, w=w: study.measured(sets, weight=w) for w in (0, 10)}
+    by_matcher = {
+        m: lambda sets, m=m: study.measured(sets, matcher=m) for m in ("all", "displaced")
+    }
+    both = {name: study.METHODS[name] for name in ("published", "displaced")}
+    cases = {
+        "by_weight": (by_w, {"comparison": ("C1-C3",)}),
+        "by_noise": (by_w, {"comparison": ("C1-C3",), "angle_noise_deg": (0.1, 2.0)}),
+        "by_displacement": (by_matcher, {"comparison": ("C1-TLS",), "displacement_m": (0.5, 3.0)}),
+        "held_out": (both, {"comparison": ("C1-TLS", "C2-TLS")}),
+    }
+    scored = {"make": study.scene, "score": study.score, "seeds": range(2)}
+    return {name: bench.run(bench.grid(**axes), m, **scored) for name, (m, axes) in cases.items()}
 
 
-def test_published_tables_and_what_follows_from_them():
-    check = poreba2013.check()
-    wrong = check[~check["agrees"]].iloc[0]
-    assert check["agrees"].sum() == 13
-    assert (wrong["comparison"], wrong["direction"]) == ("C3-TLS", "model-test")
-    # Table 2, last row: 99.54 in print, 41 x 64 cells, FN 2, FP 9
-    assert wrong["recomputed_percent"] == pytest.approx(100 * (1 - 11 / 2624), abs=1e-9)
-    assert round(wrong["recomputed_percent"], 2) == 99.58
-    for row in check.itertuples():
-        counts = {"p": row.p, "q": row.q, "pairs": row.pairs, "fn": row.fn, "fp": row.fp}
-        scores = lines.scores_from_counts(**counts)
+def test_rates_follow_from_the_printed_counts_in_13_of_14_rows():
+    rows = study.published_rows()
+    off = (rows["rate_from_counts_percent"] - rows["detection_rate_percent"]).abs()
+    wrong = rows[off > 0.005 + 1e-9]
+    assert len(rows) == 14
+    assert wrong["data_sets"].tolist() == ["Course3-TLS"]
+    # Table 2, last number: 99.54 in print, 41 x 64 cells, FN 2, FP 9
+    assert wrong["rate_from_counts_percent"].item() == pytest.approx(100 * (1 - 11 / 2624))
+    absolute = rows["table"] == "table_2"
+    assert rows.loc[absolute, "f1"].mean() == pytest.approx(0.780, abs=5e-4)
+    assert rows.loc[~absolute, "f1"].mean() == pytest.approx(0.895, abs=5e-4)
+    for row in rows.itertuples():
+        counts = {"p": row.p_test_segments, "q": row.q_model_segments}
+        counts |= {"pairs": row.pairing_existing}
+        scores = lines.scores_from_counts(**counts, fn=row.false_negative, fp=row.false_positive)
         assert row.f1 == pytest.approx(scores.f1)
-        assert row.mcc == pytest.approx(scores.mcc)
         assert row.null_rate_percent == pytest.approx(100 * scores.null_rate)
-    absolute = check["comparison"].str.contains("TLS")
-    assert check.loc[absolute, "f1"].mean() == pytest.approx(0.780, abs=5e-4)
-    assert check.loc[~absolute, "f1"].mean() == pytest.approx(0.895, abs=5e-4)
-    assert len(poreba2013.table_1()) + len(poreba2013.table_2()) == 14
+    gain = rows["detection_rate_percent"] - rows["null_rate_percent"]
+    assert gain.mean() == pytest.approx(0.90, abs=0.01)
+    assert gain.max() == pytest.approx(1.80, abs=0.01)  # Course1-Course3, second extraction
 
 
-def test_sweep_is_the_measure_of_each_comparison(swept):
-    found = comparisons.comparisons(
-        canyon(2, conditions=Conditions(bias_m=(0.5, 0.5))), kinds=("absolute",)
-    )
-    rows = [
-        comparisons.measure(c, weight=10, threshold=lines.peak_threshold, matcher="all")
-        for c in found
+def test_the_mean_over_pairs_is_the_consistent_denominator():
+    """Equation 7: left and right agree as means over pairs, not as sums over the whole set."""
+    rows = study.published_rows()
+    left, right = (rows[rows["position_in_cell"] == s].reset_index() for s in ("left", "right"))
+    ratio = np.log(left["olhd_m"] / right["olhd_m"])
+    found = [
+        one["pairing_existing"] - one["false_negative"] + one["false_positive"]
+        for one in (left, right)
     ]
-    here = swept.sel(weight=10, kind="absolute", seed=2).squeeze(drop=True)
-    for name in ("f1", "fp", "lhd_m", "perpendicular_m", "detection_rate"):
-        assert here[name].item() == pytest.approx(np.mean([row[name] for row in rows]))
-    assert here["true_m"].item() == pytest.approx(np.mean([c.true_length for c in found]))
-    assert swept["lhd_m"].attrs["units"] == "m"
+    share = left["q_model_segments"] / found[0] * found[1] / left["p_test_segments"]
+    whole = ratio + np.log(share)
+    assert np.sqrt((ratio**2).mean()) == pytest.approx(0.106, abs=0.001)
+    assert np.sqrt((whole**2).mean()) == pytest.approx(0.450, abs=0.001)
+    larger = left["olhd_m"] > right["olhd_m"]
+    assert (left["final_lhd_asterisk"] == larger).all()
 
 
-def test_measure_agrees_with_the_distance_itself(one):
-    found = lines.lhd(one.test, one.model)
-    row = comparisons.measure(one, weight=10, threshold=lines.peak_threshold, matcher="all")
-    assert row["lhd_m"] == pytest.approx(found.value)
-    assert row["lhd_w0_m"] == pytest.approx(found.at_weight(0))
-    assert row["perpendicular_m"] == pytest.approx(found.perpendicular_only)
+def test_score_agrees_with_the_distance_itself(one):
+    sets, truth = one
+    found = lines.lhd(sets.test, sets.model)
+    row = study.score(found, truth)
+    assert row["lhd_m"] == found.value
+    assert row["lhd_bias_m"] == pytest.approx(found.value - truth.mean(truth.displacements))
+    forward = lines.pairing_scores(found.test_model.pairs, truth.pairs)
+    backward = lines.pairing_scores(found.model_test.pairs, truth.pairs)
+    assert row["f1"] == pytest.approx((forward.f1 + backward.f1) / 2)
 
 
-def test_oracle_is_the_best_of_all_thresholds(one):
-    distances = one.directions[0][0].distance(10)
-    best = max(
-        lines.pairing_scores(distances <= delta, one.truth).f1
-        for delta in np.unique(distances)[:400]
+def test_pairs_and_numbers_are_scored_as_well(one):
+    sets, truth = one
+    exact = study.score(truth.pairs, truth)
+    assert exact["f1"] == 1
+    distances = lines.distance_matrix(sets.test, sets.model)
+    back = lines.distance_matrix(sets.model, sets.test)
+    by_hand = max(
+        lines.olhd(distances, truth.pairs, sets.model.lengths),
+        lines.olhd(back, truth.pairs.T, sets.test.lengths),
     )
-    assert comparisons.oracle_f1(distances, one.truth) == pytest.approx(best)
+    assert exact["lhd_m"] == pytest.approx(by_hand)
+    plain = max(distances.min(axis=1).max(), back.min(axis=1).max())  # equations 1 and 2
+    found = study.METHODS["plain Hausdorff"](sets)
+    assert found == pytest.approx(plain)
+    assert study.score(found, truth)["lhd_m"] == found
 
 
 def test_truth_of_a_pure_displacement():
-    quiet = Conditions(bias_m=(2.0, 2.0), drift_m=0.0)
-    scene = canyon(7, conditions=quiet)
-    (one,) = comparisons.comparisons(scene, kinds=("absolute",))[:1]
-    # the common 2 m, the course's own 0.1-0.35 m, and 0.05 degrees about the centre
-    assert 1.5 < one.true_length < 2.5
-    assert one.true_perpendicular < one.true_length
-    assert np.linalg.norm(one.true_vector) == pytest.approx(one.true_length, abs=0.05)
+    quiet = {"drift_m": 0.0, "own_m": 0.0}
+    _, truth = study.scene("C1-TLS", seed=7, displacement_m=2.0, **quiet)
+    # 2 m and 0.05 degrees about the centre, some 80 m away
+    assert truth.mean(truth.displacements) == pytest.approx(2.0, abs=0.15)
+    assert truth.mean(truth.across) < truth.mean(truth.displacements)
 
 
-def test_bands_and_differences(swept):
-    f1 = swept["f1"].sel(kind="absolute").squeeze(drop=True)
-    bands = sweeps.bands(f1)
-    assert (bands["low"] <= bands["mean"]).all()
-    assert (bands["mean"] <= bands["high"]).all()
-    versus = sweeps.against(f1).set_index("weight")
-    assert versus.loc[10, "difference"] == 0
-    expected = float((f1.sel(weight=0) - f1.sel(weight=10)).mean())
-    assert versus.loc[0, "difference"] == pytest.approx(expected)
+def test_replicas_and_ledger_cover_both_tables(replicated):
+    rows = study.replicas(replicated)
+    assert len(rows) == 14
+    assert set(rows.loc[rows["kind"] == "fitted", "name"]) == set(study.FITTED)
+    assert set(rows.loc[rows["kind"] == "predicted", "name"]) == {"C1-C3", "C2-C3", "C3-TLS"}
+    assert (rows["low_m"] <= rows["olhd_simulated_m"]).all()
+    entries = study.ledger_entries(replicated)
+    wanted = ledger.cells().query("source == 'poreba2013' and role == 'result'")
+    found = {(entry["table"], entry["cell"]) for entry in entries}
+    assert found == set(wanted[["table", "cell"]].itertuples(index=False, name=None))
+    assert len(entries) == len(found)
 
 
-def test_shares_add_up_and_grow_with_the_noise():
-    table = sweeps.shares((1, 2), weight=10, angle_noises=(0.2, 1.5))
-    np.testing.assert_allclose(table[["angle", "parallel", "perpendicular"]].sum(axis=1), 1)
-    angle = table.query("kind == 'absolute'").set_index("angle_noise_deg")["angle"]
-    assert angle.loc[1.5] > angle.loc[0.2]
+def test_bench_takes_a_method_of_ones_own():
+    comparison = study.comparison(quick=True)
+    comparison.seeds = (0,)
+    comparison.methods = {
+        "published": study.METHODS["published"],
+        "none": lambda sets: np.zeros((len(sets.test), len(sets.model)), dtype=bool),
+    }
+    results = comparison.run()
+    assert results["f1"].sel({"method": "none"}).max() == 0
+    assert len(comparison.tables(results)["f1"]) == 2
+    plt.close(comparison.figures(results)["f1"])
 
 
-def test_angle_noise_is_estimated_from_pairs():
-    found = []
-    for seed in range(8):
-        scene = canyon(seed, conditions=Conditions(angle_noise_deg=1.0))
-        (one,) = comparisons.comparisons(scene, kinds=("absolute",))[:1]
-        found.append(sweeps.angle_noise(one.test, one.model, one.truth))
-    # course 1 degree, static scanner a quarter of it, both with 0.02 m / length
-    assert np.mean(found) == pytest.approx(np.hypot(1.0, 0.25), rel=0.25)
+def test_extracted_edges_of_a_canyon_are_the_true_ones():
+    from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+
+    street = canyon(1)
+    cloud = canyon_cloud(street, "TLS", density=12, noise=0.01, seed=1)
+    row = study.true_edges(lines.extract_edges(cloud), street).iloc[0]
+    assert row["shown"] > 0.4 * row["true_edges"]  # setbacks of 0.25 to 1.2 m hide the others
+    assert row["error_median_mm"] < 5
+    assert row["cover_95"] > 0.8
 
 
-def test_held_out_rows_and_targets(reached):
-    table = reached
-    assert set(table["condition"]) == set(heldout.CONDITIONS)
-    base = table.query("condition == 'as in the paper'")
-    assert len(base) == 2 * 6 * 2
-    assert base["f1"].between(0, 1).all()
-    targets = heldout.targets(table).set_index("quantity")
-    row = targets.loc["F1, absolute"]
-    ours = base.query("kind == 'absolute' and matcher == 'displaced'")["f1"]
-    assert row["displaced"] == pytest.approx(ours.mean())
-    assert row["low"] <= row["displaced"] <= row["high"]
-    assert row["published"] == pytest.approx(0.780, abs=5e-4)
-    assert targets["n"].eq(2).all()
+def test_checks_hold_or_fall_with_the_numbers(replicated):
+    runs = small_runs()
+    rows = study.replicas(replicated)
+    found = list(study.checks(**runs, rows=rows))
+    assert len(found) == 6
+    worse = [
+        ("by_weight", "f1", "W = 10", -0.5, 0),
+        ("by_weight", "rate_percent", "W = 10", -5.0, 1),
+        ("by_displacement", "lhd_bias_m", "all", +5.0, 3),
+        ("held_out", "f1", "displaced", -1.0, 4),
+    ]
+    for run, figure, method, change, number in worse:
+        spoiled = runs[run].copy(deep=True)
+        spoiled[figure].loc[{"method": method}] += change
+        assert not list(study.checks(**(runs | {run: spoiled}), rows=rows))[number].passed
+    calm = runs["by_noise"].copy(deep=True)
+    calm["f1"].loc[{"method": "W = 10"}] = 1.0
+    assert not list(study.checks(**(runs | {"by_noise": calm}), rows=rows))[2].passed
+    wide = rows.assign(low_m=0.0, high_m=5.0)
+    assert list(study.checks(**runs, rows=wide))[5].passed
+    assert not list(study.checks(**runs, rows=wide.assign(low_m=4.0)))[5].passed
 
 
-def test_readings_start_from_the_default_and_replicas_stand_beside_the_tables():
-    readings = heldout.readings((1,))
-    first = readings.groupby("question", sort=False).first()
-    assert first["f1"].nunique() == first["olhd_m"].nunique() == 1
-    weights = readings.query("question == 'denominator'").set_index("reading")["olhd_m"]
-    assert weights["all targets"] < weights["pairs"] < weights["matched targets"]
-    replicas = heldout.table_replicas((1,))
-    counts = replicas["kind_of_number"].value_counts().to_dict()
-    assert counts == {"published": 14, "measured (simulated)": 12}
-
-
-def test_one_to_one_loses_where_edges_are_split():
-    table = heldout.one_to_one((1, 2, 3)).groupby(["segmentation", "matcher"])[["fp", "fn"]].mean()
-    split, whole = table.loc["as simulated"], table.loc["whole edges"]
-    assert split.loc["mutual", "fp"] < split.loc["all", "fp"]
-    assert split.loc["mutual", "fn"] > split.loc["all", "fn"]
-    assert whole.loc["mutual", "fn"] < split.loc["mutual", "fn"]
-
-
-def test_matchers_and_thresholds_cross():
-    table = heldout.matcher_table((1,))
-    assert len(table) == len(heldout.THRESHOLDS) * len(lines.MATCHERS)
-    assert table["f1"].between(0, 1).all()
-
-
-def test_drawings_take_and_return_their_axes(one, swept):
-    pairs = one.directions[0][0].distance(10) < 1
-    figure, ax = plt.subplots()
-    assert drawings.draw_plan(one, pairs, ax=ax) is ax
-    assert drawings.draw_matrix(one, ax=ax, weight=10) is ax
-    assert drawings.draw_pairs(one, pairs, ax=ax) is ax
-    assert drawings.draw_threshold([0.1, 0.2], ax=ax, sensitivity=0.5) is ax
-    assert drawings.draw_distance_over_weight(swept, "absolute", ax=ax) is ax
-    plt.close(figure)
-    for figure in (
-        drawings.figure_of_components(5, 3, 1, 6, 10),
-        drawings.figure_of_components(0, 0, 0, 10, 0),
-        drawings.settings_of(one)(weight=10, sensitivity=0.5),
-    ):
-        assert len(figure.axes) == 2
+def test_figures_for_sliders():
+    for values in ((5, 3, 1, 6, 10), (0, 0, 0, 10, 0)):
+        figure = study.figure_of_components(*values)
+        bars = [bar.get_width() for bar in figure.axes[1].patches]
+        assert bars[-1] == pytest.approx(np.sqrt(sum(size**2 for size in bars[:-1])))
         plt.close(figure)
 
 
-def test_checks_fail_when_the_numbers_do_not_bear_them_out(reached):
-    targets = heldout.targets(reached)
-    spoiled = targets.assign(displaced=0.1, reached=False, missed=True, n=study.FEWEST_SCENES)
-    found = study._checks_on_targets(spoiled)
-    assert not any(check.passed for check in found)
-    assert len(found) == 1 + len(targets)
-    assert [check.passed for check in study._checks_on_tables(poreba2013.check())] == [True, True]
-    spoiled = poreba2013.check().assign(agrees=True)
-    assert not study._checks_on_tables(spoiled)[0].passed
+def test_conditions_refuse_negative_noise():
+    with pytest.raises(ValueError, match="Invalid own_m -1"):
+        Conditions(own_m=-1)

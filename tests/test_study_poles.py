@@ -1,40 +1,51 @@
-"""The study's tables: what it changes, what it counts, what it sets side by side."""
+"""The study: what its streets change, what it counts, what it sets side by side."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import io, poles, views
+from mmqa_lab import bench, io, poles, published, stats
 from mmqa_lab.__main__ import main
-from mmqa_lab.poles import facades, ours, trees
+from mmqa_lab.poles import ours
+from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.studies import poles as study
-from mmqa_lab.studies.poles import factors, oakland, reach, scene, surveys, training
+from mmqa_lab.studies import poles_training as training
 
 
 @pytest.fixture(scope="module")
 def surveyed():
-    """One short street, surveyed by all methods."""
-    choices = {"plan": "table-4-1", "scanner": "roamer", "speed": 14.0}
-    return study.compute(seeds=(5001,), length=60.0, **choices)
+    """One short street and its truth."""
+    return study.scene(seed=5001, length=60.0, speed=14.0)
 
 
-def test_a_change_leaves_everything_else_where_it_was():
+@pytest.fixture(scope="module")
+def counted():
+    """The bench on two short streets, without the slow learned method."""
+    methods = {name: study.METHODS[name] for name in ("fgi", "itc")}
+    cases = bench.grid(length=30.0, speed=14.0)
+    how = {"make": study.scene, "score": study.counts}
+    return bench.run(cases, methods, seeds=(5001, 5003), **how)
+
+
+def changed(name, plan="table-4-1"):
+    """A plan with one of the study's changes."""
+    return streets.replace(streets.PLANS[plan], **study.CHANGES[name])
+
+
+@pytest.mark.parametrize("name", ["5 people per 100 m", "no shrubs"])
+def test_a_change_leaves_everything_else_where_it_was(name):
     plain = streets.street("table-4-1", length=100, seed=7).targets
-    changed = factors.CHANGES["5 people per 100 m"]
-    plan = factors.replace(streets.PLANS["table-4-1"], **changed)
-    other = streets.street(plan, length=100, seed=7).targets
+    other = streets.street(changed(name), length=100, seed=7).targets
     columns = ["x_m", "y_m", "height_m", "diameter_base_m"]
     assert plain[columns].equals(other[columns])
-    bare = factors.replace(streets.PLANS["table-4-1"], **factors.CHANGES["no shrubs"])
-    assert plain[columns].equals(streets.street(bare, length=100, seed=7).targets[columns])
 
 
 def test_a_street_has_the_poles_that_its_plan_asks_for():
-    plan = factors.replace(streets.PLANS["quiet"], building_share=0.0, trees_per_100m=0.0)
+    bare = {"building_share": 0.0, "trees_per_100m": 0.0}
+    plan = streets.replace(streets.PLANS["quiet"], **bare)
     made = [streets.street(plan, length=300, seed=seed).targets for seed in range(3)]
     counts = sum(targets["class"].value_counts() for targets in made)
     expected = 9 * plan.lamps_per_100m
@@ -48,44 +59,197 @@ def test_every_target_is_a_surface_of_its_class():
 
 
 def test_visible_targets_count_the_points_of_the_shaft_below_the_crown(surveyed):
-    survey = surveyed[0][0]
+    cloud, truth = surveyed
     for kind in ("lamp", "tree"):
-        one = survey.targets[survey.targets["class"] == kind].nlargest(1, "points").iloc[0]
-        height = survey.cloud.points[survey.cloud["surface"] == one["surface"], 2] - one["z_base_m"]
+        own = truth["targets"][truth["targets"]["class"] == kind]
+        one = own.nlargest(1, "points").iloc[0]
+        height = cloud.points[cloud["surface"] == one["surface"], 2] - one["z_base_m"]
         assert one["points"] == (height <= one["clear_height_m"]).sum() > 10
         whole = one["clear_height_m"] == one["height_m"]
         assert whole == (kind == "lamp")
 
 
-def test_rates_are_those_of_the_scores(surveyed):
-    (survey,), rates = surveyed
-    one = rates.query("method == 'fgi' and corridor_m == 30 and quantity == 'precision'").iloc[0]
-    score = survey.score("fgi", corridor=30.0)
-    assert (one["k"], one["n"]) == (score.precision.k, score.precision.n)
-    f1 = rates.query("method == 'fgi' and corridor_m == 30 and quantity == 'f1'")["value"].item()
-    assert f1 == pytest.approx(score.f1)
+def test_a_thinner_cloud_keeps_its_targets(surveyed):
+    cloud, truth = surveyed
+    thin, same = study.scene(seed=5001, length=60.0, speed=14.0, share=0.05)
+    assert same["targets"].equals(truth["targets"])
+    # binomial: of some ten thousand points
+    assert len(thin) / len(cloud) == pytest.approx(0.05, rel=0.05)
 
 
-def test_checks_hold(surveyed):
-    assert all(check.passed for check in study.checks(surveyed[1]))
+def test_a_street_driven_back_is_seen_from_the_other_side(surveyed):
+    cloud, truth = surveyed
+    both, same = study.scene(seed=5001, length=60.0, speed=14.0, both_ways=True)
+    assert len(both) > 1.8 * len(cloud)
+    assert np.array_equal(both.points[: len(cloud)], cloud.points)
+    assert same["targets"].equals(truth["targets"])
+    back = both[len(cloud) :]
+    assert back["scan_line"].min() > cloud["scan_line"].max()
+    # time runs backwards along the street
+    assert np.corrcoef(back["gps_time"], back.points[:, 1])[0, 1] < -0.9
 
 
-def test_published_and_measured_stand_side_by_side(surveyed):
-    table = study.beside_published(surveyed[1])
-    assert table["published"].round(3).tolist()[:2] == [0.697, 0.716]
-    assert np.allclose(table["measured"] - table["published"], table["difference"])
+def test_counts_are_those_of_the_scores(surveyed):
+    cloud, truth = surveyed
+    found = poles.detect(cloud, method="fgi")
+    numbers = study.counts(found, truth)
+    for corridor in study.CORRIDORS_M:
+        inside = {"corridor": corridor, "trajectory": truth["path"]}
+        score = poles.score(found, truth["targets"], **inside)
+        end = f"{corridor:g}"
+        assert (numbers[f"hits_{end}"], numbers[f"finds_{end}"]) == (
+            score.precision.k,
+            score.precision.n,
+        )
+        parts = [numbers[f"{kind}_targets_{end}"] for kind in study.CLASSES]
+        assert sum(parts) == numbers[f"targets_{end}"] == score.recall.n
 
 
-def test_the_curve_passes_through_the_operating_point(surveyed):
-    made, rates = surveyed
-    curve = surveys.operating_curves(made, corridor=30.0)
-    own = curve[
-        (curve["method"] == "ours") & (curve["threshold"] >= ours.Settings().threshold)
-    ].iloc[-1]
-    point = rates.query("method == 'ours' and corridor_m == 30 and `class` == 'all'")
-    recall = point.set_index("quantity")["value"]["recall"]
-    # one detection at the edge of the corridor may be counted on either side
-    assert own["recall"] == pytest.approx(recall, abs=0.08)
+def test_rates_pool_the_streets(counted):
+    rates = study.rates(counted).set_index(["method", "quantity", "corridor_m", "class"])
+    hits, targets, finds = (
+        int(counted[f"{name}_30"].sel({"method": "fgi"}).sum())
+        for name in ("hits", "targets", "finds")
+    )
+    recall = stats.wilson(hits, targets)
+    row = rates.loc[("fgi", "recall", 30.0, "all")]
+    assert (row["k"], row["n"], row["low"], row["high"]) == (
+        hits,
+        targets,
+        recall.low,
+        recall.high,
+    )
+    f1 = rates.loc[("fgi", "f1", 30.0, "all"), "value"]
+    assert f1 == pytest.approx(2 * hits / (targets + finds))
+    assert np.isnan(study.rates(counted.isel(seed=[0])).query("quantity == 'f1'")["low"]).all()
+
+
+def test_a_method_of_ones_own_gets_rates(surveyed):
+    _, truth = surveyed
+
+    def oracle(cloud):
+        return truth["targets"].query("visible")[["x_m", "y_m", "z_base_m", "height_m"]]
+
+    results = bench.run(
+        bench.grid(length=60.0, speed=14.0),
+        {"oracle": oracle, "nothing": lambda cloud: pd.DataFrame({"x_m": [], "y_m": []})},
+        make=study.scene,
+        score=study.counts,
+        seeds=(5001,),
+    )
+    rates = study.rates(results).query("corridor_m == 30 and `class` == 'all'")
+    value = rates.set_index(["method", "quantity"])["value"]
+    assert value["oracle", "recall"] == value["oracle", "precision"] == 1
+    assert value["nothing", "recall"] == 0
+    assert np.isnan(value["nothing", "precision"])
+
+
+def test_published_counts_round_to_the_printed_rates():
+    printed = ledger.cells().set_index(["source", "table", "cell"])["value"]
+    for key, (k, n, _) in study.COUNTS.items():
+        value = printed["eurosdr2013_mls", *study.PRINTED[key]]
+        assert round(100 * k / n, 1) == value
+    # the same found targets stand behind recall and precision
+    for corridor in (30.0, 12.5):
+        found = {study.COUNTS["fgi", name, corridor, "all"][0] for name in ("recall", "precision")}
+        assert len(found) == 1
+
+
+def test_printed_numbers_of_targets():
+    text = published.table("eurosdr2013_mls", "poles_text").set_index("id")["n"]
+    for kind, name in (("tree", "trees"), ("sign", "signs"), ("lamp", "lamp_posts")):
+        assert study.COUNTS["fgi", "recall", 30.0, kind][1] == text[f"rate_{name}"]
+
+
+def example_rates():
+    """Rates as the report has them, the learned method above."""
+    rows = []
+    for (method, quantity, corridor, kind), (k, n, _) in study.COUNTS.items():
+        rows.append((method, quantity, corridor, kind, *vars(stats.wilson(k, n)).values()))
+    for method in ("ours", "itc"):
+        for quantity, corridor in (("recall", 15.0), ("precision", 15.0)):
+            rows.append((method, quantity, corridor, "all", *vars(stats.wilson(80, 100)).values()))
+    for method, f1 in (("ours", 0.98), ("fgi", 0.78), ("itc", 0.6)):
+        rows.append((method, "f1", 30.0, "all", 0, 0, f1, np.nan, np.nan))
+    columns = ["method", "quantity", "corridor_m", "class", "k", "n", "value", "low", "high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def test_every_printed_rate_stands_beside_ours():
+    table = study.beside_published(example_rates(), example_rates())
+    assert len(table) == len(study.PRINTED)
+    same = table[table["method"] == "fgi"]
+    # printed with one decimal of a percent
+    assert np.allclose(same["published"], same["measured"], atol=0.0005)
+    assert np.allclose(same["published_low"], same["measured_low"])
+    assert table.loc[table["method"] == "itc", "published_low"].isna().all()
+
+
+def test_the_ledger_has_every_cell_that_a_street_can_answer():
+    beside = study.beside_published(example_rates(), example_rates())
+    errors, half = stats.errors(np.arange(-3.0, 4)), stats.wilson(10, 20)
+    choices = {"visible": half, "correctness": half, "crowded": half, "diameters": errors}
+    entries = ledger.frame(study.ledger_entries(beside, **choices))
+    cells = ledger.cells().query("source == 'eurosdr2013_mls' and role == 'result'")
+    asked = cells[cells["table"].isin(["table_4_1", "table_4_2", "poles_text"])]
+    left = set(asked["cell"]) - set(entries["cell"])
+    # numbers of real targets, and a judgement over other papers
+    assert all(name.endswith(" n") or name.startswith(("targets", "state")) for name in left)
+    kinds = entries.set_index("cell")["kind"]
+    assert kinds["FGI detection_rate 30 m"] == kinds["visible_share"] == "fitted"
+    assert kinds["ITC detection_rate 15 m"] == "measured"
+
+
+def verdicts(rates, wider=0.01):
+    """Whether each check passes."""
+    beside = study.beside_published(rates, rates)
+    return [check.passed for check in study.checks(rates, rates, beside, wider)]
+
+
+@pytest.mark.parametrize(
+    ("number", "row", "value"),
+    [
+        (0, ("ours", "f1", 30.0, "all"), 0.7),
+        (1, ("fgi", "recall", 30.0, "lamp"), 0.5),
+        (2, ("fgi", "precision", 12.5, "all"), 0.8),
+        (3, ("fgi", "recall", 30.0, "all"), 0.4),
+    ],
+)
+def test_each_check_fails_when_its_statement_is_false(number, row, value):
+    rates = example_rates()
+    assert all(verdicts(rates))
+    columns = ["method", "quantity", "corridor_m", "class"]
+    changed_row = (rates[columns] == list(row)).all(axis=1)
+    rates.loc[changed_row, ["value", "low", "high"]] = value
+    assert not verdicts(rates)[number]
+
+
+def test_the_check_of_the_gate_fails_when_a_wider_one_finds_more():
+    assert [*verdicts(example_rates(), wider=0.2)] == [True] * 4 + [False]
+
+
+def test_false_alarms_have_a_cause(surveyed):
+    cloud, truth = surveyed
+    made = {"x_m": [0.0, 0.0], "y_m": [20.0, 40.0], "z_base_m": 0.0, "height_m": 0.5}
+    wrong = pd.DataFrame(made)
+    result = poles.score(wrong, truth["targets"])
+    assert set(study.causes(result, cloud, truth)) <= {"ground", "nothing", "car", "duplicate"}
+    assert len(study.causes(result, cloud, truth)) == len(study.outcomes(result)["false alarm"])
+
+
+def test_missed_poles_are_crowded_where_something_stands_around(surveyed):
+    cloud, truth = surveyed
+    nothing = pd.DataFrame({"x_m": [], "y_m": []})
+    result = poles.score(nothing, truth["targets"])
+    alone = cloud[np.isin(cloud["surface"], truth["targets"]["surface"])]
+    assert study.crowded(result, alone).k == 0
+    assert study.crowded(result, cloud).n == truth["targets"]["visible"].sum()
+
+
+def test_the_bench_finds_the_study():
+    comparison = study.comparison(quick=True)
+    assert set(comparison.methods) == set(poles.METHODS)
+    assert len(study.comparison().cases) == 2
 
 
 def test_training_labels_are_near_far_and_between():
@@ -98,156 +262,62 @@ def test_training_labels_are_near_far_and_between():
     assert training.labels(axes, targets.assign(visible=False)).tolist() == [-1, -1, 0]
 
 
-def test_a_fitted_model_is_that_of_scikit_learn_and_reproducible():
+def test_a_fitted_model_decides_by_the_feature_that_tells_and_is_reproducible():
     rng = np.random.default_rng(0)
-    features = rng.normal(size=(200, len(ours.FEATURES)))
+    features = rng.normal(size=(400, len(ours.FEATURES)))
     label = (features[:, 3] > 0).astype(int)
-    group = np.repeat([0, 1], 100)
-    model = training.fit(features, label, group, rounds=30)
-    assert model.to_json() == training.fit(features, label, group, rounds=30).to_json()
-    right = (model.probability(features) > 0.5) == label
+    group = np.repeat([0, 1], 200)
+    model = training.fit(features, label, group, rounds=60)
+    again = training.fit(features, label, group, rounds=60)
+    assert model.model_to_string() == again.model_to_string()
+    right = (model.predict(features) > 0.5) == label
     assert right.mean() > 0.95  # one feature decides, though each split sees three in ten
-
-
-def test_a_wary_model_believes_less_at_walls_and_the_same_elsewhere():
-    rng = np.random.default_rng(1)
-    features = np.zeros((4000, len(ours.FEATURES)))
-    at_wall = rng.random(4000) < 0.5
-    features[:, ours.FEATURES.index("facade_m")] = np.where(at_wall, training.WALL_M + 1, 0)
-    features[:, ours.FEATURES.index("facade_off_m")] = np.where(at_wall, 1, facades.REACH_M)
-    label = (rng.random(4000) < 0.5).astype(int)
-    group = np.zeros(4000, int)
-    plain, wary = (
-        training.fit(features, label, group, rounds=200, wary=k).probability(features)
-        for k in (1, training.WARY)
-    )
-    # the odds are those of the weights: 1 to 1, and 1 to the weight at walls
-    assert plain[at_wall].mean() == pytest.approx(label[at_wall].mean(), abs=0.01)
-    assert wary[at_wall].mean() == pytest.approx(1 / (1 + training.WARY), abs=0.01)
-    assert wary[~at_wall].mean() == pytest.approx(label[~at_wall].mean(), abs=0.01)
 
 
 def test_a_small_training_run_reproduces_itself():
     choices = {"stretch": 0.12, "rounds": 4, "progress": False}
     first = training.train((1, 3), **choices)
-    assert first.features == ours.FEATURES
-    assert first.notes["poles"] > 5
-    assert training.train((1, 3), **choices).to_json() == first.to_json()
-
-
-def test_the_model_of_the_package_is_what_the_training_module_describes():
-    model = trees.read_model()
-    assert model.features == ours.FEATURES
-    assert model.notes["trained on"].startswith(f"{training.EXAMPLES} simulated streets")
-    assert str(training.FIRST_SEED) in model.notes["trained on"]
-
-
-def test_the_quiet_model_has_seen_no_balconies():
-    quiet, usual = (
-        plan(np.random.default_rng(3)) for plan in (training.quiet_plan, training.random_plan)
-    )
-    assert quiet.balcony_share == 0 < usual.balcony_share
-    assert quiet.columns_per_100m == pytest.approx(usual.columns_per_100m / 5)
-    assert quiet.trees_per_100m == usual.trees_per_100m
-    model = training.quiet_model()
-    assert model.features == ours.FEATURES
-    assert model.notes["plans"] == "quiet_plan"
-    assert model.notes["trained on"].startswith(f"{training.QUIET_EXAMPLES} simulated streets")
+    assert tuple(first.feature_name()) == ours.FEATURES
+    assert training.train((1, 3), **choices).model_to_string() == first.model_to_string()
 
 
 def test_a_model_of_ones_own_decides(surveyed):
-    survey = surveyed[0][0]
-    nobody = replace(trees.read_model(), base=-500.0)
-    assert len(poles.detect(survey.cloud, model=nobody)) == 0
+    class Nobody:
+        """Gives every candidate no chance."""
+
+        def predict(self, features):
+            return np.zeros(len(features))
+
+    cloud, _ = surveyed
+    assert len(poles.detect(cloud, model=Nobody())) == 0
     with pytest.raises(ValueError, match="Must be one of ours"):
-        poles.detect(survey.cloud, method="fgi", model=nobody)
-
-
-def test_false_alarms_are_counted_per_100_m(surveyed):
-    (survey,), _ = surveyed
-    causes = surveys.causes([survey], ("fgi", "itc"))
-    for name in ("fgi", "itc"):
-        own = causes[causes["method"] == name]
-        assert own["n"].sum() == len(survey.outcomes(name, corridor=30.0)["false alarm"])
-        assert np.allclose(own["per_100m"], own["n"] / 0.6)  # 60 m of street
-
-
-def test_a_wider_gate_cannot_lose_hits(surveyed):
-    table = surveys.by_gate(surveyed[0], ("ours", "fgi"), gates=(0.1, 0.5))
-    hits = table[table["quantity"] == "recall"].pivot(index="gate_m", columns="method", values="k")
-    assert (hits.loc[0.5] >= hits.loc[0.1]).all()
-
-
-def test_a_thinner_cloud_shows_fewer_of_the_same_targets(surveyed):
-    table = surveys.by_density(surveyed[0], ("fgi",), (0.05, 1.0))
-    recall = table[table["quantity"] == "recall"].set_index("share")
-    assert recall["n"].nunique() == 1
-    assert recall.loc[0.05, "k"] < recall.loc[1.0, "k"]
-    density = recall["density_per_m2"]
-    # binomial: of some ten thousand points
-    assert density[0.05] / density[1.0] == pytest.approx(0.05, rel=0.05)
-
-
-def test_facades_are_classed_as_walls(surveyed):
-    table = surveys.facades(surveyed[0])
-    bands, whole = table.iloc[:-1], table.iloc[-1]
-    assert bands["n"].sum() == whole["n"]
-    assert whole["quality"] <= min(whole["completeness"], whole["correctness"])
-    assert whole["correctness"] > 0.5
-
-
-def test_verdicts_on_what_was_to_be_reached(surveyed):
-    made = surveyed[0]
-    made[0].detect("ours", name=reach.QUIET, model=training.quiet_model())
-    table = reach.table(plain=made, balconies=made, dense=made)
-    known = table[table["value"].notna()]
-    good = np.where(
-        known["unit"] == "mm",
-        known["value"].abs() <= known["aim"],
-        known["value"] >= known["aim"],
-    )
-    assert (known["verdict"] == np.where(good, "reached", "missed")).all()
-    assert (table.loc[table["value"].isna(), "verdict"] == "not measured").all()
-    assert all(check.passed for check in reach.checks(table))
-    worse = table.assign(value=table["aim"] - 0.2, n=100, unit="1", verdict="missed")
-    (check,) = reach.checks(worse)
-    assert not check.passed
-    assert check.obtained.startswith(f"missed {len(table)} of {len(table)}")
-    one = table[(table["setting"] == "chosen street, 30 m") & (table["quantity"] == "recall")]
-    assert one["value"].item() == made[0].score("ours", corridor=30.0).recall.value
-
-
-def test_the_view_holds_every_outcome(surveyed):
-    if not views.can_render():
-        pytest.skip("no OpenGL here")
-    survey = surveyed[0][0]
-    plotter = scene.plot_street(survey, "fgi", corridor=30.0, off_screen=True)
-    outcomes = survey.outcomes("fgi", corridor=30.0)
-    # one actor a pole, one for the points, one for the legend
-    assert len(plotter.actors) >= 1 + sum(len(part) for part in outcomes.values())
-    plotter.close()
+        poles.detect(cloud, method="fgi", model=Nobody())
 
 
 @pytest.mark.real
 def test_real_references(real):
-    real(oakland.FILES[0])
-    whole = oakland.cloud()
-    truth = oakland.references(whole)
+    real(study.OAKLAND[0])
+    whole, truth = study.oakland()
     targets = truth[~truth["ignore"]]
     assert len(whole) == pytest.approx(1e6, rel=0.001)
     assert (targets["height_m"] >= 1).all()
     assert 120 < len(targets) < 220
+    score = poles.score(poles.detect(whole), truth)
+    assert score.f1 == pytest.approx(study.OAKLAND_F1, abs=0.005)
+
+
+def written(folder, cloud, truth):
+    """The words of a command on a cloud and its reference."""
+    io.write_cloud(folder / "street.laz", cloud[cloud["surface"] >= 0])
+    truth[truth["visible"]].to_csv(folder / "truth.csv", index=False)
+    words = ["poles", str(folder / "street.laz"), "--json"]
+    return [*words, "--reference", str(folder / "truth.csv")]
 
 
 def test_command(surveyed, tmp_path, capsys):
-    survey = surveyed[0][0]
-    cloud = survey.cloud[survey.cloud["surface"] >= 0]
-    io.write_cloud(tmp_path / "street.laz", cloud)
-    truth = survey.targets[survey.targets["visible"]]
-    truth.to_csv(tmp_path / "truth.csv", index=False)
-    words = ["poles", str(tmp_path / "street.laz"), "--method", "fgi", "--json"]
-    words += ["--reference", str(tmp_path / "truth.csv"), "--csv", str(tmp_path / "out.csv")]
-    words += ["--geojson", str(tmp_path / "out.geojson")]
+    cloud, truth = surveyed
+    words = [*written(tmp_path, cloud, truth["targets"]), "--method", "fgi"]
+    words += ["--csv", str(tmp_path / "out.csv"), "--geojson", str(tmp_path / "out.geojson")]
     assert main(words) in (0, None)
     printed = json.loads(capsys.readouterr().out)
     table = pd.read_csv(tmp_path / "out.csv")
@@ -258,6 +328,27 @@ def test_command(surveyed, tmp_path, capsys):
     assert 0 < printed["scores"]["recall"]["value"] <= 1
     places = json.loads((tmp_path / "out.geojson").read_text())["features"]
     assert places[0]["geometry"]["coordinates"][0] == pytest.approx(table["x_m"][0], abs=1e-4)
+
+
+def test_a_trajectory_alone_scores_within_the_methods_corridor(tmp_path, capsys):
+    # posts 5, 20 and 40 m off a path: the component method looks 15 m far
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 72), np.arange(0.02, 3, 0.02))
+    ring = np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), rise], axis=-1).reshape(-1, 3)
+    x, y = np.mgrid[-5:45:0.25, -5:5:0.25].reshape(2, -1)
+    ground = np.stack([x, y, 0 * x], axis=1)
+    points = np.vstack([ground, *(ring + [away, 0, 0] for away in (5, 20, 40))])
+    pd.DataFrame(points, columns=["x", "y", "z"]).to_csv(tmp_path / "cloud.csv", index=False)
+    path = {"time_s": [0.0, 2.0], "easting_m": 0.0, "northing_m": [-5.0, 5.0], "height_m": 2.0}
+    pd.DataFrame(path).to_csv(tmp_path / "path.csv", index=False)
+    truth = pd.DataFrame({"x_m": [5.0, 20.0, 40.0], "y_m": 0.0})
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    words = ["poles", str(tmp_path / "cloud.csv"), "--method", "itc", "--json"]
+    words += ["--trajectory", str(tmp_path / "path.csv")]
+    words += ["--reference", str(tmp_path / "truth.csv")]
+    for extra, asked in (([], 1), (["--corridor", "25"], 2)):
+        assert main([*words, *extra]) in (0, None)
+        recall = json.loads(capsys.readouterr().out)["scores"]["recall"]
+        assert (recall["k"], recall["n"]) == (asked, asked)
 
 
 def test_command_says_what_is_wrong(tmp_path, capsys):

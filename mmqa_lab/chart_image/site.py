@@ -152,7 +152,8 @@ def choose_images(stations, corners, *, distance):
     >>> found = choose_images(stations, boards["image forward"], distance=10)
     >>> found[["view", "station"]].to_numpy().tolist(), found["distance_m"].round(1).item()
     ([['forward', 1]], 16.8)
-    >>> choose_images(stations, boards["image orthogonal"], distance=10)["distance_m"].round(1).item()
+    >>> found = choose_images(stations, boards["image orthogonal"], distance=10)
+    >>> found["distance_m"].round(1).item()
     5.4
     """
     distance = check_positive(distance, "distance", unit="m")

@@ -10,7 +10,7 @@ After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a re
 
 import argparse
 
-from mmqa_lab.commands._output import add_output_arguments, print_json, write_rows
+from mmqa_lab.commands._output import add_output_arguments, print_json, print_rows, write_rows
 
 SUMMARY = "profile spacing, point spacing, density and f of a scan before it is driven"
 
@@ -20,6 +20,8 @@ example:
       --scanner-tilt 45 --target-heading 15 --range 5
   mmqa plan --scanner vq-450 --speed 14 --range 8 --json
   mmqa plan --scanner zf-9012 --range 5 --largest-speed density_per_m2=3000
+  mmqa plan --scanner vq-250 --speed 10 --range 8 --sigma speed_m_s=0.2 \\
+      --sigma target_heading_deg=1.93
 """
 
 FLAGS = (
@@ -45,7 +47,20 @@ def add_arguments(parser):
         "--height-difference", metavar="M", help="above the scanner, default 0", **number
     )
     parser.add_argument(
-        "--scanner", metavar="PRESET", help="a profile scanner by name: zf-9012, roamer, vq-450"
+        "--scanner",
+        metavar="PRESET",
+        help="a profile scanner by name: zf-9012, roamer, vq-250, vq-450, lynx-m1, lynx-m1-second",
+    )
+    parser.add_argument(
+        "--sigma",
+        type=_limit,
+        action="append",
+        default=[],
+        metavar="INPUT=STD",
+        help="standard deviation of an input, such as speed_m_s=0.1; may be given several times",
+    )
+    parser.add_argument(
+        "--sensitivities", action="store_true", help="add the change of each figure per input"
     )
     parser.add_argument(
         "--largest-speed",
@@ -83,6 +98,9 @@ def run(options):
             f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
             "or profile passes beside it. Must be struck less obliquely."
         )
+    if options.sigma or options.sensitivities:
+        print_rows(_with_errors(answer, setup, target, options), options)
+        return
     write_rows(pd.DataFrame([answer]), options)
     if options.json:
         print_json(answer)
@@ -90,6 +108,21 @@ def run(options):
     width = max(map(len, answer))
     for name, value in answer.items():
         print(f"{name:<{width}}  {value:.6g}")
+
+
+def _with_errors(answer, setup, target, options):
+    """The figures with their uncertainty, and with their change per unit of each input."""
+    import pandas as pd
+
+    from mmqa_lab.scan_pattern import propagate, sensitivities
+
+    found = pd.DataFrame({"predicted": answer}).rename_axis("quantity")
+    if options.sigma:
+        errors = propagate(setup, target, sigmas=dict(options.sigma)).set_index("quantity")
+        found = found.join(errors[["std", "low", "high"]])
+    if options.sensitivities:
+        found = found.join(sensitivities(setup, target).T.add_prefix("per_"))
+    return found.reset_index()
 
 
 def _setup(options):

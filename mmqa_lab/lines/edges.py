@@ -13,6 +13,9 @@ from mmqa_lab.planes.detection import CELLS_PER_SIZE
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
+END_NOISE = 2.0
+"""Share of the points' variance in that of an end: the outermost of many noisy points marks it."""
+
 LONGEST_GAP = 5.0
 """An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
 
@@ -27,7 +30,7 @@ class Edges:
         n edges, m.
     covariance : array, shape (n, 2, 3, 3)
         Of both ends, square metres: across the edge from the planes, along it from the distances
-        of the points beside it.
+        and the noise of the points beside it.
     support : array of int, shape (n, 2)
         Points of either plane beside the edge and clear of the other plane.
     angle : array, shape (n,)
@@ -225,10 +228,12 @@ class _Lines:
         direction, pair = self.direction[line], self.pairs[line]
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         solve = np.linalg.pinv(self.normals[pair])
+        noise = max(self.patches[number].sigma for number in pair)
         covariance = []
         for end, (_, gap) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
-            covariance.append(solve @ heights @ solve.T + gap**2 * np.outer(direction, direction))
+            along = (gap**2 + END_NOISE * noise**2) * np.outer(direction, direction)
+            covariance.append(solve @ heights @ solve.T + along)
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
 

@@ -129,6 +129,7 @@ def execute(notebook, folder, *, environment, timeout=None):
         notebook,
         timeout_func=lambda cell: None if timeout is None else max(0.1, ends - time.monotonic()),
         kernel_name="python3",
+        extra_arguments=["--log-level=ERROR"],
         resources={"metadata": {"path": str(folder)}},
         on_notebook_start=lambda notebook: _let_interrupt(interrupted),
     )

@@ -1,19 +1,16 @@
 """MIMIC's own equations (Cahalane et al. 2014), as printed and as they must be read.
 
-Sensors 14(6), 9471-9488, doi:10.3390/s140609471. Names follow the paper's symbols; ``symbols()``
-puts ours beside them and ``ambiguities()`` lists what had to be settled. In these equations the
-scan plane stands still while the mirror turns; in ``scan_lattice`` it moves. Angles in degrees.
+Sensors 14(6), 9471-9488, doi:10.3390/s140609471. Names follow the paper's symbols; notebook 05
+lists them, and what had to be settled before the equations could be used. In them the scan plane
+stands still while the mirror turns; in ``scan_lattice`` it moves. Angles in degrees.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.scan_pattern.setups import check_values, turned
-
-SOURCE = "Cahalane et al. 2014, doi:10.3390/s140609471"
 
 READINGS = ("tilt_first", "heading_first")
 """Equation 1 read with row vectors (the one that gives Table 3), and with column vectors."""
@@ -315,40 +312,6 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     return PointSpacing(theta_a, r1, theta_scan, d2, r2, theta_o, d_ps)
 
 
-def symbols():
-    """Return a DataFrame: the paper's ``symbol``, its ``meaning``, our name for it.
-
-    Returns
-    -------
-    DataFrame
-        ``symbol``, ``meaning``, ``equation``, ``here``.
-
-    Examples
-    --------
-    >>> print(symbols().set_index("symbol").loc["d_PrSH", "here"])
-    Lattice.profile_spacing_horizontal_m
-    """
-    return pd.DataFrame(_SYMBOLS, columns=["symbol", "meaning", "equation", "here"])
-
-
-def ambiguities():
-    """Return a DataFrame of what the paper leaves open or prints wrongly, and how it is read here.
-
-    Columns ``place``, ``printed``, ``reading`` and ``evidence``.
-
-    Returns
-    -------
-    DataFrame
-
-    Examples
-    --------
-    >>> table = ambiguities().set_index("place")
-    >>> table.loc["equation 8", "printed"]
-    'Hr, the horizontal range'
-    """
-    return pd.DataFrame(_AMBIGUITIES, columns=["place", "printed", "reading", "evidence"])
-
-
 def _rotation(heading, tilt_axis, tilt, reading):
     """Equation 1 in either reading: about the tilt axis first, or about Z first."""
     check_choice(reading, "reading", READINGS)
@@ -365,98 +328,3 @@ def _check_strike(alpha_scan, alpha_targ):
             f"Invalid alpha_targ {alpha_targ} for alpha_scan {alpha_scan}. "
             "Must lie less than 90 degrees from it."
         )
-
-
-_SYMBOLS = (
-    ("v", "speed of the vehicle", "", "ScanSetup.speed_m_s"),
-    ("PRR", "pulse repetition rate", "", "ScanSetup.pulse_rate_hz"),
-    ("Mf", "mirror frequency", "", "ScanSetup.mirror_frequency_hz"),
-    ("alpha_scan", "horizontal rotation of the scanner", "1", "ScanSetup.scanner_heading_deg"),
-    ("gamma_scan", "vertical rotation of the scanner", "1", "ScanSetup.scanner_tilt_deg"),
-    ("beta_scan", "axial rotation of the scanner", "1", "ScanSetup.boresight_roll_deg"),
-    ("alpha_targ", "horizontal rotation of the target", "1", "Target.heading_deg"),
-    ("beta_targ", "vertical rotation of the target", "1", "Target.tilt_deg"),
-    ("Hr", "horizontal range at the horizontal pulse", "8", "Target.range_m"),
-    ("h_targ - h_scan", "height above the scanner", "6, 7", "Target.height_difference_m"),
-    ("d", "distance driven in a revolution", "2, 3", "speed_m_s / mirror_frequency_hz"),
-    ("d_PrSH", "horizontal profile spacing", "2, 3", "Lattice.profile_spacing_horizontal_m"),
-    ("d_PrSV", "vertical profile spacing", "4", "Lattice.profile_spacing_vertical_m"),
-    ("theta_PrA", "profile angle from the horizontal", "4", "Lattice.profile_angle_deg"),
-    ("PpM", "pulses in the field of view", "5", "ScanSetup.pulses_per_revolution"),
-    ("theta_A", "angle between pulses", "5", "ScanSetup.pulse_step_deg"),
-    ("r1", "length of the horizontal pulse", "8", "range_m / cos(scanner_heading_deg)"),
-    ("r2", "length of the pulse at h_targ", "9", "Lattice.range_m"),
-    ("d_PS", "point spacing", "10", "Lattice.point_spacing_m"),
-    ("(not printed)", "gap between profiles", "", "Lattice.profile_spacing_perpendicular_m"),
-    ("(not printed)", "points per square metre", "", "Lattice.density_per_m2"),
-)
-
-_AMBIGUITIES = (
-    (
-        "equation 1",
-        "Rx(gamma_scan) Ry(beta_scan) Rz(alpha_scan); rows or columns not said",
-        "row vectors: tilt first, then heading, for scanner and target",
-        "column vectors give 0.0751, 0.1000, 0.0745, 0.1667, 0.1000 m and not Table 3",
-    ),
-    (
-        "equations 2, 3",
-        "theta_2 to theta_5 only in figure 4",
-        "theta_2 = theta_3 = 90 - alpha_scan; theta_4, theta_5 = 90 - alpha_scan -+ |alpha_targ|",
-        "Table 3; at 45 degrees the complement gives the same, equation 8 settles it",
-    ),
-    (
-        "Table 3",
-        "profile spacing, mirror frequency not stated",
-        "horizontal spacing at 100 Hz",
-        "row 2: 0.100 m at 10 m/s; the other two spacings of a tilted wall differ",
-    ),
-    (
-        "text before equation 6",
-        "beta_targ called the scanner's vertical rotation",
-        "gamma_scan",
-        "equations 6 and 7 use it; heights are measured in the scan plane",
-    ),
-    (
-        "equation 8",
-        "Hr, the horizontal range",
-        "X of the target where the horizontal pulse strikes it, not abeam",
-        "differs for turned targets; with it the chain agrees with ray casting",
-    ),
-    (
-        "equation 9",
-        "d2 from heights adjusted for beta_targ (figure 5b), theta_scan from figure 5a",
-        "d2 = Z_diff / sin(theta_scan), with Z_diff of equations 6 and 7",
-        "equals (h_targ - h_scan) / (cos(beta_targ) sin(theta_PrA)) up to rounding",
-    ),
-    (
-        "equation 10",
-        "r1 sin(theta_A) / sin(theta_o)",
-        "r2 in place of r1",
-        "the text calls r2 what d_PS needs; with r2 the chain agrees with ray casting, with r1 "
-        "only where h_targ = h_scan",
-    ),
-    (
-        "equation 10",
-        "theta_o not defined; next pulse up or down open",
-        "angle at the second point struck; next pulse up",
-        "triangle of the two pulses and the spacing",
-    ),
-    (
-        "section 4.1.1",
-        "horizontal and vertical given to axes Y and Z, then the opposite",
-        "horizontal about Z, vertical about the tilt axis",
-        "equations 2, 3 and 8",
-    ),
-    (
-        "all equations",
-        "scan plane at rest during a revolution",
-        "the vehicle moves from pulse to pulse: use scan_lattice",
-        "turns profiles by about d / (2 pi R): 0.08 degrees at 4 m for d = 0.1 m",
-    ),
-    (
-        "real targets",
-        "targets at -60 to +60 degrees; mountings of XP1 and Lynx M1 not printed",
-        "none: predictions for single targets cannot be repeated",
-        "alpha_scan, gamma_scan, speeds and ranges are missing",
-    ),
-)

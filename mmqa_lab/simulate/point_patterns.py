@@ -26,8 +26,17 @@ HOLE_RADIUS, HOLE_SHARE = 4.0, 0.2
 
 
 def point_pattern(
-    kind, *, density, size, seed, ratio=1.0, angle=0.0, noise=0.0, rounding=0.0, jitter=0.1
-):
+    kind: str,
+    *,
+    density: float,
+    size: float,
+    seed: int,
+    ratio: float = 1.0,
+    angle: float = 0.0,
+    noise: float = 0.0,
+    rounding: float = 0.0,
+    jitter: float = 0.1,
+) -> np.ndarray:
     """Return a point pattern in a square window.
 
     Parameters
@@ -106,7 +115,7 @@ def point_pattern(
     return rounding * np.round(xy / rounding) if rounding else xy
 
 
-def true_ratio(kind, ratio):
+def true_ratio(kind: str, ratio: float) -> float:
     """Return the ratio across / along that a measure of anisotropy should find.
 
     Random patterns have the same law however they are stretched, with a gradient or holes too, and
@@ -121,7 +130,7 @@ def true_ratio(kind, ratio):
     return 1.0 if kind in ISOTROPIC else check_number(ratio, "ratio", low=1)
 
 
-def expected_f(kind, ratio):
+def expected_f(kind: str, ratio: float) -> float:
     """Return f = d4/d1 in closed form, without edges and noise, for axes turned off the lines.
 
     With the unit along the line and the line spacing ``a``, d1 is 1 and d4 the larger of the
@@ -144,7 +153,7 @@ def expected_f(kind, ratio):
     return _closed_form(kind, ratio, lines=np.sqrt(1 / 8), poisson=d4 / d1)
 
 
-def expected_g(kind, ratio):
+def expected_g(kind: str, ratio: float) -> float:
     """Return the spacing ratio g in closed form, without edges and noise, at any angle.
 
     As :func:`expected_f`, but the nearer one of the neighbouring lines counts, t the smaller of two
@@ -158,7 +167,7 @@ def expected_g(kind, ratio):
     return _closed_form(kind, ratio, lines=(1 - np.sqrt(1 / 2)) / 2, poisson=1.0)
 
 
-def aligned_lines_f():
+def aligned_lines_f() -> int:
     """Return f of scan lines along an axis, with the least noise across: 5, at any line spacing.
 
     The neighbours along the line then lie above or below by chance, and fill the quadrants above
@@ -168,7 +177,7 @@ def aligned_lines_f():
 
     Notes
     -----
-    Holds where lines are more than 5 point spacings apart and the noise is well below one.
+    True where lines are more than 5 point spacings apart and the noise is well below one.
 
     Examples
     --------

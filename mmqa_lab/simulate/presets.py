@@ -30,8 +30,8 @@ HDL_32E = MultiBeamScanner(
     min_range_m=1.0,
     max_range_m=100,
     source="32 beams from -30.67 to +10.67 degrees, 46.08 us a firing cycle (0.69 MHz; 1.39 MHz "
-    "of two returns), noise 2 cm: as usually quoted from the maker's manual, which was not at "
-    "hand; firing order as in a real sweep; beam width not stated",
+    "of two returns), noise 2 cm: as usually quoted from the maker's manual, which was not "
+    "seen; firing order as in a real sweep; beam width not stated",
 )
 
 ROAMER = ProfileScanner(
@@ -60,8 +60,34 @@ VQ_450 = ProfileScanner(
     max_range_m=300,
     source="550 kHz, 200 Hz, 0.3 mrad, 1.5 m: scanner library of HELIOS++ "
     "(github.com/3dgeo-heidelberg/helios, data/scanners_tls.xml); noise 5 mm and range assumed; "
-    "mounting as in MIMIC",
+    "mounting of 45/45 degrees assumed, as of the constructed models of Cahalane et al. 2014",
 )
+
+VQ_250 = ProfileScanner(
+    name="RIEGL VQ-250 of the XP1",
+    pulse_rate_hz=300_000,
+    mirror_frequency_hz=100,
+    heading_deg=45,
+    tilt_deg=45,
+    range_noise_m=0.005,
+    source="Cahalane et al. 2014 (doi 10.3390/s140609471), sections 3.2.1 and 4.2.2: 300 kHz, one "
+    "scanner, 100 Hz for targets 1 to 6; mounting of 45/45 degrees and noise 5 mm assumed; ranges "
+    "and beam width not stated",
+)
+
+LYNX_M1 = ProfileScanner(
+    name="Optech Lynx M1, first head",
+    pulse_rate_hz=500_000,
+    mirror_frequency_hz=200,
+    heading_deg=45,
+    tilt_deg=45,
+    range_noise_m=0.005,
+    source="Cahalane et al. 2014 (doi 10.3390/s140609471), sections 3.2.2 and 4.2.2: two scanners, "
+    "each up to 500 kHz and 200 Hz (125 kHz and 100 Hz for targets 7 to 11); mountings of +-45/45 "
+    "degrees and noise 5 mm assumed; ranges and beam width not stated",
+)
+
+LYNX_M1_SECOND = replace(LYNX_M1, name="Optech Lynx M1, second head", heading_deg=-45)
 
 ZF_9012_FITTED = replace(
     ZF_9012,
@@ -88,7 +114,10 @@ PRESETS = {
     "hdl-32e": HDL_32E,
     "hdl-32e-fitted": HDL_32E_FITTED,
     "roamer": ROAMER,
+    "vq-250": VQ_250,
     "vq-450": VQ_450,
+    "lynx-m1": LYNX_M1,
+    "lynx-m1-second": LYNX_M1_SECOND,
 }
 """Presets by the name that the command line knows."""
 

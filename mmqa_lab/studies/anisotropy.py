@@ -203,7 +203,7 @@ def draw_turn(turned, *, ax):
     look = {"color": plots.COLOURS["grey"], "lw": 0.8}
     ax.axhline(expected_f("poisson", 1), ls="--", label="random pattern", **look)
     ax.axhline(F0, ls=":", label="threshold f0", **look)
-    ax.set(xlabel="axes turned by (degrees)", ylabel="f (lines), g (triangles)", xlim=(0, 93))
+    ax.set(xlabel="axes turned by (degrees)", ylabel="f (lines), g (triangles)", xlim=(0, 95))
     ax.set(xticks=range(0, 91, 15), ylim=(0, None))
     return ax
 

@@ -38,8 +38,9 @@ STUDIES = (
         number=1,
         stem="chart_tables",
         title="Chart metrics",
-        question="How good are the point clouds and images of three systems, measured on charts?",
-        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Tables 1 and 2",
+        question="How good are the point clouds of three systems, measured on a chart, and who wins "
+        "the tender?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 2",
     ),
     Study(
         number=2,
@@ -89,6 +90,13 @@ STUDIES = (
         title="Image radiometry",
         question="What do a camera's numbers say of resolution and reflectance, and how surely?",
         source="EuroSDR 2013, image radiometry",
+    ),
+    Study(
+        number=9,
+        stem="chart_images",
+        title="Chart images",
+        question="What do photographs of a chart say of a camera, and what does its specification?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 1",
     ),
 )
 

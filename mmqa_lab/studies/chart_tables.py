@@ -89,7 +89,7 @@ NOTES = {
 """How a ledger entry was obtained, and what contradicts the printed value where it does."""
 
 
-def table_2():
+def table_2() -> pd.DataFrame:
     """Return the published Table 2, sigma_MAD as ``precision_mm``.
 
     Examples
@@ -100,7 +100,7 @@ def table_2():
     return published.table(SOURCE, "table_2").rename(columns={"sigma_mad_mm": "precision_mm"})
 
 
-def chart_cloud(system, distance_m, *, seed, **changes):
+def chart_cloud(system: str, distance_m: float, *, seed: int, **changes: float) -> Cloud:
     """Return the points of the chart as a system scans it, from the chart's centre.
 
     Parameters
@@ -124,7 +124,7 @@ def chart_cloud(system, distance_m, *, seed, **changes):
     return Cloud(cloud.points - [distance_m, 0, 0], cloud.columns)
 
 
-def chart_with_truth(system, distance_m, *, seed):
+def chart_with_truth(system: str, distance_m: float, *, seed: int) -> tuple[Cloud, dict]:
     """Return the points of the chart, and their true density and noise."""
     cloud = chart_cloud(system, distance_m, seed=seed)
     across = cloud["range_noise_m"] * np.cos(np.radians(cloud["incidence_deg"]))
@@ -132,14 +132,14 @@ def chart_with_truth(system, distance_m, *, seed):
 
 
 def read(
-    cloud,
+    cloud: Cloud,
     *,
-    density="hull",
-    axes="principal",
-    spread="sigma_mad",
-    scale=PAPER_SCALE,
-    margins=CHART_MARGINS_M,
-):
+    density: str = "hull",
+    axes: str | float = "principal",
+    spread: str = "sigma_mad",
+    scale: float = PAPER_SCALE,
+    margins: float | tuple[float, ...] = CHART_MARGINS_M,
+) -> dict[str, float]:
     """Return the figures of Table 2 of a chart, by default as Appendix A of the paper reads it.
 
     Parameters
@@ -179,7 +179,7 @@ READINGS = {
 """How the same chart can be read: the area, the axes, the estimator, the selection."""
 
 
-def comparison(quick=False):
+def comparison(quick: bool = False) -> bench.Comparison:
     """Return readings of the chart, compared on the systems at both distances.
 
     Parameters
@@ -215,8 +215,9 @@ def plot_readings(results):
     figure, axes = plots.subplots(1, 5, width="double", height_mm=60, sharey=True)
     for ax, name in zip(axes, table.columns.unique(0), strict=True):
         table[name].plot.barh(ax=ax, legend=False, width=0.8)
-        ax.set(title=name.removesuffix("_percent"), xlabel="from Appendix A (%)", ylabel="")
-    axes[2].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=5)
+        ax.set(title=name.removesuffix("_percent"), ylabel="")
+    figure.supxlabel("difference from Appendix A (%)")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 
 
@@ -235,7 +236,7 @@ def measure(system, parameters, *, seeds, distances=systems.DISTANCES):
     return pd.DataFrame(rows)
 
 
-def fit(*, seed, candidates, repeats):
+def fit(*, seed: int, candidates: int, repeats: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Fit the open parameters of each system to its published rows; of A, also the stated 200 Hz.
 
     Candidates are drawn over the bounds by a Latin hypercube, as many again over a third of them
@@ -261,7 +262,7 @@ def fit(*, seed, candidates, repeats):
         Of :func:`measure`, with ``fit``.
     """
     judges = {"A": closed_form, "B": partial(simulated, "B", seed), "C": partial(resampled, seed)}
-    fresh = seed + 1000 + np.arange(check_count(repeats, "repeats", low=2))
+    fresh = seed + 1000 + np.arange(check_count(repeats, "repeats"))
     rows, passes = [], []
     for system, name, bounds in FITS:
         target = table_2().query("system == @system")
@@ -361,7 +362,7 @@ def fitted_noise(system, parameters, target, seed):
     return {"range_noise_m": float(factor * SENSORS[system].range_noise_m)}
 
 
-def compare(cells, passes):
+def compare(cells: pd.DataFrame, passes: pd.DataFrame) -> pd.DataFrame:
     """Return Table 2 published, predicted and fitted, cell by cell.
 
     Parameters
@@ -402,7 +403,7 @@ def compare(cells, passes):
     return table.rename_axis([*keys, "figure"]).reset_index()
 
 
-def ledger_entries(table, chosen):
+def ledger_entries(table: pd.DataFrame, chosen: pd.DataFrame) -> list[dict]:
     """Return the ledger's entries on Table 2 and on the two scenarios of section 4.4.
 
     Parameters
@@ -434,8 +435,8 @@ def ledger_entries(table, chosen):
     return entries
 
 
-def checks(table, parameters, capped, models, readings, patch):
-    """Compare what the notebook says with a run.
+def checks(table, parameters, capped, models):
+    """Compare what the notebook says of the three systems with a run.
 
     Parameters
     ----------
@@ -444,11 +445,7 @@ def checks(table, parameters, capped, models, readings, patch):
     capped : float
         Density that goes with the printed d4 of A at 200 Hz, points per m2.
     models : DataFrame
-        Models of system C: ``model``, ``distance_m``, the figures, ``misfit``.
-    readings : DataFrame
-        Of :func:`readings_table`.
-    patch : DataFrame
-        ``cloud`` and ``f`` of the road patch.
+        Models of system C: ``model`` and ``misfit``.
     """
     yield Check(
         "At 1 MHz and 200 Hz, A's printed d4 goes with 3300 to 3600 points/m2, not with 4629.",
@@ -483,6 +480,18 @@ def checks(table, parameters, capped, models, readings, patch):
         ", ".join(f"{name} {value:.1f}" for name, value in wrong.items()),
         "the printed densities differ by 7 %, 1.7 tolerances of 2 % from their mean",
     )
+
+
+def reading_checks(readings, patch):
+    """Compare what the notebook says of readings and of the road patch with a run.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        Of :func:`readings_table`.
+    patch : DataFrame
+        ``cloud`` and ``f`` of the road patch.
+    """
     polygon = readings.set_index(["method", "system"]).loc["section 3.3", "density_percent"]
     along, oblique = -polygon[["A upright", "B"]], -polygon[["A", "C"]]
     yield Check(

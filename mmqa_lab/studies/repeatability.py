@@ -38,11 +38,10 @@ SENSORS = {
     "A": systems.SYSTEM_A,
     "B": UPRIGHT,
     "B tilted": replace(UPRIGHT, tilt_deg=45.0),
-    "C": replace(systems.SYSTEM_C, focal_px=2000, width_px=425, height_px=425),
+    "C": systems.SYSTEM_C,
 }
 """A and B as stated, but for B's noise. B's mounting is not stated: once upright, once tilted by 45
-degrees, which comes close to the published spacings. C is fitted: its resolution gives the
-published d1 at 5 m. At 10 m it has a quarter of the density, which the published C has not."""
+degrees, which comes close to the published spacings. C is fitted to Table 2."""
 
 FIGURES = {
     "density_polygon_per_m2": "density",
@@ -77,8 +76,10 @@ BOARDS = {
     "board, 64 rings": "boards/os64_pose02.laz",
 }
 
+WALL = "hdl32e_pair/sweep_a.laz"
+
 WALL_CENTRE = (-0.5, 2.54, -0.65)
-"""A flat place of the hall's wall, 2.6 m from the scanner, in the frame of sweep A, m."""
+"""A flat place of the hall's wall, 2.6 m from the scanner, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +121,6 @@ def chart_scan(system, distance_m, scan, *, seed=5000, margins=CHART_MARGINS_M):
 def real_surfaces():
     """Return the road patch, and boards and a hall's wall where MMQA_DATA has them.
 
-    The wall was swept from two places.
-
     Returns
     -------
     dict of str to Surface
@@ -132,16 +131,10 @@ def real_surfaces():
         if samples.has_real(relative):
             board = io.read_cloud(samples.real_path(relative), columns=()).points
             found[name] = _outlined(board, 0.65, 0.45)
-    if samples.has_real("hdl32e_pair/a_to_b.txt"):
-        pose = np.loadtxt(samples.real_path("hdl32e_pair/a_to_b.txt"))
-        first, second = (
-            io.read_cloud(samples.real_path(f"hdl32e_pair/sweep_{sweep}.laz"), columns=()).points
-            for sweep in "ab"
-        )
-        moved = second @ pose[:3, :3].T + pose[:3, 3]
-        near = [p[np.linalg.norm(p - WALL_CENTRE, axis=1) < 1] for p in (first, moved)]
-        wall = _outlined(near[0], 0.81, 0.62, centre=WALL_CENTRE)
-        found |= {"hall wall": wall, "hall wall, again": replace(wall, points=near[1])}
+    if samples.has_real(WALL):
+        hall = io.read_cloud(samples.real_path(WALL), columns=()).points
+        near = hall[np.linalg.norm(hall - WALL_CENTRE, axis=1) < 1]
+        found["hall wall"] = _outlined(near, 0.81, 0.62, centre=WALL_CENTRE)
     return found
 
 
