@@ -25,7 +25,16 @@ from mmqa_lab.radiometry.sensor import (
 )
 
 __all__ = [
-    *("Priors", "adjust_block", "empirical_line", "fit_sensor", "fit_walthall", "ndvi"),
-    *("patch_statistics", "reflectance_errors", "reflectance_factor", "relative_exposure"),
-    *("saturation_level", "stability"),
+    "Priors",
+    "adjust_block",
+    "empirical_line",
+    "fit_sensor",
+    "fit_walthall",
+    "ndvi",
+    "patch_statistics",
+    "reflectance_errors",
+    "reflectance_factor",
+    "relative_exposure",
+    "saturation_level",
+    "stability",
 ]
