@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
 from mmqa_lab import bench, io, lines, plots, samples
 from mmqa_lab.published import ledger, table
@@ -267,7 +267,7 @@ def replicas(results):
         for name in ("false_negative", "false_positive"):
             row[f"{name}_printed"] = getattr(printed, name)
             row[f"{name}_simulated"] = float(scenes[f"{printed.position_in_cell}_{name}"].mean())
-        low, high = np.nanpercentile(olhd, (2.5, 97.5))
+        low, high = _single_scene(olhd)
         row |= {"olhd_printed_m": printed.olhd_m, "olhd_simulated_m": np.nanmean(olhd)}
         row |= {"low_m": low, "high_m": high}
         second = "second" in printed.comparison
@@ -336,10 +336,17 @@ def _of_scenes(name, cell, values, kind):
     """An entry with the mean of simulated scenes and the range of 95 % of them."""
     how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
     note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
-    low, high = np.nanpercentile(values, (2.5, 97.5))
-    found = np.clip(np.nanmean(values), low, high)  # against rounding
+    low, high = _single_scene(values)
     ours = {"kind": kind, "low": low, "high": high, "note": note}
-    return ledger.entry("poreba2013", name, cell, found, **ours)
+    return ledger.entry("poreba2013", name, cell, np.nanmean(values), **ours)
+
+
+def _single_scene(values):
+    """Where one more scene lies with 95 %: prediction interval by Student's t, not below 0."""
+    values = values[np.isfinite(values)]
+    n, middle = len(values), values.mean()
+    half = t.ppf(0.975, max(n - 1, 1)) * values.std(ddof=min(1, n - 1)) * np.sqrt(1 + 1 / n)
+    return max(middle - half, 0.0), middle + half
 
 
 def true_edges(found, edges, *, near_m=0.1, parallel_deg=2.0):
