@@ -92,8 +92,11 @@ ARGUMENTS = {
     ("A", "f"): "At 200 Hz d1 is too large for it, see d1.",
     ("A", "density_per_m2"): "At 200 Hz no tilt gives the printed density and d4 together.",
     ("B", "precision_mm"): "The data sheet's 20 mm are about twice what the chart shows.",
-    ("B", "f"): "Beams 1.3 degrees apart leave gaps that make f larger than printed at any pitch; "
-    "the mounting of the unit is not printed.",
+    (
+        "B",
+        "f",
+    ): "The data sheet's noise also moves points across oblique rays and makes f larger; with "
+    "the fitted 10 mm it comes near.",
     ("C", "density_per_m2"): "One density for both distances leaves the printed rise of 7 % over.",
 }
 """What is to be said against or for the value of a figure, added to the note."""
@@ -255,7 +258,8 @@ def fit(*, seed: int, candidates: int, repeats: int) -> tuple[pd.DataFrame, pd.D
     its pattern independent of the distance. The misfit is the root mean square of
     (model - published) / tolerance over density, d1, d4 and f at both distances; a tolerance is
     half a unit of the last printed digit and 2 %, in quadrature. f tells more of small spacings
-    than their whole millimetres. The noise follows from sigma_MAD.
+    than their whole millimetres. The candidates have the data sheets' noise; that of the result
+    follows from sigma_MAD.
 
     Parameters
     ----------
