@@ -9,6 +9,7 @@ from scipy.spatial import Delaunay
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
     between_drives,
@@ -222,13 +223,38 @@ def test_command(tmp_path, ground, capsys):
     path = tmp_path / "path.csv"
     path.write_text("time_s,easting_m,northing_m,height_m\n0,0,0,2\n1,9,9,2\n")
     far = [files[0], str(tmp_path / "far.csv"), "--trajectory", str(path)]
-    assert main(["accuracy", *far, "--json"]) == 0
-    nothing = json.loads(capsys.readouterr().out)[0]
-    assert (nothing["n"], nothing["no_points"], nothing["trend_mm_per_m"]) == (0, 64, None)
+    assert main(["accuracy", *far, "--json"]) == 2
+    assert "Must overlap" in capsys.readouterr().err
+    assert main(["accuracy", *files, "--trajectory", str(path), "--json"]) == 0
+    kept, removed = json.loads(capsys.readouterr().out)
+    # the noise is the same at all distances: 4 mm over some 10 m
+    assert abs(kept["trend_mm_per_m"]) < 0.5
+    assert removed["median_mm"] == pytest.approx(0, abs=2)
+    high = reference - [0, 0, 43]
+    np.savetxt(tmp_path / "high.csv", high, delimiter=",", header="x,y,z", comments="")
+    assert main(["accuracy", files[0], str(tmp_path / "high.csv")]) == 0
+    assert "median difference is +43.0" in capsys.readouterr().err
     assert main(["accuracy", *files, "--drives"]) == 2
     assert "gps_time" in capsys.readouterr().err
     assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_command_takes_classes_of_a_las_file(tmp_path, ground, capsys):
+    road = np.arange(len(ground)) % 2 == 0
+    points = ground + np.outer(~road, [0, 0, 0.3])
+    columns = {"classification": np.where(road, 11, 3).astype(np.uint8)}
+    io.write_cloud(tmp_path / "cloud.laz", Cloud(points, columns))
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(1, 9, 1.0), np.arange(1, 9, 1.0)))
+    reference = np.column_stack([x, y, 0.02 * x - 0.01 * y])
+    np.savetxt(tmp_path / "points.csv", reference, delimiter=",", header="x,y,z", comments="")
+    files = [str(tmp_path / "cloud.laz"), str(tmp_path / "points.csv"), "--json"]
+    assert main(["accuracy", *files, "--classes", "11"]) == 0
+    assert abs(json.loads(capsys.readouterr().out)[0]["mean_mm"]) < 2
+    assert main(["accuracy", *files, "--classes", "9"]) == 2
+    assert "Must be some of 3, 11" in capsys.readouterr().err
+    assert main(["accuracy", *files, "--classes", "road"]) == 2
+    assert "whole numbers" in capsys.readouterr().err
 
 
 def test_real_drives_against_airborne_heights(real):

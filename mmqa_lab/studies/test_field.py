@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from tqdm.auto import tqdm
 
 from mmqa_lab import bench, published
 from mmqa_lab.boresight import calibrate, corrected
@@ -33,6 +32,7 @@ QUICK = {
     "ground_spacing_m": 2.0,
     "draws": 20,
     "repeats": 2,
+    "calibration_length_m": 48.0,
     "calibration_pulses_per_s": 60_000.0,
     "real_spacing_m": 0.5,
 }
@@ -64,21 +64,13 @@ NOTES = {
     "figure has beyond this is ROAMER's own: the random part of the reference is below the 12 mm "
     "that Table 3-3 prints for the best system.",
     "fitted": "Roll and heading of the mounting fitted to two figures of ROAMER I CCW, the std of "
-    "heights and the RMSE in plan; the others follow. Navigation and reference as for ROAMER II. The "
-    "simulated ground is 5 m deeper for CW, so that its heights scatter more there.",
+    "heights and the RMSE in plan; the others follow. Navigation and reference as for ROAMER II. "
+    "The simulated ground is 5 m deeper for CW, so that its heights scatter more there.",
 }
 """Of the ledger's rows, by kind."""
 
 
-def plan_targets(street):
-    """Places of all planimetric targets: poles at two heights, and corners, (n, 3)."""
-    poles = street.poles[["x_m", "y_m", "z_m"]].to_numpy()
-    lamps = poles[street.poles["pole"].str.startswith("lamp")]
-    corners = street.corners[["x_m", "y_m", "z_m"]].to_numpy()
-    return np.vstack([poles + [0, 0, 1], lamps + [0, 0, 5], corners + [0, 0, 1]])
-
-
-def predicted(street, system, ground, targets=None, *, draws, seed):
+def predicted(street, system, ground, targets, *, draws, seed):
     """Return what the accuracy tables of a system's drives would say, from specifications alone.
 
     Navigation errors are drawn for each drive and carried to the targets with the mounting's error
@@ -91,8 +83,8 @@ def predicted(street, system, ground, targets=None, *, draws, seed):
     system : System
     ground : dict of str to array, shape (n, 3)
         Reference points on the ground by direction: there, back, or both.
-    targets : dict of str to array, shape (m, 3), optional
-        Places of the targets in plan by direction; by default all of the street.
+    targets : dict of str to array, shape (m, 3)
+        Places of poles and corners by direction.
     draws : int
         Drives drawn for each direction.
     seed : int
@@ -103,7 +95,6 @@ def predicted(street, system, ground, targets=None, *, draws, seed):
         One row a direction and draw, shift removed: ``direction``, ``height_std_mm``,
         ``plan_mean_mm``, ``plan_std_mm``, ``plan_rmse_mm``.
     """
-    targets = targets or dict.fromkeys(DIRECTIONS, plan_targets(street))
     rows = []
     rng = np.random.default_rng(seed)
     paths = dict(zip(DIRECTIONS, street.drives(), strict=True))
@@ -160,17 +151,15 @@ def prediction_table(predictions):
     DataFrame
         ``system``, ``direction``, ``figure``, ``predicted_mm``, ``low_mm``, ``high_mm``.
     """
-    rows = []
-    for system, drawn in predictions.items():
-        for direction, part in drawn.groupby("direction", sort=False):
-            for figure in part.columns[1:]:
-                low, middle, high = part[figure].quantile([0.025, 0.5, 0.975])
-                rows.append((system, direction, figure.removesuffix("_mm"), middle, low, high))
-    names = ["system", "direction", "figure", "predicted_mm", "low_mm", "high_mm"]
-    return pd.DataFrame(rows, columns=names)
+    drawn = pd.concat([one.assign(system=name) for name, one in predictions.items()])
+    drawn.columns = drawn.columns.str.removesuffix("_mm")
+    keys = ["system", "direction"]
+    values = drawn.melt(keys, var_name="figure").groupby([*keys, "figure"], sort=False)["value"]
+    table = values.quantile([0.025, 0.5, 0.975]).unstack()
+    return table.set_axis(["low_mm", "predicted_mm", "high_mm"], axis=1).reset_index()
 
 
-def fitted_system(street, ground, targets=None, *, draws, seed):
+def fitted_system(street, ground, targets, *, draws, seed):
     """Return the profiler with the roll and heading that give ROAMER I's figures of CCW.
 
     Roll is fitted to the std of heights (Table 3-3), then heading to the RMSE in plan (Table 3-4).
@@ -283,38 +272,6 @@ def ledger_entries(compared):
         note = NOTES[kind]
         entries.append(ledger.entry(SOURCE, row.table, row.cell, **values, kind=kind, note=note))
     return entries
-
-
-def repeated(street, system, *, repeats, seed, pulses_per_s):
-    """Return the height std of one direction driven again and again, beside the prediction.
-
-    Parameters
-    ----------
-    street : SimulatedField
-    system : System
-    repeats : int
-        Surveys, each in both directions.
-    seed : int
-    pulses_per_s : float
-        Simulated at most.
-
-    Returns
-    -------
-    DataFrame
-        ``predicted_mm`` of ten times as many draws, and ``measured_mm`` of each drive.
-    """
-    reference = street.ground(spacing_m=2.0, seed=seed)
-    found, seen = [], {}
-    for k in tqdm(range(repeats), unit="survey"):
-        choices = {"seed": seed + 100 + 10 * k, "pulses_per_s": pulses_per_s}
-        drives = drive_testfield(street, system, **choices)
-        for direction, (cloud, _) in zip(DIRECTIONS, drives, strict=True):
-            table = height_differences(cloud, reference, radius=0.5)
-            seen[direction] = reference[table["reason"] == ""]
-            found.append(height_accuracy(table)["std_mm"].iloc[1])
-    drawn = predicted(street, system, seen, draws=10 * repeats, seed=seed)
-    columns = {"predicted_mm": drawn["height_std_mm"], "measured_mm": pd.Series(found)}
-    return pd.DataFrame(columns)
 
 
 @dataclass(eq=False)
@@ -483,7 +440,7 @@ def checks(heights, predictions, drives, calibrations, real):
     predictions : DataFrame
         From :func:`prediction_table`.
     drives : DataFrame
-        From :func:`repeated`.
+        ``measured_mm`` of repeated drives, and ``predicted_mm`` of more draws.
     calibrations : DataFrame
         From :func:`calibration_tables`.
     real : DataFrame or None

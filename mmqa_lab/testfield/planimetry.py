@@ -175,23 +175,28 @@ def plan_accuracy(table):
     """
     used = table[table["reason"] == ""]
     difference = 1000 * used[["dx_m", "dy_m"]].to_numpy(dtype=np.float64)
-    missing = len(table) - len(used)
     mean = difference.mean(axis=0) if len(used) else np.full(2, np.nan)
-    rows = []
-    for name, shift in (("kept", 0), ("removed", mean)):
-        left = difference - shift
-        east, north, plan = (errors(v) for v in (*left.T, np.hypot(*left.T)))
-        low, high = (
-            (np.hypot(*left.T).min(), np.hypot(*left.T).max()) if len(used) else [np.nan] * 2
-        )
-        rows.append(
-            {"shift": name, "n": len(used), "missing": missing}
-            | {"mean_east_mm": east.bias, "mean_north_mm": north.bias}
-            | {"std_east_mm": east.std, "std_north_mm": north.std}
-            | {"mean_mm": plan.bias, "min_mm": low, "max_mm": high}
-            | {"std_mm": plan.std, "rmse_mm": plan.rmse}
-        )
-    return pd.DataFrame(rows)
+    counts = {"n": len(used), "missing": len(table) - len(used)}
+    parts = (("kept", 0), ("removed", mean))
+    return pd.DataFrame([{"shift": name} | counts | _plan(difference - p) for name, p in parts])
+
+
+def _plan(difference):
+    """The figures of one row, in mm, of differences in easting and northing (n, 2) in mm."""
+    distance = np.hypot(*difference.T)
+    east, north, plan = (errors(values) for values in (*difference.T, distance))
+    ends = (distance.min(), distance.max()) if len(distance) else (np.nan, np.nan)
+    return {
+        "mean_east_mm": east.bias,
+        "mean_north_mm": north.bias,
+        "std_east_mm": east.std,
+        "std_north_mm": north.std,
+        "mean_mm": plan.bias,
+        "min_mm": ends[0],
+        "max_mm": ends[1],
+        "std_mm": plan.std,
+        "rmse_mm": plan.rmse,
+    }
 
 
 def _plan_tree(points):
