@@ -11,7 +11,6 @@ from mmqa_lab.boresight.observations import drive_points, heads, placed_points, 
 from mmqa_lab.boresight.search import known_heights, shared_planes, shared_poles
 from mmqa_lab.cloud import Cloud
 
-
 FARTHEST_DEG, FARTHEST_M = 10.0, 1.0
 """A mounting farther from the assumed one is an adjustment that ran away, no estimate."""
 
