@@ -304,7 +304,8 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
     table[["view", "direction"]] = table[["view", "direction"]].fillna("")
     table["sigma"] = np.nan
     if repeatability:
-        table = table.apply(_repeated, axis=1)
+        of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
+        table = table.apply(_repeated, axis=1, of=of)
     return table
 
 
@@ -454,9 +455,8 @@ def _larger_text(images, by_pixels):
     return rows
 
 
-def _repeated(row):
+def _repeated(row, of):
     """A result with the repeatability that section 4.4 prints."""
-    of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
     row = row.copy()
     if row["quantity"] == "density_per_m2":
         row["sigma"] = of["selection_density"] / 100 * row["value"] / RANGE_OF_FIVE

@@ -5,21 +5,23 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
-from mmqa_lab.radiometry.block import FREE, Priors, adjust_block, tie_spread
-from mmqa_lab.radiometry.brdf import fit_walthall, walthall_terms
-from mmqa_lab.radiometry.reflectance import (
+from mmqa_lab.radiometry import (
+    Priors,
+    adjust_block,
     empirical_line,
+    fit_sensor,
+    fit_walthall,
     ndvi,
+    patch_statistics,
     reflectance_errors,
     reflectance_factor,
-)
-from mmqa_lab.radiometry.sensor import (
-    fit_sensor,
-    patch_statistics,
     relative_exposure,
     saturation_level,
     stability,
 )
+from mmqa_lab.radiometry.block import FREE, tie_spread
+from mmqa_lab.radiometry.reflectance import walthall_terms
+from mmqa_lab.simulate.targets import ATMOSPHERES
 
 
 def test_sensor_fit_is_ordinary_least_squares_where_weights_are_equal(rng):
@@ -67,15 +69,25 @@ def test_exposure_labels_that_lie_show_as_instability():
         60 + 28 * 1.03 * exposure * radiance + [0.1, -0.1, 0.1, -0.1],
         exposure=exposure,
     )
-    table = stability({"a": honest, "b": lying})
-    assert table["gain"][1] / table["gain"][0] == pytest.approx(1.03, abs=1e-3)
-    assert (table["p"] < 1e-6).all()
+    table = stability({"a": honest, "b": lying}, radiance)
+    # a gain 3 % higher gives radiances 3 % too high with the other's parameters, and 1 - 1/1.03
+    # too low the other way; both offsets are 60
+    assert table["difference_percent"].tolist() == pytest.approx([100 * (1 - 1 / 1.03), 3], abs=0.1)
+    same = stability({"a": honest, "b": honest}, radiance)
+    assert same["difference_percent"].max() == pytest.approx(0, abs=1e-9)
 
 
-def test_reflectance_factor_inverts_a_lambertian_target():
-    radiance = 7 + 0.9 * 1100 * 0.23 / np.pi
-    found = reflectance_factor(radiance, 1100, path_radiance=7, transmittance=0.9)
-    assert found == pytest.approx(0.23, rel=1e-12)
+@pytest.mark.parametrize("air", ATMOSPHERES.values())
+def test_equation_4_inverts_a_lambertian_target_with_its_factor_and_not_without(air):
+    known, around = 0.23, 0.15
+    path = air.radiance(0.0, surroundings=around)  # path radiance and adjacency
+    choices = {"path_radiance": path, "transmittance": air.direct}
+    factor = {"spherical_albedo": air.spherical_albedo, "surroundings": around}
+    seen = air.radiance(known, surroundings=around)
+    found = reflectance_factor(seen, air.irradiance, **choices, **factor)
+    assert found == pytest.approx(known, rel=1e-12)
+    without = reflectance_factor(seen, air.irradiance, **choices)
+    assert without / known == pytest.approx(1 / (1 - air.spherical_albedo * around), rel=1e-12)
 
 
 def test_empirical_line_passes_two_targets_and_allows_for_their_anisotropy():

@@ -175,6 +175,13 @@ def test_spreads_without_known_limits_are_not_tried(cells, limits):
     assert trials["sigma_px"].between(0.55, 0.85).all()
 
 
+def test_one_spread_or_motion_alone_stands_for_all(cells, limits):
+    one = images.limits_mm(cells, limits.isel(blur_px=[0]), 0.65, 3.0)
+    assert one == pytest.approx(2.5 * cells["pixel_mm"].to_numpy())
+    single = limits.sel(sigma_px=[0.8], blur_px=[0.0], method="nearest")
+    assert images.limits_mm(cells, single, 0.8) == pytest.approx(2.8 * cells["pixel_mm"].to_numpy())
+
+
 def test_best_trial_has_most_within_one_step_then_most_exact():
     rows = [(0.5, 21, 19), (0.6, 22, 14), (0.7, 22, 16), (0.8, 22, 15)]
     trials = pd.DataFrame(rows, columns=["sigma_px", "within_one_step", "exact"])

@@ -1,18 +1,40 @@
-"""What a digital camera's numbers mean: radiance, reflectance, even blocks, and resolution.
+"""What a digital camera's numbers mean: radiance, reflectance, even blocks of images.
 
 EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogrammetric images",
-2008-2011, Honkavaara et al.). Its rooms follow the report's steps:
-
-=============== ==============================================================================
-``sensor``      DN to radiance: gain, offset, exposure, saturation, stability (equations 1-3)
-``reflectance`` reflectance (4), empirical line, errors (6-8), NDVI
-``brdf``        Walthall's function (5) and the anisotropy factor
-``block``       one radiometric adjustment of overlapping images: radiometric aerial triangulation
-``edge``        edge spread function as a sigmoid: FWHM, MTF50
-``siemens``     Siemens stars: contrast per radius, MTF, point spread function
-``bars``        resolving power from line bars
-``sharpness``   local sharpness by Haar wavelets; where in the image resolution is lost
-=============== ==============================================================================
-
+2008-2011, Honkavaara et al.). The modules follow the report's steps: ``sensor`` (DN to radiance,
+equations 2 and 3), ``reflectance`` (equation 4, empirical line, directions, errors by equations
+6-8, NDVI) and ``block`` (one adjustment of overlapping images). Resolution is in ``mmqa_lab.mtf``.
+The sum of radiances at the sensor (equation 1) is simulated in ``mmqa_lab.simulate.targets``.
 Equation numbers are the report's; the notation is this package's.
 """
+
+from mmqa_lab.radiometry.block import Priors, adjust_block
+from mmqa_lab.radiometry.reflectance import (
+    empirical_line,
+    fit_walthall,
+    ndvi,
+    reflectance_errors,
+    reflectance_factor,
+)
+from mmqa_lab.radiometry.sensor import (
+    fit_sensor,
+    patch_statistics,
+    relative_exposure,
+    saturation_level,
+    stability,
+)
+
+__all__ = [
+    "Priors",
+    "adjust_block",
+    "empirical_line",
+    "fit_sensor",
+    "fit_walthall",
+    "ndvi",
+    "patch_statistics",
+    "reflectance_errors",
+    "reflectance_factor",
+    "relative_exposure",
+    "saturation_level",
+    "stability",
+]

@@ -195,8 +195,10 @@ def limits_mm(cells, limits, sigma_px, blur_mm=0.0):
         NaN beyond the range of the limits.
     """
     pixel = xr.DataArray(cells["pixel_mm"].to_numpy(), dims="cell")
-    blur = blur_mm * cells["blur_share"].to_numpy() / pixel
-    return (limits.interp(sigma_px=sigma_px, blur_px=blur) * pixel).to_numpy()
+    places = {"sigma_px": sigma_px, "blur_px": blur_mm * cells["blur_share"].to_numpy() / pixel}
+    several = limits.squeeze(drop=True)  # one spread or motion alone stands for all
+    found = several.interp({name: places[name] for name in several.dims})
+    return (found * pixel).to_numpy()
 
 
 def ladder_widths(finest_mm, directions):

@@ -131,7 +131,7 @@ def score(result, truth):
     if np.isscalar(result):
         return {"lhd_m": result, "lhd_bias_m": result - truth.mean(truth.displacements)}
     if not isinstance(result, lines.LHD):
-        result = _of_pairs(np.asarray(result, dtype=bool), truth.sets)
+        result = measured(truth.sets, pairs=result)
     both = [part.pairs for part in (result.test_model, result.model_test)]
     scores = [lines.pairing_scores(pairs, truth.pairs) for pairs in both]
     return {
@@ -166,32 +166,6 @@ def score_directions(result, truth):
         figures[f"{side}_false_positive"] = counts.fp
         figures[f"{side}_olhd_m"] = part.olhd(result.weight)
     return figures
-
-
-def _of_pairs(pairs, sets):
-    """The distance of given pairs, W = 10."""
-    nothing = partial(lines.fixed_threshold, delta=1e-9)
-    found = measured(sets, threshold=nothing)
-    ends = np.nonzero(pairs)
-    parts = lines.components(sets.test, sets.model), lines.components(sets.model, sets.test)
-    cells = ends, ends[::-1]
-    lengths = sets.model.lengths[ends[1]], sets.test.lengths[ends[0]]
-    both = [
-        lines.Directed(
-            threshold=found.test_model.threshold,
-            pairs=pairs,
-            angle=part.angle[cell],
-            parallel=part.parallel[cell],
-            perpendicular=part.perpendicular[cell],
-            length=length,
-            source=cell[0],
-            coverage=np.nan,
-            total=float(length.sum()),
-        )
-        for part, cell, length in zip(parts, cells, lengths, strict=True)
-    ]
-    sides = {"test": sets.test, "model": sets.model}
-    return lines.LHD(10.0, 0.5, "given", *both, **sides, asked="given")
 
 
 METHODS = {

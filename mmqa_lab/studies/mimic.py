@@ -351,6 +351,12 @@ def comparison(quick=False):
     )
 
 
+def by_case(results):
+    """Return results with the dimension ``case``, also where cases are a grid (one surface is)."""
+    grid = [dim for dim in results.dims if dim not in ("method", "seed", "case")]
+    return results.stack(case=grid) if grid else results
+
+
 def errors(results):
     """Return median absolute errors, a row for each method, and how many cells are missing."""
     names = [name for name in FIGURES if name in results]
@@ -562,7 +568,7 @@ def _entries_of_text(field):
         "point_sigma_max": scatter["std_point_mm"].max("case"),
         "point_sigma_majority": scatter["std_point_mm"].median("case"),
         "point_error_max": points.max("case"),
-        "point_error_max_range": field["range_m"][points.argmax("case")],
+        "point_error_max_range": field["range_m"][points.fillna(-1).argmax("case")],
         "point_mean_error_max": points.mean("case") / 1000,
         "largest_error": np.maximum(lines.max("case"), points.max("case")),
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),

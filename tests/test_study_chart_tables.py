@@ -107,7 +107,7 @@ def comparison():
     usual["tilt_deg"] = usual["system"].map(lambda name: study.USUAL[name]["tilt_deg"])
     usual["height_m"] = usual["system"].map(lambda name: study.USUAL[name]["height_m"])
     low = usual.assign(density_per_m2=usual["density_per_m2"] / 2, height_m=9)
-    passes = [rows.assign(fit="open", f=rows["f"] + change) for change in (-0.1, 0.1)]
+    passes = [rows.assign(fit="open", f=rows["f"] + 0.1 * k, seed=k) for k in (-1, 1)]
     passes += [each.query("system == 'A'").assign(fit="released", d1_mm=5.0) for each in passes]
     return study.compare(pd.concat([usual, low]), pd.concat(passes))
 
@@ -120,9 +120,10 @@ def test_comparison_keeps_kinds_apart_and_gaps_open(comparison):
     assert (comparison["predicted"].isna() == gaps).all()
     rows = comparison.set_index(["system", "distance_m", "figure"])
     f = rows.loc["A", 10, "f"]
-    assert (f["fitted"], f["fitted_high"] - f["fitted"]) == pytest.approx(
-        (5.1, 1.96 * 0.1 * 2**0.5)
-    )
+    # t of one degree of freedom is 12.706; one further pass beside the mean of two
+    reach = 12.706 * 0.1 * 2**0.5 * 1.5**0.5
+    assert f["fitted"] == pytest.approx(5.1)
+    assert f["fitted_high"] - f["fitted"] == pytest.approx(reach, rel=1e-4)
     density = rows.loc["B", 5, "density_per_m2"]
     assert (density["predicted"], density["predicted_low"]) == (3140 * 1.5, 3140 * 0.75)
     d1 = rows.loc["A", 5, "d1_mm"]
