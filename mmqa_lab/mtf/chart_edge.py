@@ -15,6 +15,7 @@ from mmqa_lab.chart_image.levels import check_image
 from mmqa_lab.mtf.spread import (
     BINS_PER_PIXEL,
     bin_means,
+    crossing,
     deviation,
     spread_edge,
 )
@@ -218,16 +219,6 @@ def response(distance, along, values, angle, *, order=1, width=np.inf, terms=3):
         mtf_binned=binned,
         remark=_remark(mtf50, binned50, angle, mtf, terms),
     )
-
-
-def crossing(frequencies, mtf, level):
-    """Return the first frequency at which an MTF falls below a level, NaN where it does not."""
-    below = mtf < level
-    if not below.any() or below[0]:
-        return np.nan
-    k = int(np.argmax(below))
-    part = (mtf[k - 1] - level) / (mtf[k - 1] - mtf[k])
-    return float(frequencies[k - 1] + part * (frequencies[k] - frequencies[k - 1]))
 
 
 def _steepness(image):

@@ -1,9 +1,9 @@
 """The edge spread function of one edge as a sigmoid: FWHM and MTF50.
 
 EuroSDR 2013, image radiometry, spatial resolution: a sigmoid is fitted to all pixels of a region
-that holds one straight edge; its derivative is the line spread function. Lengths in pixels,
-frequencies in cycles per pixel. For edges that no sigmoid describes (sharpened images) there is
-``chart_image.edges``.
+with one straight edge; its derivative is the line spread function. The report counts five
+parameters and does not print the shape of its sigmoid. Lengths in pixels, frequencies in cycles per
+pixel. For edges that no sigmoid describes (sharpened images) there is ``edge_response``.
 """
 
 from dataclasses import dataclass
@@ -262,7 +262,7 @@ def _start(grey, x, y):
     gx, gy = gx.ravel(), gy.ravel()
     energy = gx**2 + gy**2
     if high <= low or not energy.any():
-        raise ValueError("Invalid region: one grey value. Must hold an edge.")
+        raise ValueError("Invalid region: one grey value. Must show an edge.")
     angle = 0.5 * np.arctan2(2 * (gx * gy).sum(), (gx**2 - gy**2).sum())
     if (gx * np.cos(angle) + gy * np.sin(angle)).sum() < 0:
         angle += np.pi

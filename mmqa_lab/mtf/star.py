@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab.mtf.spread import crossing
 
 SQUARE = np.pi / 4
 """A square wave's amplitude over that of its fundamental."""
@@ -52,12 +53,7 @@ class StarMtf:
 
     def at(self, share):
         """Frequency at which the contrast first falls to a share; NaN where it does not."""
-        below = np.flatnonzero(self.mtf < share)
-        if not len(below) or below[0] == 0:
-            return np.nan
-        k = below[0]
-        (f0, f1), (m0, m1) = self.frequency[k - 1 : k + 1], self.mtf[k - 1 : k + 1]
-        return float(f0 + (f1 - f0) * (m0 - share) / (m0 - m1))
+        return crossing(self.frequency, self.mtf, share)
 
     @property
     def mtf50(self):

@@ -32,7 +32,7 @@ HUBER = 1.5
 REWEIGHTINGS = 6
 """Weights are computed anew in so many iterations and then stay; more would change little."""
 
-AT_REST = 1e-7
+CONVERGED = 1e-7
 """Largest change of a gain, coefficient or relative reflectance in the last iteration."""
 
 
@@ -166,7 +166,7 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     ------
     ValueError
         If a column is missing, no tie point lies in two images, the parameters cannot be told
-        apart, or the iteration does not come to rest.
+        apart, or the iteration does not converge.
 
     Notes
     -----
@@ -190,10 +190,10 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     check_count(rounds, "rounds")
     problem, names = _block_problem(observations, control, priors, relative_std)
     step, iteration = np.inf, 0
-    while step > AT_REST:
+    while step > CONVERGED:
         if iteration == rounds:
             raise ValueError(
-                f"Invalid block: not at rest after {rounds} iterations. Must have tie points that "
+                f"Invalid block: still changing after {rounds} iterations. Must have tie points that "
                 "determine the parameters."
             )
         misfit, jacobian, by_ground = problem.linearised()
