@@ -202,25 +202,16 @@ def real_patch(photograph, seed=0):
     return io.read_grey(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
-@dataclass(frozen=True, eq=False)
-class StarPatch:
-    """An image of a Siemens star, and what is known of the star beforehand."""
-
-    image: np.ndarray
-    centre: np.ndarray
-    cycles: int
-    radius_px: float
-
-
 def star_patch(sigma_px, cycles, noise, seed):
-    """A noisy star with a centre known to half a pixel; its point spread and true centre."""
+    """A star as ``measure_star(**star)`` takes it, its centre known to half a pixel; the truth."""
     rng = np.random.default_rng(seed)
     spread, radius = PointSpread(sigma_px), 2.6 * cycles + 20
     size, centre = 2 * int(radius + 8), rng.uniform(-0.5, 0.5, 2)
-    choices = {"cycles": cycles, "radius_px": radius, "centre": centre, "low": LOW, "high": HIGH}
-    image = noisy(render_star((size, size), spread, **choices), noise, rng)
+    known = {"cycles": cycles, "radius_px": radius}
+    clean = render_star((size, size), spread, centre=centre, low=LOW, high=HIGH, **known)
     middle = centre + (size - 1) / 2
-    star = StarPatch(image, middle + rng.uniform(-0.5, 0.5, 2), cycles, radius)
+    rough = middle + rng.uniform(-0.5, 0.5, 2)
+    star = {"image": noisy(clean, noise, rng), "centre": rough, **known}
     return star, {"spread": spread, "centre": middle}
 
 
