@@ -4,4 +4,4 @@ The package is a set of rooms, each a module named by a noun of the field; impor
 need (``from mmqa_lab import chart_cloud``). Nothing heavy is imported here.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -1,4 +1,5 @@
-"""Polygons of any kind as rings of vertices: arrays, shapely and GeoPandas geometries, files."""
+"""Polygons of any kind as rings of vertices: arrays, shapely and GeoPandas geometries, files; and
+the distance from a path."""
 
 from __future__ import annotations
 
@@ -74,6 +75,20 @@ def check_flatness(vertices, plane, *, name="polygon"):
             f"Invalid {name}: a vertex is {1000 * off:.0f} mm off the plane of all, "
             f"{100 * off / spread:.0f} % of their spread. Must be at most {100 * OFF_PLANE:.0f} %."
         )
+
+
+def path_distance(xy, path):
+    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
+
+    Examples
+    --------
+    >>> path_distance(np.array([[1.0, 5.0], [0.0, 12.0]]), np.array([[0.0, 0.0], [0.0, 10.0]]))
+    array([1., 2.])
+    """
+    import shapely
+
+    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
+    return shapely.distance(shapely.points(xy), line)
 
 
 def _ring(vertices, name):

@@ -63,7 +63,8 @@ SAMPLES = (
         file="chart_a_5m.laz",
         sha256="145bf398a38a02f645f298d54ff9b84fff97bd2c92da5748c075e990468117fe",
         licence="MIT, as the package",
-        origin="simulate.systems.pass_chart(SYSTEM_A, 5.0, seed=1), moved to UTM coordinates",
+        origin="simulate.systems.pass_chart(SYSTEM_A, 5.0, seed=1) past a chart of 40 cells, moved "
+        "to UTM coordinates",
         units="m, s, degrees; simulated",
         contents="1 m x 1 m chart at 5 m by a profile scanner, with range and incidence as truth",
     ),
@@ -72,7 +73,8 @@ SAMPLES = (
         file="chart_b_5m.copc.laz",
         sha256="a1fa23c5fdfc2df4928a795fd3f2dd9617f2f4519343528206034629397b07e1",
         licence="MIT, as the package",
-        origin="simulate.systems.pass_chart(SYSTEM_B, 5.0, seed=1), moved to UTM coordinates",
+        origin="simulate.systems.pass_chart(SYSTEM_B, 5.0, seed=1) past a chart of 40 cells, moved "
+        "to UTM coordinates",
         units="m, s; simulated",
         contents="the same chart by a rotating scanner of 32 beams, as a COPC file",
     ),

@@ -48,7 +48,7 @@ TEXT_MM = 40.0
 """Capital height of the text that was judged (section 4.2)."""
 
 
-def check_criteria(criteria):
+def check_criteria(criteria: pd.DataFrame) -> pd.DataFrame:
     """Return criteria as a DataFrame, checked and with every column.
 
     Parameters
@@ -89,7 +89,7 @@ def check_criteria(criteria):
     return criteria
 
 
-def check_results(results):
+def check_results(results: pd.DataFrame) -> pd.DataFrame:
     """Return results as a DataFrame, checked and with every column.
 
     Parameters
@@ -304,7 +304,8 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
     table[["view", "direction"]] = table[["view", "direction"]].fillna("")
     table["sigma"] = np.nan
     if repeatability:
-        table = table.apply(_repeated, axis=1)
+        of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
+        table = table.apply(_repeated, axis=1, of=of)
     return table
 
 
@@ -454,9 +455,8 @@ def _larger_text(images, by_pixels):
     return rows
 
 
-def _repeated(row):
+def _repeated(row, of):
     """A result with the repeatability that section 4.4 prints."""
-    of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
     row = row.copy()
     if row["quantity"] == "density_per_m2":
         row["sigma"] = of["selection_density"] / 100 * row["value"] / RANGE_OF_FIVE

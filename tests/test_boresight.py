@@ -6,7 +6,7 @@ import pytest
 from mmqa_lab.boresight import calibrate
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner
 from mmqa_lab.simulate.testfield import System, drive_testfield, make_testfield
-from mmqa_lab.studies.test_field.mounting import BORESIGHT_DEG, LEVER_ARM_ERROR_M, two_heads
+from mmqa_lab.studies import test_field as study
 
 
 @pytest.fixture(scope="module")
@@ -16,18 +16,18 @@ def street():
 
 @pytest.fixture(scope="module")
 def drives(street):
-    return drive_testfield(street, two_heads(), seed=4, pulses_per_s=80_000)
+    return drive_testfield(street, study.two_heads(NavigationErrors()), seed=4, pulses_per_s=80_000)
 
 
 @pytest.fixture(scope="module")
 def found(street, drives):
     control = street.ground(spacing_m=4.0, seed=2)
-    lever = two_heads().assumed_lever_arms
+    lever = study.two_heads(NavigationErrors()).assumed_lever_arms
     return calibrate(drives, lever_arms_m=lever, poles=street.poles, control=control)
 
 
 def test_mounting_is_recovered(found):
-    truth = np.hstack([BORESIGHT_DEG, -np.array(LEVER_ARM_ERROR_M)])
+    truth = np.hstack([study.BORESIGHT_DEG, -np.array(study.LEVER_ARM_ERROR_M)])
     assert np.abs(found.values - truth)[:, :3].max() < 0.005
     assert np.abs(found.values - truth)[:, 3:].max() < 0.005
     assert found.planes > 100
@@ -45,7 +45,7 @@ def test_correction_takes_points_to_their_surfaces(found, street, drives):
 
 
 def test_rejects(drives, street):
-    lever = two_heads().assumed_lever_arms
+    lever = study.two_heads(NavigationErrors()).assumed_lever_arms
     with pytest.raises(ValueError, match="none given"):
         calibrate([], lever_arms_m=lever)
     cloud, path = drives[0]

@@ -416,3 +416,51 @@ def test_no_warning_where_nothing_is_doubtful(scene):
         warnings.simplefilter("error")
         lhd(*two(scene))
         lhd(*two(scene), matcher="displaced")
+
+
+def test_known_pairs_take_the_place_of_threshold_and_matcher(scene):
+    test, model = two(scene)
+    truth = scene.pairs("C1", "TLS")
+    found = lhd(test, model, pairs=truth)
+    expected = max(
+        olhd(lines.distance_matrix(test, model), truth, model.lengths),
+        olhd(lines.distance_matrix(model, test), truth.T, test.lengths),
+    )
+    assert found.value == pytest.approx(expected)
+    assert found.matcher == "given"
+    with pytest.raises(ValueError, match="Invalid pairs of type int64"):
+        lhd(test, model, pairs=truth.astype("int64"))
+
+
+def test_range_denominator_and_threshold_are_choices(scene):
+    test, model = two(scene)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        plain, whole = lhd(test, model), lhd(test, model, norm="all")
+        fixed = lhd(test, model, threshold=lambda nearest: 0.9)
+    one = plain.test_model
+    assert whole.test_model.olhd(10) == pytest.approx(
+        one.olhd(10) * one.length.sum() / model.lengths.sum()
+    )
+    assert fixed.test_model.threshold.delta == 0.9
+    near = lines.distance_matrix(test, model) <= 0.9
+    np.testing.assert_array_equal(fixed.test_model.pairs, near)
+    kinds = plain.kinds()
+    groups = {"one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one"}
+    assert groups < set(kinds.index)
+    alone = (~one.pairs.any(axis=1)).sum() + (~one.pairs.any(axis=0)).sum()
+    assert kinds["one-to-null"] == alone
+
+
+def test_plain_hausdorff_is_the_largest_nearest_distance(rng):
+    """Equations 1 and 2, by brute force."""
+    ends = rng.uniform(0, 30, (2, 6, 2, 3))
+    there, back = lines.distance_matrix(*ends), lines.distance_matrix(*ends[::-1])
+    directed = [max(min(row) for row in matrix.tolist()) for matrix in (there, back)]
+    assert lines.hausdorff(*ends) == pytest.approx(max(directed))
+
+
+@pytest.mark.parametrize(("choices", "delta"), [({"at": "value"}, 2.62), ({"order": 1}, 0.55)])
+def test_the_peak_to_the_letter(choices, delta):
+    nearest = [0.31, 0.33, 0.36, 0.40, 0.41, 0.47, 0.52, 0.55, 3.2, 4.1, 7.7]
+    assert lines.peak_threshold(nearest, **choices).delta == pytest.approx(delta)

@@ -91,7 +91,7 @@ def test_names_are_listed_in_one_place(capsys, tmp_path):
         rows == PUBLIC.to_dict("records") == pd.read_csv(tmp_path / "names.csv").to_dict("records")
     )
     listed = {(row["room"], row["name"]) for row in rows}
-    assert {("lines", "lhd"), ("published.pfeifer2021", "table_2"), ("cloud", "Cloud")} <= listed
+    assert {("lines", "lhd"), ("published", "table"), ("cloud", "Cloud")} <= listed
     assert not any(room.startswith(("studies", "commands", "_")) for room, _ in listed)
 
 

@@ -164,4 +164,4 @@ def test_pattern_measures_a_patch_from_the_shell(tmp_path, capsys):
     assert gap["numbering"] != "pattern"
     assert gap["measured"] == pytest.approx(truth.profile_spacing_perpendicular_m, abs=2e-4)
     assert main(["pattern", str(file), "--alone", "--csv", str(tmp_path / "p.csv")]) == 0
-    assert (tmp_path / "p.csv").read_text().count("pattern") == 5
+    assert (tmp_path / "p.csv").read_text().count(",pattern\n") == 5

@@ -61,10 +61,10 @@ CALLS = {
     "structure_tensor_ratio": (TILTED, spacing.structure_tensor_ratio),
     "pair_contrast": (TILTED, lambda p: spacing.pair_contrast(p, reach=0.1)),
     "clark_evans": (TILTED, spacing.clark_evans),
-    "detect_planes": (SCENE, lines.detect_planes),
+    "detect_planes": (SCENE, planes.detect_planes),
     "intersect_patches": (
         SCENE,
-        lambda p: lines.intersect_patches(p, lines.detect_planes(SCENE)),
+        lambda p: lines.intersect_patches(p, planes.detect_planes(SCENE)),
     ),
     "extract_edges": (SCENE, lines.extract_edges),
     "fit_outline": (TILTED, lines.fit_outline),

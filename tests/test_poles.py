@@ -5,6 +5,7 @@ import pytest
 
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import fit_circle
 from mmqa_lab.poles import (
     axes,
     candidates,
@@ -296,7 +297,7 @@ def test_circle_of_a_third_of_a_pole_lies_within_its_standard_deviation(rng):
         arc = 0.07 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         arc += rng.normal(0, 0.003, arc.shape)
         arc[:3] += 0.1  # a board
-        found = axes.fit_circle(arc + [1e6, 2e6], diameter=0.14)
+        found = fit_circle(arc + [1e6, 2e6], diameter=0.14)
         centres.append(found.centre - [1e6, 2e6])
         stds.append(found.std)
     scatter = np.sqrt(np.mean(np.square(centres)))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab import simulate
+from mmqa_lab import plots, simulate
 from mmqa_lab.published import table
 from mmqa_lab.scan_pattern import (
     Patch,
@@ -325,6 +325,16 @@ def test_a_mirror_that_spins_the_other_way_tilts_profiles_the_other_way():
     assert np.allclose(up.a * [1, 1, -1], down.a, atol=1e-12)
     # MIMIC's plane at rest would lay these profiles upright
     assert 90 - up.profile_angle_deg == pytest.approx(np.degrees(0.1 / (2 * np.pi * 5)), rel=1e-5)
+
+
+def test_a_lattice_draws_as_many_points_as_it_predicts():
+    lattice = target_lattice(15, 10)
+    assert len(lattice.points(0.5)) == pytest.approx(lattice.density_per_m2, rel=0.03)
+    ax = lattice.plot(half_width=0.5)
+    assert len(ax.lines[0].get_xdata()) == len(lattice.points(0.5))
+    assert "(mm)" in ax.get_xlabel()
+    plots.plt.close(ax.figure)
+    assert "density_per_m2" in lattice._repr_html_()
 
 
 def test_crossing_profiles_of_two_heads():

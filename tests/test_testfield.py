@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 from scipy.spatial import Delaunay
 
+from mmqa_lab import io
 from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
     between_drives,
@@ -19,10 +21,10 @@ from mmqa_lab.testfield import (
     plan_accuracy,
     pole_positions,
     split_drives,
+    thinned,
     trend,
     trend_columns,
 )
-from mmqa_lab.testfield.heights import rms_check
 
 FAR = np.array([1e7, -1e7, 5e3])
 
@@ -72,13 +74,6 @@ def test_accuracy_rows():
     kept, removed = height_accuracy(table).to_dict("records")
     assert (kept["n"], kept["mean_mm"], removed["mean_mm"]) == (2, 20.0, 0.0)
     assert kept["rmse_mm"] ** 2 == pytest.approx(kept["mean_mm"] ** 2 + removed["rmse_mm"] ** 2)
-
-
-def test_rms_check_finds_the_cell_that_cannot_be():
-    printed = pd.DataFrame(
-        {"mean_mm": [10.0, 10.0, np.nan], "std_mm": [20.0, 20.0, 1.0], "rmse_mm": [22.0, 30.0, 1.0]}
-    )
-    assert rms_check(printed, n=100)["agrees"].tolist() == [True, False, None]
 
 
 def test_drives_are_told_apart_and_compared(ground):
@@ -228,21 +223,46 @@ def test_command(tmp_path, ground, capsys):
     path = tmp_path / "path.csv"
     path.write_text("time_s,easting_m,northing_m,height_m\n0,0,0,2\n1,9,9,2\n")
     far = [files[0], str(tmp_path / "far.csv"), "--trajectory", str(path)]
-    assert main(["accuracy", *far, "--json"]) == 0
-    nothing = json.loads(capsys.readouterr().out)[0]
-    assert (nothing["n"], nothing["no_points"], nothing["trend_mm_per_m"]) == (0, 64, None)
+    assert main(["accuracy", *far, "--json"]) == 2
+    assert "Must overlap" in capsys.readouterr().err
+    assert main(["accuracy", *files, "--trajectory", str(path), "--json"]) == 0
+    kept, removed = json.loads(capsys.readouterr().out)
+    # the noise is the same at all distances: 4 mm over some 10 m
+    assert abs(kept["trend_mm_per_m"]) < 0.5
+    assert removed["median_mm"] == pytest.approx(0, abs=2)
+    high = reference - [0, 0, 43]
+    np.savetxt(tmp_path / "high.csv", high, delimiter=",", header="x,y,z", comments="")
+    assert main(["accuracy", files[0], str(tmp_path / "high.csv")]) == 0
+    assert "median difference is +43.0" in capsys.readouterr().err
     assert main(["accuracy", *files, "--drives"]) == 2
     assert "gps_time" in capsys.readouterr().err
     assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2
     assert "no such file" in capsys.readouterr().err
 
 
-def test_real_drives_against_airborne_heights(real):
-    real("road_ground/mls_two_drives.laz")
-    from mmqa_lab.studies.test_field import real as drives
+def test_command_takes_classes_of_a_las_file(tmp_path, ground, capsys):
+    road = np.arange(len(ground)) % 2 == 0
+    points = ground + np.outer(~road, [0, 0, 0.3])
+    columns = {"classification": np.where(road, 11, 3).astype(np.uint8)}
+    io.write_cloud(tmp_path / "cloud.laz", Cloud(points, columns))
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(1, 9, 1.0), np.arange(1, 9, 1.0)))
+    reference = np.column_stack([x, y, 0.02 * x - 0.01 * y])
+    np.savetxt(tmp_path / "points.csv", reference, delimiter=",", header="x,y,z", comments="")
+    files = [str(tmp_path / "cloud.laz"), str(tmp_path / "points.csv"), "--json"]
+    assert main(["accuracy", *files, "--classes", "11"]) == 0
+    assert abs(json.loads(capsys.readouterr().out)[0]["mean_mm"]) < 2
+    assert main(["accuracy", *files, "--classes", "9"]) == 2
+    assert "Must be some of 3, 11" in capsys.readouterr().err
+    assert main(["accuracy", *files, "--classes", "road"]) == 2
+    assert "whole numbers" in capsys.readouterr().err
 
-    _, found = drives.compare(spacing_m=0.5)
-    rows = found[found["shift"] == "kept"].set_index("comparison")
+
+def test_real_drives_against_airborne_heights(real):
+    cloud = io.read_cloud(real("road_ground/mls_two_drives.laz"), columns=("gps_time",))
+    heights = read_heights(real("road_ground/airborne_ground_height.npz"))
+    drive, reference = split_drives(cloud["gps_time"]), thinned(heights, 0.5)
+    tables = [height_differences(cloud[drive == k], reference) for k in (0, 1)]
+    first, second = (height_accuracy(table)["mean_mm"][0] for table in tables)
     # measured beforehand with another method: -62 and -48 mm; 900 and 600 points scatter by 1 mm
-    assert rows["mean_mm"]["drive 1"] == pytest.approx(-62, abs=4)
-    assert rows["mean_mm"]["drive 2"] == pytest.approx(-48, abs=4)
+    assert first == pytest.approx(-62, abs=4)
+    assert second == pytest.approx(-48, abs=4)

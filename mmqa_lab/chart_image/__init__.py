@@ -15,7 +15,6 @@ files, :func:`mmqa_lab.io.read_grey` their grey values.
 
 from mmqa_lab.chart_image.evaluation import ImageQuality, bar_edges, evaluate_image
 from mmqa_lab.chart_image.files import (
-    Window,
     cut,
     evaluate_file,
     panorama_of,
@@ -23,16 +22,12 @@ from mmqa_lab.chart_image.files import (
     read_orientation,
 )
 from mmqa_lab.chart_image.legibility import (
-    Agreement,
-    Crop,
     agreement,
     quality_index,
     text_crops,
 )
 from mmqa_lab.chart_image.levels import Tones, tones
 from mmqa_lab.chart_image.line_pairs import (
-    PairReading,
-    Resolution,
     expected_contrast,
     read_pairs,
     read_pattern,
@@ -42,22 +37,16 @@ from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
 from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images
-from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
+from mmqa_lab.mtf.chart_edge import edge_response
 
 __all__ = [
-    "Agreement",
     "ChartMap",
-    "Crop",
-    "EdgeResponse",
     "FrameCamera",
     "ImageQuality",
     "Limits",
-    "PairReading",
     "PanoramaCamera",
     "Pose",
-    "Resolution",
     "Tones",
-    "Window",
     "agreement",
     "align",
     "bar_edges",

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.levels import Tones, tones
 from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX, read_pairs, resolution
 from mmqa_lab.chart_image.locate import align
@@ -37,7 +38,7 @@ EDGE_COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class ImageQuality:
+class ImageQuality(Shown):
     """The quality figures of one image of a chart.
 
     Parameters
@@ -101,10 +102,6 @@ class ImageQuality:
         row["clipped_share"] = self.tones.clipped_share
         return pd.DataFrame([row])
 
-    def _repr_html_(self):
-        """The figures, one a line."""
-        return self.to_frame().T.to_html(header=False)
-
     def plot(self, image, layout, *, ax):
         """Draw the photograph with its line pairs outlined: resolved or refused.
 
@@ -149,6 +146,8 @@ class ImageQuality:
         ax.axhline(SMALLEST_GAP, color="C1", ls="--", lw=0.8)
         ax.axvspan(0.3, SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
         ax.set(xscale="log", xlabel="width of a line pair (pixels)", ylabel="contrast")
+        ax.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
+        ax.minorticks_off()
         ax.legend()
         return ax
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.charts import Text
 
 MARKS = ("a", "b", "c")
@@ -54,7 +55,7 @@ class Crop:
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class Agreement(Shown):
     """What a jury decided, and how well its members agree.
 
     Parameters
@@ -76,11 +77,6 @@ class Agreement:
     def to_frame(self):
         """Return the verdict."""
         return self.verdict
-
-    def _repr_html_(self):
-        """The verdict with kappa below it."""
-        share = f"{100 * self.unanimous_share:.0f} % unanimous"
-        return f"{self.verdict.to_html()}<p>{share}, Fleiss' kappa {self.fleiss_kappa:.2f}</p>"
 
 
 def text_crops(image, layout, chart_map):

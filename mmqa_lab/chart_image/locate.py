@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from mmqa_lab._checks import check_points
 from mmqa_lab.chart_image.levels import check_image
-from mmqa_lab.chart_image.mapping import ChartMap
+from mmqa_lab.chart_image.mapping import ChartMap, four_corners
 from mmqa_lab.charts import LinePairs, Marker, reflectance
 
 ENLARGEMENTS = (1, 2, 4)
@@ -141,9 +140,7 @@ def locate_corners(corners, layout, *, camera=None, offset=(0.0, 0.0)):
     >>> there.pixels([[0, 0], [500, 500]]).round(6).tolist()
     [[100.0, 350.0], [225.0, 225.0]]
     """
-    corners = check_points(corners, name="corners", columns=2, minimum=4)
-    if len(corners) != 4:
-        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    corners = four_corners(corners, columns=2)
     places = layout.corners()
     return ChartMap.from_points(places, corners, camera=camera, offset=offset, source="corners")
 

@@ -319,10 +319,7 @@ class ChartMap:
         ValueError
             If the corners do not have the layout's size within 2 %, or lie behind the camera.
         """
-        corners = check_points(corners, name="corners", minimum=4)
-        if len(corners) != 4:
-            raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
-        seen = pose.to_camera(corners)
+        seen = pose.to_camera(four_corners(corners, columns=3))
         sides = np.linalg.norm(np.roll(seen, -1, axis=0) - seen, axis=1) * 1000
         expected = np.array([layout.width, layout.height] * 2)
         if (np.abs(sides / expected - 1) > 0.02).any():
@@ -330,7 +327,7 @@ class ChartMap:
                 f"Invalid corners with sides {np.round(sides).tolist()} mm. "
                 f"Must be a chart of {layout.width:g} mm x {layout.height:g} mm."
             )
-        middle, x, y = _rectangle_frame(seen)
+        middle, x, y = rectangle_frame(seen)
         origin = middle - (x * layout.width + y * layout.height) / 2000
         found = cls(np.stack([x / 1000, y / 1000, origin], axis=1), camera, source="orientation")
         pixels = found.pixels(layout.corners())
@@ -401,7 +398,15 @@ def _same_orientation(homography, xy):
     return bool((depth * depth[0] > 0).all() and turned)
 
 
-def _rectangle_frame(corners):
+def four_corners(corners, *, columns):
+    """Four corners as an array, checked."""
+    corners = check_points(corners, name="corners", columns=columns, minimum=4)
+    if len(corners) != 4:
+        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    return corners
+
+
+def rectangle_frame(corners):
     """Middle, x axis and y axis of the rectangle nearest to four corners."""
     a, b, c, d = corners
     x, y = (b - a) + (c - d), (d - a) + (c - b)

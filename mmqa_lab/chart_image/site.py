@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._checks import check_positive
+from mmqa_lab.chart_image.mapping import four_corners, rectangle_frame
 
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
@@ -152,23 +153,22 @@ def choose_images(stations, corners, *, distance):
     >>> found = choose_images(stations, boards["image forward"], distance=10)
     >>> found[["view", "station"]].to_numpy().tolist(), found["distance_m"].round(1).item()
     ([['forward', 1]], 16.8)
-    >>> choose_images(stations, boards["image orthogonal"], distance=10)["distance_m"].round(1).item()
+    >>> found = choose_images(stations, boards["image orthogonal"], distance=10)
+    >>> found["distance_m"].round(1).item()
     5.4
     """
     distance = check_positive(distance, "distance", unit="m")
-    frame = _frame(corners)
-    away = _places(stations) - frame.middle
-    view = _view(frame, away)
+    middle, right, normal = _frame(corners)
+    away = _places(stations) - middle
+    view = _view(right, normal, away)
     seen = pd.DataFrame(
         {
             "distance_m": np.linalg.norm(away, axis=1),
-            "off_normal_deg": np.degrees(
-                np.arctan2(np.abs(away @ frame.right), away @ frame.normal)
-            ),
+            "off_normal_deg": np.degrees(np.arctan2(np.abs(away @ right), away @ normal)),
         },
         index=stations.index,
     )
-    seen = seen[away @ frame.normal > 0]
+    seen = seen[away @ normal > 0]
     if view != ALONG:
         seen = seen[seen["distance_m"] >= distance]
     if seen.empty:
@@ -213,21 +213,21 @@ def check_drive(trajectory, corners, limits):
     >>> found["low"].round(6).tolist(), found["passed"].tolist()
     ([5.0, 43.2], [True, True])
     """
-    frame = _frame(corners)
-    places = _places(trajectory) - frame.middle
-    if _view(frame, places) != ALONG:
+    middle, right, normal = _frame(corners)
+    places = _places(trajectory) - middle
+    if _view(right, normal, places) != ALONG:
         raise ValueError("Invalid board: stands across the path. Must stand along it.")
-    near = np.abs(places @ frame.right) <= limits.reach_m
+    near = np.abs(places @ right) <= limits.reach_m
     if near.sum() < 2:
         raise ValueError(f"Invalid trajectory: {near.sum()} poses near the board. Must be two.")
     steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
     speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
     away, slack = limits.distance_m, limits.distance_tolerance_m
     checked = {
-        "distance_m": ((places @ frame.normal)[near], away - slack, away + slack),
+        "distance_m": ((places @ normal)[near], away - slack, away + slack),
         "speed_kmh": (speed, limits.speed_kmh, np.inf),
     }
-    azimuth = np.degrees(np.arctan2(*frame.right[:2]))
+    azimuth = np.degrees(np.arctan2(*right[:2]))
     for name, reference in (("roll_deg", 0.0), ("pitch_deg", 0.0), ("heading_deg", azimuth)):
         if name in trajectory:
             angles = trajectory[name].to_numpy(dtype=float)[near] - reference
@@ -246,24 +246,10 @@ def check_drive(trajectory, corners, limits):
     )
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """Middle of a board, its level direction to the right and its outward normal."""
-
-    middle: np.ndarray
-    right: np.ndarray
-    normal: np.ndarray
-
-
 def _frame(corners):
-    """The frame of a board from its corners."""
-    corners = check_points(corners, name="corners", minimum=4)
-    if len(corners) != 4:
-        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
-    right = corners[1] - corners[0]
-    normal = np.cross(right, corners[3] - corners[0])
-    unit = [vector / np.linalg.norm(vector) for vector in (right, normal)]
-    return _Frame(corners.mean(axis=0), *unit)
+    """Middle of a board, its level direction to the right and its outward normal."""
+    middle, right, up = rectangle_frame(four_corners(corners, columns=3))
+    return middle, right, np.cross(right, up)
 
 
 def _places(stations):
@@ -276,10 +262,10 @@ def _places(stations):
     return stations[PLACE].to_numpy(dtype=float)
 
 
-def _view(frame, places):
+def _view(right, normal, places):
     """How a straight drive sees a board: as it passes, ahead, or behind."""
     travel = places[-1] - places[0]
-    facing = travel @ frame.normal
-    if abs(facing) <= abs(travel @ frame.right):
+    facing = travel @ normal
+    if abs(facing) <= abs(travel @ right):
         return ALONG
     return AHEAD if facing < 0 else BEHIND

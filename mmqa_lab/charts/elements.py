@@ -1,4 +1,4 @@
-"""The elements of a chart and the layout that holds them."""
+"""The elements of a chart, and its layout."""
 
 import dataclasses
 import json

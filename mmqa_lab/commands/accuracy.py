@@ -5,7 +5,8 @@ with their systematic shift kept and removed (EuroSDR 2013, mobile laser scannin
 Reference points without a valid difference are counted by reason. In the words of the ASPRS
 Positional Accuracy Standards (edition 2, 2023): check points should be 30 or more; rmse_v_mm is the
 vertical accuracy of the product, the RMSE with the shift kept and the standard deviation of the
-check points' own survey (--reference-std) together; drive against drive is relative accuracy.
+check points' own survey (--reference-std) together; drive against drive is relative accuracy. The
+trend over the distance is that of absolute differences with their shift removed.
 """
 
 import sys
@@ -17,11 +18,15 @@ SUMMARY = "height accuracy of a cloud against reference points or a raster"
 EPILOG = """\
 example:
   mmqa accuracy street.laz levelled_points.csv --radius 0.5
-  mmqa accuracy street.laz airborne.tif --thin 1 --drives --trajectory path.csv --json
+  mmqa accuracy street.laz airborne.tif --classes 2,11 --thin 1
+  mmqa accuracy street.laz airborne.tif --drives --trajectory path.csv --json
 """
 
 CHECKPOINTS = 30
 """Fewest that the ASPRS standards ask for."""
+
+FAR_MM = 1000.0
+"""A median beyond this is no error of a scan: said."""
 
 
 def add_arguments(parser):
@@ -31,6 +36,11 @@ def add_arguments(parser):
         "reference",
         metavar="REFERENCE",
         help="points (CSV, text, LAS: x, y, z) or raster (GeoTIFF, Esri ASCII grid, npz)",
+    )
+    parser.add_argument(
+        "--classes",
+        metavar="C,C",
+        help="take points of these classes only, such as 2,11 (ground, road) of LAS files",
     )
     parser.add_argument(
         "--trajectory",
@@ -95,27 +105,79 @@ def run(options):
     """Compare, then print and write."""
     import pandas as pd
 
-    from mmqa_lab.io import read_cloud, read_heights, read_trajectory, write_atomically
+    from mmqa_lab.io import read_heights, read_trajectory, write_atomically
     from mmqa_lab.testfield import thinned
 
     reference = read_heights(options.reference)
     if options.thin is not None:
         reference = thinned(reference, options.thin)
     path = None if options.trajectory is None else read_trajectory(options.trajectory)
-    columns = ("gps_time",) if options.drives else ()
-    tables = _compared(read_cloud(options.cloud, columns=columns), reference, options)
+    cloud = _read(options)
+    tables = _compared(cloud, reference, options)
+    _check_overlap(tables, cloud.points, reference)
     rows = [_rows(name, table, path, options.reference_std) for name, table in tables.items()]
     if options.out is not None:
         differences = pd.concat([table.assign(drive=name) for name, table in tables.items()])
         write_atomically(options.out, lambda file: differences.to_csv(file, index=False))
     summary = pd.concat(rows, ignore_index=True)
+    _warn(summary)
+    print_rows(summary, options)
+
+
+def _read(options):
+    """The cloud, or its points of the classes asked for."""
+    import numpy as np
+
+    from mmqa_lab.io import read_cloud
+
+    wanted = {"gps_time": options.drives, "classification": options.classes is not None}
+    cloud = read_cloud(options.cloud, columns=[name for name in wanted if wanted[name]])
+    if options.classes is None:
+        return cloud
+    try:
+        classes = [int(text) for text in options.classes.split(",")]
+    except ValueError:
+        raise ValueError(
+            f"Invalid classes {options.classes!r}. Must be whole numbers such as 2,11."
+        ) from None
+    chosen = np.isin(cloud["classification"], classes)
+    if not chosen.any():
+        there = ", ".join(str(number) for number in np.unique(cloud["classification"]))
+        raise ValueError(f"Invalid classes {options.classes}: no points. Must be some of {there}.")
+    return cloud[chosen]
+
+
+def _check_overlap(tables, points, reference):
+    """Refuse a reference that lies elsewhere."""
+    if any((table["n"] > 0).any() for table in tables.values()):
+        return
+    cloud, other = (
+        f"x {xyz[:, 0].min():.1f} to {xyz[:, 0].max():.1f} m, "
+        f"y {xyz[:, 1].min():.1f} to {xyz[:, 1].max():.1f} m"
+        for xyz in (points, reference)
+    )
+    raise ValueError(
+        f"Invalid reference: no point of the cloud ({cloud}) lies near one of it ({other}). "
+        "Must overlap, in one coordinate system."
+    )
+
+
+def _warn(summary):
+    """Say what a reader of the table should know."""
     if summary["n"].min() < CHECKPOINTS:
         print(
             f"mmqa accuracy: {summary['n'].min()} differences in a row; the ASPRS standards ask "
             f"for {CHECKPOINTS} check points or more.",
             file=sys.stderr,
         )
-    print_rows(summary, options)
+    median = summary.loc[summary["shift"] == "kept", "median_mm"]
+    if median.abs().max() > FAR_MM:
+        far = median[median.abs().idxmax()] / 1000
+        print(
+            f"mmqa accuracy: the median difference is {far:+.2f} m; the two height systems may "
+            "differ (ellipsoid or geoid).",
+            file=sys.stderr,
+        )
 
 
 def _compared(cloud, reference, options):
@@ -160,5 +222,6 @@ def _rows(name, table, path, reference_std):
         used = table[table["reason"] == ""]
         places = used[["x_m", "y_m"]].to_numpy()
         distance = distance_to_path(places, path) if len(places) else []
-        rows = rows.assign(**trend_columns(distance, 1000 * used["dz_m"]))
+        size = 1000 * (used["dz_m"] - used["dz_m"].mean()).abs()
+        rows = rows.assign(**trend_columns(distance, size))
     return rows

@@ -3,8 +3,9 @@
 TEST and MODEL are CSV files of segments (x1,y1,z1,x2,y2,z2 in metres, a line each, header optional)
 or two clouds (LAS, LAZ, COPC, PLY), whose edges are extracted first: planes are detected and
 adjacent ones intersected. The published method pairs all segments below a threshold (--matcher all,
-Poreba & Goulette 2013, hal-00846334). The value holds angle and end-point noise and false pairs as
-well as displacement: compare it with the perpendicular part and the displacement vector below it.
+Poreba & Goulette 2013, hal-00846334). The value contains the noise of angles and ends and false
+pairs as well as displacement: compare it with the perpendicular part and the displacement vector
+below it.
 """
 
 from pathlib import Path
@@ -51,6 +52,14 @@ def add_arguments(parser):
         metavar="M",
         help="largest displacement the displaced matcher seeks, default %(default)s m",
     )
+    for name, choices, what in (
+        ("rotate", ("test", "shorter"), "the line that is turned"),
+        ("within", ("containment", "overlap"), "when the parallel part vanishes"),
+        ("norm", ("pairs", "matched", "all"), "denominator of equation 7"),
+    ):
+        parser.add_argument(
+            f"--{name}", choices=choices, default=choices[0], help=f"{what}, default %(default)s"
+        )
     clouds = parser.add_argument_group("clouds")
     clouds.add_argument(
         "--tolerance",
@@ -69,15 +78,14 @@ def add_arguments(parser):
     clouds.add_argument(
         "--minimum",
         type=int,
-        default=200,
         metavar="N",
-        help="points of a plane, default %(default)s",
+        help="points of a plane, default 30; its least area grows with the size",
     )
     clouds.add_argument(
         "--out", "--edges", type=Path, metavar="FOLDER", help="write extracted edges there as CSV"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of planes and interval, default 0"
+        "--seed", type=int, default=0, metavar="N", help="of the interval, default 0"
     )
     add_output_arguments(parser)
 
@@ -96,6 +104,9 @@ def run(options):
         weight=options.weight,
         sensitivity=options.sensitivity,
         matcher=options.matcher,
+        rotate=options.rotate,
+        within=options.within,
+        norm=options.norm,
         radius=options.radius,
     )
     interval = result.interval(seed=options.seed)

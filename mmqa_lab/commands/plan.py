@@ -4,7 +4,7 @@ Frame: X across the track to the target's side, Y in the direction of travel, Z 
 counter-clockwise positive, tilt is applied before heading. Scanner: all zero is a vertical scan
 plane across the track. Target: all zero is a vertical wall along the track; a positive heading
 turns it towards the vehicle, a positive tilt leans its top away. The range is the X at which the
-horizontal pulse strikes the plane; the figures hold at the height difference above the scanner.
+horizontal pulse strikes the plane; the figures are those at the height difference.
 After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a revolution.
 """
 

@@ -225,9 +225,9 @@ class LHD:
 
     def plot(self, *, ax=None):
         """Draw both sets from above and a line between the midpoints of each pair."""
-        from matplotlib import pyplot as plt
+        from mmqa_lab import plots
 
-        ax = ax or plt.gca()
+        ax = plots.subplots()[1] if ax is None else ax
         for ends in self.model.ends:
             ax.plot(ends[:, 0], ends[:, 1], color="0.75", lw=3, solid_capstyle="round")
         for ends in self.test.ends:
@@ -320,6 +320,7 @@ def lhd(
     within: str = "containment",
     norm: str = "pairs",
     threshold: Callable | None = None,
+    pairs: np.ndarray | None = None,
     radius: float = 4.0,
 ) -> LHD:
     """Line-segment Hausdorff distance between a test and a model set.
@@ -346,6 +347,8 @@ def lhd(
     threshold : callable, optional
         Takes the nearest distances of one direction and returns a :class:`Threshold`, or its
         delta; by default :func:`peak_threshold` with ``sensitivity``.
+    pairs : array_like of bool, shape (p, q), optional
+        Pairs that are known, in place of threshold and matcher.
     radius : float
         Largest displacement that ``displaced`` seeks, m.
 
@@ -398,22 +401,25 @@ def lhd(
         _as_threshold(threshold, _nearest(parts.distance(weight))) for parts in (forward, backward)
     ]
     _refuse_apart(thresholds[0], test, model)
-    used, pairs = _pairs(
-        matcher, (test, model), (forward, backward), thresholds, weight=weight, radius=radius
-    )
-    if used == "displaced":
+    if pairs is None:
+        used, both = _pairs(
+            matcher, (test, model), (forward, backward), thresholds, weight=weight, radius=radius
+        )
+    else:
+        used, both = "given", _given(pairs, forward.angle.shape)
+    if used in ("displaced", "given"):
         thresholds = [Threshold(np.nan, False, threshold.nearest) for threshold in thresholds]
     result = LHD(
         weight=weight,
         sensitivity=sensitivity,
         matcher=used,
-        test_model=_directed(thresholds[0], pairs[0], forward, test, model, norm=norm),
+        test_model=_directed(thresholds[0], both[0], forward, test, model, norm=norm),
         model_test=_directed(
-            thresholds[1], pairs[1].T, backward, model, test, norm=norm, turned=True
+            thresholds[1], both[1].T, backward, model, test, norm=norm, turned=True
         ),
         test=test,
         model=model,
-        asked=matcher,
+        asked=matcher if pairs is None else used,
     )
     _warn(result, test, model)
     return result
@@ -481,6 +487,17 @@ def _pairs(matcher, sets, parts, thresholds, *, weight, radius):
         for part, threshold, (a, b) in zip(parts, thresholds, orders, strict=True)
     ]
     return matcher, both
+
+
+def _given(pairs, shape):
+    """Known pairs of both directions, each (source, target)."""
+    pairs = np.asarray(pairs)
+    if pairs.dtype != bool or pairs.shape != shape:
+        raise ValueError(
+            f"Invalid pairs of type {pairs.dtype} and shape {pairs.shape}. "
+            f"Must be Boolean of shape {shape}."
+        )
+    return pairs, pairs.T
 
 
 def _as_threshold(threshold, nearest):

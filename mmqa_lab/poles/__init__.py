@@ -18,8 +18,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab._polygons import path_distance
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.poles.scores import Score, curve, match, path_distance, score
+from mmqa_lab.poles.scores import Score, curve, match, score
 
 METHODS = ("ours", "fgi", "itc")
 

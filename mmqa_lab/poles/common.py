@@ -169,9 +169,10 @@ def height_above_ground(points, *, at=None, cell=GROUND_CELL_M):
 def _without_strays(lowest, support):
     """Lowest heights without single points far below the cells around them."""
     alone = (support < GROUND_SUPPORT) & np.isfinite(lowest)
-    if alone.all() or not alone.any():
+    supported = support >= GROUND_SUPPORT
+    if not alone.any() or not supported.any():
         return lowest
-    sure = _filled(lowest, support >= GROUND_SUPPORT)
+    sure = _filled(lowest, supported)
     usual = ndimage.percentile_filter(sure, 20, size=GROUND_WINDOW, mode="nearest")
     return np.where(alone & (lowest < usual - GROUND_STEP_M), np.inf, lowest)
 

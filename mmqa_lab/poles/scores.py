@@ -9,18 +9,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
-from mmqa_lab.stats import Rate, average_precision, errors, f1, wilson
+from mmqa_lab._polygons import path_distance
+from mmqa_lab.stats import Errors, Rate, errors, f1, wilson
 
 GATE_M = 0.5
 
 
-def match(detections, references, *, gate=GATE_M):
+def match(
+    detections: pd.DataFrame, references: pd.DataFrame, *, gate: float = GATE_M
+) -> pd.DataFrame:
     """Match detections and references one to one, as many as possible, then as near as possible.
 
     Distances are horizontal, between the axes at half the height of the detection: a leaning pole
@@ -117,7 +121,7 @@ def _assigned(a, b, distance, gate):
     return picked[picked >= 0]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Score:
     """How well detections agree with a reference.
 
@@ -137,17 +141,28 @@ class Score:
     detections: pd.DataFrame
     targets: pd.DataFrame
 
+    def __repr__(self) -> str:
+        return f"<Score: recall {self.recall}, precision {self.precision}, F1 {self.f1:.3f}>"
+
+    def _repr_html_(self) -> str:
+        return self.to_frame()._repr_html_()
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return recall and precision: ``quantity``, ``k``, ``n``, ``value``, ``low``, ``high``."""
+        rates = {"recall": self.recall, "precision": self.precision}
+        return pd.DataFrame([{"quantity": name, **vars(rate)} for name, rate in rates.items()])
+
     @property
-    def f1(self):
+    def f1(self) -> float:
         """Harmonic mean of recall and precision."""
         return f1(self.recall.value, self.precision.value)
 
     @property
-    def duplicates(self):
+    def duplicates(self) -> int:
         """Number of detections that hit a pole which another one hit better."""
         return int((self.detections["outcome"] == "duplicate").sum())
 
-    def by_class(self):
+    def by_class(self) -> pd.DataFrame:
         """Return recall for each class of targets: ``class``, ``k``, ``n``, value and interval."""
         counted = self.targets[self.targets["target"]]
         rows = []
@@ -157,7 +172,7 @@ class Score:
         columns = ["class", "k", "n", "value", "low", "high"]
         return pd.DataFrame(rows, columns=columns).rename(columns={"value": "recall"})
 
-    def diameter_residuals(self, *, classes=None):
+    def diameter_residuals(self, *, classes=None) -> np.ndarray:
         """Return the errors of the diameters of hits, metres; NaN where not measured.
 
         The truth is ``diameter_m`` of the reference, or its taper between ``diameter_base_m`` and
@@ -170,11 +185,11 @@ class Score:
             hits, truth = hits[chosen], truth[chosen]
         return hits["diameter_m"].to_numpy() - _true_diameter(hits, truth)
 
-    def diameter_errors(self, *, classes=None):
+    def diameter_errors(self, *, classes=None) -> Errors:
         """Return the ``Errors`` of the diameters of hits, metres."""
         return errors(self.diameter_residuals(classes=classes))
 
-    def position_errors(self):
+    def position_errors(self) -> Errors:
         """Return the ``Errors`` of the horizontal distances of hits from the true axes, metres."""
         hits = self.detections["outcome"] == "hit"
         return errors(self.detections.loc[hits, "distance_m"])
@@ -190,7 +205,14 @@ def _true_diameter(hits, truth):
     return low + np.clip(share, 0, 1) * (high - low)
 
 
-def score(detections, references, *, gate=GATE_M, corridor=None, trajectory=None):
+def score(
+    detections: pd.DataFrame,
+    references: pd.DataFrame,
+    *,
+    gate: float = GATE_M,
+    corridor: float | None = None,
+    trajectory: ArrayLike | None = None,
+) -> Score:
     """Score detections against references.
 
     Parameters
@@ -288,7 +310,7 @@ def _in_regions(found, references):
     return inside
 
 
-def curve(detections, references, **choices):
+def curve(detections: pd.DataFrame, references: pd.DataFrame, **choices) -> pd.DataFrame:
     """Return recall and precision over the threshold of the score.
 
     Parameters
@@ -302,13 +324,19 @@ def curve(detections, references, **choices):
     Returns
     -------
     DataFrame
-        ``threshold`` (falling), ``recall``, ``precision``, ``hits``, ``false``;
-        ``attrs["average_precision"]``.
+        ``threshold`` (falling), ``recall``, ``precision``, ``hits``, ``false``.
 
     Notes
     -----
     Matching is done once, of all candidates; a threshold then drops detections, so that recall
     cannot fall along the curve.
+
+    Examples
+    --------
+    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0, "score": [0.9, 0.4]})
+    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
+    >>> curve(found, truth)[["recall", "precision"]].to_numpy().tolist()
+    [[0.5, 1.0], [0.5, 0.5]]
     """
     result = score(detections, references, **choices)
     counted = result.detections[~result.detections["outcome"].isin(["ignored", "outside"])]
@@ -322,25 +350,7 @@ def curve(detections, references, **choices):
     total = max(result.recall.n, 1)
     frame["recall"] = frame["hits"] / total if result.recall.n else np.nan
     frame["precision"] = frame["hits"] / (frame["hits"] + frame["false"])
-    known = result.recall.n and len(frame)
-    frame.attrs["average_precision"] = (
-        average_precision(frame["recall"], frame["precision"]) if known else np.nan
-    )
     return frame
-
-
-def path_distance(xy, path):
-    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
-
-    Examples
-    --------
-    >>> path_distance(np.array([[1.0, 5.0], [0.0, 12.0]]), np.array([[0.0, 0.0], [0.0, 10.0]]))
-    array([1., 2.])
-    """
-    import shapely
-
-    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    return shapely.distance(shapely.points(xy), line)
 
 
 def _path(trajectory):

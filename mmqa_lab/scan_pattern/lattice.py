@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern.setups import ScanSetup
 
 QUANTITIES = (
@@ -25,7 +26,7 @@ LEVEL = np.sin(np.radians(0.1))
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class Lattice(Shown):
     """Steps on the surface from pulse to pulse and from profile to profile.
 
     Parameters
@@ -173,10 +174,6 @@ class Lattice:
         columns = {name: np.broadcast_to(self.quantity(name), shape).ravel() for name in QUANTITIES}
         return pd.DataFrame(columns)
 
-    def _repr_html_(self):
-        """The table, in a notebook."""
-        return self.to_frame()._repr_html_()
-
     def points(self, half_width=0.25):
         """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
         a, _, b = self.plane_steps()
@@ -185,14 +182,14 @@ class Lattice:
         xy = np.multiply.outer(i, a) + np.multiply.outer(j, b)
         return xy[(np.abs(xy) <= half_width).all(axis=-1)]
 
-    def plot(self, ax=None, *, half_width=0.25):
+    def plot(self, *, ax=None, half_width=0.25):
         """Draw the points about a single spot and the two steps, millimetres; return the axes."""
-        import matplotlib.pyplot as plt
+        from mmqa_lab.plots import COLOURS, subplots
 
-        ax = plt.subplots()[1] if ax is None else ax
+        ax = ax or subplots()[1]
         ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
         a, _, b = 1000 * np.array(self.plane_steps())
-        for step, name, colour in ((a, "a", "#D55E00"), (b, "b", "#0072B2")):
+        for step, name, colour in ((a, "a", COLOURS["vermilion"]), (b, "b", COLOURS["blue"])):
             ax.annotate("", step, (0, 0), arrowprops={"arrowstyle": "-|>", "color": colour})
             ax.annotate(name, step, (4, 4), textcoords="offset points", color=colour)
         ends = (-1000 * half_width, 1000 * half_width)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.planes import TUKEY, Plane, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.lines import (
     first_direction,
@@ -44,7 +45,7 @@ PHASES = 1500
 
 
 @dataclass(frozen=True, eq=False)
-class PatternMeasurement:
+class PatternMeasurement(Shown):
     """What was measured in a patch; metres and degrees, each with its standard deviation.
 
     Parameters
@@ -123,10 +124,6 @@ class PatternMeasurement:
             for name, n in zip(names, counts, strict=True)
         ]
         return pd.DataFrame(rows, columns=["quantity", "measured", "std", "n"])
-
-    def _repr_html_(self):
-        """The table, in a notebook."""
-        return self.to_frame()._repr_html_()
 
     def _spread(self, by_gap, by_angle):
         """Standard deviation of a function of gap and angle from its derivatives."""

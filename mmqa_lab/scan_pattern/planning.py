@@ -95,11 +95,10 @@ def largest_speed(setup, target, *, quantity, limit):
     margin = _margin(setup, patch, quantity, limit, speeds)
     kept = np.flatnonzero(margin >= 0)
     if not len(kept) or kept[-1] == SPEEDS - 1:
-        value = SLOWEST if not len(kept) else FASTEST
+        fails, value = ("fails", SLOWEST) if not len(kept) else ("is kept", FASTEST)
         raise ValueError(
-            f"Invalid limit {limit} for {quantity}: it {'fails' if not len(kept) else 'holds'} at "
-            f"every speed tried, {value} m/s included. Must be reached between {SLOWEST} and "
-            f"{FASTEST} m/s."
+            f"Invalid limit {limit} for {quantity}: it {fails} at every speed tried, {value} m/s "
+            f"included. Must be reached between {SLOWEST} and {FASTEST} m/s."
         )
     return _refined(setup, patch, quantity, limit, speeds[kept[-1]], speeds[kept[-1] + 1])
 

@@ -6,6 +6,7 @@ depth, is shared by neighbours, and draws ghosts between foreground and backgrou
 A cloud may be resampled in object space, so that its density does not depend on the distance.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from mmqa_lab._checks import check_count, check_number, check_points, check_posi
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern.setups import rotations
 from mmqa_lab.simulate.scan import FULL_SCALE
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.trajectories import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +108,9 @@ class MatchingCamera:
         return np.stack([x, np.ones(len(x)), -y], axis=1) @ view.T
 
 
-def match(scene, camera, trajectory, *, times, seed):
+def match(
+    scene: Scene, camera: MatchingCamera, trajectory: Trajectory, *, times: ArrayLike, seed: int
+) -> Iterator[Cloud]:
     """Yield the matched points of one exposure after the other.
 
     Parameters
@@ -208,7 +213,9 @@ def thin(points: ArrayLike, least: float) -> np.ndarray:
     return keep
 
 
-def hard_core_points(width, height, *, density, hard_core, rng):
+def hard_core_points(
+    width: float, height: float, *, density: float, hard_core: float, rng: np.random.Generator
+) -> np.ndarray:
     """Return points of a Matern hard-core process of the second kind, (n, 2).
 
     Poisson points get random ages; those with an older one within the core go. The Poisson density

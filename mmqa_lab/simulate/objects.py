@@ -158,7 +158,7 @@ def chart(
     return board(centre, *size, heading=heading, label=label, reflectance=pattern)
 
 
-def chart_corners(centre, *, heading, size=1.0):
+def chart_corners(centre: ArrayLike, *, heading: float, size: float = 1.0) -> np.ndarray:
     """Return the corners of a chart, (4, 3), from the lower left around, as one looks at its front.
 
     Parameters

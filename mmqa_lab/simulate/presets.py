@@ -94,18 +94,20 @@ ZF_9012_FITTED = replace(
     name="Z+F Profiler 9012, fitted",
     mirror_frequency_hz=1e6 / 7000,
     tilt_deg=53.6,
+    range_noise_m=0.0011,
     status="calibrated",
-    source="mirror frequency and tilt fitted to Table 2 of Pfeifer et al. 2021, which contradicts "
-    "the 200 Hz stated there (study chart_tables)",
+    source="mirror frequency, tilt and noise fitted to Table 2 of Pfeifer et al. 2021, which "
+    "contradicts the 200 Hz stated there (study chart_tables)",
 )
 
 HDL_32E_FITTED = replace(
     HDL_32E,
     name="Velodyne HDL-32E, fitted",
     tilt_deg=38,
+    range_noise_m=0.0101,
     status="calibrated",
-    source="axis pitched to fit Table 2 of Pfeifer et al. 2021, which does not state the mounting "
-    "(study chart_tables)",
+    source="pitch and noise fitted to Table 2 of Pfeifer et al. 2021, which does not state the "
+    "mounting (study chart_tables)",
 )
 
 PRESETS = {

@@ -15,6 +15,7 @@ from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
 from mmqa_lab.simulate.objects import chart, chart_corners
 from mmqa_lab.simulate.scan import scan
+from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import straight
 
@@ -53,12 +54,20 @@ how, is not. Density, hard core and noise are fitted to Table 2, whose density d
 the distance: it takes more than two points per pixel at 10 m, so several pairs, and resampling."""
 
 
-def pass_chart(sensor, distance, *, seed, height=0.0, speed=SPEED, rounding_m=0.0):
+def pass_chart(
+    sensor: ProfileScanner | MultiBeamScanner | MatchingCamera,
+    distance: float,
+    *,
+    seed: int,
+    height: float = 0.0,
+    speed: float = SPEED,
+    rounding_m: float = 0.0,
+) -> Cloud:
     """Return the points of a chart that a sensor drives past.
 
     Parameters
     ----------
-    sensor : Scanner or MatchingCamera
+    sensor : ProfileScanner, MultiBeamScanner or MatchingCamera
     distance : float
         From the path to the chart, metres.
     seed : int

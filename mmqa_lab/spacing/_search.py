@@ -1,7 +1,7 @@
 """Exact search for the nearest point in each quadrant, compiled.
 
 The points go into square cells of about a dozen, in Morton order; fuller cells are halved until no
-leaf holds more than 16 points, and a binary tree of bounding boxes stands over the leaves. All
+leaf has more than 16 points, and a binary tree of bounding boxes stands over the leaves. All
 points of a leaf search together, one lane each, so that the processor's vector units work on
 several at once. A leaf first looks into the 3 x 3 cells around it, which settles even patterns;
 whatever stays open there, or lies where cells are crowded, is found down the tree.
@@ -250,7 +250,7 @@ def _search_share(points, grid, starts, tree, radius, of, distances, t, threads)
 
 @njit(cache=True)
 def _is_any(of, rows, start, end, distances):
-    """Whether a leaf holds one of the points that are asked for; NaN for those that are not."""
+    """Whether a leaf has one of the points that are asked for; NaN for those that are not."""
     found = False
     for i in range(start, end):
         if of[rows[i]]:

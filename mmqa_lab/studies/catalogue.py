@@ -38,8 +38,9 @@ STUDIES = (
         number=1,
         stem="chart_tables",
         title="Chart metrics",
-        question="How good are the point clouds and images of three systems, measured on charts?",
-        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Tables 1 and 2",
+        question="How good are the point clouds of three systems, measured on a chart, and who wins "
+        "the tender?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 2",
     ),
     Study(
         number=2,

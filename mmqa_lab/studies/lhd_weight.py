@@ -131,7 +131,7 @@ def score(result, truth):
     if np.isscalar(result):
         return {"lhd_m": result, "lhd_bias_m": result - truth.mean(truth.displacements)}
     if not isinstance(result, lines.LHD):
-        result = _of_pairs(np.asarray(result, dtype=bool), truth.sets)
+        result = measured(truth.sets, pairs=result)
     both = [part.pairs for part in (result.test_model, result.model_test)]
     scores = [lines.pairing_scores(pairs, truth.pairs) for pairs in both]
     return {
@@ -166,32 +166,6 @@ def score_directions(result, truth):
         figures[f"{side}_false_positive"] = counts.fp
         figures[f"{side}_olhd_m"] = part.olhd(result.weight)
     return figures
-
-
-def _of_pairs(pairs, sets):
-    """The distance of given pairs, W = 10."""
-    nothing = partial(lines.fixed_threshold, delta=1e-9)
-    found = measured(sets, threshold=nothing)
-    ends = np.nonzero(pairs)
-    parts = lines.components(sets.test, sets.model), lines.components(sets.model, sets.test)
-    cells = ends, ends[::-1]
-    lengths = sets.model.lengths[ends[1]], sets.test.lengths[ends[0]]
-    both = [
-        lines.Directed(
-            threshold=found.test_model.threshold,
-            pairs=pairs,
-            angle=part.angle[cell],
-            parallel=part.parallel[cell],
-            perpendicular=part.perpendicular[cell],
-            length=length,
-            source=cell[0],
-            coverage=np.nan,
-            total=float(length.sum()),
-        )
-        for part, cell, length in zip(parts, cells, lengths, strict=True)
-    ]
-    sides = {"test": sets.test, "model": sets.model}
-    return lines.LHD(10.0, 0.5, "given", *both, **sides, asked="given")
 
 
 METHODS = {
@@ -303,7 +277,7 @@ def replicas(results):
 
 
 def ledger_entries(results):
-    """What the study says of each printed cell of Tables 1 and 2.
+    """What the study says of each printed result of the source.
 
     Parameters
     ----------
@@ -314,35 +288,55 @@ def ledger_entries(results):
     -------
     list of dict
     """
-    entries = []
+    entries, known = [], set()
     for row, printed in zip(
         replicas(results).itertuples(), published_rows().itertuples(), strict=True
     ):
-        cell = f"{row.comparison} {row.side}"
         scenes = results.sel({"method": "published", "comparison": row.name})
-        entries.append(
-            ledger.entry(
-                "poreba2013",
-                row.table,
-                f"{cell} detection rate",
-                printed.rate_from_counts_percent,
-                kind="predicted",
-                note=IDENTITY,
-            )
-        )
-        how = "fitted to this row" if row.kind == "fitted" else "fitted to other rows only"
-        note = f"Mean and 95 % range of simulated canyons whose noise was {how}."
+        cell = f"{row.comparison} {row.side}"
+        rate = printed.rate_from_counts_percent
+        place = ("poreba2013", row.table, f"{cell} detection rate")
+        entries.append(ledger.entry(*place, rate, kind="predicted", note=IDENTITY))
         for ending, label in (
             ("olhd_m", "olhd"),
             ("false_negative", "false negative"),
             ("false_positive", "false positive"),
         ):
             values = scenes[f"{row.side}_{ending}"].values
-            low, high = np.nanpercentile(values, (2.5, 97.5))
-            ours = {"kind": row.kind, "low": low, "high": high, "note": note}
-            found = np.clip(np.nanmean(values), low, high)  # against rounding
-            entries.append(ledger.entry("poreba2013", row.table, f"{cell} {label}", found, **ours))
-    return entries
+            entries.append(_of_scenes(row.table, f"{cell} {label}", values, row.kind))
+        for name in ("p", "q", "pairs"):
+            whose = "TLS" if row.table == "table_2" and name == "q" else row.comparison
+            if f"{whose} {name}" not in known:
+                known.add(f"{whose} {name}")
+                entries.append(
+                    _of_scenes(row.table, f"{whose} {name}", scenes[name].values, row.kind)
+                )
+    return entries + _of_text(results.sel({"method": "published"}))
+
+
+def _of_text(results):
+    """Entries for the results that the text prints."""
+    lhd = np.fmax(results["left_olhd_m"], results["right_olhd_m"])
+    wrong = sum(results[f"left_false_{kind}"] for kind in ("negative", "positive"))
+    rate = 100 * (1 - wrong / (results["p"] * results["q"]))
+    near, far = lhd.sel(comparison="C1-C3"), lhd.sel(comparison=["C1-TLS", "C3-TLS"])
+    return [
+        _of_scenes("numbers", "precision_abstract", near.values, "fitted"),
+        _of_scenes("numbers", "precision_text", near.values, "fitted"),
+        _of_scenes("numbers", "absolute_abstract", far.mean("comparison").values, "fitted"),
+        _of_scenes("numbers", "absolute_text", far.mean("comparison").values, "fitted"),
+        _of_scenes("numbers", "pairing_confidence", rate.mean("comparison").values, "predicted"),
+    ]
+
+
+def _of_scenes(name, cell, values, kind):
+    """An entry with the mean of simulated scenes and the range of 95 % of them."""
+    how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
+    note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
+    low, high = np.nanpercentile(values, (2.5, 97.5))
+    found = np.clip(np.nanmean(values), low, high)  # against rounding
+    ours = {"kind": kind, "low": low, "high": high, "note": note}
+    return ledger.entry("poreba2013", name, cell, found, **ours)
 
 
 def true_edges(found, edges, *, near_m=0.1, parallel_deg=2.0):

@@ -351,6 +351,12 @@ def comparison(quick=False):
     )
 
 
+def by_case(results):
+    """Return results with the dimension ``case``, also where cases are a grid (one surface is)."""
+    grid = [dim for dim in results.dims if dim not in ("method", "seed", "case")]
+    return results.stack(case=grid) if grid else results
+
+
 def errors(results):
     """Return median absolute errors, a row for each method, and how many cells are missing."""
     names = [name for name in FIGURES if name in results]
@@ -369,7 +375,7 @@ def draw_errors(results):
     labels = ("error of point spacing, median (mm)", "of profile angle, median (degrees)")
     for ax, name, label in zip(axes, ("point_mm", "angle_deg"), labels, strict=True):
         size = np.abs(results[name]).to_dataframe().groupby(["range_m", "method"])[name]
-        lines = size.median().unstack().dropna(axis=1, how="all")
+        lines = size.median().unstack()
         lines.plot(ax=ax, style=STYLES[: len(lines.columns)], logy=True, legend=False)
         ax.set(xlabel="range (m)", ylabel=label)
         ax.set_ylim(bottom=1e-3)  # rounding errors lie far below
@@ -426,15 +432,15 @@ def table_4(*, gamma_scan, through_m, height_m=0.0, upwards=True):
     return found[["no", "alpha_targ_deg", "beta_targ_deg", "published_mm", "fitted_mm", "agrees"]]
 
 
-def checks(*, table_3, results, still, readings, counted, field):
+def checks(*, table_3, benches, still, readings, counted):
     """Yield the notebook's statements with the numbers of this run.
 
     Parameters
     ----------
     table_3, counted : DataFrame
         ``agrees``; ``counted`` and ``predicted`` points.
-    results, field : Dataset
-        Of the bench on the walls of the paper and on surfaces within its limits.
+    benches : pair of Dataset
+        Results on the walls of the paper, and on surfaces within its limits.
     still : DataFrame
         Differences of the paper's equations from rays of a vehicle that stands, ``FIGURES``.
     readings : list of DataFrame
@@ -453,7 +459,7 @@ def checks(*, table_3, results, still, readings, counted, field):
         f"largest difference {worst:.1g} mm or degrees",
         "rounding of float64",
     )
-    moving = np.abs(results[list(FIGURES)].sel({"method": "scan lattice"})).to_array().max()
+    moving = np.abs(benches[0][list(FIGURES)].sel({"method": "scan lattice"})).to_array().max()
     yield Check(
         "The lattice gives the rays of a moving vehicle.",
         float(moving) < 1e-6,
@@ -476,7 +482,7 @@ def checks(*, table_3, results, still, readings, counted, field):
         f"off by {100 * off:.2f} % at most",
         "1 %, what whole profiles and the edges of the patch allow",
     )
-    both = [part.sel({"method": "measured"}) for part in (results, field)]
+    both = [part.sel({"method": "measured"}) for part in benches]
     z = np.concatenate([(part["point_mm"] / part["std_point_mm"]).values.ravel() for part in both])
     z = z[np.isfinite(z)]
     covered, slack = np.mean(np.abs(z) < 1.96), 3 * np.sqrt(0.95 * 0.05 / len(z))
@@ -562,7 +568,7 @@ def _entries_of_text(field):
         "point_sigma_max": scatter["std_point_mm"].max("case"),
         "point_sigma_majority": scatter["std_point_mm"].median("case"),
         "point_error_max": points.max("case"),
-        "point_error_max_range": field["range_m"][points.argmax("case")],
+        "point_error_max_range": field["range_m"][points.fillna(-1).argmax("case")],
         "point_mean_error_max": points.mean("case") / 1000,
         "largest_error": np.maximum(lines.max("case"), points.max("case")),
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),

@@ -114,9 +114,9 @@ def height_accuracy(table):
     Returns
     -------
     DataFrame
-        Two rows, ``shift`` = kept and removed: ``n``; ``mean_mm`` (the shift), ``min_mm``,
-        ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the difference that 90 %
-        of all stay within.
+        Two rows, ``shift`` = kept and removed: ``n``; ``mean_mm`` (the shift), ``median_mm``,
+        ``min_mm``, ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the difference
+        that 90 % of all stay within.
 
     Raises
     ------
@@ -218,12 +218,17 @@ def _summary(values):
     """The figures of one row of an accuracy table, in mm, of differences in mm."""
     found = errors(values)
     known = values[np.isfinite(values)]
-    low, high, le90 = (
-        (known.min(), known.max(), np.quantile(np.abs(known), 0.9)) if len(known) else (np.nan,) * 3
-    )
+    known = known if len(known) else np.array([np.nan])
     return {
-        **{"n": found.n, "mean_mm": found.bias, "min_mm": low, "max_mm": high},
-        **{"std_mm": found.std, "rmse_mm": found.rmse, "nmad_mm": found.nmad, "le90_mm": le90},
+        "n": found.n,
+        "mean_mm": found.bias,
+        "median_mm": found.median,
+        "min_mm": known.min(),
+        "max_mm": known.max(),
+        "std_mm": found.std,
+        "rmse_mm": found.rmse,
+        "nmad_mm": found.nmad,
+        "le90_mm": np.quantile(np.abs(known), 0.9),
     }
 
 

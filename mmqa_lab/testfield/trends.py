@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mmqa_lab._checks import check_number, check_plan
-from mmqa_lab.poles.scores import path_distance
+from mmqa_lab._polygons import path_distance
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class JuryForm:
     Raises
     ------
     ValueError
-        If a name in ``order`` is no crop or repeats, or the file holds no marks.
+        If a name in ``order`` is no crop or repeats, or the file has no marks.
 
     Examples
     --------
