@@ -9,8 +9,10 @@ window, Fourier transform. It is noisier; where both differ, the answer says so.
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from mmqa_lab._checks import check_count
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.levels import check_image
 from mmqa_lab.mtf.spread import (
     BINS_PER_PIXEL,
@@ -41,7 +43,7 @@ SMALLEST_ANGLE_DEG = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeResponse:
+class EdgeResponse(Shown):
     """The spatial frequency response across one edge.
 
     Parameters
@@ -90,8 +92,13 @@ class EdgeResponse:
     mtf_binned: np.ndarray
     remark: str = ""
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return ``frequency_per_px``, ``mtf``, ``mtf_binned``, one row a frequency."""
+        curves = {"mtf": self.mtf, "mtf_binned": self.mtf_binned}
+        return pd.DataFrame({"frequency_per_px": self.frequencies, **curves})
 
-def edge_response(image, *, order=1):
+
+def edge_response(image, *, order: int = 1) -> EdgeResponse:
     """Measure the MTF of an image that shows one straight edge.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.mtf.spread import crossing
 
 SQUARE = np.pi / 4
@@ -20,7 +21,7 @@ PLAIN_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class StarMtf:
+class StarMtf(Shown):
     """The modulation transfer function that a star shows.
 
     Parameters
@@ -101,7 +102,15 @@ class StarMtf:
         )
 
 
-def measure_star(image, centre, *, cycles, radius_px, azimuth_deg=(0.0, 360.0), refine=True):
+def measure_star(
+    image,
+    centre,
+    *,
+    cycles: int,
+    radius_px: float,
+    azimuth_deg: tuple = (0.0, 360.0),
+    refine: bool = True,
+) -> StarMtf:
     """Measure the contrast of a Siemens star, circle by circle.
 
     In rings two pixels wide a constant, a wave of the star's cycles, which may change along the

@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.radiometry.reflectance import walthall_terms
 
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
@@ -69,7 +70,7 @@ class Priors:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockAdjustment:
+class BlockAdjustment(Shown):
     """An adjusted block.
 
     Parameters
@@ -112,6 +113,10 @@ class BlockAdjustment:
     sigma0: float
     absolute: bool
     iterations: int
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the gains, one row an image."""
+        return self.gains.copy()
 
     def correct(self, observations, *, to_nadir: bool = True):
         """Return the reflectance (relative without control) of each observation.
@@ -193,8 +198,8 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     while step > CONVERGED:
         if iteration == rounds:
             raise ValueError(
-                f"Invalid block: still changing after {rounds} iterations. Must have tie points that "
-                "determine the parameters."
+                f"Invalid block: still changing after {rounds} iterations. Must have tie points "
+                "that determine the parameters."
             )
         misfit, jacobian, by_ground = problem.linearised()
         scaled = misfit / problem.std
