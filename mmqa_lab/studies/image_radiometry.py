@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import bench, io, plots, samples
-from mmqa_lab.mtf import edge_response, fit_edge, read_bars
+from mmqa_lab.mtf import edge_response, fit_edge
 from mmqa_lab.published import ledger, table
 from mmqa_lab.radiometry import fit_sensor, patch_statistics, reflectance_errors, relative_exposure
 from mmqa_lab.run import Check
@@ -227,14 +227,14 @@ def noisy(image, noise, rng):
     return image + noise * (HIGH - LOW) * rng.standard_normal(image.shape)
 
 
-def bar_group(period_px, sigma_px, noise, rng):
-    """Read one group of four bars: its row of readings, and its image."""
+def bar_image(period_px, sigma_px, noise, rng):
+    """A noisy image of four bars, and the table that tells ``read_bars`` where they are."""
     size, offset = int(6 * period_px) + 12, rng.uniform(-0.5, 0.5)
     choices = {"period_px": period_px, "offset_px": offset, "low": LOW, "high": HIGH}
     image = noisy(render_bars((size, size), PointSpread(sigma_px), **choices), noise, rng)
-    group = {"period_px": period_px, "x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
-    groups = pd.DataFrame([group | {"angle_deg": 0.0, "bars": 4}])
-    return read_bars(image, groups, dark=LOW, bright=HIGH, noise=noise * (HIGH - LOW)), image
+    middle = {"x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
+    group = {"period_px": period_px, **middle, "angle_deg": 0.0, "bars": 4}
+    return image, pd.DataFrame([group])
 
 
 def grey_wedge(radiance, exposure, seed):
