@@ -506,11 +506,7 @@ def _repeated_ratio(drives):
 
 def _calibrated(calibrations):
     """The mounting of two heads where paths are exact."""
-    exact = (
-        calibrations[calibrations["navigation"] == "exact"]
-        .groupby("method")
-        .mean(numeric_only=True)
-    )
+    exact = _best_case(calibrations)
     found, before = exact.loc["planes, poles, control"], exact.loc["as installed"]
     angle, arm = found["angle_deg"], found["arm_mm"]
     yield Check(
@@ -561,11 +557,7 @@ def answer(compared, calibrations, reach):
     """
     far = reach[reach["system"] == "profiler"]["reach_m"].max()
     rows = compared[(compared["system"] == "ROAMER II") & (compared["figure"] == "height_std")]
-    exact = (
-        calibrations[calibrations["navigation"] == "exact"]
-        .groupby("method")
-        .mean(numeric_only=True)
-    )
+    exact = _best_case(calibrations)
     before, after = exact["pole_rmse_mm"][["as installed", "planes, poles, control"]]
     return (
         f"Simulated: specifications and assumed navigation give a calibrated profiler heights of "
