@@ -23,7 +23,6 @@ from mmqa_lab.testfield import (
     split_drives,
     thinned,
     trend,
-    trend_columns,
 )
 
 FAR = np.array([1e7, -1e7, 5e3])
@@ -106,7 +105,6 @@ def test_trend_of_few_poles_is_covered_as_often_as_it_says(rng):
         held += found.slope_low < 0.8 < found.slope_high
     # a share of 0.95 from 300 draws scatters by 0.013; Huber's estimator is a little bold at n = 8
     assert 0.89 < held / 300 < 0.99
-    assert np.isnan(list(trend_columns([1, 2], [1, 2]).values())).all()
 
 
 def test_distance_to_a_bent_path():
@@ -230,6 +228,10 @@ def test_command(tmp_path, ground, capsys):
     # the noise is the same at all distances: 4 mm over some 10 m
     assert abs(kept["trend_mm_per_m"]) < 0.5
     assert removed["median_mm"] == pytest.approx(0, abs=2)
+    np.savetxt(tmp_path / "two.csv", reference[:2], delimiter=",", header="x,y,z", comments="")
+    two = [files[0], str(tmp_path / "two.csv"), "--trajectory", str(path), "--json"]
+    assert main(["accuracy", *two]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["trend_mm_per_m"] is None
     high = reference - [0, 0, 43]
     np.savetxt(tmp_path / "high.csv", high, delimiter=",", header="x,y,z", comments="")
     assert main(["accuracy", files[0], str(tmp_path / "high.csv")]) == 0

@@ -11,6 +11,9 @@ from mmqa_lab.boresight.observations import drive_points, heads, placed_points, 
 from mmqa_lab.boresight.search import known_heights, shared_planes, shared_poles
 from mmqa_lab.cloud import Cloud
 
+FARTHEST_DEG, FARTHEST_M = 10.0, 1.0
+"""A mounting farther from the assumed one is an adjustment that ran away, no estimate."""
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -210,6 +213,12 @@ def calibrate(
 
 def _calibration(adjustment, found, values, lever):
     """The result with its covariance."""
+    angle, arm = np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()
+    if angle > np.radians(FARTHEST_DEG) or arm > FARTHEST_M:
+        raise ValueError(
+            f"Invalid drives: the adjustment moves a head by {arm:.1f} m and "
+            f"{np.degrees(angle):.1f} degrees. Must determine the mounting: give poles and control."
+        )
     freedom = max(len(found.fun) - values.size - adjustment.own_parameters, 1)
     sigma0 = np.sqrt(2 * found.cost / freedom)
     lengths = np.maximum(np.linalg.norm(found.jac, axis=0), np.finfo(float).tiny)

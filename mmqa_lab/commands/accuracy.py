@@ -208,7 +208,7 @@ def _rows(name, table, path, reference_std):
     import numpy as np
 
     from mmqa_lab._checks import check_number
-    from mmqa_lab.testfield import distance_to_path, height_accuracy, trend_columns
+    from mmqa_lab.testfield import distance_to_path, height_accuracy
     from mmqa_lab.testfield.heights import REASONS
 
     rows = height_accuracy(table)
@@ -223,5 +223,17 @@ def _rows(name, table, path, reference_std):
         places = used[["x_m", "y_m"]].to_numpy()
         distance = distance_to_path(places, path) if len(places) else []
         size = 1000 * (used["dz_m"] - used["dz_m"].mean()).abs()
-        rows = rows.assign(**trend_columns(distance, size))
+        rows = rows.assign(**_trend(distance, size))
     return rows
+
+
+def _trend(distance, values_mm):
+    """The trend and the ends of its interval, empty of fewer than three differences."""
+    from mmqa_lab.testfield import trend
+
+    names = ("trend_mm_per_m", "trend_low_mm_per_m", "trend_high_mm_per_m")
+    try:
+        line = trend(distance, values_mm)
+    except ValueError:
+        return dict.fromkeys(names, float("nan"))
+    return dict(zip(names, (line.slope, line.slope_low, line.slope_high), strict=True))

@@ -33,6 +33,7 @@ QUICK = {
     "draws": 20,
     "repeats": 2,
     "calibration_length_m": 48.0,
+    "calibration_reference_std_m": [0.011],
     "calibration_pulses_per_s": 60_000.0,
     "real_spacing_m": 0.5,
 }
@@ -345,7 +346,7 @@ def score(values, survey):
     -------
     dict of str to float
         ``angle_deg`` and ``arm_mm``, the largest errors; ``height_std_mm`` and ``pole_rmse_mm`` of
-        both corrected drives together.
+        both corrected drives together; ``poles``, how many pole positions were measured.
     """
     values = np.asarray(values, dtype=np.float64)
     error = np.abs(values - survey.true_values)
@@ -356,10 +357,17 @@ def score(values, survey):
     poles = plan_accuracy(pole_positions(both, survey.street.poles))
     found = {"angle_deg": error[:, :3].max(), "arm_mm": 1000 * error[:, 3:].max()}
     left = {"height_std_mm": heights["std_mm"][1], "pole_rmse_mm": poles["rmse_mm"][1]}
-    return found | left
+    return found | left | {"poles": poles["n"][1]}
 
 
-def comparison(quick=False, *, length_m=60.0, pulses_per_s=100_000.0, seeds=(1,)):
+def comparison(
+    quick=False,
+    *,
+    length_m=60.0,
+    pulses_per_s=100_000.0,
+    reference_std_m=(0.003, 0.011),
+    seeds=(1,),
+):
     """Return fields x calibrations for the bench.
 
     A method gets a :class:`TwoDrives` and returns the mounting (:func:`score`).
@@ -368,15 +376,16 @@ def comparison(quick=False, *, length_m=60.0, pulses_per_s=100_000.0, seeds=(1,)
     ----------
     quick : bool
         A short street and few pulses.
-    length_m, pulses_per_s, seeds
-        Of the field, of the scans, and how often.
+    length_m, pulses_per_s, reference_std_m, seeds
+        Of the field, of the scans, of the references, and how often.
 
     Returns
     -------
     bench.Comparison
     """
     if quick:
-        length_m, pulses_per_s = QUICK["length_m"], QUICK["calibration_pulses_per_s"]
+        length_m, pulses_per_s = QUICK["calibration_length_m"], QUICK["calibration_pulses_per_s"]
+        reference_std_m = QUICK["calibration_reference_std_m"]
 
     def make(navigation, reference_std_m, seed):
         street = make_testfield(length_m=length_m, reference_std_m=reference_std_m, seed=seed)
@@ -384,8 +393,7 @@ def comparison(quick=False, *, length_m=60.0, pulses_per_s=100_000.0, seeds=(1,)
         survey = two_drives(street, **choices)
         return survey, survey
 
-    std_m = (0.011,) if quick else (0.003, 0.011)
-    cases = bench.grid(navigation=("exact", "good"), reference_std_m=std_m)
+    cases = bench.grid(navigation=("exact", "good"), reference_std_m=reference_std_m)
     methods = {"as installed": as_installed, "planes": from_planes, "planes, poles, control": full}
     tables = {"tables": calibration_tables, "figures": calibration_figures}
     return bench.Comparison(cases, methods, make, score, seeds, **tables)

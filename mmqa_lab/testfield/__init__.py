@@ -27,7 +27,7 @@ from mmqa_lab.testfield.planimetry import (
     pole_positions,
 )
 from mmqa_lab.testfield.reference import ground_reference, thinned
-from mmqa_lab.testfield.trends import Trend, distance_to_path, trend, trend_columns
+from mmqa_lab.testfield.trends import Trend, distance_to_path, trend
 
 __all__ = [
     "Trend",
@@ -42,5 +42,4 @@ __all__ = [
     "split_drives",
     "thinned",
     "trend",
-    "trend_columns",
 ]

@@ -100,36 +100,6 @@ def trend(distance, values, *, confidence=0.95):
     return Trend(*(float(number) for number in numbers), len(values))
 
 
-def trend_columns(distance, values_mm):
-    """Return the trend of errors in mm as columns of a table; NaN of fewer than three errors.
-
-    Parameters
-    ----------
-    distance : array_like, shape (n,)
-        Metres.
-    values_mm : array_like, shape (n,)
-
-    Returns
-    -------
-    dict of str to float
-        ``trend_mm_per_m`` and the ends of its interval.
-
-    Examples
-    --------
-    >>> round(trend_columns([5, 10, 15], [1.0, 2.0, 3.0])["trend_mm_per_m"], 6)
-    0.2
-    """
-    try:
-        line = trend(distance, values_mm)
-    except ValueError:
-        line = Trend(*[np.nan] * 5, 0)
-    return {
-        "trend_mm_per_m": line.slope,
-        "trend_low_mm_per_m": line.slope_low,
-        "trend_high_mm_per_m": line.slope_high,
-    }
-
-
 def distance_to_path(points, path):
     """Return the distance in plan of points from a path.
 
