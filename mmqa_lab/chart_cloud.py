@@ -36,7 +36,8 @@ STEEPEST = 0.5
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
 chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge) stay 4 cm away,
-more than twice the error of a click."""
+more than twice the assumed error of a click. The paper prints neither size: they are those of
+:func:`mmqa_lab.charts.point_chart`."""
 
 BLOCKS = 4
 """Blocks along each axis, from which intervals follow."""

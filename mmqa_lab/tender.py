@@ -36,7 +36,8 @@ RUNGS_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0)
 """Widths of line pairs that Table 1 shows."""
 
 COARSEST_MM = {"h": 40.0, "v": 30.0}
-"""Widest line pairs on the chart (section 3.2): a dash in Table 1 is coarser."""
+"""Widest line pairs on the chart (section 3.2). A dash in Table 1 is read as coarser: the paper
+does not explain it, but says that some systems did not reach the coarsest pattern (section 4.4)."""
 
 RANGE_OF_FIVE = 2.326
 """Mean range of five normal values in standard deviations: five selections were compared."""
@@ -182,7 +183,7 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
 
 
 def qualification(table: pd.DataFrame) -> pd.DataFrame:
-    """Sum verdicts up per system.
+    """Sum up the verdicts of each system.
 
     Parameters
     ----------
@@ -199,7 +200,7 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
 
     Examples
     --------
-    Scenario 2 of the source on its printed figures: A hangs on a text that was not judged.
+    Scenario 2 of the paper on its printed figures: A depends on a text that was not judged.
 
     >>> table = verdicts(published_criteria("scenario 2"), published_results())
     >>> qualification(table)[["system", "verdict", "because"]].values.tolist()
@@ -271,9 +272,10 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
     Parameters
     ----------
     repeatability : bool
-        Add what section 4.4 says of repeated measurements: ``sigma`` of the density (five
-        selections vary by 1 %), of sigma_MAD (by 1 mm) and of pixel sizes (1 px for a bar), and one
-        rung to either side of a line-pair width. Upper bounds are printed, so these are too wide.
+        Add what section 4.4 says of repeated measurements, for all systems and distances: ``sigma``
+        of the density (five selections of B at 10 m vary by less than 1 %), of sigma_MAD (by less
+        than 1 mm) and of pixel sizes (below 1 px for a bar), and one rung to either side of a
+        line-pair width. Upper bounds are printed, so these are too wide.
     by_pixels : bool
         Give texts of 60 mm that were not judged the mark of the judged text with the most pixels
         per capital height among those with no more pixels than theirs.

@@ -181,7 +181,7 @@ def read_pattern(tones, pairs, chart_map):
 
     References
     ----------
-    Pfeifer et al. 2021, section 4.2 (definitely discriminated). doi:10.3390/rs13020237
+    Pfeifer et al. 2021, section 3.2 (definitely told apart). doi:10.3390/rs13020237
 
     Examples
     --------

@@ -73,7 +73,7 @@ def pixel_sizes(tones, layout, chart_map):
 
     References
     ----------
-    Pfeifer et al. 2021, section 4.2. doi:10.3390/rs13020237
+    Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
 
     Examples
     --------

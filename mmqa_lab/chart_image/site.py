@@ -2,8 +2,9 @@
 
 Pfeifer et al. 2021, section 4.1: three pairs of boards stand along one line, one pair parallel to
 it, two pairs across it. The vehicle passes on straight lines 5 m and 10 m beside them, at 40 km/h
-or faster. The forward view is of a board across the path that faces the vehicle as it comes, the
-backward view of one that it sees once it has passed.
+or faster. Forward and backward views are of boards across the path. Here the first pair faces the
+vehicle as it comes and the last as it leaves, which the paper does not print. The control points of
+the paper's site are left out.
 """
 
 from dataclasses import dataclass
@@ -66,8 +67,8 @@ def chart_site(*, spacing=10.0, height=1.5, size=1.0):
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
-    second stands along the line and faces west; the third faces north, to be seen behind. How far
-    the pairs are apart, their heights and which way they face the paper does not say.
+    second stands along the line and faces west; the third faces north, to be seen behind. The paper
+    does not say how far apart the pairs are, how high they stand and which way they face.
 
     Parameters
     ----------
@@ -116,8 +117,9 @@ def chart_site(*, spacing=10.0, height=1.5, size=1.0):
 def choose_images(stations, corners, *, distance):
     """Choose the image of a board by the paper's rules.
 
-    Of a board across the path: the closest image at the required distance or farther. Of a board
-    along the path: the image that the vehicle takes as it passes, which may be somewhat nearer.
+    For a board across the path it is the closest image at the required distance or farther (section
+    3.2). For a board along the path it is the image that the vehicle takes as it passes, which may
+    be somewhat nearer or farther (section 4.1).
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def imaging_chart(
     Parameters
     ----------
     horizontal_bar : {"grey", "black"}
-        The lying bar as built, or black as the authors recommend after their test.
+        The lying bar grey as built, or black as section 4.4 recommends.
     widths_h, widths_v : sequence of float
         Widths of the line pairs, mm, from coarse to fine, for standing and for lying bars.
     texts : sequence of (float, str) or (float, str, str)
@@ -88,11 +88,12 @@ def imaging_chart(
 
     Notes
     -----
-    The paper gives lengths, numbers of pairs and the ends of the ladder; the rungs of 30 to 4 mm
-    occur as readings in its Table 1, that of 3 mm is assumed. It names the texts and the heights of
-    letters, 40 to 50 mm; raised and small letters are those of Unicode here. Which text has which
-    height, the places on the chart and the fonts are this package's own; the symbols, the lying
-    and the coloured texts are left out.
+    The paper gives lengths, numbers of pairs and the ends of the ladder (lying bars begin at 30
+    mm). The rungs of 40 to 4 mm occur as readings in its Table 1; the rung of 3 mm is assumed. It
+    names the texts and their heights, 40 to 50 mm; raised and small letters are those of Unicode
+    here. Which text has which height, the places on the chart, the thickness of the bars, the grey
+    and the fonts are this package's own. The coded targets are an addition. Left out are symbols,
+    colours, vertical text, the printed widths and lengths, and the retro-reflective coating.
 
     References
     ----------
@@ -144,8 +145,9 @@ def point_chart(
 
     Notes
     -----
-    The paper prints 100 cells of 10 mm along a side of 1 m, a border, and one black and one white
-    square in the lower part. The widths of border and squares and their places are assumed.
+    The paper describes 100 cells of 10 mm along a side of 1 m, a border, and one black and one
+    white square in the lower part. The widths of border and squares, the border's tone and the
+    squares' places there are assumed.
 
     References
     ----------

@@ -32,7 +32,7 @@ COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
 COARSEST_MM = {"h": 40.0, "v": 30.0}
-"""Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is coarser."""
+"""Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is read as coarser."""
 
 
 def cells():

@@ -1,8 +1,7 @@
 """The three systems of Pfeifer et al. 2021 and their drive past a chart.
 
-Remote Sensing 13(2), 237, doi:10.3390/rs13020237: charts of 1 m x 1 m, parallel to the path, 5 m
-and 10 m from it, passed at 40 km/h by A (Z+F Profiler 9012), B (Velodyne HDL-32E) and C (dense
-matching).
+Remote Sensing 13(2), 237, doi:10.3390/rs13020237: a chart of 1 m x 1 m, parallel to the path, is
+passed at 5 m and at 10 m by A (Z+F Profiler 9012), B (Velodyne HDL-32E) and C (dense matching).
 """
 
 from dataclasses import replace
@@ -20,10 +19,10 @@ from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import straight
 
 SPEED = 40 / 3.6
-"""Metres per second."""
+"""Metres per second: the least that section 4.1 asks for; the speed driven is not printed."""
 
 DISTANCES = (5.0, 10.0)
-"""Metres from the path to the two charts."""
+"""Metres from the paths of the two drives to the chart."""
 
 FACING_THE_ROAD = 270.0
 """Heading of charts that stand to the right of a drive to the north."""

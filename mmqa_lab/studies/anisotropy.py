@@ -316,6 +316,6 @@ def answer(ranks, verdicts):
     return (
         "f follows its axes as much as the pattern: rank correlation with true anisotropy "
         f"{found['f']:.2f}, of g, spacing across over along, {found['g']:.2f}; f < 2 judges "
-        f"{plain:.0f} % of the clouds rightly, with the exemption of dense ones {exempted:.0f} %, "
-        f"g < 2 {by_g:.0f} %."
+        f"{plain:.0f} % of the simulated clouds rightly, with the exemption of dense ones "
+        f"{exempted:.0f} %, g < 2 {by_g:.0f} %."
     )

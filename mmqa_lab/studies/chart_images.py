@@ -59,7 +59,8 @@ def table_1():
     DataFrame
         ``system``, ``distance_m``, ``view``, ``pixel_h_mm`` (lying bar), ``pixel_v_mm`` (standing
         bars), ``w_h_mm`` (standing bars), ``w_v_mm``, ``legibility`` (a, b, c), all published.
-        NaN is a printed dash: of a width, coarser than the chart's widest pairs.
+        NaN is a printed dash, which the paper does not explain; of a width it is read as coarser
+        than the chart's widest pairs, which some systems did not resolve (section 4.4).
 
     Examples
     --------
@@ -384,7 +385,7 @@ def photo_cases(systems="ABC", spreads_px=(FITTED_PX,), exposures_ms=(0.0,)):
 
 
 def score_rule(resolved, truth):
-    """Compare what a rule takes for resolved with the optics and with Table 1.
+    """Compare what a rule accepts as resolved with the optics and with Table 1.
 
     Parameters
     ----------
@@ -482,7 +483,7 @@ def answer(trials):
     """Return the study's answer in a sentence, from :func:`spread_trials` without motion."""
     best = best_trial(trials)
     return (
-        f"One point spread of {best['sigma_px']:.2f} px for all systems puts "
+        f"One fitted point spread of {best['sigma_px']:.2f} px for all systems puts "
         f"{best['within_one_step']} of {best['cells']} line-pair widths of Table 1 within one step "
         f"of the chart, {best['exact']} exactly."
     )
@@ -526,7 +527,7 @@ def ledger_entries(sizes, widths, legibility, repeats_px):
     for row in legibility.itertuples():
         mark = "abc".index(row.fitted_mark) + 1
         entries.append(_entry(row, "legibility", mark, {"kind": "fitted"}, MARK_NOTE))
-    note = "Along the pixel rows of bars in photographs, by fits of their ends, not by clicks"
+    note = "Along the pixel rows of bars in simulated photographs, by fits of both ends, not clicks"
     for name, times in (("bar_std", 1.0), ("bar_difference_max", 4.0)):
         ours = {"kind": "measured", "note": f"{note}; {times:g} standard deviations."}
         value = times * float(np.max(repeats_px))
@@ -578,7 +579,7 @@ def checks(sizes, errors, trials, fits, rules):
         "One point spread for all systems explains every printed width within one step.",
         best["within_one_step"] == cells,
         "{within_one_step} of {cells}, {exact} exactly at {sigma_px:.2f} px".format(**best),
-        "one step is what readers differed by (section 4.4); one parameter is fitted",
+        "readers chose the same width or its neighbour (section 4.4); one parameter is fitted",
     )
     exact = int(fits["exact"].sum())
     yield Check(
@@ -605,12 +606,12 @@ PIXEL_NOTES = {
     "forward view need a camera at 9.6 m, nearer than the 10 m asked for.",
 }
 DASH_NOTE = (
-    "In a photograph with the pixels of this row a fit still finds both ends of the grey bar; "
-    "corners that are clicked need more contrast."
+    "In a simulated photograph with the pixels of this row a fit still finds both ends of the grey "
+    "bar. The paper does not explain the dash; it says that the grey bar was hard to measure."
 )
 WIDTH_NOTE = (
     "From megapixels, distance and a usual point spread; spread, exposure and sharpening of the "
-    "cameras are not printed, and pixels of A were published a sixth coarser than predicted."
+    "cameras are not printed, and the published pixels of A are coarser than predicted."
 )
 FIT_NOTE = "One point spread for all systems, fitted to the printed widths; published pixel sizes."
 MARK_NOTE = "Pixels per capital height, with two thresholds fitted to these twelve marks."

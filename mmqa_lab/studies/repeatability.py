@@ -40,8 +40,9 @@ SENSORS = {
     "B tilted": replace(UPRIGHT, tilt_deg=45.0),
     "C": systems.SYSTEM_C,
 }
-"""A and B as stated, but for B's noise. B's mounting is not stated: once upright, once tilted by 45
-degrees, which comes close to the published spacings. C is fitted to Table 2."""
+"""A and B with the specifications of the paper and of data sheets, except B's noise. A's tilt of 45
+degrees and noise are assumed. B's mounting is not stated: once upright, once tilted by 45 degrees,
+which comes close to the published spacings. C is fitted to Table 2."""
 
 FIGURES = {
     "density_polygon_per_m2": "density",
@@ -59,7 +60,7 @@ INFLUENCE = {"density_polygon_per_m2": 1.0, "std_mm": np.sqrt(0.5), "sigma_mad_m
 """Standard deviation of one point's influence over the value, normal residuals (asymptotic)."""
 
 GROUP = 5
-"""Selections of one group, as in section 4.4."""
+"""Selections of one group; section 4.4 has five, of B at 10 m."""
 
 HALF_DIGIT_MM = 0.5
 """Half of the last digit that Table 2 prints of a spacing."""
@@ -69,7 +70,7 @@ REMARKS = {
     "selection_precision": "precision_mm",
     "selection_distances": "medians_mm",
 }
-"""What section 4.4 says of five selections, and the range that it is about."""
+"""Numbers of section 4.4 about five selections, and the column of ranges that each is about."""
 
 BOARDS = {
     "board, VLP-16": "boards/vlp16_pose02.laz",
@@ -314,7 +315,7 @@ def entries(ranges):
         "degrees, by an operator whose clicks are assumed."
     )
     why = (
-        " Medians of irregular spacings move with the selection; in print they stand in whole "
+        " Medians of irregular spacings move with the selection; they are printed in whole "
         "millimetres, and the code's histograms have bins of 5 mm."
     )
     found = []
@@ -408,14 +409,14 @@ def checks(*, shares, cover, scans, laws, strays, components):
     of_b = shares.query("system in ('B', 'B tilted') and distance_m == 10")
     precise = 100 * of_b["precision_mm_true_share"].min()
     yield Check(
-        "Five selections of B at 10 m: precision ranges below 1 mm.",
+        "Five simulated selections of B at 10 m: precision ranges below 1 mm.",
         bool(precise > 90),
         f"in {precise:.0f} % of the groups or more",
         "nine of ten groups",
     )
     dense = 100 * of_b["density_percent_true_share"]
     yield Check(
-        "Five selections of B at 10 m: the density does not reliably vary below 1 %.",
+        "Five simulated selections of B at 10 m: the density does not reliably vary below 1 %.",
         bool(dense.max() < 90),
         f"in {dense.min():.0f} to {dense.max():.0f} % of the groups",
         "reliably: nine of ten groups; the source states no click error",
@@ -460,5 +461,5 @@ def answer(rows, *, click_m, name, distance):
     return (
         f"With vertices off by {100 * click_m:.1f} cm, {name} at {distance:g} m repeats to r = "
         f"{r['density_polygon_per_m2']:.0f} points/m² in density, "
-        f"{r['sigma_mad_mm']:.1f} mm in sigma_MAD and {r['f']:.2f} in f."
+        f"{r['sigma_mad_mm']:.1f} mm in sigma_MAD and {r['f']:.2f} in f (simulated)."
     )
