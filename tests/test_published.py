@@ -38,6 +38,10 @@ RENAMED = {
 ALIKE = {"precision_printed": "sigma_mad_mm", "d1_printed": "d1_mm", "d4_printed": "d4_mm"}
 ALIKE["f_printed"] = "f"
 WORDS = {"available": {"yes": "printed", "no": "not_available"}}
+EXEMPTION = "same points as density (so 5 m); see {}section 3.3"
+WORDS["remark"] = {
+    EXEMPTION.format("exemption in facts.md "): EXEMPTION.format("the exemption of ")
+}
 ADDED = {"id", "relation", "role", "status", "note", "comparison", "text", "unit", "printed"}
 ADDED |= {"threshold", "distance"}
 TABLE_6 = {

@@ -14,7 +14,8 @@ from mmqa_lab._results import Shown
 from mmqa_lab.charts import Text
 
 MARKS = ("a", "b", "c")
-"""a: every letter can be told; b: the text can be read; c: it cannot."""
+"""a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
+et al. 2021, section 4.2, where a symbol counts like a letter)."""
 
 X_HEIGHT_SHARE = 0.75
 """Height of lower-case letters in capitals of the chart's font."""

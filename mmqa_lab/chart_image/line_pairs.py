@@ -99,6 +99,9 @@ class PairReading:
 class Resolution:
     """The width of the finest line pairs that are resolved, with all coarser ones.
 
+    In Pfeifer et al. 2021, section 3.2, people decide instead: w is the smallest width whose bars
+    can definitely be told apart.
+
     Parameters
     ----------
     width_mm : float

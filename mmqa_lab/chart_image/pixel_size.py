@@ -69,7 +69,7 @@ def pixel_sizes(tones, layout, chart_map):
     Noise limits what any method can find: an end w pixels wide, with a step of c times the noise
     behind a spread of s pixels, is known to about (2 sqrt(pi) s / (w - 1.1 s))^(1/2) / c pixels. At
     13 mm and 10 % noise the length of a black bar is uncertain by 0.15 px, that of the grey one,
-    with half the contrast, by 0.3 px.
+    with half the contrast, by 0.3 px. The paper measures between two corners of a bar, by hand.
 
     References
     ----------
