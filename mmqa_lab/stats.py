@@ -462,7 +462,16 @@ def median_ratio_interval(top, bottom, block):
 
 
 def student_t(freedom):
-    """Two-sided 95 % quantile of Student's t.
+    """Return the two-sided 95 % quantile of Student's t.
+
+    Parameters
+    ----------
+    freedom : float
+        Degrees of freedom.
+
+    Returns
+    -------
+    float
 
     Examples
     --------

@@ -70,7 +70,8 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     assert f"{answer['figure']}.png" in record["files"]
     assert record["figures"][answer["figure"]]["seen"]
     readme = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
-    assert f"| {masked(answer['sentence'])} |" in masked(readme)  # written by mmqa readme
+    # written by mmqa readme; real clouds, where they are available, add to an answer
+    assert f"| {masked(answer['sentence']).rstrip('.')}" in masked(readme)
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
     page = (folder / f"{study.stem}.html").read_text()
     assert "<img" in page

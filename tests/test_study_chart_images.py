@@ -248,6 +248,22 @@ def test_a_rule_of_ones_own_enters_the_comparison():
     assert bench.failures(results).empty
 
 
+def test_scores_and_figure_have_a_row_for_each_rule():
+    rows = images.photo_cases("C", (0.4,), (0.0, 1.0))
+    made = {
+        name: lambda x: {"spurious": 1, "missed": 0, "steps_h": -1, "steps_v": 0} for name in "ab"
+    }
+    results = bench.run(rows, made, make=lambda seed, **case: 0)
+    scores = images.rule_scores(results)
+    assert scores.index.names == ["method", "spread_px", "exposure_ms"]
+    assert len(scores) == 2 * 3
+    figure = images.draw_rules(results)
+    assert [text.get_text() for text in figure.axes[2].get_legend().get_texts()] == ["a", "b"]
+    # one of two widths of each of four photographs is a step away
+    heights = [[bar.get_height() for bar in bars] for bars in figure.axes[2].containers]
+    assert heights == [[4, 4], [4, 4]]
+
+
 # ledger and checks
 
 

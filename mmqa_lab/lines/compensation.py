@@ -57,7 +57,7 @@ TEMPER = 4.0
 
 @dataclass(frozen=True)
 class Search:
-    """How firmly the refinement holds on to a steady displacement.
+    """How firmly the refinement keeps to a steady displacement.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def _refined(starts, lines, rows, columns, shape, search):
 
 
 def _agreed(outcomes, best):
-    """The pairs that outcomes of more than half of the weight hold, or the best one's if few."""
+    """The pairs that outcomes with more than half of the weight share, or the best one's if few."""
     different = {outcome.pairs.tobytes(): outcome for outcome in outcomes}.values()
     weights = [np.exp((outcome.evidence - best.evidence) / TEMPER) for outcome in different]
     shares = np.average([outcome.pairs for outcome in different], axis=0, weights=weights)

@@ -117,7 +117,7 @@ def distance_matrix(test, model, *, weight=10.0, rotate="test", within="containm
     Returns
     -------
     array, shape (p, q)
-        Metres. Nothing larger than this array is held.
+        Metres. Nothing larger than this array is kept in memory.
 
     Raises
     ------

@@ -8,7 +8,7 @@ import numpy as np
 from mmqa_lab._checks import check_choice, check_points
 
 FLOAT32_LIMIT_M = 1e5
-"""Beyond this, float32 holds coordinates to 8 mm at best (IEEE 754: 24 bits)."""
+"""Beyond this, float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Segments:
     ----------
     ends : array_like, shape (n, 2, 3), (n, 6), (n, 2, 2) or (n, 4)
         The two end points of each segment in metres; 2-D segments lie at height 0. Their order
-        is of no account. n = 0 is allowed.
+        does not matter. n = 0 is allowed.
     origin : array_like, shape (3,), optional
         Coordinates are given relative to this point, which is added in float64. Shift before you
         store as float32: Lambert-93 northings in float32 are rounded to half a metre.
@@ -103,7 +103,7 @@ class Segments:
         return self.ends[:, 0] + self.vectors / 2
 
     def select(self, which):
-        """Return the segments where a mask holds, or those of an index array."""
+        """Return the segments where a mask is true, or those of an index array."""
         return Segments(self.ends[which], name=self.name)
 
     def moved(self, vector):
@@ -190,7 +190,7 @@ def _as_ends(values):
 
 
 def _refuse_coarse(values):
-    """Raise where float32 cannot hold the coordinates."""
+    """Raise where float32 cannot represent the coordinates."""
     largest = float(np.abs(values[np.isfinite(values)]).max(initial=0))
     if largest > FLOAT32_LIMIT_M:
         raise ValueError(

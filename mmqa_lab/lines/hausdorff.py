@@ -164,7 +164,7 @@ class LHD:
         return _larger(self.test_model.perpendicular_only, self.model_test.perpendicular_only)
 
     def interval(self, *, level=0.95, repeats=1000, seed=0):
-        """Bootstrap interval of the value, pairs and threshold held: (low, high), m.
+        """Bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
 
         Says how far the value depends on the segments that happened to be found, not whether the
         pairs are right. NaN below two sources in each direction.

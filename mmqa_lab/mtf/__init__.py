@@ -1,4 +1,10 @@
-"""Resolution in images: edges, Siemens stars, bars and local sharpness."""
+"""Resolution in images: edges, Siemens stars, bars and local sharpness.
+
+Two estimators of one quantity, the transfer of contrast across an edge: ``fit_edge`` describes the
+edge by a sigmoid (two shapes) and gives FWHM and MTF50; ``edge_response`` is the edge method of ISO
+12233 with a fit that follows any profile, sharpened ones too, and gives the whole MTF. Both take an
+array of grey values in proportion to light and share what pixels see of an edge (``spread``).
+"""
 
 from mmqa_lab.mtf.bars import read_bars, resolving_power
 from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response

@@ -9,12 +9,15 @@ window, Fourier transform. It is noisier; where both differ, the answer says so.
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from mmqa_lab._checks import check_count
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.levels import check_image
 from mmqa_lab.mtf.spread import (
     BINS_PER_PIXEL,
     bin_means,
+    crossing,
     deviation,
     spread_edge,
 )
@@ -40,7 +43,7 @@ SMALLEST_ANGLE_DEG = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeResponse:
+class EdgeResponse(Shown):
     """The spatial frequency response across one edge.
 
     Parameters
@@ -89,8 +92,13 @@ class EdgeResponse:
     mtf_binned: np.ndarray
     remark: str = ""
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return ``frequency_per_px``, ``mtf``, ``mtf_binned``, one row a frequency."""
+        curves = {"mtf": self.mtf, "mtf_binned": self.mtf_binned}
+        return pd.DataFrame({"frequency_per_px": self.frequencies, **curves})
 
-def edge_response(image, *, order=1):
+
+def edge_response(image, *, order: int = 1) -> EdgeResponse:
     """Measure the MTF of an image that shows one straight edge.
 
     Parameters
@@ -218,16 +226,6 @@ def response(distance, along, values, angle, *, order=1, width=np.inf, terms=3):
         mtf_binned=binned,
         remark=_remark(mtf50, binned50, angle, mtf, terms),
     )
-
-
-def crossing(frequencies, mtf, level):
-    """Return the first frequency at which an MTF falls below a level, NaN where it does not."""
-    below = mtf < level
-    if not below.any() or below[0]:
-        return np.nan
-    k = int(np.argmax(below))
-    part = (mtf[k - 1] - level) / (mtf[k - 1] - mtf[k])
-    return float(frequencies[k - 1] + part * (frequencies[k] - frequencies[k - 1]))
 
 
 def _steepness(image):

@@ -1,16 +1,18 @@
 """The edge spread function of one edge as a sigmoid: FWHM and MTF50.
 
 EuroSDR 2013, image radiometry, spatial resolution: a sigmoid is fitted to all pixels of a region
-that holds one straight edge; its derivative is the line spread function. Lengths in pixels,
-frequencies in cycles per pixel. For edges that no sigmoid describes (sharpened images) there is
-``chart_image.edges``.
+with one straight edge; its derivative is the line spread function. The report counts five
+parameters and does not print the shape of its sigmoid. Lengths in pixels, frequencies in cycles per
+pixel. For edges that no sigmoid describes (sharpened images) there is ``edge_response``.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab._results import Shown
 from mmqa_lab.mtf.spread import spread_edge
 
 SHAPES = ("gaussian", "logistic")
@@ -22,7 +24,7 @@ LOGISTIC_MTF50 = 2.17731898
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFit:
+class EdgeFit(Shown):
     """A sigmoid fitted to an edge.
 
     Parameters
@@ -102,8 +104,13 @@ class EdgeFit:
 
         return brentq(lambda f: self.mtf(f) - 0.5, 0, min(0.2 / max(self.width_px, 1e-3), 0.99))
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row: resolution, width with its standard error, direction, misfit."""
+        names = ("shape", "mtf50", "fwhm_px", "width_px", "width_std_px", "angle_deg", "rms", "n")
+        return pd.DataFrame([{name: getattr(self, name) for name in names}])
 
-def fit_edge(region, *, shape="gaussian"):
+
+def fit_edge(region, *, shape: str = "gaussian") -> EdgeFit:
     """Fit a sigmoid to a region with one straight edge.
 
     Least squares over all pixels: two grey levels, direction and place of the edge, width.
@@ -183,7 +190,7 @@ def fit_edge(region, *, shape="gaussian"):
     )
 
 
-def dependence(edges):
+def dependence(edges: pd.DataFrame) -> pd.DataFrame:
     """Tell what the blur of edges all over an image depends on.
 
     The squared width is regressed on the squared distance from the image's centre, separately for
@@ -223,7 +230,6 @@ def dependence(edges):
     >>> np.abs(dependence(edges)["estimate"]).round(6).tolist()
     [2.0, 0.0, 0.0, 0.5]
     """
-    import pandas as pd
     from statsmodels.regression.linear_model import OLS
 
     x, y, angle = (edges[name].to_numpy(np.float64) for name in ("x_px", "y_px", "angle_deg"))
@@ -262,7 +268,7 @@ def _start(grey, x, y):
     gx, gy = gx.ravel(), gy.ravel()
     energy = gx**2 + gy**2
     if high <= low or not energy.any():
-        raise ValueError("Invalid region: one grey value. Must hold an edge.")
+        raise ValueError("Invalid region: one grey value. Must show an edge.")
     angle = 0.5 * np.arctan2(2 * (gx * gy).sum(), (gx**2 - gy**2).sum())
     if (gx * np.cos(angle) + gy * np.sin(angle)).sum() < 0:
         angle += np.pi

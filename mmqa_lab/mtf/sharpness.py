@@ -56,19 +56,20 @@ def haar_sharpness(image, *, block=64, noise_std=None):
     1.0
     """
     import pywt
+    from scipy.stats import median_abs_deviation
 
     grey = np.asarray(image, dtype=np.float64)
     side = check_count(block, "block", low=8)
     if grey.ndim != 2 or min(grey.shape) < side or not np.isfinite(grey).all() or side % 4:
         raise ValueError(
-            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be finite and hold "
-            "a block, whose side must be a multiple of 4."
+            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be finite and at "
+            "least a block large; the block's side must be a multiple of 4."
         )
     rows, columns = (size // side for size in grey.shape)
     approximation, fine = pywt.dwt2(grey[: rows * side, : columns * side], "haar")
     coarse = pywt.dwt2(approximation, "haar")[1]
     if noise_std is None:
-        noise_std = float(np.median(np.abs(fine[2])) / 0.6745)
+        noise_std = float(median_abs_deviation(fine[2], axis=None, scale="normal"))
     noise = check_number(noise_std, "noise_std", low=0) ** 2
     energy = {
         level: [_block_means(part**2, rows, columns) - noise for part in details]

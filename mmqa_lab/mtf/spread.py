@@ -1,4 +1,4 @@
-"""Closed forms and estimates behind the edge method: what pixels see of an edge."""
+"""What pixels see of an edge, and what all estimators of resolution share."""
 
 from dataclasses import dataclass
 
@@ -132,6 +132,16 @@ def bin_means(distance, values, reach):
     means = np.bincount(place, weights=values, minlength=bins) / np.maximum(count, 1)
     free = max((np.maximum(count, 1) - 1).sum(), 1)
     return count, means, float(((values - means[place]) ** 2).sum() / free)
+
+
+def crossing(frequencies, mtf, level):
+    """Return the first frequency at which an MTF falls below a level, NaN where it does not."""
+    below = mtf < level
+    if not below.any() or below[0]:
+        return np.nan
+    k = int(np.argmax(below))
+    part = (mtf[k - 1] - level) / (mtf[k - 1] - mtf[k])
+    return float(frequencies[k - 1] + part * (frequencies[k] - frequencies[k - 1]))
 
 
 def _integral(x, sigma):

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.mtf.spread import crossing
 
 SQUARE = np.pi / 4
 """A square wave's amplitude over that of its fundamental."""
@@ -19,7 +21,7 @@ PLAIN_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class StarMtf:
+class StarMtf(Shown):
     """The modulation transfer function that a star shows.
 
     Parameters
@@ -52,12 +54,7 @@ class StarMtf:
 
     def at(self, share):
         """Frequency at which the contrast first falls to a share; NaN where it does not."""
-        below = np.flatnonzero(self.mtf < share)
-        if not len(below) or below[0] == 0:
-            return np.nan
-        k = below[0]
-        (f0, f1), (m0, m1) = self.frequency[k - 1 : k + 1], self.mtf[k - 1 : k + 1]
-        return float(f0 + (f1 - f0) * (m0 - share) / (m0 - m1))
+        return crossing(self.frequency, self.mtf, share)
 
     @property
     def mtf50(self):
@@ -105,7 +102,15 @@ class StarMtf:
         )
 
 
-def measure_star(image, centre, *, cycles, radius_px, azimuth_deg=(0.0, 360.0), refine=True):
+def measure_star(
+    image,
+    centre,
+    *,
+    cycles: int,
+    radius_px: float,
+    azimuth_deg: tuple = (0.0, 360.0),
+    refine: bool = True,
+) -> StarMtf:
     """Measure the contrast of a Siemens star, circle by circle.
 
     In rings two pixels wide a constant, a wave of the star's cycles, which may change along the

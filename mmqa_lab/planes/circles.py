@@ -20,6 +20,12 @@ class Circle:
         m; as given where it was.
     std : float
         Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open.
+
+    Examples
+    --------
+    >>> circle = fit_circle([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+    >>> round(circle.radius, 6)
+    1.0
     """
 
     centre: np.ndarray
@@ -44,6 +50,11 @@ def fit_circle(points, *, diameter=None, scale=0.01):
     -------
     Circle
         The best one from seven starts: the algebraic circle, and circles beside the points.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the diameter is not positive.
 
     Examples
     --------

@@ -45,6 +45,11 @@ def match(
     DataFrame
         ``detection``, ``reference`` (row numbers), ``distance_m``; ordered by detection.
 
+    Raises
+    ------
+    ValueError
+        If a table has no ``x_m`` and ``y_m`` or the gate is not above zero.
+
     Notes
     -----
     The Hungarian assignment runs within groups of detections and references that the gate connects:
@@ -134,6 +139,12 @@ class Score:
         ``outside``), ``reference`` (row, -1 for none) and ``distance_m``.
     targets : DataFrame
         The references with ``target`` (whether it counts), ``found`` and ``detection`` (row, -1).
+
+    Examples
+    --------
+    >>> poles = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
+    >>> score(poles[:1], poles)
+    <Score: recall 0.500 [0.095, 0.905] (1/2), precision 1.000 [0.207, 1.000] (1/1), F1 0.667>
     """
 
     recall: Rate
@@ -233,6 +244,12 @@ def score(
     Returns
     -------
     Score
+
+    Raises
+    ------
+    ValueError
+        If a table has no ``x_m`` and ``y_m``, the gate or the corridor is not above zero, or a
+        corridor comes without a trajectory.
 
     Examples
     --------

@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.radiometry.reflectance import walthall_terms
 
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
@@ -32,7 +33,7 @@ HUBER = 1.5
 REWEIGHTINGS = 6
 """Weights are computed anew in so many iterations and then stay; more would change little."""
 
-AT_REST = 1e-7
+CONVERGED = 1e-7
 """Largest change of a gain, coefficient or relative reflectance in the last iteration."""
 
 
@@ -69,7 +70,7 @@ class Priors:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockAdjustment:
+class BlockAdjustment(Shown):
     """An adjusted block.
 
     Parameters
@@ -112,6 +113,10 @@ class BlockAdjustment:
     sigma0: float
     absolute: bool
     iterations: int
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the gains, one row an image."""
+        return self.gains.copy()
 
     def correct(self, observations, *, to_nadir: bool = True):
         """Return the reflectance (relative without control) of each observation.
@@ -166,7 +171,7 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     ------
     ValueError
         If a column is missing, no tie point lies in two images, the parameters cannot be told
-        apart, or the iteration does not come to rest.
+        apart, or the iteration does not converge.
 
     Notes
     -----
@@ -190,11 +195,11 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     check_count(rounds, "rounds")
     problem, names = _block_problem(observations, control, priors, relative_std)
     step, iteration = np.inf, 0
-    while step > AT_REST:
+    while step > CONVERGED:
         if iteration == rounds:
             raise ValueError(
-                f"Invalid block: not at rest after {rounds} iterations. Must have tie points that "
-                "determine the parameters."
+                f"Invalid block: still changing after {rounds} iterations. Must have tie points "
+                "that determine the parameters."
             )
         misfit, jacobian, by_ground = problem.linearised()
         scaled = misfit / problem.std

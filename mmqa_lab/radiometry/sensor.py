@@ -14,13 +14,14 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab._results import Shown
 
 SPREAD = 3.0
 """A target counts as saturated when its mean comes this near full scale, in its own deviations."""
 
 
 @dataclass(frozen=True, eq=False)
-class SensorFit:
+class SensorFit(Shown):
     """A linear sensor model and how well it is known.
 
     Parameters
@@ -192,7 +193,7 @@ def patch_statistics(image, patches, *, full_scale=np.inf):
     return pd.DataFrame(rows, columns=columns)
 
 
-def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale=np.inf):
+def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale: float = np.inf) -> SensorFit:
     """Fit gain and offset of a sensor to targets of known radiance.
 
     Weighted regression of DN on radiance times exposure. Targets whose DN comes within three of

@@ -253,7 +253,7 @@ def _fields(size, seed, fields=60):
 
 
 def _even_windows(surface, reflectance, window):
-    """Where a window holds one surface class, and the mean reflectance over it."""
+    """Where a window has one surface class, and the mean reflectance over it."""
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
     even = maximum_filter(surface, window + 2) == minimum_filter(surface, window + 2)

@@ -29,7 +29,7 @@ SCANNERS = {
         pulse_rate_hz=976_000,
         mirror_frequency_hz=95,
         lever_arm_m=MAST_M,
-        source="as ROAMER with the pulse rate and mirror frequency of a later profiler; assumed",
+        source="976 kHz as in the ROAMER of 2011 (EuroSDR 2013); 95 Hz assumed, the rest as ROAMER",
     ),
     "vq-450": replace(presets.VQ_450, lever_arm_m=MAST_M),
     "push-broom": ProfileScanner(

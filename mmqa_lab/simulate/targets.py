@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_count, check_number, check_positive
 
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
@@ -255,6 +255,10 @@ def expose(light, *, gain, offset=0.0, read_noise=2.0, electrons_per_dn=10.0, bi
 class Atmosphere:
     """What air does to radiance between level ground and a camera.
 
+    The terms of equation 1 of EuroSDR 2013, image radiometry, that level ground has: light of sun
+    and sky reflected by the target, light reflected by the surroundings into the beam, path
+    radiance.
+
     Parameters
     ----------
     irradiance : float
@@ -281,6 +285,11 @@ class Atmosphere:
         """Radiance at the camera over targets of a reflectance in surroundings of another.
 
         Without a seed the path radiance is the same everywhere.
+
+        Examples
+        --------
+        >>> round(float(ATMOSPHERES["clean"].radiance(0.2)), 1)
+        79.3
         """
         rho = np.asarray(reflectance, dtype=np.float64)
         lit = self.irradiance / (np.pi * (1 - self.spherical_albedo * surroundings))
@@ -296,17 +305,6 @@ ATMOSPHERES = {
     "hazy": Atmosphere(950.0, 38.0, 0.005, 0.62, 0.15, 0.20),
 }
 """Assumed values in the red, flying at 1-2 km: visibility above 40 km, and of a few kilometres."""
-
-
-def atmosphere(name):
-    """Return one of ``ATMOSPHERES``.
-
-    Examples
-    --------
-    >>> round(float(atmosphere("clean").radiance(0.2)), 1)
-    79.3
-    """
-    return ATMOSPHERES[check_choice(name, "atmosphere", tuple(ATMOSPHERES))]
 
 
 def _render(shape, spread, distance, low, high):

@@ -38,8 +38,8 @@ STUDIES = (
         number=1,
         stem="chart_tables",
         title="Chart metrics",
-        question="How good are the point clouds of three systems, measured on a chart, and who wins "
-        "the tender?",
+        question="How good are the point clouds of three systems, measured on a chart, and who "
+        "wins the tender?",
         source="Pfeifer et al. 2021, doi:10.3390/rs13020237, Table 2",
     ),
     Study(

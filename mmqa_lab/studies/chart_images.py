@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from mmqa_lab import bench, chart_image, charts, published
+from mmqa_lab import bench, chart_image, charts, plots, published
 from mmqa_lab.chart_image.light import decode
 from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.charts import Bar, Layout, LinePairs
@@ -432,7 +432,50 @@ def comparison(quick=False):
     if quick:
         systems, spreads, exposures = "C", (0.4,), (0.0, 1.5)
     cases = photo_cases(systems, spreads, exposures)
-    return bench.Comparison(cases, dict(RULES), photo_case, score_rule)
+    return bench.Comparison(
+        cases,
+        dict(RULES),
+        photo_case,
+        score_rule,
+        tables=lambda results: {"rules": rule_scores(results)},
+        figures=lambda results: {"rules": draw_rules(results)},
+    )
+
+
+def rule_scores(results):
+    """Return the spurious and missed patterns a photograph of each rule, orthogonal at 10 m.
+
+    Parameters
+    ----------
+    results : Dataset
+        Of the bench of rules.
+
+    Returns
+    -------
+    DataFrame
+        ``spurious`` and ``missed``, indexed by ``method``, ``spread_px`` and ``exposure_ms``.
+    """
+    table = bench.cell_table(results)
+    seen = table[(table["view"] == "orthogonal") & (table["distance_m"] == 10)]
+    groups = seen.groupby(["method", "spread_px", "exposure_ms"], sort=False)
+    return groups[["spurious", "missed"]].mean()
+
+
+def draw_rules(results):
+    """Draw spurious and missed patterns of each rule, and how its widths differ from Table 1."""
+    figure, axes = plots.subplots(1, 3, width="double", height_mm=55)
+    table, scores = bench.cell_table(results), rule_scores(results)
+    order = list(table["method"].unique())
+    for ax, name in zip(axes, ("spurious", "missed"), strict=False):
+        scores.pivot_table(name, "spread_px", "method")[order].plot.bar(ax=ax, legend=False, rot=0)
+        ax.set(xlabel="point spread (pixels)", ylabel=f"{name} patterns a photograph")
+    printed = table[(table["spread_px"] == FITTED_PX) & (table["exposure_ms"] == 0)]
+    steps = printed.set_index("method")[["steps_h", "steps_v"]].abs().stack().astype(int)
+    counts = pd.crosstab(steps, steps.index.get_level_values("method"))
+    counts[order].plot.bar(ax=axes[2], rot=0)
+    axes[2].set(xlabel="steps from Table 1", ylabel="widths")
+    axes[2].legend(title="", loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    return figure
 
 
 def answer(trials):

@@ -4,13 +4,14 @@ Everything is simulated but the photographs of ``REAL_EDGES`` and ``PHOTOGRAPHS`
 images (EuroSDR 2013, image radiometry) are airborne.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab import bench, io, plots, samples
-from mmqa_lab.mtf import edge_response, fit_edge, read_bars, resolving_power
+from mmqa_lab.mtf import edge_response, fit_edge
 from mmqa_lab.published import ledger, table
 from mmqa_lab.radiometry import fit_sensor, patch_statistics, reflectance_errors, relative_exposure
 from mmqa_lab.run import Check
@@ -110,9 +111,10 @@ def edge_patch(sigma_px, noise, seed):
 
 
 def edge_errors(found, truth):
-    """Errors in percent. A method returns MTF50, or a dict with ``mtf50`` and ``fwhm_px``."""
+    """Errors in percent of MTF50, or of the numbers of a dict, where the truth has them."""
     named = found if isinstance(found, dict) else {"mtf50": found}
-    return {f"{name}_error_percent": 100 * (named[name] / truth[name] - 1) for name in named}
+    known = [name for name in named if name in truth]
+    return {f"{name}_error_percent": 100 * (named[name] / truth[name] - 1) for name in known}
 
 
 def sigmoid(shape):
@@ -135,6 +137,9 @@ METHODS = {
 
 COLOURS = dict(zip(METHODS, ("blue", "vermilion", "green", "orange"), strict=True))
 """A colour of :mod:`mmqa_lab.plots` for each estimator."""
+
+
+LABELS = {"mtf50_error_percent": "MTF50 error (%)", "fwhm_px_error_percent": "FWHM error (%)"}
 
 
 def comparison(quick=False):
@@ -175,7 +180,9 @@ def draw_errors(results):
     figures = bench.figure_names(results)
     figure, axes = plots.subplots(1, len(figures), width="double", height_mm=65, squeeze=False)
     for ax, name in zip(axes.flat, figures, strict=True):
-        for shift, (method, rows) in enumerate(bench.cell_table(results).groupby("method")):
+        for shift, (method, rows) in enumerate(
+            bench.cell_table(results).groupby("method", sort=False)
+        ):
             groups = rows.groupby("sigma_px")[name]
             low, middle, high = (groups.quantile(q) for q in (0.05, 0.5, 0.95))
             colour = plots.COLOURS[COLOURS.get(method, "black")]
@@ -184,7 +191,7 @@ def draw_errors(results):
                 middle.index * (1 + 0.02 * shift), middle, [middle - low, high - middle], **look
             )
         ax.axhspan(-1, 1, color=plots.COLOURS["sky"], alpha=0.3)
-        ax.set(xlabel="blur before the pixel, sigma (px)", ylabel=name.replace("_", " "))
+        ax.set(xlabel="blur before the pixel, sigma (px)", ylabel=LABELS.get(name, name))
     axes.flat[-1].legend(loc="upper left", bbox_to_anchor=(1, 1))
     return figure
 
@@ -195,25 +202,16 @@ def real_patch(photograph, seed=0):
     return io.read_grey(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
-@dataclass(frozen=True, eq=False)
-class StarPatch:
-    """An image of a Siemens star, and what is known of the star beforehand."""
-
-    image: np.ndarray
-    centre: np.ndarray
-    cycles: int
-    radius_px: float
-
-
 def star_patch(sigma_px, cycles, noise, seed):
-    """A noisy star with a centre known to half a pixel; its point spread and true centre."""
+    """A star as ``measure_star(**star)`` takes it, its centre known to half a pixel; the truth."""
     rng = np.random.default_rng(seed)
     spread, radius = PointSpread(sigma_px), 2.6 * cycles + 20
     size, centre = 2 * int(radius + 8), rng.uniform(-0.5, 0.5, 2)
-    choices = {"cycles": cycles, "radius_px": radius, "centre": centre, "low": LOW, "high": HIGH}
-    image = noisy(render_star((size, size), spread, **choices), noise, rng)
+    known = {"cycles": cycles, "radius_px": radius}
+    clean = render_star((size, size), spread, centre=centre, low=LOW, high=HIGH, **known)
     middle = centre + (size - 1) / 2
-    star = StarPatch(image, middle + rng.uniform(-0.5, 0.5, 2), cycles, radius)
+    rough = middle + rng.uniform(-0.5, 0.5, 2)
+    star = {"image": noisy(clean, noise, rng), "centre": rough, **known}
     return star, {"spread": spread, "centre": middle}
 
 
@@ -229,31 +227,14 @@ def noisy(image, noise, rng):
     return image + noise * (HIGH - LOW) * rng.standard_normal(image.shape)
 
 
-def bar_group(period_px, sigma_px, noise, rng):
-    """Read one group of four bars: its row of readings, and its image."""
+def bar_image(period_px, sigma_px, noise, rng):
+    """A noisy image of four bars, and the table that tells ``read_bars`` where they are."""
     size, offset = int(6 * period_px) + 12, rng.uniform(-0.5, 0.5)
     choices = {"period_px": period_px, "offset_px": offset, "low": LOW, "high": HIGH}
     image = noisy(render_bars((size, size), PointSpread(sigma_px), **choices), noise, rng)
-    group = {"period_px": period_px, "x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
-    groups = pd.DataFrame([group | {"angle_deg": 0.0, "bars": 4}])
-    return read_bars(image, groups, dark=LOW, bright=HIGH, noise=noise * (HIGH - LOW)), image
-
-
-def bars_over_image(*, positions, noise, seed, sigma_px=0.5):
-    """Read bars 3 to 12 cm wide at 5 cm per pixel in the centre, 1.6 times that in the corner.
-
-    Widths, pixel and factor are the report's; places and blur are assumed. Returns a DataFrame:
-    ``radius`` (1 in the farthest corner), ``width_cm`` of the narrowest bars resolved.
-    """
-    rng = np.random.default_rng(seed)
-    widths = 12.0 * BAR_STEP ** -np.arange(13)
-    rows = []
-    for radius in np.sqrt(rng.uniform(0, 1, positions)):
-        pixel_cm = 5.0 * (1 + 0.6 * radius)
-        groups = [bar_group(2 * width / pixel_cm, sigma_px, noise, rng)[0] for width in widths]
-        period, _ = resolving_power(pd.concat(groups))
-        rows.append((radius, period * pixel_cm / 2))
-    return pd.DataFrame(rows, columns=["radius", "width_cm"])
+    middle = {"x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
+    group = {"period_px": period_px, **middle, "angle_deg": 0.0, "bars": 4}
+    return image, pd.DataFrame([group])
 
 
 def grey_wedge(radiance, exposure, seed):
@@ -376,28 +357,6 @@ def mosaic(block, adjustment=None):
     return values.reshape(block.surface.shape)
 
 
-def figure_of_blur(sigma_px):
-    """Return a figure of an edge's pixels over their distance, with two sigmoids."""
-    spread = PointSpread(sigma_px)
-    patch = render_edge((60, 60), spread, angle_deg=6.0, low=LOW, high=HIGH)
-    figure, ax = plots.subplots(height_mm=65)
-    best, x = fit_edge(patch), np.linspace(-3, 3, 401)
-    rows, columns = np.indices(patch.shape) - 29.5
-    turn = np.radians(best.angle_deg)
-    distance = (columns * np.cos(turn) + rows * np.sin(turn) - best.position_px).ravel()
-    level = (patch.ravel() - best.low) / (best.high - best.low)
-    ax.plot(distance, level, ".", ms=1, color=plots.COLOURS["grey"], alpha=0.4)
-    for shape, colour in (("gaussian", "blue"), ("logistic", "vermilion")):
-        fit = fit_edge(patch, shape=shape)
-        ax.plot(x, fit.esf(x), color=plots.COLOURS[colour])
-        label = f"{shape}: FWHM {fit.fwhm_px:.2f} px"
-        ax.plot(x, fit.lsf(x), "--", color=plots.COLOURS[colour], label=label)
-    ax.set(xlabel="distance across the edge (px)", ylabel="edge and line spread (1, 1/px)")
-    ax.set(xlim=(-3, 3), title=f"true FWHM {spread.fwhm(6.0):.2f} px")
-    ax.legend(loc="upper left", fontsize=6)
-    return figure
-
-
 def ledger_entries(*, corner, sensors, stable, reflectance, laboratory):
     """Return our values for the report's results that a simulation can be set beside.
 
@@ -414,43 +373,35 @@ def ledger_entries(*, corner, sensors, stable, reflectance, laboratory):
     laboratory : DataFrame
         Errors in percent that 10 and 20 % of radiance make: ``target_class``, ``low``, ``high``.
     """
-    yield _entry(
-        "resolution_results", "corner_factor", corner.value, corner, PREDICTED, "predicted"
-    )
+    found = [("resolution_results", "corner_factor", corner.value, corner, PREDICTED, "predicted")]
     lines = [1000 / pixel for pixel in (12.0, 12.5, 11.5)]
-    note = (
-        "One line on each pixel of 12 um, which prints as 83; the interval is that of 12, rounded."
+    found.append(
+        ("resolution_results", "theoretical_resolution", *_split(lines), PIXELS, "predicted")
     )
-    yield _entry(
-        "resolution_results", "theoretical_resolution", lines[0], lines[1:], note, "predicted"
+    r2 = _split(sensors["r_squared"].quantile([0.025, 0.025, 0.975]))
+    found += [("calibration_results", f"dmc_r2_{site}", *r2, LINEAR) for site in SITES]
+    offset, std = sensors[["offset_dn", "offset_std_dn"]].mean() - [OFFSET, 0]
+    found.append(
+        ("calibration_results", "dmc_intercept", offset, (offset - 2 * std, offset + 2 * std), DARK)
     )
-    low = sensors["r_squared"].quantile([0.025, 0.975])
-    for name in ("dmc_r2_sjokulla", "dmc_r2_banyoles"):
-        yield _entry("calibration_results", name, low.iloc[0], low, LINEAR)
-    offset = sensors["offset_dn"].mean() - OFFSET
-    half = 2 * sensors["offset_std_dn"].mean()
-    yield _entry(
-        "calibration_results", "dmc_intercept", offset, (offset - half, offset + half), DARK
-    )
-    middle, ends = stable.mean(), stable.quantile([0.025, 0.975])
-    for name in ("same_aperture", "other_aperture", "other_day"):
-        for band, note in (("rgb", FITTED), ("nir", NEAR_INFRARED)):
-            cell = f"stability_{band}_{name}"
-            yield _entry("calibration_results", cell, middle, ends, note, "fitted")
+    between = _split([stable.mean(), *stable.quantile([0.025, 0.975])])
+    for name, (band, note) in itertools.product(CHANGES, LABEL_NOTES.items()):
+        found.append(("calibration_results", f"stability_{band}_{name}", *between, note, "fitted"))
     for cell, (method, name, note) in COMPARABLE.items():
-        errors = reflectance.query("method == @method")[f"{name}_percent"]
+        errors = reflectance.loc[reflectance["method"] == method, f"{name}_percent"]
         ends = errors.quantile([0.025, 0.975])
-        yield _entry("reflectance_results", cell, np.sqrt((errors**2).mean()), ends, note)
+        found.append(("reflectance_results", cell, np.sqrt((errors**2).mean()), ends, note))
     for cell, name in LABORATORY.items():
-        row = laboratory.set_index("target_class").loc[name]
-        ends = row["low"], row["high"]
-        yield _entry("reflectance_results", cell, np.mean(ends), ends, PASSED_ON)
+        ends = laboratory.set_index("target_class").loc[name, ["low", "high"]]
+        found.append(("reflectance_results", cell, ends.mean(), ends, PASSED_ON))
+    return [_entry(*row) for row in found]
 
 
 PREDICTED = (
     "Bars 3 to 12 cm wide at 5 cm per pixel, 1.6 times that in the corner, as printed; read in "
     "simulated images and regressed on the distance. Blur (0.5 px) and places are assumed."
 )
+PIXELS = "One line on each pixel of 12 um, which prints as 83; the interval is that of 12, rounded."
 LINEAR = (
     "A simulated linear sensor without error of the reference: such R2 says little of accuracy."
 )
@@ -463,6 +414,9 @@ NEAR_INFRARED = (
     "The error of the exposure labels that explains R, G, B is common to all bands and cannot give "
     "the near infrared more: air or sensor must add to it there."
 )
+LABEL_NOTES = {"rgb": FITTED, "nir": NEAR_INFRARED}
+CHANGES = ("same_aperture", "other_aperture", "other_day")
+SITES = ("sjokulla", "banyoles")
 SIMULATED = "Simulated targets and clean air, which the method knows without error: a lower bound."
 PASSED_ON = (
     "What the difference of 10 to 20 % in radiance that the report prints for this sensor (section "
@@ -490,6 +444,12 @@ COMPARABLE = {
 LABORATORY = {"bright_laboratory": "bright tarps", "black_tarp_laboratory": "black tarp"}
 
 
+def _split(three):
+    """A value and its ends."""
+    value, *ends = three
+    return value, ends
+
+
 def _entry(name, cell, value, ends, note, kind="measured"):
     """One row of the ledger; the ends are a pair or an Interval."""
     low, high = (ends.low, ends.high) if hasattr(ends, "low") else ends
@@ -514,16 +474,15 @@ def checks(*, edges, stars, sensors, reflectance, block):
     Check
     """
     cells = bench.cell_table(edges).query("noise <= 0.01")
-    by_method = cells.set_index("method")
-    fit = by_method.loc["Gaussian sigmoid", ["mtf50_error_percent", "fwhm_px_error_percent"]]
-    worst = fit.abs().quantile(0.95)
+    names = ["mtf50_error_percent", "fwhm_px_error_percent"]
+    worst = cells.query("method == 'Gaussian sigmoid'")[names].abs().quantile(0.95)
     yield Check(
         "At 1 % noise, FWHM and MTF50 of edges by the Gaussian sigmoid are right within 1 %.",
         bool(worst.max() < 1),
         f"95 % of edges within {worst.iloc[1]:.2f} % and {worst.iloc[0]:.2f} %",
         "the limit asked for, 95 % of edges",
     )
-    logistic = by_method.loc["logistic sigmoid", "fwhm_px_error_percent"].median()
+    logistic = cells.query("method == 'logistic sigmoid'")["fwhm_px_error_percent"].median()
     yield Check(
         "A logistic sigmoid reads the FWHM of a Gaussian blur more than 10 % too small.",
         bool(logistic < -10),

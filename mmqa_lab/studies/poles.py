@@ -446,10 +446,6 @@ UNKNOWN = (1000, 1001, 9999)
 """Points whose class the labels leave open: whether a pole stands there is not known."""
 
 
-OAKLAND_F1 = 0.86
-"""F1 of the learned method as shipped on all ten tiles, for runs without these clouds."""
-
-
 def oakland(tiles=None):
     """Return the cloud of the first or all tiles, shuffled, and its reference poles.
 
