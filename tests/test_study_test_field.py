@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from mmqa_lab import bench
 from mmqa_lab.simulate.testfield import REFERENCE_STD_M, System, make_testfield, systems
 from mmqa_lab.studies import test_field as study
 
@@ -116,7 +117,7 @@ DRIVES = pd.DataFrame({"measured_mm": [3.0] * 30, "predicted_mm": [3.0, 3.1, 2.9
 CALIBRATIONS = pd.DataFrame(
     [("as installed", 0.25, 40.0, 50.0), ("planes, poles, control", 0.002, 2.0, 15.0)],
     columns=["method", "angle_deg", "arm_mm", "pole_rmse_mm"],
-).assign(navigation="exact")
+).assign(navigation="exact", reference_std_m=0.003)
 REAL = pd.DataFrame(
     {"comparison": ["drive 1", "drive 2", "drive 1 - drive 2"], "mean_mm": [-62.0, -48.0, -14.0]}
 ).assign(shift="kept")
@@ -131,6 +132,24 @@ def passed(**changed):
         "real": REAL,
     }
     return [check.passed for check in study.checks(**{**given, **changed})]
+
+
+def test_tables_and_figure_of_a_calibration_that_failed():
+    def broken(survey):
+        raise ValueError("Invalid drives: they do not determine the mounting.")
+
+    cases = bench.grid(navigation=("exact", "good"), reference_std_m=(0.003, 0.011))
+    methods = {"as installed": lambda _: 70.0, "planes, poles, control": lambda _: 4.0}
+    choices = {
+        "make": lambda navigation, reference_std_m, seed: navigation,
+        "score": lambda value, _: {"pole_rmse_mm": value, "angle_deg": 0.0, "arm_mm": 0.0},
+    }
+    with pytest.warns(UserWarning, match="do not determine"):
+        results = bench.run(cases, methods | {"broken": broken}, **choices)
+    table = study.calibration_tables(results)["calibrations"]
+    assert table.set_index("method")["pole_rmse_mm"]["broken"].isna().all()
+    assert list(study.calibration_figures(results)) == ["calibrations"]
+    assert all(check.passed for check in study._calibrated(table))
 
 
 @pytest.mark.parametrize(
