@@ -267,8 +267,8 @@ def ledger_entries(beside, *, visible, diameters, correctness, crowded):
     list of dict
         Of :func:`mmqa_lab.published.ledger.entry`.
     """
-    chosen = "Simulated streets; the plan was chosen near Table 4-1, on other seeds."
-    other = "Simulated streets chosen for the scan-line method; thresholds are ours."
+    chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
+    other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
     plain = "Simulated walls are planes without plants, furniture or goods before them."
     rows = []
     for row in beside.to_dict("records"):
