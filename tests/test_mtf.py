@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.mtf.bars import read_bars, resolving_power
-from mmqa_lab.mtf.edge import dependence, fit_edge
 from mmqa_lab.mtf.sharpness import haar_sharpness
+from mmqa_lab.mtf.sigmoid import dependence, fit_edge
 from mmqa_lab.mtf.star import measure_star
 from mmqa_lab.simulate.targets import (
     PointSpread,

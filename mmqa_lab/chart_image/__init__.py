@@ -37,7 +37,7 @@ from mmqa_lab.chart_image.locate import align, locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.pixel_size import pixel_size, pixel_sizes
 from mmqa_lab.chart_image.site import Limits, chart_site, check_drive, choose_images
-from mmqa_lab.mtf.chart_edge import edge_response
+from mmqa_lab.mtf.edge_method import edge_response
 
 __all__ = [
     "ChartMap",

@@ -12,7 +12,7 @@ from mmqa_lab.chart_image.locate import align
 from mmqa_lab.chart_image.mapping import ChartMap
 from mmqa_lab.chart_image.pixel_size import SLENDERNESS, pixel_size, pixel_sizes
 from mmqa_lab.charts import Bar
-from mmqa_lab.mtf.chart_edge import response
+from mmqa_lab.mtf.edge_method import response
 
 SINGLE_EDGE_PX = 16.0
 """Bars wider than this show two edges on their own, narrower ones are fitted as bars."""

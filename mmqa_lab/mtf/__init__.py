@@ -7,9 +7,9 @@ array of grey values in proportion to light and share what pixels see of an edge
 """
 
 from mmqa_lab.mtf.bars import read_bars, resolving_power
-from mmqa_lab.mtf.chart_edge import EdgeResponse, edge_response
-from mmqa_lab.mtf.edge import EdgeFit, dependence, fit_edge
+from mmqa_lab.mtf.edge_method import EdgeResponse, edge_response
 from mmqa_lab.mtf.sharpness import haar_sharpness, mean_sharpness
+from mmqa_lab.mtf.sigmoid import EdgeFit, dependence, fit_edge
 from mmqa_lab.mtf.star import StarMtf, measure_star
 
 __all__ = [
