@@ -437,7 +437,7 @@ def olhd(distances, pairs, lengths, *, norm="pairs"):
         Weights: the lengths of the targets, m.
     norm : {"pairs", "matched", "all"}
         What the weighted sum is divided by: the weights of all pairs (a mean; agrees with the
-        published numbers), of each matched target once, or of all targets.
+        published numbers), of each matched target once, or of all targets (as printed).
 
     Returns
     -------
@@ -451,7 +451,8 @@ def olhd(distances, pairs, lengths, *, norm="pairs"):
 
     References
     ----------
-    Poreba & Goulette 2013 (hal-00846334), equation 7, whose denominator leaves these readings.
+    Poreba & Goulette 2013 (hal-00846334), equation 7. Its denominator is printed as a sum over the
+    model set; the text calls the result a weighted average.
 
     Examples
     --------

@@ -57,8 +57,8 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below", sort_again=
     order : {2, 1}
         Second differences as in the paper, or first.
     at : {"below", "index", "middle", "value"}
-        The distance before the jump, the first that the difference spans, the middle of the jump,
-        or the value of the difference itself, which is what the paper says to the letter.
+        The distance before the jump (our reading), the first that the difference spans, the middle
+        of the jump, or the value of the difference itself, which is what the paper says literally.
     sort_again : bool
         Sort the first differences before they are differenced again, another reading of "the new
         list".

@@ -1,4 +1,4 @@
-"""Poles: two published detectors, a learned one, and their scores against a reference.
+"""Poles: versions of two published detectors, a learned one, and scores against a reference.
 
     from mmqa_lab import poles
 

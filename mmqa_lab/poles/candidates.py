@@ -1,4 +1,4 @@
-"""Candidates for poles: columns of a fine plan grid that hold points over many heights.
+"""Candidates for poles: columns of a fine plan grid with points over many heights.
 
 Every cell of 0.1 m keeps one bit for each 0.25 m of height with a point: a column over 16 m
 is one 64-bit number, and the emptiness around it is a bitwise operation. The work is linear in the

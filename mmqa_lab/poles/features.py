@@ -13,7 +13,7 @@ from mmqa_lab.poles.common import base, near_axis, rows
 RADII_M = np.array([0.06, 0.10, 0.15, 0.20, 0.30, 0.40])
 SHELL_M = 0.25
 CLEAN = 0.15
-"""A bin is clean when the shell holds at most this share of the points in the core."""
+"""A bin is clean when the shell has at most this share of the points in the core."""
 
 NARROW = 0.6
 """The core is the narrowest whose clean run is that share of the longest: boards stay outside."""
@@ -53,7 +53,7 @@ NAMES = (
 ``beside_R``: share of the run's height bins with points between the last radius and R cm;
 ``flatness``: how much what stands beside lies on a line in plan; ``off_line_m``: how far the axis
 stands from that line; ``slab``: share of the plan around occupied right above or below the run;
-``hollow``: of the cylinder near the axis with the most height bins that hold points on its surface
+``hollow``: of the cylinder near the axis with the most height bins that have points on its surface
 and none inside, up to 5 m above the ground; ``crowd``: log of the points around it.
 """
 

@@ -4,6 +4,12 @@ Scan lines are cut into short groups, groups of neighbouring lines that lie over
 clusters, coaxial clusters are merged, and a mask of two coaxial cylinders, dense inside and almost
 empty between, is moved along each cluster (EuroSDR 2013, chapter 4; Lehtomaki et al. 2010,
 doi:10.3390/rs2030641; 2011, ISPRS Archives XXXVIII-5/W12).
+
+It differs from section 4.1 of the report: the inner cylinder has one radius, with a limit, for a
+whole cluster; shape and orientation are tested for the cluster and not at each step of the mask;
+the longest unbroken stretch that the mask accepts is the pole, not all accepted points together;
+duplicates are dropped. Points of low intensity and isolated points, which section 3.1.3.2 removes,
+are kept.
 """
 
 from dataclasses import dataclass

@@ -49,7 +49,7 @@ NAMES = (
     *("stack_filled", "stack_spacing_m"),
 )
 """What the columns of :func:`describe` mean: length of the stack of groups, log of their number,
-share of the points near the axis that they hold, their median width and its spread, how far they
+their share of the points near the axis, their median width and its spread, how far they
 stray from the axis, shares with two free ends and with one, points per group, groups nearby that
 are not aligned for each that is, share of the stack's height bins with a group, median spacing of
 points."""

@@ -4,6 +4,11 @@ The cloud is clipped to a corridor, planar segments are grown and roughly classe
 raised), what is left above ground falls into connected components, and each component is cut into
 horizontal slices whose enclosing rectangles are compared up the stack (EuroSDR 2013, chapter 4; Pu
 et al. 2011, ISPRS Journal 66, S28-S39, doi:10.1016/j.isprsjprs.2011.08.006). No scan lines needed.
+
+It differs from section 4.2 of the report: the ground comes from the lowest points and not from
+segments and their connectivity; walls are removed before components are formed, not the ground
+alone; trees are recognised by the width of their crown, not by the shapes of sub-components, and
+signs are not distinguished from other poles.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """Scan patterns measured: in the points of a planar patch, and in a whole street with time.
 
-In place of distances clicked between points (Cahalane et al. 2014, section 4.2), all profiles of a
-patch are fitted at once, and every figure comes with its standard deviation. From the times of a
-whole street follows the moving plane of the scanner.
+In place of distances clicked between points (Cahalane et al. 2014, sections 4.1.2 and 4.2.2), all
+profiles of a patch are fitted at once, and every figure comes with its standard deviation. The
+times of a whole street give the moving plane of the scanner.
 """
 
 import warnings
@@ -190,7 +190,7 @@ def measure_pattern(
 
     References
     ----------
-    Cahalane et al. 2014, section 4.2. doi:10.3390/s140609471
+    Cahalane et al. 2014, sections 4.1.2 and 4.2.2. doi:10.3390/s140609471
 
     Examples
     --------

@@ -114,8 +114,8 @@ def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
 def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
     """Angle theta_PrA between the profiles and the target's horizontal line, 0 to 90 degrees.
 
-    The paper cites it and does not print it: tan = |n_s.h| / |n_s.v| with h the target's horizontal
-    line and v its line of greatest slope.
+    The paper leaves the formula to its reference 34. Here tan = |n_s.h| / |n_s.v|, with h the
+    target's horizontal line and v its line of greatest slope.
 
     Parameters
     ----------

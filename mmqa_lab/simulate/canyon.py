@@ -56,8 +56,8 @@ class Conditions:
     own_m : float
         Length of each course's own displacement, in a direction of its own, m.
     course2_m : float
-        What Course 2, the one with the poorest reception, has beyond the others along the shared
-        displacement, m.
+        What Course 2 has beyond the others along the shared displacement, m: the paper finds the
+        worst repeatability in comparisons with it and names poor GNSS as the cause.
     drift_m : float
         Standard deviation of each course's drift per street and axis, m: a Gauss-Markov process
         along the street of 60 m correlation length.
@@ -222,9 +222,9 @@ def canyon(seed, *, conditions=None):
     numbers of segments and true pairs agree with the paper. The lengths of the displacements,
     drift, and noise of directions and ends (the defaults of :class:`Conditions`) were fitted to
     the distances and errors of four rows, C1-C2, C1-C3, C1-TLS and C2-TLS; C2-C3, C3-TLS and the
-    second extraction of C1-C3 were held out. Directions with 0.3 degrees of noise
-    or more fit the printed distances clearly worse. An analogue of the test site, not a
-    reconstruction.
+    second extraction of C1-C3 were held out. Directions with 0.3 degrees of noise or more fit the
+    printed distances clearly worse. The canyon has the extent of the test site and is no
+    reconstruction of it.
 
     References
     ----------

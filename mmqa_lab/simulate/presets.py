@@ -73,7 +73,7 @@ VQ_250 = ProfileScanner(
     range_noise_m=0.005,
     source="Cahalane et al. 2014 (doi 10.3390/s140609471), sections 3.2.1 and 4.2.2: 300 kHz, one "
     "scanner, 100 Hz for targets 1 to 6; mounting of 45/45 degrees and noise 5 mm assumed; ranges "
-    "and beam width not stated",
+    "and beam width not stated there",
 )
 
 LYNX_M1 = ProfileScanner(

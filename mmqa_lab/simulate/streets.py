@@ -29,7 +29,8 @@ SCANNERS = {
         pulse_rate_hz=976_000,
         mirror_frequency_hz=95,
         lever_arm_m=MAST_M,
-        source="976 kHz as in the ROAMER of 2011 (EuroSDR 2013); 95 Hz assumed, the rest as ROAMER",
+        source="976 kHz as in the ROAMER of 2011 (EuroSDR 2013, Table 3-2); 95 Hz assumed, the "
+        "rest as ROAMER",
     ),
     "vq-450": replace(presets.VQ_450, lever_arm_m=MAST_M),
     "push-broom": ProfileScanner(
@@ -265,8 +266,8 @@ def visible_targets(made, cloud, *, minimum_points=10, minimum_sweeps=5, minimum
     minimum_points, minimum_sweeps : int
         A visible pole has at least that many points on its shaft, from that many scan lines,
     minimum_span : float
-        over that height (2nd to 98th percentile), metres. Trunks count up to the crown only: what
-        the crown holds is not pole-like.
+        over that height (2nd to 98th percentile), metres. Trunks count up to the crown only: the
+        part within the crown is not pole-like.
 
     Returns
     -------

@@ -45,24 +45,24 @@ SYSTEMS = (
 """Rates of the XP1 and of the two settings of the Lynx M1 (section 4.2.2)."""
 
 READINGS = (
-    "The scanner tilted by -45 degrees, walls turned about a line 3.2 m below it (fitted): range "
-    "and axes are not printed, and with one fitted height no reading gives more than six rows.",
-    "The scanner turned by 45 degrees about one axis, walls turned about a line 2.76 m below it "
-    "and the point 1.82 m above it (four fitted lengths): other six rows, 8 and 9 among them.",
+    "The scanner is tilted by -45 degrees and walls turn about a line 3.2 m below it (fitted): the "
+    "axes of turning are not printed, and no reading that was tried gives more than six rows.",
+    "The scanner is turned by 45 degrees about one axis, walls turn about a line 2.76 m below it "
+    "and the point lies 1.82 m above it (four fitted lengths): six rows agree, 8 and 9 among them.",
 )
 """What is assumed in the two readings of Table 4."""
 
 CAST_NOTE = "Rays cast on the walls of Tables 3 and 4 in place of the constructed models."
 
 TABLE_6_NOTE = {
-    "d_PrSH": "At 150 Hz and 7.7 m/s, scanner turned by 11.45, wall by 50.45 degrees: all fitted.",
-    "d_PrSV": "At 100 Hz and 8.54 m/s, scanner at 41.3/32, wall turned by 8 degrees: all fitted. A "
-    "share of 1.5 % needs 0.44 degrees of gamma_scan at most, where beta_targ is 0.",
+    "d_PrSH": "At 150 Hz and 7.7 m/s, scanner turned by 11.45, wall by 50.45 degrees, all fitted.",
+    "d_PrSV": "At 100 Hz and 8.54 m/s, scanner at 41.3/32, wall turned by 8 degrees, all fitted; "
+    "where beta_targ is 0, a change of 1.5 % needs at most 0.44 degrees of gamma_scan.",
 }
 
 FIELD_NOTE = (
     "Five distances clicked on simulated surfaces within the printed limits; mountings of 45/45 "
-    "degrees and 5 mm of range noise are assumed, for the paper prints neither; a difference may "
+    "degrees and 5 mm of range noise are assumed, since the paper prints neither; differences may "
     "come from them."
 )
 
@@ -279,7 +279,7 @@ def measured(scan):
 
 
 def clicked(scan, *, clicks=5):
-    """Five distances at the points nearest the spot, their mean and scatter: the paper's way.
+    """Five distances at the points nearest the spot, their mean and scatter, as in the paper.
 
     To the next point of the profile, and along the level line and the slope to the next profile,
     between two of its points.

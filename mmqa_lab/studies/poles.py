@@ -1,7 +1,8 @@
 """Study 06, poles: streets whose poles are known, the counts of a detector, tables of rates.
 
-The chapter on poles of EuroSDR 2013 (mobile laser scanning, chapter 4): two detectors of the
-report, a learned one, any other function of a cloud that returns ``x_m`` and ``y_m``.
+After chapter 4 of EuroSDR 2013, Road Environment Mapping using Mobile Laser Scanning: our versions
+of its two detectors, a learned one, and any other function of a cloud that returns ``x_m`` and
+``y_m``.
 """
 
 from dataclasses import replace
@@ -79,7 +80,7 @@ COUNTS = {
     ("fgi", "recall", 30.0, "sign"): (65, 79, "n printed"),
     ("fgi", "recall", 30.0, "lamp"): (44, 46, "n printed"),
 }
-"""Counts behind the printed rates, and where n comes from; Table 4-2 allows none."""
+"""Counts behind the printed rates, and where n comes from; for Table 4-2 none is printed."""
 
 
 def scene(
@@ -266,8 +267,8 @@ def ledger_entries(beside, *, visible, diameters, correctness, crowded):
     list of dict
         Of :func:`mmqa_lab.published.ledger.entry`.
     """
-    chosen = "Simulated streets; the plan was chosen near Table 4-1, on other seeds."
-    other = "Simulated streets chosen for the scan-line method; thresholds are ours."
+    chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
+    other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
     plain = "Simulated walls are planes without plants, furniture or goods before them."
     rows = []
     for row in beside.to_dict("records"):
