@@ -491,7 +491,7 @@ def checks(*, edges, stars, sensors, reflectance, block):
     )
     star = float(stars["mtf_error"].max())
     yield Check(
-        "The contrast of Siemens stars is right within 0.02 up to 0.9 of Nyquist's frequency.",
+        "The contrast of Siemens stars is right within 0.02 up to 0.9 of the Nyquist frequency.",
         star < 0.02,
         f"largest error {star:.4f}",
         "the limit asked for",

@@ -469,7 +469,7 @@ def _contrast(heights):
     mean = heights.groupby("system")["std_mm"].mean()
     off, good = mean["profiler, not calibrated"], mean["profiler"]
     return Check(
-        "A boresight error of tenths of a degree costs more in height than all else together.",
+        "A boresight error of tenths of a degree costs more in height than all other errors.",
         bool(off / good > np.sqrt(2)),
         f"height std {off:.1f} against {good:.1f} mm, mean of both directions",
         "root of 2: the boresight's part alone is then larger than the rest",
