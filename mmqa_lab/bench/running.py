@@ -342,7 +342,7 @@ def _processes(workers):
     import dask
     from distributed import Client, LocalCluster
 
-    one = {"distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1}
+    one = {"distributed.nanny.environ.NUMBA_NUM_THREADS": 1}  # in the workers alone
     quiet = {"memory_limit": 0, "dashboard_address": ":0", "silence_logs": logging.ERROR}
     with (
         dask.config.set(one),
