@@ -2,8 +2,9 @@
 
 What a mounting error does changes its sign with the direction of travel: a wall seen on the way
 there and on the way back lies in two places. Planes and poles that several drives or heads have
-seen are fitted, and the mounting is sought with which they are thinnest (EuroSDR 2013, mobile laser
-scanning, chapter 3). Start here::
+seen are fitted, and the mounting is sought with which they are thinnest. EuroSDR 2013, mobile laser
+scanning, section 3.3.3, names the objects that show each error (ground for roll, poles and corners
+for pitch and heading); the least-squares adjustment is our own. Start here::
 
     from mmqa_lab.boresight import calibrate
 

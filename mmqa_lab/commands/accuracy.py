@@ -1,7 +1,7 @@
 """Compare the heights of a cloud with reference points or a raster of heights.
 
-At each reference point the cloud around it is triangulated; the height differences are summed up
-with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning, chapter 3).
+At each reference point the cloud around it is triangulated; the height differences are summarised
+with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning, section 3.2).
 Reference points without a valid difference are counted by reason. In the words of the ASPRS
 Positional Accuracy Standards (edition 2, 2023): check points should be 30 or more; rmse_v_mm is the
 vertical accuracy of the product, the RMSE with the shift kept and the standard deviation of the
@@ -45,7 +45,7 @@ def add_arguments(parser):
     parser.add_argument(
         "--trajectory",
         metavar="FILE",
-        help="CSV of the path: adds the trend of the differences with the distance from it",
+        help="CSV of the path: adds the trend of absolute differences, less their shift",
     )
     parser.add_argument(
         "--radius",

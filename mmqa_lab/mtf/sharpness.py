@@ -1,7 +1,8 @@
 """Local sharpness all over an image, by Haar wavelets, without any target.
 
-EuroSDR 2013, image radiometry, spatial resolution: detail at the finest scale against detail twice
-as coarse, mapped over the image plane. A measure of comparison: it depends on what is on the image.
+After EuroSDR 2013, image radiometry, chapter 5 (IGN), which prints no formula. Here detail at the
+finest scale is divided by detail twice as coarse and mapped over the image plane. The measure
+depends on what the image shows and is for comparison only.
 """
 
 import numpy as np

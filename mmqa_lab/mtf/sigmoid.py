@@ -1,7 +1,7 @@
 """The edge spread function of one edge as a sigmoid: FWHM and MTF50.
 
-EuroSDR 2013, image radiometry, spatial resolution: a sigmoid is fitted to all pixels of a region
-with one straight edge; its derivative is the line spread function. The report counts five
+EuroSDR 2013, image radiometry, section 5.1 and Table 4: a sigmoid is fitted to all pixels of a
+region with one straight edge; its derivative is the line spread function. The report counts five
 parameters and does not print the shape of its sigmoid. Lengths in pixels, frequencies in cycles per
 pixel. For edges that no sigmoid describes (sharpened images) there is ``edge_response``.
 """
@@ -141,7 +141,7 @@ def fit_edge(region, *, shape: str = "gaussian") -> EdgeFit:
 
     References
     ----------
-    EuroSDR 2013, image radiometry, spatial resolution.
+    EuroSDR 2013, image radiometry, section 5.1 and Table 4.
 
     Examples
     --------
@@ -217,8 +217,8 @@ def dependence(edges: pd.DataFrame) -> pd.DataFrame:
 
     References
     ----------
-    EuroSDR 2013, image radiometry: resolution by radial, tangential, flight and cross-flight
-    direction.
+    EuroSDR 2013, image radiometry, chapter 5: resolution by radial, tangential, flight and
+    cross-flight direction. The regression is our own.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Siemens stars: contrast per radius, modulation transfer function, point spread function.
 
-EuroSDR 2013, image radiometry, spatial resolution: full and half stars of 5 and 10 degree sectors.
+EuroSDR 2013, image radiometry, section 5.1: a star of 5 degree sectors, half a star of 10 degrees.
 On a circle around its centre a star of n cycles is a wave of n / (2 pi r) cycles per pixel.
 """
 
@@ -154,7 +154,7 @@ def measure_star(
 
     References
     ----------
-    EuroSDR 2013, image radiometry, spatial resolution.
+    EuroSDR 2013, image radiometry, sections 5.1 and 5.2.
 
     Examples
     --------

@@ -1,11 +1,13 @@
-"""What a digital camera's numbers mean: radiance, reflectance, even blocks of images.
+"""Radiometry of digital images: radiance, reflectance, even blocks of images.
 
 EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogrammetric images",
-2008-2011, Honkavaara et al.). The modules follow the report's steps: ``sensor`` (DN to radiance,
-equations 2 and 3), ``reflectance`` (equation 4, empirical line, directions, errors by equations
-6-8, NDVI) and ``block`` (one adjustment of overlapping images). Resolution is in ``mmqa_lab.mtf``.
+2008-2011, Honkavaara et al.). The modules follow the steps of the report: ``sensor`` (DN to
+radiance, equations 2 and 3), ``reflectance`` (equation 4, empirical line, directions, errors by
+equations 6-8, NDVI), ``block`` (one adjustment of overlapping images). Resolution is in
+``mmqa_lab.mtf``.
 The sum of radiances at the sensor (equation 1) is simulated in ``mmqa_lab.simulate.targets``.
-Equation numbers are the report's; the notation is this package's.
+Equation 5 defines a bidirectional reflectance and is no model. Equations are numbered as in the
+report; the notation is that of this package.
 """
 
 from mmqa_lab.radiometry.block import Priors, adjust_block

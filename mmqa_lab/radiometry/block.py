@@ -1,7 +1,9 @@
 """Radiometric block adjustment: one least-squares solution over all overlapping images.
 
-EuroSDR 2013, image radiometry, block equalisation: what aerial triangulation is to geometry. A tie
-point is a patch of ground that several images show; whatever makes its values differ (exposure,
+After Pepita in EuroSDR 2013, image radiometry, sections 6.1 and 6.2, which does for radiometry what
+aerial triangulation does for geometry. Pepita is relative and estimates haze for blocks of images;
+here haze is the same in all images, and control targets are an addition. A tie point is a patch of
+ground that several images show; all that makes its values differ (exposure,
 height of the sun, haze, anisotropic reflectance, falling off to the corners) is estimated from all
 of them together. The radiance of tie point k in image i is taken to be
 
@@ -181,7 +183,7 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
 
     References
     ----------
-    EuroSDR 2013, image radiometry: relative and absolute block equalisation.
+    EuroSDR 2013, image radiometry, sections 6.1 and 6.2: Pepita, a relative adjustment.
 
     Examples
     --------

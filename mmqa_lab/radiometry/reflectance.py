@@ -71,9 +71,9 @@ def reflectance_factor(
 ):
     """Return the reflectance of a target by equation 4.
 
-    rho = pi (L - L_atm) (1 - s rho') / (E tau). In the report's notation E is S tau_s: the sun's
-    irradiance above the air times the cosine of its zenith angle, times the transmittance on its
-    way down.
+    rho = pi (L - L_atm) (1 - s rho') / (E tau). In the notation of the report E is S tau_s: the
+    irradiance of the sun above the air times the cosine of its zenith angle, times the
+    transmittance on its way down.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def walthall_terms(sun_zenith, view_zenith, azimuth, *, form="walthall"):
         Degrees; see the top of this module.
     form : {"walthall", "nilson-kuusk"}
         Walthall et al. 1985: v^2, v cos(a), 1, for one position of the sun. Nilson and Kuusk 1989:
-        s^2 v^2, s^2 + v^2, s v cos(a), 1, the same whichever of sun and camera is where.
+        s^2 v^2, s^2 + v^2, s v cos(a), 1, which does not change when sun and camera are exchanged.
         s, v, a are the sun's zenith, the view's zenith, the azimuth, in radians.
 
     Returns

@@ -21,7 +21,7 @@ SURFACES = pd.DataFrame(
         "b2": [0.06, 0.10, 0.22, 0.28, 0.40],
     }
 )
-"""Assumed reflectance in the green and Walthall's terms over nadir, sorts of ground as in towns."""
+"""Assumed reflectance in the green and Walthall's terms over nadir, for surfaces as in towns."""
 
 OFFSET_DN, GAIN_DN, BITS = 64.0, 9000.0, 12
 

@@ -1,8 +1,8 @@
 """A simulated test field: a street with surveyed ground, poles and corners, driven both ways.
 
 After the field of EuroSDR 2013, mobile laser scanning, chapter 3: a street with curbs, lamps and
-signs, houses on one side and open ground on the other, passed in both directions. The true place
-of everything is known; the reference gets the errors of a survey.
+signs, houses close on one side and open ground with distant houses on the other, passed in both
+directions. The true place of everything is known; the reference gets the errors of a survey.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,9 +36,10 @@ REFERENCE_REACH_M = 35.0
 """Surveyed ground lies up to this far from the left path: the range of the published bound."""
 
 REFERENCE_STD_M = 0.011
-"""Standard deviation of a surveyed coordinate: what section 3.1.2.1 prints for the position of the
-static scans. The 2 cm of section 3.3.2 contain shifts that the whole field has in common; the
-printed 1.2 cm of the best system's heights leave no more than that for the random part."""
+"""Standard deviation of a surveyed coordinate: the 11 mm that section 3.1.2.1 prints for the
+position (3D) of the static scans. The report gives about 2 cm for the reference in plan (section
+3.3.2) and a mean of 20 mm for heights of control points (3.1.2.2). In height at most 1.2 cm are
+random, because Table 3-3 prints that standard deviation for the best system."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +137,10 @@ LOW_COST_NAVIGATION = NavigationErrors(
 def systems():
     """Return the simulated systems by name.
 
-    They stand for the sorts of systems on the test field, not for the makers' products: a research
-    system with one phase-based profiler before and after its boresight was calibrated (the
-    contrast of ROAMER I and II; the size of the error is assumed), two pulsed profilers, and a
-    low-cost multi-beam scanner with low-cost navigation.
+    They stand for kinds of systems, not for products. Two stand for ROAMER I and II: a research
+    system with one phase-based profiler, with an assumed error of its boresight and without. Two
+    pulsed profilers (VQ-450) and a multi-beam scanner with low-cost navigation were not on the
+    field of the report.
     """
     roamer = replace(presets.ROAMER, lever_arm_m=(0.0, -0.5, 0.4))
     left = replace(presets.VQ_450, lever_arm_m=(-0.4, -0.6, 0.3), heading_deg=45)

@@ -1,7 +1,7 @@
-"""What a digital camera's numbers mean: targets of known truth, photographs, the report's numbers.
+"""Image radiometry: targets of known truth, photographs, and the numbers of the report.
 
-Everything is simulated but the photographs of ``REAL_EDGES`` and ``PHOTOGRAPHS``. The report's own
-images (EuroSDR 2013, image radiometry) are airborne.
+Everything is simulated but the photographs of ``REAL_EDGES`` and ``PHOTOGRAPHS``. The images of the
+report (EuroSDR 2013, image radiometry) are airborne.
 """
 
 import itertools
@@ -74,7 +74,7 @@ REFERENCE_SETTING = (0.005, 8.0)
 
 SETTINGS = [(t / 1000, 8.0) for t in (3.5, 4.5, 5.5, 6.5)]
 SETTINGS += [(t / 1000, 11.0) for t in (3.5, 4.25, 5, 5.75, 6.5)]
-"""Exposure times (s) and f-numbers: nine within the report's range (sections 4.3 and 5.2)."""
+"""Exposure times (s) and f-numbers, assumed: nine as in section 4.3, in the range of 5.2."""
 
 GREY_STEPS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.33, 0.45, 0.58, 0.70])
 PATCH = 24
@@ -287,7 +287,7 @@ class Field:
 
 
 def surfaces_of(band):
-    """Surfaces to measure: ``target_class`` and ``reference``; tarps as published for Hyytiälä."""
+    """Surfaces by class, with ``reference``; tarps of Hyytiälä as printed for the green."""
     tarps = table(SOURCE, "reference_targets").query("campaign == 'Hyytiälä'")["reflectance"]
     others = UNIFORM_AND_GRASS[band]
     names = ["black tarp", *["bright tarps"] * 3, "uniform", "uniform", "grass"]
@@ -302,7 +302,7 @@ def air_of(name, band):
 
 
 def field(air, band, reference_std, seed):
-    """A field with the reference targets of Sjökulla, their reflectances wrong by a share."""
+    """A field with the portable targets of Sjökulla, whose reflectances are known to a share."""
     key = [seed, list(ATMOSPHERES).index(air), list(BANDS).index(band)]
     rng, mean = np.random.default_rng([*key, 5]), air_of(air, band)
     targets = table(SOURCE, "reference_targets").query("campaign == 'Sjökulla'")
@@ -358,7 +358,7 @@ def mosaic(block, adjustment=None):
 
 
 def ledger_entries(*, corner, sensors, stable, reflectance, laboratory):
-    """Return our values for the report's results that a simulation can be set beside.
+    """Return our values for the printed results that a simulation can be compared with.
 
     Parameters
     ----------
@@ -407,17 +407,17 @@ LINEAR = (
 )
 DARK = "Offset less the simulated dark signal; the report subtracts dark pixels. The unit is DN."
 FITTED = (
-    "One error of the exposure labels, fitted to the range for the same aperture; it explains all "
-    "three ranges in R, G, B, so that aperture and day need no cause of their own."
+    "One error of the exposure labels, fitted to the range for the same aperture. It is enough for "
+    "all three ranges in R, G, B, which does not prove that labels are the cause."
 )
 NEAR_INFRARED = (
-    "The error of the exposure labels that explains R, G, B is common to all bands and cannot give "
-    "the near infrared more: air or sensor must add to it there."
+    "The error of the exposure labels that is enough for R, G, B is common to all bands. It cannot "
+    "explain larger differences in the near infrared; the report could not separate the causes."
 )
 LABEL_NOTES = {"rgb": FITTED, "nir": NEAR_INFRARED}
 CHANGES = ("same_aperture", "other_aperture", "other_day")
 SITES = ("sjokulla", "banyoles")
-SIMULATED = "Simulated targets and clean air, which the method knows without error: a lower bound."
+SIMULATED = "Targets are simulated; clean air is known to the method exactly: a lower bound."
 PASSED_ON = (
     "What the difference of 10 to 20 % in radiance that the report prints for this sensor (section "
     "4.4) becomes in reflectance by equation 4 with assumed clean air."
@@ -426,13 +426,13 @@ COMPARABLE = {
     "empirical_line_rmse": (
         "empirical line",
         "uniform",
-        "Three targets as in the report, their reflectances assumed to be known to 3 %: that error "
-        "decides, noise and clean air add less than 1 %.",
+        "Three portable targets (nominal 0.20, 0.30, 0.50) are assumed to be known to 3 %. This "
+        "dominates the error on uniform surfaces; noise and clean air add less than 1 %.",
     ),
     "xpro_uniform": (
         "dark pixel",
         "uniform",
-        "Dark pixel subtraction without ground targets stands for XPro; air assumed clean.",
+        "Dark pixel subtraction stands for XPro: no ground targets, no BRDF, clean air assumed.",
     ),
     "atcor_bright_vicarious": ("equation 4", "bright_tarps", SIMULATED),
     "atcor_bright_1km": ("equation 4", "bright_tarps", SIMULATED),
@@ -491,7 +491,7 @@ def checks(*, edges, stars, sensors, reflectance, block):
     )
     star = float(stars["mtf_error"].max())
     yield Check(
-        "The contrast of Siemens stars is right within 0.02 up to 0.9 of Nyquist's frequency.",
+        "The contrast of Siemens stars is right within 0.02 up to 0.9 of the Nyquist frequency.",
         star < 0.02,
         f"largest error {star:.4f}",
         "the limit asked for",

@@ -45,10 +45,10 @@ REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
 SOURCE = "eurosdr2013_mls"
 
 DIRECTIONS = {"there": "CCW", "back": "CW"}
-"""Directions of the report's tables that the simulated ones stand for; which for which is free."""
+"""Directions of Tables 3-3 and 3-4 for the simulated ones; the assignment is our choice."""
 
 STANDS_FOR = {"profiler, not calibrated": "ROAMER I", "profiler": "ROAMER II"}
-"""Rows of the report's tables that a simulated system is the like of."""
+"""Rows of Tables 3-3 and 3-4 that a simulated system stands for."""
 
 BORESIGHT_DEG = ((0.12, -0.08, 0.20), (-0.10, 0.15, -0.25))
 LEVER_ARM_ERROR_M = ((0.030, -0.040, 0.020), (-0.020, 0.030, -0.030))
@@ -61,18 +61,19 @@ INTERVAL_S = 0.1
 
 NOTES = {
     "predicted": "Predicted from Table 3-2 and assumed navigation (8 mm in plan, 12 mm in height, "
-    "0.004 to 0.012 degrees) against a reference of 11 mm on a simulated field. What the printed "
-    "figure has beyond this is ROAMER's own: the random part of the reference is below the 12 mm "
-    "that Table 3-3 prints for the best system.",
+    "0.004 to 0.012 degrees) against a reference of 11 mm on a simulated field. In height the rest "
+    "is an error of ROAMER: the reference has a random part below the 12 mm that Table 3-3 prints "
+    "for the best system. In plan the reference of about 2 cm and manual measurement contribute.",
     "fitted": "Roll and heading of the mounting fitted to two figures of ROAMER I CCW, the std of "
     "heights and the RMSE in plan; the others follow. Navigation and reference as for ROAMER II. "
-    "The simulated ground is 5 m deeper for CW, so that its heights scatter more there.",
+    "On the simulated field the path of CW is 5 m farther from the houses: the measured ground is "
+    "wider, and its heights scatter more than printed.",
 }
-"""Of the ledger's rows, by kind."""
+"""Of the rows in the ledger, by kind."""
 
 
 def predicted(street, system, ground, targets, *, draws, seed):
-    """Return what the accuracy tables of a system's drives would say, from specifications alone.
+    """Predict the figures of Tables 3-3 and 3-4 for a system, from specifications alone.
 
     Navigation errors are drawn for each drive and carried to the targets with the mounting's error
     if it is known; range noise enters heights with the sine of the beam's fall and the 0.7 that a
@@ -468,7 +469,7 @@ def _contrast(heights):
     mean = heights.groupby("system")["std_mm"].mean()
     off, good = mean["profiler, not calibrated"], mean["profiler"]
     return Check(
-        "A boresight error of tenths of a degree costs more in height than all else together.",
+        "A boresight error of tenths of a degree costs more in height than all other errors.",
         bool(off / good > np.sqrt(2)),
         f"height std {off:.1f} against {good:.1f} mm, mean of both directions",
         "root of 2: the boresight's part alone is then larger than the rest",
@@ -487,12 +488,12 @@ def _within_prediction(heights, predictions):
             f"{r.system} {r.direction} {r.std_mm:.1f} in {r.low_mm:.1f}-{r.high_mm:.1f}"
             for r in rows.itertuples()
         ),
-        "95 % of the drawn drives and 20 %, because far ground has fewer surfaces; one may miss",
+        "95 % of the drawn drives and 20 %, because the prediction casts no rays; one may miss",
     )
 
 
 def _repeated_ratio(drives):
-    """Many drives."""
+    """Repeated drives against more draws."""
     found, drawn = (drives[name].dropna().to_numpy() for name in ("measured_mm", "predicted_mm"))
     ratio = np.sqrt(np.mean(found**2) / np.mean(drawn**2))
     error = drawn.std() / drawn.mean() / np.sqrt(len(found))
@@ -513,13 +514,13 @@ def _calibrated(calibrations):
         "Two drives determine boresight angles to 0.005 degrees and lever arms to 5 mm.",
         bool(angle < BORESIGHT_LIMIT_DEG and arm < LEVER_LIMIT_MM),
         f"largest errors {angle:.4f} degrees, {arm:.1f} mm",
-        "a third of what navigation of this class leaves; exact paths and the better reference",
+        "less than half of what navigation errors leave; exact paths and the better reference",
     )
     yield Check(
         "Correcting the mounting makes the double poles single.",
         bool(found["pole_rmse_mm"] < before["pole_rmse_mm"] / 2),
         f"poles {before['pole_rmse_mm']:.1f} mm before, {found['pole_rmse_mm']:.1f} mm after",
-        "a half; what is left is the survey's own error",
+        "a half; the survey of the poles has errors too",
     )
 
 
@@ -561,7 +562,7 @@ def answer(compared, calibrations, reach):
     before, after = exact["pole_rmse_mm"][["as installed", "planes, poles, control"]]
     return (
         f"Simulated: specifications and assumed navigation give a calibrated profiler heights of "
-        f"{rows['predicted_mm'].mean() / 10:.1f} cm up to {far:.0f} m from the path, where "
-        f"{rows['published_mm'].mean() / 10:.1f} cm are published. A mounting that is wrong by "
+        f"{rows['predicted_mm'].mean() / 10:.1f} cm up to {far:.0f} m from the path; Table 3-3 "
+        f"prints {rows['published_mm'].mean() / 10:.1f} cm for ROAMER II. A mounting that is wrong by "
         f"tenths of a degree puts poles {before:.0f} mm off; calibration leaves {after:.0f} mm."
     )

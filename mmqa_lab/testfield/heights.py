@@ -1,8 +1,8 @@
 """Height differences between a cloud and reference points, and what they amount to.
 
-EuroSDR 2013, mobile laser scanning, chapter 3: at each reference point a small triangulated surface
-of the laser points around it gives the height, within 20 cm where points are dense and 50 cm where
-they are sparse.
+EuroSDR 2013, mobile laser scanning, section 3.2: at each reference point a small triangulated
+surface of the laser points around it gives the height. The search radius was 20 cm (RIEGL,
+Streetmapper, Lynx) or 50 cm (ROAMER, Sensei).
 """
 
 import numpy as np
@@ -68,9 +68,12 @@ def height_differences(
     A triangulated surface averages little: the difference carries about 0.7 of a single point's
     noise (root of the mean of the sum of squared barycentric coordinates, 1/2).
 
+    Two rules differ from the report. There the slope limit of 20 degrees is that of the
+    triangulated model, and gross errors were looked at and removed by hand.
+
     References
     ----------
-    EuroSDR 2013, mobile laser scanning, chapter 3.
+    EuroSDR 2013, mobile laser scanning, section 3.2.
 
     Examples
     --------
@@ -104,7 +107,7 @@ def height_differences(
 
 
 def height_accuracy(table):
-    """Sum up height differences with the systematic shift kept, and removed.
+    """Summarise height differences with the systematic shift kept, and removed.
 
     Parameters
     ----------
@@ -125,9 +128,9 @@ def height_accuracy(table):
 
     Notes
     -----
-    The shift kept is absolute accuracy and depends on the height system of the reference; removed,
-    it is what the cloud is like in itself. LE90 is taken from the differences, not 1.645 RMSE,
-    which is true of normal errors only.
+    With the shift kept the figures are absolute accuracy and depend on the height system of the
+    reference; with the shift removed they describe the scatter. LE90 is taken from the differences,
+    not as 1.645 RMSE, which is right for normal errors without a shift only.
 
     Examples
     --------
@@ -192,7 +195,7 @@ def between_drives(first, second):
     -------
     DataFrame
         As ``first``, with ``dz_m`` of the first drive less that of the second: relative accuracy,
-        in which errors of the reference cancel. ``reason`` is that of whichever has one.
+        in which errors of the reference cancel. ``reason`` is that of the drive that has one.
 
     Raises
     ------

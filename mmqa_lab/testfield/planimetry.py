@@ -1,9 +1,9 @@
 """Plan positions of poles and corners in a cloud, near where the reference says they are.
 
 After EuroSDR 2013, mobile laser scanning, section 3.1.2.3 and equation 3-1: centres of poles,
-corners of buildings and of curbs. In the report an operator measures them, in a slice from 10 cm
-below to 50 cm above the ground and in one of a metre about 5 m up; here circles and lines are
-fitted.
+corners of buildings and of curbs. In the report an operator measures them: curbs in a slice from
+10 cm below to 50 cm above the ground, poles and buildings there and in a slice of a metre about 5 m
+above the ground. Here circles and lines are fitted.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import errors
 
 POLE_HEIGHTS = ((0.5, 1.5), (4.5, 5.5))
-"""Metres above the foot between which points of a pole are taken: near the ground, and 5 m up. The
-lower slice is taller than the report's, in which a distant thin pole has too few points."""
+"""Metres above the foot between which points of a pole are taken: near the ground, and 5 m up. In
+the lower slice of the report, 0.6 m thick, a distant thin pole has too few points."""
 
 CORNER_HEIGHTS = {"building": (1.0, 3.0), "curb": (0.03, 0.10)}
 """Metres above the corner's foot between which points of its two faces are taken: our choice."""
@@ -152,7 +152,7 @@ def corner_positions(points, corners, *, search=2.0, gate=0.5, tolerance=0.03, s
 
 
 def plan_accuracy(table):
-    """Sum up plan differences, as measured and with systematic easting and northing removed.
+    """Summarise plan differences, as measured and with systematic easting and northing removed.
 
     Parameters
     ----------

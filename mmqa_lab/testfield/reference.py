@@ -44,7 +44,9 @@ def ground_reference(
 
     References
     ----------
-    EuroSDR 2013, mobile laser scanning, chapter 3: ground grid, thinning, deviation limit 5 mm.
+    EuroSDR 2013, mobile laser scanning, section 3.1.2.3. There classified ground was gridded to
+    5 cm, every thousandth point was kept, and points more than 5 mm from the original ground were
+    dropped; squares, lowest points and fitted planes are our way.
 
     Examples
     --------
