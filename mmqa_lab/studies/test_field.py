@@ -563,6 +563,7 @@ def answer(compared, calibrations, reach):
     return (
         f"Simulated: specifications and assumed navigation give a calibrated profiler heights of "
         f"{rows['predicted_mm'].mean() / 10:.1f} cm up to {far:.0f} m from the path; Table 3-3 "
-        f"prints {rows['published_mm'].mean() / 10:.1f} cm for ROAMER II. A mounting that is wrong by "
-        f"tenths of a degree puts poles {before:.0f} mm off; calibration leaves {after:.0f} mm."
+        f"prints {rows['published_mm'].mean() / 10:.1f} cm for ROAMER II. A mounting that is "
+        f"wrong by tenths of a degree puts poles {before:.0f} mm off; calibration leaves "
+        f"{after:.0f} mm."
     )
