@@ -218,7 +218,7 @@ def draw_methods(results, figure="f1"):
     drawing, ax = plots.subplots(height_mm=75)
     ax.hlines(found["method"], found[low], found[high], color=plots.COLOURS["grey"])
     ax.plot(found[mean], found["method"], "o", color=plots.COLOURS["blue"])
-    ax.set(xlabel=f"{figure}, simulated, mean of all comparisons")
+    ax.set(xlabel=f"{figure.replace('f1', 'F1')}, mean (simulated)")
     return drawing
 
 
