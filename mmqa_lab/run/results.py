@@ -260,7 +260,7 @@ def parameter_names(notebook):
     --------
     >>> from mmqa_lab.studies.catalogue import chosen
     >>> parameter_names(chosen(["mimic"])[0].path)[:2]
-    ['sizes', 'seeds']
+    ['ranges_m', 'seeds']
     """
     cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
     tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
