@@ -372,12 +372,12 @@ def draw_errors(results):
     from mmqa_lab import plots
 
     figure, axes = plots.subplots(1, 2, width="double", height_mm=70)
-    labels = ("error of point spacing, median (mm)", "of profile angle, median (degrees)")
-    for ax, name, label in zip(axes, ("point_mm", "angle_deg"), labels, strict=True):
+    titles = {"point_mm": ("point spacing", "mm"), "angle_deg": ("profile angle", "degrees")}
+    for ax, (name, (title, unit)) in zip(axes, titles.items(), strict=True):
         size = np.abs(results[name]).to_dataframe().groupby(["range_m", "method"])[name]
         lines = size.median().unstack()
         lines.plot(ax=ax, style=STYLES[: len(lines.columns)], logy=True, legend=False)
-        ax.set(xlabel="range (m)", ylabel=label)
+        ax.set(title=title, xlabel="range (m)", ylabel=f"median error ({unit})")
         ax.set_ylim(bottom=1e-3)  # rounding errors lie far below
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
