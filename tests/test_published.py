@@ -653,3 +653,10 @@ def test_collect_refuses_a_file_that_lacks_a_column(tmp_path):
 def test_an_entry_lies_within_its_own_interval():
     with pytest.raises(ValueError, match="between its own low 5 and high nan"):
         ledger.entry("pfeifer2021", "table_2", "A 5 m d1", 4.0, kind="measured", low=5)
+
+
+def test_a_fit_is_no_reproduction():
+    printed = {"relation": "=", "low": 14.5, "high": 15.5}
+    ours = {"value": 15.0, "low": NAN, "high": NAN}
+    assert ledger.verdict(printed, ours | {"kind": "predicted"}) == "reproduced"
+    assert ledger.verdict(printed, ours | {"kind": "fitted"}) == "consistent"

@@ -4,7 +4,7 @@ A *cell* is one printed number. A study writes its own values into ``ledger.csv`
 folder, a row for each value (:func:`entry`, :func:`frame`); :func:`collect` joins them with the
 cells and gives each one a verdict:
 
-- **reproduced**: our value rounds to what is printed;
+- **reproduced**: our value rounds to what is printed, and no parameter was fitted to it;
 - **consistent**: our 95 % interval meets the rounding interval of the printed number, or our value
   satisfies what is printed as a bound, a range or with "about";
 - **contradicted**: neither; the note gives the argument;
@@ -128,7 +128,8 @@ def verdict(printed, ours):
         ``relation``, ``low``, ``high`` of a row of :func:`cells`. An interval with one infinite
         end is open at the other; others are closed.
     ours : mapping
-        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN.
+        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN. With a
+        ``kind`` of fitted it is consistent at most: a fit is no reproduction.
 
     Returns
     -------
@@ -152,7 +153,8 @@ def verdict(printed, ours):
         return "not comparable"
     value = ours["value"]
     if _meets(printed, value, value):
-        return "reproduced" if printed["relation"] == "=" else "consistent"
+        free = printed["relation"] == "=" and ours.get("kind") != "fitted"
+        return "reproduced" if free else "consistent"
     low, high = (value if np.isnan(ours[end]) else ours[end] for end in ("low", "high"))
     return "consistent" if _meets(printed, low, high) else "contradicted"
 
@@ -456,4 +458,5 @@ def _verdict_of_row(row):
     """The verdict of one row of the joined table."""
     if pd.isna(row["kind"]):
         return "not comparable"
-    return verdict(row, {"value": row["ours"], "low": row["ours_low"], "high": row["ours_high"]})
+    ends = {"low": row["ours_low"], "high": row["ours_high"]}
+    return verdict(row, {"value": row["ours"], "kind": row["kind"], **ends})
