@@ -1,4 +1,4 @@
-"""The manners of all commands: what is printed, what is written, what is said meanwhile."""
+"""What all commands share: what is printed, what is written, what is said meanwhile."""
 
 import argparse
 import sys
