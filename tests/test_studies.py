@@ -1,11 +1,13 @@
 """Every study runs from top to bottom without a screen, and one that fails says what failed."""
 
+import asyncio
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
@@ -142,6 +144,14 @@ def test_a_finished_study_is_not_run_again(broken, tmp_path, monkeypatch):
     monkeypatch.undo()
     study.path.write_text(study.path.read_text().replace("seed = 1", "seed = 2"))
     assert notebooks.finished(study, folder) is None
+
+
+def test_a_study_runs_where_an_event_loop_runs_already(broken):
+    async def in_a_loop():
+        return broken("seed = 1", MADE)[1]
+
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        assert pool.submit(asyncio.run, in_a_loop()).result().ok
 
 
 def test_a_kernel_that_dies_is_reported(broken):

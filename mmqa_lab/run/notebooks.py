@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -134,7 +135,7 @@ def execute(notebook, folder, *, environment, timeout=None):
         on_notebook_start=lambda notebook: _let_interrupt(interrupted),
     )
     try:
-        asyncio.run(client.async_execute(env=environment))
+        _run(client.async_execute(env=environment))
     except CellExecutionError as error:
         return f"{error.ename}: {error.evalue}".splitlines()[0]
     except CellTimeoutError:
@@ -146,6 +147,16 @@ def execute(notebook, folder, *, environment, timeout=None):
     return ""
 
 
+def _run(coroutine):
+    """Run a coroutine to its end, in a thread of its own where a loop runs already (JupyterLab)."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(coroutine)
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        return pool.submit(asyncio.run, coroutine).result()
+
+
 def _let_interrupt(interrupted):
     """Ctrl-C stops all studies; the client alone would stop this kernel and go on."""
     task = asyncio.current_task()
@@ -154,7 +165,8 @@ def _let_interrupt(interrupted):
         interrupted.set()
         task.cancel()
 
-    with suppress(NotImplementedError):  # Windows has no such handlers
+    # Windows has no such handlers, and no thread but the first has them
+    with suppress(NotImplementedError, RuntimeError, ValueError):
         asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop)
 
 

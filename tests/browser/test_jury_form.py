@@ -11,7 +11,7 @@ import numpy as np
 from mmqa_lab import widgets
 
 crops = {name: np.linspace(0, 1, 20 * 50).reshape(20, 50) ** k for k, name in enumerate("xyz", 1)}
-jury.JuryForm(crops, juror="first", file="marks.csv", order=["z", "x", "y"])
+widgets.JuryForm(crops, juror="first", file="marks.csv", order=["z", "x", "y"])
 """
 
 RUN_MS = 120_000
