@@ -6,9 +6,9 @@ import numpy as np
 
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.beams import beam_rays, echoes
+from mmqa_lab.scan_pattern.setups import rotations
 from mmqa_lab.simulate.draws import draws
-from mmqa_lab.simulate.scanners import Scanner
+from mmqa_lab.simulate.scanners import Scanner, beam_rays, echoes
 
 FULL_SCALE = 65_535
 """Intensity of a surface of reflectance 1 hit square."""
@@ -150,6 +150,11 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
     radius, growth = scanner.beam_radius
+    axis = None
+    if scanner.widening:
+        along = np.asarray(scanner.AXIS) @ scanner.true_mounting.T
+        rotation = rotations(*trajectory.states(firing.since_start)[:, 3:].T)
+        axis = scanner.widening * (rotation @ along)
     echo = echoes(
         scene.tree,
         origin + (trajectory.origin - scene.origin),
@@ -158,6 +163,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
         growth=growth,
         turn=uniform[:, 0],
         separation=scanner.echo_separation_m,
+        axis=axis,
     )
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = firing.select(kept), echo.select(kept), noise[kept]
