@@ -510,7 +510,7 @@ def _summary(values):
     known = values if len(values) else np.array([np.nan])
     return {
         "n": found.n,
-        "mean_mm": found.bias,
+        "mean_mm": round(found.bias, 9) + 0.0,  # never -0
         "median_mm": found.median,
         "min_mm": known.min(),
         "max_mm": known.max(),
