@@ -6,9 +6,17 @@ that differ in one setting share everything else. Heights count from the ground 
 
 import numpy as np
 
-from mmqa_lab.simulate.objects import wall
-from mmqa_lab.simulate.solids import box, cylinder, ellipsoid, foliage
-from mmqa_lab.simulate.surfaces import board, disc, group, rectangle
+from mmqa_lab.simulate.surfaces import (
+    board,
+    box,
+    cylinder,
+    disc,
+    ellipsoid,
+    foliage,
+    group,
+    rectangle,
+    wall,
+)
 
 LEAF_RADIUS_M = 0.07
 LEAVES_PER_M = 0.8
