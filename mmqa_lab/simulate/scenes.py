@@ -2,7 +2,7 @@
 
 Ray casting is exact and compiled. Rays descend a bounding volume hierarchy near child first, and
 every hit solves the primitive's own equation: no mesh, no marching. Curved primitives are solved
-about the point of the ray closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
+about the ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
 """
 
 from typing import NamedTuple
