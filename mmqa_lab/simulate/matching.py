@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.scan import FULL_SCALE
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import Trajectory
