@@ -14,13 +14,15 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
-MM_PER_INCH = 25.4
+POINTS_PER_MM = 72 / 25.4
 
 STYLE = {
     "figure.constrained_layout.use": False,
     "figure.autolayout": False,
     "savefig.bbox": None,
+    "savefig.dpi": "figure",
     "svg.hashsalt": "mmqa_lab",
+    "pdf.compression": 4,
 }
 """A style that someone set must not change the size of the page."""
 
@@ -399,15 +401,17 @@ class Layout(_Element):
         """The page in one form, equal to the byte from run to run."""
         import matplotlib as mpl
         from matplotlib.figure import Figure
+        from matplotlib.patches import PathPatch
+        from matplotlib.transforms import Affine2D
 
-        stream = BytesIO()
+        stream, to_points = BytesIO(), Affine2D().scale(POINTS_PER_MM)
         with mpl.rc_context(STYLE):
-            size = (self.width / MM_PER_INCH, self.height / MM_PER_INCH)
-            page = Figure(figsize=size, frameon=False)
-            ax = page.add_axes((0, 0, 1, 1), xlim=(0, self.width), ylim=(0, self.height))
-            ax.set_axis_off()
+            size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
+            page = Figure(figsize=size, frameon=False, dpi=72)
             for element in self.elements:
-                _draw(element, ax)
+                for tone, outline in _shapes(element).items():
+                    look = {"facecolor": str(float(tone)), "lw": 0, "gid": element.name}
+                    page.add_artist(PathPatch(outline, transform=to_points, **look))
             page.savefig(stream, format=form, metadata=metadata)
         return stream.getvalue()
 
@@ -509,21 +513,12 @@ def _marker_bits(dictionary, identifier):
     return cv2.aruco.generateImageMarker(book, identifier, side) / 255.0
 
 
-def _draw(element, ax):
-    """Draw one element as filled outlines, one for each of its tones."""
-    from matplotlib.collections import PathCollection
-
-    shapes = {element.tone: element.outline()} if isinstance(element, Text) else _shapes(element)
-    colours = [str(float(tone)) for tone in shapes]
-    drawn = PathCollection(list(shapes.values()), facecolors=colours, linewidths=0)
-    ax.add_collection(drawn, autolim=False)
-    drawn.set_gid(element.name)
-
-
 def _shapes(element):
     """The outline of each tone that differs from white; cells alike in a row are one rectangle."""
     from matplotlib.path import Path
 
+    if isinstance(element, Text):
+        return {element.tone: element.outline()}
     corners = {}
     x, y, tones = element.grid()
     for (low, high), values in zip(pairwise(y), tones, strict=True):
