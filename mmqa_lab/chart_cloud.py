@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
@@ -236,7 +237,7 @@ class CloudQuality(Shown):
         density = self.n / whole.area
         count = (areas > 0).sum()
         error = np.sqrt(count / (count - 1) * ((counts - density * areas) ** 2).sum()) / whole.area
-        reach = stats.student_t(count - 1) * error
+        reach = stdtrit(count - 1, 0.975) * error
         return density, max(density - reach, 0.0), density + reach
 
     def _std_interval(self, block):
@@ -247,7 +248,7 @@ class CloudQuality(Shown):
         if count < 2:
             return np.nan, np.nan
         error = np.sqrt(count / (count - 1) * (sums**2).sum()) / self.n
-        reach = stats.student_t(count - 1) * error
+        reach = stdtrit(count - 1, 0.975) * error
         return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 
 
