@@ -22,7 +22,6 @@ from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     Plane,
     fit_plane,
-    flat_points,
     sigma_mad,
     turned_axes,
 )
@@ -442,31 +441,6 @@ def chart_polygon(
     u = np.array([left, width - right, width - right, left])[:, None] / width
     v = np.array([low, low, height - high, height - high])[:, None] / height
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
-
-
-def hull_area(xy: ArrayLike) -> float:
-    """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line.
-
-    Parameters
-    ----------
-    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
-        Metres.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If there are no points or one is not finite.
-
-    Examples
-    --------
-    >>> hull_area([[0, 0], [2, 0], [2, 1], [0, 1], [1, 0.5]]), hull_area([[0, 0], [1, 1]])
-    (2.0, 0.0)
-    """
-    return float(_hull(flat_points(xy)).area)
 
 
 def _hull(xy):

@@ -6,7 +6,7 @@ import html
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -243,3 +243,54 @@ def as_cloud(points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> Cl
     if is_table(points):
         return Cloud.from_frame(points)
     return Cloud(check_points(points, minimum=0))
+
+
+class _Cells(NamedTuple):
+    """What :func:`sort_into_cells` gives."""
+
+    order: np.ndarray
+    starts: np.ndarray
+    places: np.ndarray
+
+
+def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
+    """Sort points into square or cubic cells whose borders lie at multiples of their size.
+
+    Parameters
+    ----------
+    points : array, shape (n, d)
+        Coordinates, in any unit; one point or more.
+    size : float
+        Side of the cells, in that unit.
+
+    Returns
+    -------
+    order : array of int, shape (n,)
+        The points' rows, cell by cell; within a cell as they came.
+    starts : array of int, shape (m + 1,)
+        Cell k has the points ``order[starts[k]:starts[k + 1]]``.
+    places : array of int, shape (m, d)
+        Place of each cell with points, in cells from the origin; the last axis runs fastest.
+
+    Raises
+    ------
+    ValueError
+        If the box around the points has too many cells to be numbered.
+
+    Examples
+    --------
+    >>> cells = sort_into_cells(np.array([[0.9, 0.2], [0.1, 0.1], [0.8, 0.3]]), 0.5)
+    >>> cells.order.tolist(), cells.starts.tolist(), cells.places.tolist()
+    ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
+    """
+    index = np.floor(np.ascontiguousarray(points.T) / size).astype(np.int64)
+    low = index.min(axis=1)
+    wide = index.max(axis=1) - low + 1
+    if np.prod(wide.astype(float)) > 2.0**62:
+        raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
+    key = np.zeros(index.shape[1], np.int64)
+    for along, first, count in zip(index, low, wide, strict=True):
+        key = key * count + (along - first)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return _Cells(order, np.append(first, len(order)), index[:, order[first]].T.copy())

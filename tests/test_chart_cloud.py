@@ -13,7 +13,6 @@ from scipy import stats
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
-    hull_area,
     inside_polygon,
 )
 from mmqa_lab.cloud import Cloud
@@ -95,7 +94,8 @@ def test_homogeneous_poisson_pattern_fails_the_threshold(rng):
 def test_hull_area_is_too_small_by_a_known_amount(rng):
     n, areas = 500, []
     for _ in range(200):
-        areas.append(hull_area(rng.uniform(0, 1, (n, 2))))
+        square = np.column_stack([rng.uniform(0, 1, (n, 2)), np.zeros(n)])
+        areas.append(evaluate_cloud(square).area_hull_m2)
     # Rényi and Sulanke 1963: missing area of n points in a square, 8/3 (ln n + c) / n
     constant = np.euler_gamma - np.log(2)
     expected = 1 - 8 / 3 * (np.log(n) + constant) / n

@@ -16,7 +16,7 @@ from mmqa_lab.chart_image.light import GAMMAS, decode
 from mmqa_lab.chart_image.locate import locate_corners, locate_markers
 from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.charts import from_json, imaging_chart
-from mmqa_lab.io.images import read_grey
+from mmqa_lab.io import read_grey
 
 LAYOUTS = ("grey", "black")
 """Names of the layouts as built: the imaging chart with its lying bar in grey or black."""
