@@ -86,9 +86,9 @@ def run(options):
     import sys
 
     from mmqa_lab import maps
-    from mmqa_lab._checks import check_choice, check_positive
+    from mmqa_lab._checks import check_choice, check_crs, check_positive
     from mmqa_lab.maps.campaign import known_crs
-    from mmqa_lab.maps.results import check_crs, check_place, check_thresholds, write_report
+    from mmqa_lab.maps.results import check_place, check_thresholds, write_report
     from mmqa_lab.maps.tile import variables
 
     check_thresholds(options.below, variables(options.metrics))

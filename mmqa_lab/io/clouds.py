@@ -21,7 +21,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.io._files import damage_named, write_atomically
+from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
 from mmqa_lab.io.tables import text_tables
 
 LAS_ENDINGS = (".las", ".laz")
@@ -61,7 +61,7 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Cloud
         Points in float64. Columns are kept as read, but for ``scan_angle``, which is in degrees.
         Its ``resolution`` is the scale of a LAS header, or the step of single precision at the
-        largest coordinate of PLY and PCD; NaN else.
+        largest coordinate of PLY and PCD; NaN else. Its ``crs`` is what a LAS header names.
 
     Raises
     ------
@@ -126,8 +126,8 @@ def iterate_cloud(
         listed = ", ".join(CLOUD_ENDINGS)
         raise ValueError(f"Invalid cloud {path} with ending {ending!r}. Must be one of {listed}.")
     bare = columns is not None and not len(columns)
-    for points, attributes, resolution in _tables(path, ending, chunk, bare):
-        yield _finite_cloud(path, points, _chosen(path, attributes, columns), resolution)
+    for points, attributes, about in _tables(path, ending, chunk, bare):
+        yield _finite_cloud(path, points, _chosen(path, attributes, columns), about)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) -> None:
@@ -139,7 +139,8 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) 
         Ends in ``.las`` or ``.laz``; an existing file is replaced.
     cloud : Cloud, array_like of shape (n, 3) or DataFrame
         Columns that LAS knows (``gps_time`` in seconds, ``intensity``, ``scan_angle`` in
-        degrees, ``classification``, ...) go to their fields, the others to extra dimensions.
+        degrees, ``classification``, ...) go to their fields, the others to extra dimensions. Its
+        ``crs`` goes to the header.
     scale : float
         Coordinates are rounded to this step, m.
 
@@ -170,12 +171,12 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) 
 
 
 def _tables(path, ending, chunk, bare):
-    """Points, attributes and resolution of a file's pieces."""
+    """Points, attributes, and resolution and CRS of a file's pieces."""
     if ending in LAS_ENDINGS:
         with damage_named(path, "a complete LAS or LAZ file"):
             yield from las_tables(path, chunk, bare=bare)
     elif ending in TEXT_ENDINGS:
-        yield from ((*table, np.nan) for table in text_tables(path, chunk))
+        yield from ((*table, {}) for table in text_tables(path, chunk))
     else:
         yield from {".ply": ply_tables, ".pcd": pcd_tables, ".e57": e57_tables}[ending](path)
 
@@ -193,7 +194,7 @@ def _chosen(path, attributes, columns):
     return {column: attributes[column] for column in columns}
 
 
-def _finite_cloud(path, points, attributes, resolution):
+def _finite_cloud(path, points, attributes, about):
     """A cloud of the finite points, with a warning that counts the others."""
     if not np.isfinite(points).all():
         finite = np.isfinite(points).all(axis=1)
@@ -204,11 +205,11 @@ def _finite_cloud(path, points, attributes, resolution):
         )
         points = points[finite]
         attributes = {key: values[finite] for key, values in attributes.items()}
-    return Cloud(points, attributes, Path(path).stem, resolution)
+    return Cloud(points, attributes, path.stem, **about)
 
 
 def las_tables(path, chunk, *, bare=False):
-    """Yield points (n, 3), attributes and the coarsest scale, at most ``chunk`` points at a time.
+    """Yield points (n, 3), attributes, and scale and CRS, at most ``chunk`` points at a time.
 
     ``bare`` leaves the attributes out, and compressed where the file's format allows it.
 
@@ -228,6 +229,7 @@ def las_tables(path, chunk, *, bare=False):
             _check_compression(path, header)
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         names = [] if bare else names
+        about = {"resolution": float(max(header.scales)), "crs": _las_crs(path, header)}
         read = 0
         for part in reader.chunk_iterator(chunk):
             read += len(part)
@@ -235,7 +237,7 @@ def las_tables(path, chunk, *, bare=False):
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
             points = np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1)
-            yield points, attributes, float(max(header.scales))
+            yield points, attributes, about
         if read < header.point_count:
             raise ValueError(f"{read} points where the header says {header.point_count}")
 
@@ -247,6 +249,8 @@ def las_data(cloud, scale):
     header = laspy.LasHeader(point_format=LAS_POINT_FORMAT, version="1.4")
     header.scales = np.full(3, scale)
     header.offsets = np.floor(cloud.points.min(axis=0))
+    if cloud.crs is not None:
+        header.add_crs(cloud.crs)
     fields = set(header.point_format.dimension_names)
     for key, values in cloud.columns.items():
         if key not in fields:
@@ -257,6 +261,18 @@ def las_data(cloud, scale):
     for key, values in cloud.columns.items():
         las[key] = _angle_steps(values) if key == "scan_angle" else values
     return las
+
+
+def _las_crs(path, header):
+    """The coordinate reference system that a LAS header names, None without one."""
+    try:
+        return header.parse_crs()
+    except Exception as error:
+        reason = first_sentence(error)
+        warnings.warn(
+            f"{path} names a coordinate system that is not known: {reason}.", stacklevel=2
+        )
+        return None
 
 
 def _check_header(path):
@@ -374,7 +390,7 @@ def e57_tables(path):
             axes = [scan.pop(f"cartesian{axis}") for axis in "XYZ"]
             scan = {name: np.asarray(values) for name, values in scan.items()}
             points = np.stack(axes, axis=1).astype(np.float64)
-            yield points, scan, _e57_resolution(file.get_header(number), points)
+            yield points, scan, {"resolution": _e57_resolution(file.get_header(number), points)}
 
 
 def _e57_resolution(header, points):
@@ -417,7 +433,7 @@ def _table(rows):
     return (
         points.astype(np.float64),
         {name: np.array(rows[name]) for name in rest},
-        _resolution(points),
+        {"resolution": _resolution(points)},
     )
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab._checks import check_count, check_metres, check_positive
 from mmqa_lab.io import LAS_ENDINGS, write_atomically
 from mmqa_lab.io._files import first_sentence
 from mmqa_lab.io.clouds import iterate_cloud
@@ -432,6 +432,7 @@ def read_source(path):
     except Exception as error:
         reason = first_sentence(error)
         raise ValueError(f"Invalid cloud {path}: {reason}. Must have a header.") from error
+    check_metres(crs, f"cloud {path}")
     state = os.stat(path)
     mark = f"{path}|{state.st_size}|{state.st_mtime_ns}"
     key = f"{Path(path).stem}-{hashlib.sha256(mark.encode()).hexdigest()[:12]}"

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.ndimage import binary_fill_holes
 
 from mmqa_lab import plots
-from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
+from mmqa_lab._checks import check_choice, check_crs, check_number, check_points, check_positive
+from mmqa_lab.cloud import as_cloud
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps.campaign import Grid, corner, read_array, tile_name
 from mmqa_lab.maps.tile import FIGURES, LAYERS, METRICS, evaluate_tile, variables
@@ -150,6 +152,7 @@ def map_cloud(
     >>> dict(found.sizes), float(found["d4"].median().round(6))
     ({'layer': 3, 'y': 4, 'x': 2}, 40.0)
     """
+    cloud = as_cloud(cloud)
     points = check_points(cloud)
     check_positive(cell, "cell", unit="m")
     grid = Grid(cell, 1, corner(points.min(axis=0), cell))
@@ -160,8 +163,7 @@ def map_cloud(
     window = (*grid.window((low_x, low_y))[:2], high_x - low_x, high_y - low_y)
     arrays = evaluate_tile(local, window, cell=cell, metrics=metrics, **choices)
     record = {"cell": cell, "cells": (low_x, low_y, high_x, high_y), **choices}
-    record["resolution"] = getattr(cloud, "resolution", np.nan)
-    return _dataset(arrays, record, crs or getattr(cloud, "crs", ""), rho0)
+    return _dataset(arrays, record | {"resolution": cloud.resolution}, crs or cloud.crs, rho0)
 
 
 def summarise(dataset, *, below=None):
@@ -180,7 +182,9 @@ def summarise(dataset, *, below=None):
         A row per layer and variable: ``layer``, ``variable``, ``unit``, ``n`` (cells that have the
         figure), ``area_m2`` (of the surface in them), area-weighted quantiles ``q05`` .. ``q95``,
         ``threshold`` and ``share_below`` (of the area; NaN without a threshold). Where the map
-        says where f is exempt, the rows of f have ``exempt_share`` of their area, too.
+        says where f is exempt, the rows of f have ``exempt_share`` of their area, too. ``remarks``
+        says where coordinates are too coarse for a figure, how much area without points lies
+        between cells with points, and which files were left out.
 
     Raises
     ------
@@ -213,7 +217,10 @@ def summarise(dataset, *, below=None):
                 about["exempt_share"] = float((free * weights).sum() / weights.sum())
             rows.append(about)
     table = pd.DataFrame(rows)
-    return table[table["n"] > 0].reset_index(drop=True)
+    table = table[table["n"] > 0].reset_index(drop=True)
+    general = [dataset.attrs.get("remarks", ""), _gaps(dataset)]
+    coarse = _too_coarse(table, 1000 * dataset.attrs.get("resolution_m", np.nan))
+    return table.assign(remarks=[" ".join(filter(None, [*general, one])) for one in coarse])
 
 
 def write_map(dataset, path):
@@ -305,16 +312,6 @@ def check_thresholds(below, names):
         check_number(threshold, f"threshold of {name}")
 
 
-def check_crs(crs):
-    """Return the coordinate reference system, or raise where it is unknown."""
-    import pyproj
-
-    try:
-        return pyproj.CRS(crs)
-    except pyproj.exceptions.CRSError:
-        raise ValueError(f"Invalid crs {crs!r}. Must be known, like EPSG:25832.") from None
-
-
 def check_place(path, crs):
     """Raise where the ending is none of a map, or a GeoTIFF would have no place on earth."""
     check_choice(Path(path).suffix, "ending of the map", ENDINGS)
@@ -345,6 +342,8 @@ def _dataset(arrays, record, crs, rho0):
     lengths = {f"{name}_m": record[name] for name in ("cell", "radius", "thickness", "void")}
     turned = "quadrants: east and north; on upright planes horizontal and steepest line"
     dataset.attrs = {**lengths, "surface": record["surface"], "axes": turned}
+    dataset.attrs["resolution_m"] = record["resolution"]
+    dataset.attrs["remarks"] = " ".join(record.get("remarks", []))
     if rho0 is not None:
         dataset = _with_exemption(dataset, check_positive(rho0, "rho0", unit="points per m2"))
     if not crs:
@@ -396,6 +395,27 @@ def _quantiles(values, area, threshold):
     share = float(area[values < threshold].sum() / area.sum()) if measurable else np.nan
     about = {"n": len(values), "area_m2": float(area.sum())} | dict(zip(names, found, strict=True))
     return about | {"threshold": threshold, "share_below": share}
+
+
+def _gaps(dataset):
+    """A sentence on the cells without points that others enclose."""
+    if "n" not in dataset or not {"y", "x"} <= set(dataset["n"].dims):
+        return ""
+    seen = (dataset["n"].sum("layer") > 0).transpose("y", "x").values
+    cells = int((binary_fill_holes(seen) & ~seen).sum())
+    area = cells * dataset.attrs["cell_m"] ** 2
+    text = (
+        f"{cells} cells ({area:.4g} m2) without points lie between others: no figure counts them."
+    )
+    return text if cells else ""
+
+
+def _too_coarse(table, step_mm):
+    """For each row a sentence where its median is too small for the step of the coordinates."""
+    least = {"d1": 5 * step_mm, "d2": 5 * step_mm, "sigma_mad": step_mm}
+    text = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for this figure."
+    rows = zip(table["variable"], table["q50"], strict=True)
+    return [text if middle < least.get(name, -np.inf) else "" for name, middle in rows]
 
 
 def _draw_panel(values, ax, label):
