@@ -18,13 +18,7 @@ from mmqa_lab._checks import check_choice, check_number, check_points, check_pos
 from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.planes import (
-    CONSISTENT_SCALE,
-    Plane,
-    fit_plane,
-    sigma_mad,
-    turned_axes,
-)
+from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
 from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
 
 AXES = ("principal", "horizontal")

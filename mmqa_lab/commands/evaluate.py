@@ -9,12 +9,7 @@ most sqrt(1 / rho0). Without --polygon the whole cloud is taken for the surface.
 
 import argparse
 
-from mmqa_lab.commands._output import (
-    add_output_arguments,
-    output_file,
-    print_rows,
-    with_progress,
-)
+from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows, with_progress
 
 SUMMARY = "point density, planarity and point spacing of a surface in a cloud"
 

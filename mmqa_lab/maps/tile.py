@@ -77,15 +77,7 @@ def reach(surface, *, cell, radius=0.5, thickness=0.1):
 
 
 def evaluate_tile(
-    points,
-    window,
-    *,
-    cell,
-    surface="local",
-    metrics=METRICS,
-    radius=0.5,
-    thickness=0.1,
-    void=0.1,
+    points, window, *, cell, surface="local", metrics=METRICS, radius=0.5, thickness=0.1, void=0.1
 ):
     """Evaluate the points in each cell of a tile.
 

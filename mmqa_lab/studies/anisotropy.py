@@ -40,10 +40,7 @@ CLOSED = ("lattice", "hexagonal", "scan_lines", "poisson")
 LEAST_NOISE, EXACT = 1e-10, 1e-6
 """Metres of noise that decide on which side of an axis a point lies and nothing else."""
 
-BOARDS = {
-    "board, VLP-16": "boards/vlp16_pose02.laz",
-    "board, 64 rings": "boards/os64_pose02.laz",
-}
+BOARDS = {"board, VLP-16": "boards/vlp16_pose02.laz", "board, 64 rings": "boards/os64_pose02.laz"}
 
 COLOURS = dict(zip(KINDS, plots.COLOURS, strict=False)) | {"holes": "grey"}
 """A colour of :mod:`mmqa_lab.plots` for each pattern."""

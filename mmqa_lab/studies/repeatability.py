@@ -69,10 +69,7 @@ REMARKS = {
 }
 """Numbers of section 4.4 about five selections, and the column of ranges that each is about."""
 
-BOARDS = {
-    "board, VLP-16": "boards/vlp16_pose02.laz",
-    "board, 64 rings": "boards/os64_pose02.laz",
-}
+BOARDS = {"board, VLP-16": "boards/vlp16_pose02.laz", "board, 64 rings": "boards/os64_pose02.laz"}
 
 WALL = "hdl32e_pair/sweep_a.laz"
 
