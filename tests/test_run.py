@@ -10,8 +10,7 @@ import pytest
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.run import Check, Run, parameter_names
-from mmqa_lab.run.results import read_record
+from mmqa_lab.run import Check, Run, parameter_names, read_record
 from mmqa_lab.studies.catalogue import STUDIES
 
 
