@@ -26,6 +26,8 @@ LEDGER_FIGURE = "![Verdicts on the printed results of each source](notebooks/led
 
 HEAD = "| study | question | answer | source |\n|---|---|---|---|\n"
 
+VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
+
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 
@@ -223,13 +225,16 @@ def ledger_table(ledger):
 
 
 def ledger_figure(ledger):
-    """Return a figure of the verdicts on each source's results."""
-    from mmqa_lab.plots import subplots, use_style
-    from mmqa_lab.published.ledger import plot
+    """Return a figure of the verdicts on each source's results, as stacked bars."""
+    from mmqa_lab import plots
+    from mmqa_lab.published.ledger import summary
 
-    use_style()
-    figure, ax = subplots(width="double", height_mm=60)
-    plot(ledger, ax)
+    plots.use_style()
+    figure, ax = plots.subplots(width="double", height_mm=60)
+    counts = summary(ledger).drop(index="all")[::-1]
+    counts.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
+    ax.set(xlabel="printed numbers", ylabel="")
+    ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 
