@@ -7,7 +7,6 @@ import pytest
 
 from mmqa_lab import chart_image, widgets
 
-
 CROPS = {name: np.linspace(0, 1, 6 * (9 + k)).reshape(6, -1) for k, name in enumerate("xyz")}
 
 

@@ -33,12 +33,23 @@ from mmqa_lab.bench._tables import (
     compare,
     dataset,
     failures,
+    figure_names,
     rank,
     summary,
 )
 from mmqa_lab.io import write_atomically
 
-__all__ = ["Comparison", "cell_table", "compare", "failures", "grid", "rank", "run", "summary"]
+__all__ = [
+    "Comparison",
+    "cell_table",
+    "compare",
+    "failures",
+    "figure_names",
+    "grid",
+    "rank",
+    "run",
+    "summary",
+]
 
 PASSING = (ImportError, MemoryError, OSError)
 """Failures of the machine, not of the method: never stored, so the next run tries again."""

@@ -97,6 +97,12 @@ def unit_ending(name):
     return max((one for one in UNITS if name.endswith(one)), key=len, default="")
 
 
+def split_unit(name):
+    """A column's name without the unit that it ends with, and the unit; empty where none."""
+    ending = unit_ending(name)
+    return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
+
+
 def failures(results):
     """Return what could not be measured, with its reasons.
 

@@ -48,9 +48,9 @@ steeper ones, as walls; <em>other</em>: points that show no plane, as foliage, o
 """
 
 
+@plots.style()
 def draw_map(dataset):
     """Return a figure with a row for each layer and a panel for each figure of the map."""
-    plots.use_style()
     names = [name for name in DRAWN if name in dataset][:4]
     layers = [k for k in dataset["layer"].values if (dataset["area"].sel(layer=k) > 0).any()]
     steps = {axis: int(np.ceil(dataset.sizes[axis] / PIXELS)) for axis in ("x", "y")}

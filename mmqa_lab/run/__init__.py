@@ -11,15 +11,26 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 
+import matplotlib as mpl
+import numpy as np
 import pandas as pd
 
-from mmqa_lab import samples
+from mmqa_lab import plots, samples
 from mmqa_lab.io import write_atomically
 
 __all__ = ["Check", "Run", "parameter_names", "results_folder"]
 
 FORMATS = ("pdf", "svg", "png")
 RECORD = "run.json"
+
+SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefig.dpi")
+"""Settings of the house style that matter when a figure is saved."""
+
+LONGEST_LATEX = 60
+"""Rows of a table that is written for LaTeX too; longer ones are data."""
+
+LARGEST_IMAGE = 40_000
+"""Pixels of a picture within a figure whose values are written with the figure's data."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
 """What a number can be: printed in a paper, from specifications alone, from parameters chosen so
@@ -127,7 +138,7 @@ class Run:
         self._write_record()
 
     def save_table(self, frame, name, *, kind=""):
-        """Write a DataFrame as ``<name>.csv``.
+        """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
 
         A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
         where it does not, ``kind`` becomes such a column, and tells of the columns without a word.
@@ -145,30 +156,39 @@ class Run:
                 f"Must be one of {', '.join(KINDS)}."
             )
         self._write_table(frame, name)
+        if len(frame) <= LONGEST_LATEX:
+            self._write(
+                f"{name}.tex", lambda path: path.write_text(_latex(frame), encoding="utf-8")
+            )
 
     def save_figure(self, figure, name, *, data=None, seen=""):
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
-        ``data``, a DataFrame with what the figure shows, is written as ``<name>.csv``. ``seen``
-        says in a sentence what one sees, for readers without the picture; without it the axes'
-        labels and the legends do.
+        What it shows is written as ``<name>.csv``: ``data``, a DataFrame, or else what the axes
+        contain, a row for each point. ``seen`` says in a sentence what one sees, for readers
+        without the picture; without it the axes' labels and the legends do.
         """
+        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
         details = {
-            "pdf": {"CreationDate": None, "Title": name},
-            "svg": {"Date": None, "Title": name},
-            "png": {},
+            "pdf": {"CreationDate": None, "Title": name, "Subject": self._record["study"]},
+            "svg": {"Date": None, "Title": name, "Description": made},
+            "png": {"Title": name, "Software": made},
         }
+        details["pdf"]["Creator"] = made
         self._record["figures"][name] = {
             "seen": seen or _described(figure),
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
         }
-        for form in FORMATS:
-            self._write(
-                f"{name}.{form}",
-                lambda path, form=form: figure.savefig(path, metadata=details[form]),
-            )
+        with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
+            for form in FORMATS:
+                self._write(
+                    f"{name}.{form}",
+                    lambda path, form=form: figure.savefig(path, metadata=details[form]),
+                )
         if data is not None:
             self._write_table(data, name)
+        elif f"{name}.csv" not in self._record["files"]:
+            self._write_table(_drawn(figure), name)
 
     def save_value(self, name, value, unit, kind):
         """Keep a named number of a kind in ``values.csv``."""
@@ -301,7 +321,9 @@ def _environment():
 def _commit():
     """The commit of the package's checkout, with ``-dirty`` where files differ; empty without."""
     command = ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    here = Path(__file__).parent
+    here = Path(__file__).parents[2]
+    if not (here / "pyproject.toml").is_file():  # installed: another project's folder, perhaps
+        return ""
     try:
         return subprocess.run(command, cwd=here, capture_output=True, text=True).stdout.strip()
     except OSError:
@@ -340,6 +362,55 @@ def _described(figure):
             seen = f"{seen} of {names}".lstrip()
         said.append(": ".join(filter(None, [ax.get_title(), seen])))
     return "; ".join(filter(None, said))
+
+
+def _drawn(figure):
+    """What a figure shows: a row for each point of a panel's lines, marks, bars and pictures."""
+    parts = [pd.DataFrame(columns=["panel", "series", "x", "y"])]
+    for panel, ax in enumerate(figure.axes, 1):
+        for artist in (*ax.lines, *ax.collections, *ax.patches, *ax.images):
+            label = str(artist.get_label())
+            named = {"panel": panel, "series": "" if label.startswith("_") else label}
+            axes = {"x_label": ax.get_xlabel(), "y_label": ax.get_ylabel()}
+            parts.append(pd.DataFrame({**_points_of(artist), **axes}).assign(**named))
+    return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+
+
+def _points_of(artist):
+    """The columns x, y, and value where it is coloured by one, of what is drawn."""
+    if hasattr(artist, "get_xydata"):
+        x, y = artist.get_xydata().T
+    elif isinstance(artist, mpl.image.AxesImage):
+        value = np.asarray(artist.get_array())
+        if value.ndim != 2 or value.size > LARGEST_IMAGE:
+            return {"x": [], "y": []}
+        left, right, bottom, top = artist.get_extent()
+        y, x = np.indices(value.shape) + 0.5
+        x = left + (right - left) * x / value.shape[1]
+        y = top + (bottom - top) * y / value.shape[0]
+        return {"x": x.ravel(), "y": y.ravel(), "value": value.ravel()}
+    elif isinstance(artist, mpl.collections.PathCollection):
+        x, y = np.ma.filled(artist.get_offsets(), np.nan).T
+        value = artist.get_array()
+        return {"x": x, "y": y} | ({} if value is None else {"value": value})
+    elif isinstance(artist, mpl.patches.Rectangle):
+        x, y = [artist.get_x() + artist.get_width() / 2], [artist.get_y() + artist.get_height()]
+    else:
+        paths = artist.get_paths() if hasattr(artist, "get_paths") else [artist.get_path()]
+        x, y = np.concatenate([path.vertices for path in paths] or [np.empty((0, 2))]).T
+    return {"x": x, "y": y}
+
+
+def _latex(frame):
+    """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
+    from mmqa_lab.bench._tables import split_unit
+
+    heads = {}
+    for name in map(str, frame.columns):
+        plain, unit = split_unit(name)
+        heads[name] = f"{plain.replace('_', ' ')} ({unit})" if unit else plain.replace("_", " ")
+    shown = frame.rename(columns=str).rename(columns=heads)
+    return shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
 
 
 def _says_kind(frame):

@@ -229,12 +229,12 @@ def ledger_figure(ledger):
     from mmqa_lab import plots
     from mmqa_lab.published.ledger import summary
 
-    plots.use_style()
-    figure, ax = plots.subplots(width="double", height_mm=60)
     counts = summary(ledger).drop(index="all")[::-1]
-    counts.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
-    ax.set(xlabel="printed numbers", ylabel="")
-    ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    with plots.style():
+        figure, ax = plots.subplots(width="double", height_mm=60)
+        counts.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
+        ax.set(xlabel="printed numbers", ylabel="")
+        ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 
