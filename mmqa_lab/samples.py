@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from mmqa_lab import _shipped
 from mmqa_lab._checks import check_choice
 
-FOLDER = Path(__file__).resolve().parent.parent / "data_samples"
+FOLDER = _shipped("data_samples")
 
 REAL_VARIABLE = "MMQA_DATA"
 """The environment variable that names the folder of larger public clouds."""

@@ -33,14 +33,27 @@ def _completion_arguments(parser):
 
 
 def lab(options):
-    """Open JupyterLab in the folder of the notebooks."""
+    """Open JupyterLab with the notebooks.
+
+    It shows the folder of the repository. From an installed package the notebooks are copied to the
+    folder notebooks of the current directory; those that are there already stay as they are.
+    """
+    import shutil
     import subprocess
     import sys
 
     from mmqa_lab.studies.catalogue import notebooks_folder
 
-    command = [sys.executable, "-m", "jupyterlab", *options.jupyter]
-    return subprocess.call(command, cwd=notebooks_folder())
+    folder = notebooks_folder()
+    root, place = folder.parent, "notebooks"
+    if not (root / "pyproject.toml").is_file():
+        root = Path.cwd()
+        (root / place).mkdir(exist_ok=True)
+        for notebook in folder.glob("*.ipynb"):
+            if not (root / place / notebook.name).exists():
+                shutil.copyfile(notebook, root / place / notebook.name)
+    command = [sys.executable, "-m", "jupyterlab", f"--LabApp.default_url=/lab/tree/{place}"]
+    return subprocess.call([*command, *options.jupyter], cwd=root)
 
 
 def _lab_arguments(parser):
@@ -121,10 +134,10 @@ def readme(options):
     inserted too. With --check nothing is written; the exit status is 1 where the README differs.
     """
     from mmqa_lab.run import pages
-    from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
+    from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder, results_folder
 
     notebooks = notebooks_folder()
-    folder = options.results or notebooks / "results"
+    folder = options.results or results_folder(notebooks)
     same = pages.update_readme(notebooks, folder, STUDIES, write=not options.check)
     return 1 if options.check and not same else 0
 
@@ -159,16 +172,17 @@ def studies(options):
     """Run the studies: every notebook of the catalogue, without a screen.
 
     Each study runs in a kernel of its own and leaves its tables, figures, named values and a page
-    under notebooks/results/, as they arrive; index.html there shows them all. Results of --quick go
-    to notebooks/results/quick/. A study that fails does not stop the others. The exit status is 1
-    where a study failed or, with the delivered parameters, a check did not pass.
+    under notebooks/results/ (results/ of the current directory where the package is installed), as
+    they arrive; index.html there shows them all. Results of --quick go to results/quick/. A study
+    that fails does not stop the others. The exit status is 1 where a study failed or, with the
+    delivered parameters, a check did not pass.
     """
     from tqdm import tqdm
 
     from mmqa_lab.run import notebooks, pages
-    from mmqa_lab.studies.catalogue import STUDIES, chosen, notebooks_folder
+    from mmqa_lab.studies.catalogue import STUDIES, chosen, notebooks_folder, results_folder
 
-    usual = notebooks_folder() / "results"
+    usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
     outcomes = []
     with tqdm(chosen(options.name), unit="study", desc="studies") as bar:

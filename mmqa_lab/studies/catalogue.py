@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from mmqa_lab import _shipped
 from mmqa_lab._checks import check_choice
 
 
@@ -107,12 +108,18 @@ def notebooks_folder():
     Raises
     ------
     FileNotFoundError
-        If the package runs without its repository.
+        If the package was installed without them.
     """
-    folder = Path(__file__).resolve().parents[2] / "notebooks"
+    folder = _shipped("notebooks")
     if not folder.is_dir():
-        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be the repository.")
+        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be installed.")
     return folder
+
+
+def results_folder(notebooks):
+    """Return where full runs go: beside the notebooks, or here where these are installed."""
+    own = (notebooks.parent / "pyproject.toml").is_file()
+    return (notebooks if own else Path.cwd()) / "results"
 
 
 def chosen(names=()):
