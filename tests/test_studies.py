@@ -17,7 +17,8 @@ import pytest
 
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
 from mmqa_lab.run.notebooks import student_cell
-from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
+from mmqa_lab.samples import SAMPLES
+from mmqa_lab.studies.catalogue import STUDIES, TOOLS, Study, chosen, notebooks_folder
 
 TESTS = str(Path(__file__).parent)
 
@@ -79,6 +80,8 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     # written by mmqa readme; real clouds, where they are available, add to an answer
     assert f"| {masked(answer['sentence']).rstrip('.')}" in masked(readme)
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
+    for name in record["figures"]:
+        assert len(pd.read_csv(folder / f"{name}.csv")) > 0, f"no data of {name}"
     page = (folder / f"{study.stem}.html").read_text()
     assert "<img" in page
     assert page.count("Traceback (most recent call last)") == exercises  # checks fail unworked
@@ -88,6 +91,23 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     index = (tmp_path / "results" / "index.html").read_text()
     assert study.title in index
     assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
+
+
+@pytest.mark.timeout(0)
+def test_the_tool_runs_on_samples(tmp_path):
+    outcome = notebooks.run_study(TOOLS[0], tmp_path)
+    assert outcome.failure == ""
+    folder = tmp_path / TOOLS[0].stem
+    record = read_record(folder)
+    assert record["finished"]
+    assert list(record["parameters"]) == parameter_names(TOOLS[0].path)
+    table = pd.read_csv(folder / "comparison.csv")
+    assert set(table["cloud"]) == {"chart_a_5m", "chart_b_5m"}
+    assert (table["low"] <= table["value"]).all()
+    page = (folder / "report.html").read_text()
+    for part in (SAMPLES[1].sha256, record["version"], "sigma_mad", "radius_m", "data:image/png"):
+        assert part in page
+    assert (folder / "report.pdf").read_bytes().count(b"/Type /Page ") == 1
 
 
 @pytest.fixture

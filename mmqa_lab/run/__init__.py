@@ -1,6 +1,7 @@
 """Running the studies. Here: what a run leaves behind, tables, figures, values, checks, record."""
 
 import ast
+import io
 import json
 import os
 import platform
@@ -189,6 +190,29 @@ class Run:
             self._write_table(data, name)
         elif f"{name}.csv" not in self._record["files"]:
             self._write_table(_drawn(figure), name)
+
+    def save_report(self, figure, table, *, title, inputs):
+        """Write one page with a figure and a table as ``report.html`` and ``report.pdf``.
+
+        It names the parameters, the versions and ``inputs``, a dict of files and their SHA-256.
+
+        Returns
+        -------
+        list of Path
+            Both files.
+        """
+        from mmqa_lab.run.pages import report_page, report_sheet
+
+        picture = io.BytesIO()
+        with mpl.rc_context({"savefig.dpi": 200}):
+            figure.savefig(picture, format="png")
+        whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
+        page = report_page(picture.getvalue(), **whole)
+        self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
+        sheet = report_sheet(picture.getvalue(), **whole)
+        metadata = {"CreationDate": None, "Title": title}
+        self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
+        return [self.folder / name for name in ("report.html", "report.pdf")]
 
     def save_value(self, name, value, unit, kind):
         """Keep a named number of a kind in ``values.csv``."""

@@ -5,8 +5,11 @@ results are in ``templates/``. In the README a program writes what stands betwee
 and ``<!-- end NAME -->``; nothing there is typed.
 """
 
+import base64
+import io
 import json
 import re
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -108,6 +111,40 @@ def notebook_page(notebook, title, *, figures):
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
     return _filled("notebook.html", title=title, body=body, style=style)
+
+
+def report_page(picture, *, title, table, inputs, record):
+    """Return a report with a figure, given as PNG, and a table as one HTML page."""
+    return _filled(
+        "report.html",
+        title=title,
+        picture=base64.b64encode(picture).decode(),
+        table=table.to_html(index=False, border=0, na_rep="", float_format="{:.4g}".format),
+        inputs=inputs,
+        record=record,
+    )
+
+
+def report_sheet(picture, *, title, table, inputs, record):
+    """Return the same report as a matplotlib figure of the size A4."""
+    from matplotlib.figure import Figure
+    from matplotlib.image import imread
+
+    sheet = Figure(figsize=(8.27, 11.69), layout="none")
+    sheet.text(0.08, 0.95, title, fontsize=14)
+    places = (0.08, 0.5, 0.84, 0.42), (0.08, 0.28, 0.84, 0.2)
+    above, below = (sheet.add_axes(place, frame_on=False, xticks=[], yticks=[]) for place in places)
+    above.imshow(imread(io.BytesIO(picture)))
+    texts = table.map(lambda one: f"{one:.4g}" if isinstance(one, float) else str(one))
+    cells = below.table(texts.to_numpy(), colLabels=list(texts), loc="upper center")
+    cells.auto_set_font_size(False)
+    cells.set_fontsize(8)
+    parts = {"input": inputs, "parameter": record["parameters"], "version": record["versions"]}
+    parts["version"] = {"mmqa_lab": f"{record['version']} {record['commit']}", **parts["version"]}
+    lines = [f"{kind} {name}: {one}" for kind, part in parts.items() for name, one in part.items()]
+    said = "\n".join(textwrap.fill(line, 118, subsequent_indent="  ") for line in lines)
+    sheet.text(0.08, 0.26, said, fontsize=6, va="top", linespacing=1.15)
+    return sheet
 
 
 def _filled(name, **values):

@@ -102,6 +102,18 @@ STUDIES = (
 )
 
 
+TOOLS = (
+    Study(
+        number=0,
+        stem="your_own_cloud",
+        title="Your own cloud",
+        question="How good are the points of a surface in a cloud of yours?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, sections 3.3 and 4.2",
+    ),
+)
+"""Notebooks that are tools: they have no answer, no checks and no module."""
+
+
 def notebooks_folder():
     """Return the folder of the notebooks.
 
