@@ -139,11 +139,14 @@ def report_sheet(picture, *, title, table, inputs, record):
     cells = below.table(texts.to_numpy(), colLabels=list(texts), loc="upper center")
     cells.auto_set_font_size(False)
     cells.set_fontsize(8)
-    parts = {"input": inputs, "parameter": record["parameters"], "version": record["versions"]}
-    parts["version"] = {"mmqa_lab": f"{record['version']} {record['commit']}", **parts["version"]}
-    lines = [f"{kind} {name}: {one}" for kind, part in parts.items() for name, one in part.items()]
-    said = "\n".join(textwrap.fill(line, 118, subsequent_indent="  ") for line in lines)
-    sheet.text(0.08, 0.26, said, fontsize=6, va="top", linespacing=1.15)
+    versions = {"mmqa_lab": f"{record['version']} {record['commit']}", **record["versions"]}
+    parts = {"Input": inputs, "Parameters": record["parameters"], "Versions": versions}
+    lines = [
+        f"{kind}: " + ", ".join(f"{name} {one}" for name, one in part.items())
+        for kind, part in parts.items()
+    ]
+    said = "\n".join(textwrap.fill(line, 110, subsequent_indent="  ") for line in lines)
+    sheet.text(0.08, 0.26, said, fontsize=7, va="top", linespacing=1.3)
     return sheet
 
 
