@@ -19,6 +19,7 @@ from pathlib import Path
 
 import nbformat
 
+from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import read_record, write_text
 from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page, read_outcome
@@ -169,11 +170,12 @@ def student_cell(source):
 
     Examples
     --------
-    >>> print(student_cell("# 1: four by symmetry\\narea = 2 * 2\\nassert area == 4"))
+    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 2 * 2\\nassert area_m2 == 4"))
     # 1: your work
-    area = ...
+    area_m2 = ...  # m2
     <BLANKLINE>
-    assert area == 4
+    assert area_m2 is not ..., "1: give area_m2 a value."
+    assert area_m2 == 4, "1: not right yet. Check the formula, and the unit of area_m2."
     """
     body = ast.parse(source).body
     checks = [node for node in body if isinstance(node, ast.Assert)]
@@ -184,25 +186,47 @@ def student_cell(source):
         raise ValueError(
             f"Invalid answer {source.splitlines()[0]!r}. Must be checked by an assert."
         )
-    number = source.split(":")[0]
-    lines = [f"{name} = ..." for name in dict.fromkeys(answers)]
+    number = source.split(":")[0].lstrip("# ")
+    answers = list(dict.fromkeys(answers))
+    listed = ", ".join(answers)
+    said = f'"{number}: not right yet. Check the formula, and the unit of {listed}."'
+    work = [f"# {number}: your work", *map(_blank, answers)]
+    asked = [f'assert {name} is not ..., "{number}: give {name} a value."' for name in answers]
     kept = [ast.get_source_segment(source, check) for check in checks]
-    return "\n".join([f"{number}: your work", *lines, "", *kept])
+    told = [
+        text if check.msg else f"{text}, {said}" for text, check in zip(kept, checks, strict=True)
+    ]
+    return "\n".join([*work, "", *asked, *told])
+
+
+def _blank(name):
+    """The line in which a student gives a name its value, with the unit that the name ends with."""
+    unit = split_unit(name)[1]
+    return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
+
+
+def _exercise(number, source):
+    """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
+        grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
+        grading |= {"solution": part == "work", "grade": part == "check"}
+        grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
+        cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
+        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check"]
+        yield cell
 
 
 def _student_notebook(notebook):
     """Return a copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
-    for cell in notebook.cells:
+    for number, cell in enumerate(notebook.cells):
         tags = cell.metadata.get("tags", [])
-        if "lesson" in tags:
-            continue
         if "solution" in tags:
-            cell = nbformat.from_dict({**cell, "source": student_cell(cell.source)})
-            cell.metadata = nbformat.from_dict({"tags": ["exercise"]})
-        if cell.cell_type == "code":
-            cell = nbformat.from_dict({**cell, "outputs": [], "execution_count": None})
-        cells.append(cell)
+            cells += _exercise(number, cell.source)
+        elif cell.cell_type == "code":
+            cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
+        elif "lesson" not in tags:
+            cells.append(cell)
     return nbformat.from_dict({**notebook, "cells": cells})
 
 
