@@ -62,10 +62,6 @@ CALLS = {
     "pair_contrast": (TILTED, lambda p: spacing.pair_contrast(p, reach=0.1)),
     "clark_evans": (TILTED, spacing.clark_evans),
     "detect_planes": (SCENE, planes.detect_planes),
-    "intersect_patches": (
-        SCENE,
-        lambda p: lines.intersect_patches(p, planes.detect_planes(SCENE)),
-    ),
     "extract_edges": (SCENE, lines.extract_edges),
     "fit_outline": (TILTED, lines.fit_outline),
     "measure_pattern": (FLOOR, lambda p: scan_pattern.measure_pattern(p, scan_line=LINES)),
