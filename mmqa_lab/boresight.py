@@ -24,7 +24,7 @@ import pandas as pd
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane, sigma_mad
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
 

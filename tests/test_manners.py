@@ -24,6 +24,7 @@ CALIBRATE = "calibrate there.laz back.laz --trajectory path.csv --patches 60 --p
 
 CASES = {
     "evaluate": ("evaluate PATCH", 1, "figure.svg"),
+    "info": ("info PATCH", 1, None),
     "image": (IMAGE, 1, "reading.png"),
     "chart": ("chart --out chart.svg", 1, "chart.svg"),
     "tender": ("tender pfeifer2021:2 pfeifer2021", 3, None),
@@ -124,8 +125,7 @@ def test_json_is_all_that_is_printed_and_csv_holds_the_rows(case, call, tmp_path
     name, line, rows, _ = case
     status, out, err = call(f"{line} --json --csv rows.csv")
     assert status == 0
-    # the sample's coordinates are in steps of a centimetre, too coarse for its figures
-    assert err == "" or (name == "evaluate" and "in steps of 10 mm: too coarse for" in err)
+    assert err == ""
     printed = json.loads(out)
     assert isinstance(printed, dict if name in OBJECT else list)
     table = pd.read_csv("rows.csv")

@@ -14,9 +14,8 @@ from numba import njit, prange
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab._threads import enough_threads
-from mmqa_lab.scan_pattern.setups import rotations
-from mmqa_lab.simulate.raycast import RAYS_A_THREAD, TASK, describe, mapped, nearest
-from mmqa_lab.simulate.tree import STACK
+from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, TASK, describe, mapped, nearest
 
 FOOTPRINT = 7
 """Rays a beam: its axis and a ring."""
