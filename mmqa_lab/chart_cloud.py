@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
@@ -463,7 +464,7 @@ def _reach(sums, count):
     """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
     if count < 2:
         return np.nan
-    return stats.student_t(count - 1) * np.sqrt(count / (count - 1) * (sums**2).sum())
+    return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())
 
 
 def _remarks_on_points(gaps, step_mm, sigma_mm):
