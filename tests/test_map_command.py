@@ -73,11 +73,11 @@ def test_gaps_and_coarse_coordinates_are_said(rng):
     from mmqa_lab import maps
 
     points = rng.random((6000, 3)) * [4, 4, 0.01]
-    gap = (np.abs(points[:, :2] - 2) < 0.99).all(axis=1)  # 4 x 4 cells of half a metre
+    gap = (np.abs(points[:, :2] - 2) < 1.1).all(axis=1)  # 4 x 4 cells of half a metre
     whole, holed = (maps.map_cloud(p, metrics=("spacing",)) for p in (points, points[~gap]))
     assert (maps.summarise(whole)["remarks"] == "").all()
     said = maps.summarise(holed)["remarks"]
-    assert said.str.startswith("4 cells (1 m2) without points lie between others").all()
+    assert said.str.startswith("16 cells (4 m2) without points lie between others").all()
     coarse = maps.map_cloud(Cloud(points, resolution=0.02), metrics=("spacing",))
     table = maps.summarise(coarse).set_index("variable")
     assert "steps of 20 mm" in table["remarks"]["d1"]
