@@ -297,6 +297,8 @@ class LHD:
             "perpendicular_only_m": self.perpendicular_only,
             "displacement_m": self.displacement.vector.tolist(),
             "displacement_covariance_m2": self.displacement.covariance.tolist(),
+            "turn_deg": self.displacement.turn_deg,
+            "turn_sigma_deg": self.displacement.turn_sigma_deg,
         }
         for name, part in directions.items():
             values[f"olhd_{name}_m"] = part.olhd(self.weight)
