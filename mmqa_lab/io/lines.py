@@ -29,9 +29,9 @@ def read_segments(path: str | os.PathLike) -> Segments:
     ----------
     path : path
         GeoJSON: the pieces of all LineStrings and MultiLineStrings. DXF (needs ``ezdxf``): the
-        pieces of all LINE, LWPOLYLINE and POLYLINE entities. Other files: a segment in a line, six
-        numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas, semicolons or white space. A
-        header is optional; one with the names x1, y1, z1, x2, y2, z2
+        pieces of all LINE, LWPOLYLINE and POLYLINE entities. Other files: a segment in a line: six
+        numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas, semicolons or white space.
+        A header is optional; one with the names x1, y1, z1, x2, y2, z2
         may have them in any order among others. ``#`` begins a comment.
 
     Returns
@@ -45,7 +45,7 @@ def read_segments(path: str | os.PathLike) -> Segments:
         If there is no such file.
     ValueError
         If a file is damaged or ``ezdxf`` is not installed; if a line lacks six finite numbers or a
-        segment has no length: names the line.
+        segment has no length; names the line.
 
     Examples
     --------

@@ -12,8 +12,7 @@ import numpy as np
 
 from mmqa_lab import lines
 from mmqa_lab.lines.pairing import MATCHERS
-from mmqa_lab.simulate.canyon import canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+from mmqa_lab.simulate.canyon import canyon, canyon_cloud
 
 
 def broadcast(test, model, weight=10.0):
