@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
 
 AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """About which roll, pitch and heading turn."""

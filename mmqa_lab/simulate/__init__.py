@@ -25,12 +25,22 @@ mounts one.
 
 from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.objects import chart, chart_corners, kerb, wall
 from mmqa_lab.simulate.scan import scan, scan_all
-from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
-from mmqa_lab.simulate.scenes import Hits, Scene
-from mmqa_lab.simulate.solids import box, cylinder, ellipsoid, foliage
-from mmqa_lab.simulate.surfaces import Surface, board, disc, ground, group, polygon, rectangle
+from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.surfaces import (
+    board,
+    box,
+    chart,
+    chart_corners,
+    cylinder,
+    ellipsoid,
+    foliage,
+    ground,
+    polygon,
+    rectangle,
+    wall,
+)
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
     Trajectory,
@@ -40,26 +50,20 @@ from mmqa_lab.simulate.trajectories import (
 )
 
 __all__ = [
-    "Hits",
     "MatchingCamera",
     "MultiBeamScanner",
     "NavigationErrors",
     "ProfileScanner",
-    "Scanner",
     "Scene",
-    "Surface",
     "Trajectory",
     "board",
     "box",
     "chart",
     "chart_corners",
     "cylinder",
-    "disc",
     "ellipsoid",
     "foliage",
     "ground",
-    "group",
-    "kerb",
     "match",
     "measured",
     "polygon",

@@ -6,8 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab._threads import enough_threads
-from mmqa_lab.simulate.raycast import RAYS_A_THREAD, TASK, describe, mapped, nearest
-from mmqa_lab.simulate.tree import STACK
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, TASK, describe, mapped, nearest
 
 FOOTPRINT = 7  # rays a beam: its axis and a ring
 RING = 0.651  # radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam

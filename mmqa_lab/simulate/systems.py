@@ -12,10 +12,10 @@ from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.objects import chart, chart_corners
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.surfaces import chart, chart_corners
 from mmqa_lab.simulate.trajectories import straight
 
 SPEED = 40 / 3.6

@@ -13,11 +13,9 @@ import pandas as pd
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import presets
-from mmqa_lab.simulate.objects import kerb
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.solids import box, cylinder
-from mmqa_lab.simulate.surfaces import polygon, rectangle
+from mmqa_lab.simulate.surfaces import box, cylinder, kerb, polygon, rectangle
 from mmqa_lab.simulate.trajectories import NavigationErrors, measured, straight
 
 ROAD_HALF_M = 5.0

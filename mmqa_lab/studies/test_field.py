@@ -14,7 +14,7 @@ from mmqa_lab import bench, published
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.published import ledger
 from mmqa_lab.run import Check
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate import NavigationErrors, measured, presets
 from mmqa_lab.simulate.testfield import (
     GOOD_NAVIGATION,
