@@ -138,7 +138,7 @@ def _environment(folder):
     return environment
 
 
-def _wait(server, address, log, seconds=90):
+def _wait(server, address, log, seconds=300):
     """Return when the server answers."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
