@@ -443,18 +443,20 @@ def _picture(draw, found):
     """A figure with a panel for each comparison as PNG."""
     from mmqa_lab import plots
 
-    plots.use_style()
-    columns = 1 if draw is _draw_pairs else min(3, len(found.results))
-    rows = -(-len(found.results) // columns)
-    height = rows * (90 if columns == 1 else 60)
-    figure, axes = plots.subplots(rows, columns, width="double", height_mm=height, squeeze=False)
-    for ax in axes.flat[len(found.results) :]:
-        ax.set_axis_off()
-    for ax, names in zip(axes.flat, found.results, strict=False):
-        draw(ax, found, names)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=150)
-    plots.plt.close(figure)
+    with plots.style():
+        columns = 1 if draw is _draw_pairs else min(3, len(found.results))
+        rows = -(-len(found.results) // columns)
+        height = rows * (90 if columns == 1 else 60)
+        figure, axes = plots.subplots(
+            rows, columns, width="double", height_mm=height, squeeze=False
+        )
+        for ax in axes.flat[len(found.results) :]:
+            ax.set_axis_off()
+        for ax, names in zip(axes.flat, found.results, strict=False):
+            draw(ax, found, names)
+        figure.savefig(picture, format="png", dpi=150)
+        plots.plt.close(figure)
     return picture.getvalue()
 
 

@@ -61,7 +61,7 @@ def test_dragging_a_vertex_changes_numbers_and_picture(ran):
 def test_ones_own_cloud_from_file_to_report(ran, lab_folder):
     shutil.copyfile(TOOLS[0].path, lab_folder / TOOLS[0].path.name)
     page = ran(TOOLS[0].notebook)
-    expect(page.get_by_role("button", name="Upload")).to_be_visible(timeout=RUN_MS)
+    expect(page.locator(".widget-upload")).to_be_visible(timeout=RUN_MS)
     line = page.locator(".widget-html", has_text="points/m²").first
     expect(line).to_be_visible(timeout=RUN_MS)
     expect(page.get_by_text("report.pdf").last).to_be_visible(timeout=RUN_MS)
