@@ -20,7 +20,7 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
 Real scanners are in ``presets``; ``dataclasses.replace(presets.ROAMER, lever_arm_m=(0, 0, 2.5))``
-mounts one.
+mounts one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
 from mmqa_lab.simulate import presets
@@ -41,6 +41,7 @@ from mmqa_lab.simulate.surfaces import (
     rectangle,
     wall,
 )
+from mmqa_lab.simulate.systems import System, system
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
     Trajectory,
@@ -55,6 +56,7 @@ __all__ = [
     "NavigationErrors",
     "ProfileScanner",
     "Scene",
+    "System",
     "Trajectory",
     "board",
     "box",
@@ -72,6 +74,7 @@ __all__ = [
     "scan",
     "scan_all",
     "straight",
+    "system",
     "wall",
     "with_speed_variation",
 ]

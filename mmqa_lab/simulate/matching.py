@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.point_patterns import hard_core_points, matern, older_within
 from mmqa_lab.simulate.scan import FULL_SCALE
 from mmqa_lab.simulate.scenes import Scene

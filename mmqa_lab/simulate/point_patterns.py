@@ -176,7 +176,7 @@ def aligned_lines_f() -> int:
     The neighbours along the line then lie above or below by chance, and fill the quadrants above
     and below. A point whose height has the rank u on its line finds its k next ones on one side all
     above or all below with probability (1 - u)^k + u^k. So d4 is at most k points away with the
-    probability of the mean of (1 - (1 - u)^k - u^k)^2 over u, that is 1 - 4 / (k + 1) + 2 / (2k + 1)
+    probability of the mean of (1 - (1 - u)^k - u^k)^2 over u: 1 - 4 / (k + 1) + 2 / (2k + 1)
     + 2 k!^2 / (2k + 1)!, which passes one half at k = 5.
 
     Notes

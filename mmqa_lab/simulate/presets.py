@@ -30,3 +30,4 @@ PRESETS = _read()
 
 ZF_9012, ZF_9012_FITTED = PRESETS["zf-9012"], PRESETS["zf-9012-fitted"]
 HDL_32E, ROAMER, VQ_450 = PRESETS["hdl-32e"], PRESETS["roamer"], PRESETS["vq-450"]
+VQ_250, LYNX_M1, LYNX_M1_SECOND = (PRESETS[k] for k in ("vq-250", "lynx-m1", "lynx-m1-second"))

@@ -8,8 +8,8 @@ from numba import njit, prange
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab._threads import enough_threads
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.beams import beam_rays, echoes
-from mmqa_lab.simulate.scanners import Scanner
+from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.simulate.scanners import Scanner, beam_rays, echoes
 from mmqa_lab.simulate.scenes import RAYS_A_THREAD
 
 FULL_SCALE = 65_535
@@ -152,6 +152,11 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
     radius, growth = scanner.beam_radius
+    axis = None
+    if scanner.widening:
+        along = np.asarray(scanner.AXIS) @ scanner.true_mounting.T
+        rotation = rotations(*trajectory.states(firing.since_start)[:, 3:].T)
+        axis = scanner.widening * (rotation @ along)
     echo = echoes(
         scene.tree,
         origin + (trajectory.origin - scene.origin),
@@ -160,6 +165,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
         growth=growth,
         turn=uniform[:, 0],
         separation=scanner.echo_separation_m,
+        axis=axis,
     )
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = firing.select(kept), echo.select(kept), noise[kept]
