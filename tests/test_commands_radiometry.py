@@ -112,7 +112,7 @@ def test_the_star_of_the_report_is_measured(rows):
 def test_bars_are_resolved_or_not(rows):
     found = rows("bars bars.tif --targets bars.csv")
     assert found["resolved"].tolist() == [True, False] * 2
-    assert found["remark"].tolist() == ["", "below the Nyquist width"] * 2
+    assert found["remark"].tolist() == ["", "too few pixels"] * 2
 
 
 def test_sensor_of_every_band_and_setting(rows):
