@@ -321,9 +321,9 @@ def _calibrated(images, targets):
 
 def _sensor(fit):
     """Gain and offset with their intervals."""
-    from mmqa_lab.stats import student_t
+    from scipy.stats import t
 
-    reach = student_t(fit.n - 2) * fit.std
+    reach = t.ppf(0.975, fit.n - 2) * fit.std
     figures = {"gain": fit.gain, "gain_low": fit.gain - reach[0], "gain_high": fit.gain + reach[0]}
     figures |= _interval("offset", "dn", fit.offset, reach[1])
     return figures | {"r_squared": fit.r_squared, "n": fit.n}
@@ -332,9 +332,9 @@ def _sensor(fit):
 def _reflectances(images, targets):
     """A row for each target without a known reflectance, in each band of each image."""
     import numpy as np
+    from scipy.stats import t
 
     from mmqa_lab.radiometry import empirical_line
-    from mmqa_lab.stats import student_t
 
     for file, image in images.items():
         shown = _of_image(targets, file)
@@ -358,7 +358,7 @@ def _reflectances(images, targets):
                 anisotropy=references["anisotropy"],
                 **stated,
             )
-            factor = 1.96 if stated else student_t(line.n - 2)
+            factor = 1.96 if stated else t.ppf(0.975, line.n - 2)
             for row in table[table["known"].isna()].itertuples():
                 value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
                 reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
