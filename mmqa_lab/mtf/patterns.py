@@ -246,7 +246,7 @@ def read_bars(image, groups, *, dark, bright, noise):
     -------
     DataFrame
         The groups with ``contrast``, ``counted`` (bars), ``phase_deg``, ``strip_share``,
-        ``resolved`` and the ``reason`` why not, as of ``chart_image.line_pairs``.
+        ``resolved`` and the ``reason`` why not, as of ``chart_image.reading``.
 
     Raises
     ------
