@@ -27,6 +27,7 @@ CASES = {
     "info": ("info PATCH", 1, None),
     "image": (IMAGE, 1, "reading.png"),
     "chart": ("chart --out chart.svg", 1, "chart.svg"),
+    "radiometry": ("radiometry sharpness chart.png --linear", 1, None),
     "tender": ("tender pfeifer2021:2 pfeifer2021", 3, None),
     "lhd": ("lhd course.csv model.csv", 1, "edges"),
     "plan": (PLAN, 1, None),
