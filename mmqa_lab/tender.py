@@ -10,7 +10,7 @@ import pandas as pd
 
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_positive
-from mmqa_lab.chart_image.legibility import MARKS
+from mmqa_lab.chart_image.rules import MARKS
 from mmqa_lab.spacing import exempt
 
 RELATIONS = {

@@ -10,8 +10,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.lines import extract_edges, fit_outline, intersect_patches, lhd
 from mmqa_lab.planes import detect_planes
-from mmqa_lab.simulate.canyon import canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_cloud, canyon_edges, canyon_faces
+from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges, canyon_faces
 
 
 def room(rng, n=3000, noise=0.01):

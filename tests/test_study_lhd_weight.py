@@ -146,7 +146,7 @@ def test_bench_takes_a_method_of_ones_own():
 
 
 def test_extracted_edges_of_a_canyon_are_the_true_ones():
-    from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+    from mmqa_lab.simulate.canyon import canyon_cloud
 
     street = canyon(1)
     cloud = canyon_cloud(street, "TLS", density=12, noise=0.01, seed=1)

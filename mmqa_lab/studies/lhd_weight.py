@@ -12,8 +12,7 @@ from scipy.stats import chi2, t
 from mmqa_lab import bench, io, lines, plots, samples
 from mmqa_lab.published import ledger, table
 from mmqa_lab.run import Check
-from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_edges
+from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
 
 QUICK = {
     "weights": (0, 1, 10, 100),

@@ -13,9 +13,9 @@ import pandas as pd
 from IPython.display import Image, Markdown, display
 
 from mmqa_lab._checks import check_choice
-from mmqa_lab.chart_image.legibility import MARKS, check_marks
-from mmqa_lab.chart_image.light import encode
+from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.io import write_atomically
+from mmqa_lab.io.images import encode
 from mmqa_lab.views import is_headless
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}

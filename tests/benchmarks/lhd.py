@@ -13,8 +13,7 @@ import numpy as np
 from mmqa_lab import lines
 from mmqa_lab.lines import intersect_patches
 from mmqa_lab.planes import detect_planes
-from mmqa_lab.simulate.canyon import canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+from mmqa_lab.simulate.canyon import canyon, canyon_cloud
 
 
 def broadcast(test, model, weight=10.0):

@@ -1,4 +1,4 @@
-"""Reference heights from files: lists of points, and rasters as points at the cells' middles."""
+"""Heights from files."""
 
 from __future__ import annotations
 
@@ -115,9 +115,7 @@ def _from_raster(path):
         wanted = "an Esri ASCII grid" if grid else "a GeoTIFF"
         raise ValueError(f"Invalid reference {path}: damaged. Must be {wanted}.") from error
     rows, columns = np.nonzero(np.isfinite(heights))
-    right, down = columns + 0.5, rows + 0.5
-    x = place.a * right + place.b * down + place.c
-    y = place.d * right + place.e * down + place.f
+    x, y = rasterio.transform.xy(place, rows, columns)
     return np.column_stack([x, y, heights[rows, columns]])
 
 

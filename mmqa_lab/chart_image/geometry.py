@@ -5,9 +5,10 @@ x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the came
 pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 
@@ -137,12 +138,8 @@ class PanoramaCamera:
         x, y, z = np.asarray(rays, dtype=float).T
         azimuth, elevation = np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))
         step = self.width / (2 * np.pi)
-        return np.column_stack(
-            [
-                self.width / 2 + azimuth * step - 0.5,
-                self.height / 2 - elevation * step - 0.5,
-            ]
-        )
+        column, row = self.width / 2 + azimuth * step, self.height / 2 - elevation * step
+        return np.column_stack([column, row]) - 0.5
 
     def rays(self, pixels):
         """Return the directions of pixels as unit vectors, shape (n, 3)."""
@@ -151,9 +148,8 @@ class PanoramaCamera:
         azimuth = (column + 0.5 - self.width / 2) * step
         elevation = (self.height / 2 - row - 0.5) * step
         level = np.cos(elevation)
-        return np.column_stack(
-            [level * np.sin(azimuth), -np.sin(elevation), level * np.cos(azimuth)]
-        )
+        across, ahead = level * np.sin(azimuth), level * np.cos(azimuth)
+        return np.column_stack([across, -np.sin(elevation), ahead])
 
 
 @dataclass(frozen=True)
@@ -237,10 +233,6 @@ class ChartMap:
         Column and row that count as (0, 0), for a window of an image.
     source : str
         What the map was made from.
-    residuals_px : array, shape (n,)
-        Distances of the points it was fitted to from where it puts them; empty if none are left
-        over.
-
     Raises
     ------
     ValueError
@@ -257,7 +249,6 @@ class ChartMap:
     camera: object = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
-    residuals_px: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def from_points(cls, xy, pixels, *, camera=None, offset=(0.0, 0.0), source="points"):
@@ -290,15 +281,13 @@ class ChartMap:
             # rays become points of the plane across their mean direction
             rays = camera.rays(pixels + offset)
             rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-            turn = _turn_to_z(rays.mean(axis=0))
+            turn = Rotation.align_vectors([[0, 0, 1]], rays.mean(axis=0)[None])[0].as_matrix()
             turned = rays @ turn.T
             flat = turned[:, :2] / turned[:, 2:]
         homography, _ = cv2.findHomography(xy, flat, 0)
         if homography is None or not _same_orientation(homography, xy):
             raise ValueError(f"Invalid {source}: no chart fits. Must be four corners in order.")
-        found = cls(turn.T @ homography, camera, tuple(offset), source=source)
-        residuals = np.linalg.norm(found.pixels(xy) - pixels, axis=1)
-        return replace(found, residuals_px=residuals if len(xy) > 4 else np.empty(0))
+        return cls(turn.T @ homography, camera, tuple(offset), source=source)
 
     @classmethod
     def from_orientation(cls, camera, pose, corners, layout):
@@ -327,21 +316,11 @@ class ChartMap:
                 f"Invalid corners with sides {np.round(sides).tolist()} mm. "
                 f"Must be a chart of {layout.width:g} mm x {layout.height:g} mm."
             )
-        middle, x, y = rectangle_frame(seen)
-        origin = middle - (x * layout.width + y * layout.height) / 2000
+        origin, x, y = rectangle_frame(seen, layout.corners() / 1000)
         found = cls(np.stack([x / 1000, y / 1000, origin], axis=1), camera, source="orientation")
-        pixels = found.pixels(layout.corners())
-        if not np.isfinite(pixels).all():
+        if not np.isfinite(found.pixels(layout.corners())).all():
             raise ValueError("Invalid corners: behind the camera. Must lie before it.")
-        residuals = np.linalg.norm(pixels - camera.pixels(seen), axis=1)
-        return replace(found, residuals_px=residuals)
-
-    @property
-    def rms_px(self):
-        """Root mean square of the residuals, pixels; NaN where nothing is left over."""
-        if not len(self.residuals_px):
-            return np.nan
-        return float(np.sqrt(np.mean(self.residuals_px**2)))
+        return found
 
     def pixels(self, xy):
         """Return the pixels of chart places, shape (n, 2)."""
@@ -360,15 +339,20 @@ class ChartMap:
         places = rays @ np.linalg.inv(self.matrix).T
         return places[:, :2] / places[:, 2:]
 
+    def outline(self, corners):
+        """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
+        step = np.arange(8)[:, None] / 8
+        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        return self.pixels(np.concatenate([a + step * (b - a) for a, b in ends]))
+
     def within(self, column, row):
         """Return the map for a window of the image that begins at this column and row."""
         offset = np.asarray(self.offset) + [column, row]
         return replace(self, offset=tuple(offset))
 
     def corrected(self, change):
-        """Return the map after a 3 x 3 change of places on the chart; nothing is left over."""
-        source = f"{self.source}, aligned"
-        return replace(self, matrix=self.matrix @ change, source=source, residuals_px=np.empty(0))
+        """Return the map after a 3 x 3 change of places on the chart."""
+        return replace(self, matrix=self.matrix @ change, source=f"{self.source}, aligned")
 
     def scale(self, xy):
         """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""
@@ -379,16 +363,6 @@ class ChartMap:
     def pixel_sizes_mm(self, xy):
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
         return 1 / np.linalg.norm(self.scale(xy), axis=2)
-
-
-def _turn_to_z(direction):
-    """The rotation that takes a direction to the z axis."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross([0.0, 1.0, 0.0], z)
-    if np.linalg.norm(x) < 1e-3:
-        x = np.cross([1.0, 0.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
 
 
 def _same_orientation(homography, xy):
@@ -406,12 +380,9 @@ def four_corners(corners, *, columns):
     return corners
 
 
-def rectangle_frame(corners):
-    """Middle, x axis and y axis of the rectangle nearest to four corners."""
-    a, b, c, d = corners
-    x, y = (b - a) + (c - d), (d - a) + (c - b)
-    x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
-    # the orthogonal pair nearest to both
-    both, difference = x + y, x - y
-    both, difference = both / np.linalg.norm(both), difference / np.linalg.norm(difference)
-    return corners.mean(axis=0), (both + difference) / np.sqrt(2), (both - difference) / np.sqrt(2)
+def rectangle_frame(corners, places):
+    """Origin, x axis and y axis in space of the flat places that lie nearest to four corners."""
+    flat = np.column_stack([places - places.mean(axis=0), np.zeros(len(places))])
+    turn = Rotation.align_vectors(corners - corners.mean(axis=0), flat)[0]
+    x, y, _ = turn.as_matrix().T
+    return corners.mean(axis=0) - turn.apply([*places.mean(axis=0), 0]), x, y

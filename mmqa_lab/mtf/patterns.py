@@ -1,4 +1,4 @@
-"""Siemens stars: contrast per radius, modulation transfer function, point spread function.
+"""Siemens stars, groups of bars, sharpness without targets, and blur all over an image.
 
 EuroSDR 2013, image radiometry, section 5.1: a star of 5 degree sectors, half a star of 10 degrees.
 On a circle around its centre a star of n cycles is a wave of n / (2 pi r) cycles per pixel.
@@ -11,13 +11,22 @@ import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.mtf.spread import crossing
+from mmqa_lab.mtf.edges import crossing
 
 SQUARE = np.pi / 4
 """A square wave's amplitude over that of its fundamental."""
 
 PLAIN_PX = 3.0
 """Pixels this far from all borders of a sector show its plain grey value."""
+
+BAR_PERIODS = 2.5
+"""Bars are five of their widths long."""
+
+CLEAR = 4.0
+"""Detail counts as measurable when its energy is so many times that of the noise."""
+
+SEEN = ("contrast", "phase_deg", "strip_share", "resolved", "reason")
+"""What groups of bars take from a pattern's reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +202,237 @@ def measure_star(
     )
 
 
+def read_bars(image, groups, *, dark, bright, noise):
+    """Read groups of bright bars on a dark ground.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey values in proportion to light.
+    groups : DataFrame
+        One row a group, as far as known from its place on the ground: ``period_px`` (a bright and a
+        dark bar), ``x_px``, ``y_px`` (column and row of its middle, the first pixel's centre at 0),
+        ``angle_deg`` (direction across the bars from x towards y), ``bars``.
+    dark, bright : float
+        Grey values of wide dark and bright areas.
+    noise : float
+        Standard deviation of a pixel, in grey values.
+
+    Returns
+    -------
+    DataFrame
+        The groups with ``contrast``, ``counted`` (bars), ``phase_deg``, ``strip_share``,
+        ``resolved`` and the ``reason`` why not, as of ``chart_image.line_pairs``.
+
+    Raises
+    ------
+    ValueError
+        If bright is not above dark or the noise is not above zero.
+
+    Examples
+    --------
+    >>> x = np.arange(80)[None, :].repeat(40, axis=0)
+    >>> bright = 20 + 60 * ((x - 10) // 4 % 2 == 0) * (x >= 10) * (x < 50)
+    >>> group = {"period_px": 8.0, "x_px": 27.5, "y_px": 20.0, "angle_deg": 0.0, "bars": 5}
+    >>> found = read_bars(bright, pd.DataFrame([group]), dark=20, bright=80, noise=1.0)
+    >>> bool(found["resolved"].item()), round(found["counted"].item())
+    (True, 5)
+    """
+    from mmqa_lab.chart_image.reading import Tones, read_pattern
+    from mmqa_lab.charts import LinePairs
+
+    image = np.asarray(image, dtype=np.float64)
+    contrast = check_positive(bright - dark, "contrast of bright and dark")
+    noise = check_positive(noise, "noise") / contrast
+    # bright bars on a dark ground are the chart's black bars on white, turned round
+    turned = (bright - image) / contrast
+    rows = []
+    for number, group in enumerate(groups.to_dict("records")):
+        period, bars = group["period_px"], int(group["bars"])
+        more = {"repeats": bars, "length": BAR_PERIODS * period}
+        pairs = LinePairs(f"group {number}", 0.0, 0.0, period, "h", **more)
+        reading = read_pattern(Tones(turned, noise), pairs, _place_of_bars(group))
+        seen = {name: getattr(reading, name) for name in SEEN}
+        rows.append(group | {"counted": reading.bars} | seen)
+    return pd.DataFrame(rows)
+
+
+def resolving_power(readings):
+    """Return the period of the narrowest group resolved with all wider ones, and of the next.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        From ``read_bars``, of one direction.
+
+    Returns
+    -------
+    period_px, next_px : float
+        The resolving power lies between 1 / period and 1 / next line pairs per pixel. NaN where no
+        group is resolved, or none is not.
+
+    Examples
+    --------
+    >>> ladder = pd.DataFrame({"period_px": [6, 4, 3], "resolved": [True, True, False]})
+    >>> resolving_power(ladder)
+    (4.0, 3.0)
+    """
+    ladder = readings.sort_values("period_px", ascending=False)
+    periods, resolved = ladder["period_px"].to_numpy(np.float64), ladder["resolved"].to_numpy(bool)
+    good = len(resolved) if resolved.all() else int(np.argmin(resolved))
+    return (
+        float(periods[good - 1]) if good else np.nan,
+        float(periods[good]) if good < len(periods) else np.nan,
+    )
+
+
+def haar_sharpness(image, *, block=64, noise_std=None):
+    """Map the sharpness of an image, block by block.
+
+    Two levels of the Haar transform; in each block the root mean square of the details of the
+    finest level over that of the next, each less what noise adds. On the same scene a blurred image
+    gives less.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey values in proportion to light.
+    block : int
+        Side of the blocks, px, a multiple of 4; the rest at the right and lower edge is left out.
+    noise_std : float, optional
+        Standard deviation of the noise, in grey values. Estimated from the finest diagonal details
+        where left out, which takes fine texture for noise.
+
+    Returns
+    -------
+    Dataset
+        Over ``y_px``, ``x_px`` (the blocks' centres): ``sharpness``; ``along_x`` and ``along_y``,
+        the same of details in one direction only (image motion along y lowers the second). NaN
+        where the coarser details do not stand out from the noise.
+        ``attrs``: ``noise_std`` used, ``not_measurable`` (count of blocks).
+
+    Raises
+    ------
+    ValueError
+        If the image is smaller than a block or not finite.
+
+    Notes
+    -----
+    A sharp edge has as much detail at both levels, fine texture has more at the finest: values
+    about 0.5 to 1 are usual. Compare images of the same ground, or take the median of many images
+    at each place of the image plane, so that the scenes even out.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).normal(size=(64, 64))
+    >>> haar_sharpness(noise, noise_std=0)["sharpness"].round(1).item()
+    1.0
+    """
+    import pywt
+    import xarray as xr
+    from scipy.stats import median_abs_deviation
+
+    grey = np.asarray(image, dtype=np.float64)
+    side = check_count(block, "block", low=8)
+    if grey.ndim != 2 or min(grey.shape) < side or not np.isfinite(grey).all() or side % 4:
+        raise ValueError(
+            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be finite and at "
+            "least a block large; the block's side must be a multiple of 4."
+        )
+    rows, columns = (size // side for size in grey.shape)
+    approximation, fine = pywt.dwt2(grey[: rows * side, : columns * side], "haar")
+    coarse = pywt.dwt2(approximation, "haar")[1]
+    if noise_std is None:
+        noise_std = float(median_abs_deviation(fine[2], axis=None, scale="normal"))
+    noise = check_number(noise_std, "noise_std", low=0) ** 2
+    energy = {
+        level: [_block_means(part**2, rows, columns) - noise for part in details]
+        for level, details in (("fine", fine), ("coarse", coarse))
+    }
+    # pywt: the first detail varies along rows (y), the second along columns (x), the third both
+    choices = {"sharpness": (0, 1, 2), "along_x": (1,), "along_y": (0,)}
+    maps = {}
+    for name, parts in choices.items():
+        above, below = (sum(energy[level][k] for k in parts) for level in ("fine", "coarse"))
+        clear = below > CLEAR * max(noise, 1e-12) * len(parts)
+        ratio = np.sqrt(np.maximum(above, 0) / np.where(clear, below, np.nan))
+        maps[name] = (("y_px", "x_px"), ratio)
+    centres = {"y_px": (np.arange(rows) + 0.5) * side, "x_px": (np.arange(columns) + 0.5) * side}
+    missing = int(np.isnan(maps["sharpness"][1]).sum())
+    about = {"noise_std": noise_std, "not_measurable": missing}
+    return xr.Dataset(maps, coords=centres, attrs=about)
+
+
+def blur_dependence(edges: pd.DataFrame) -> pd.DataFrame:
+    """Tell what the blur of edges all over an image depends on.
+
+    The squared width is regressed on the squared distance from the image's centre, separately for
+    blur along the radius and across it, and on the share of the edge's normal along the flight
+    (image motion): variances of blurs add, widths do not.
+
+    Parameters
+    ----------
+    edges : DataFrame
+        ``x_px``, ``y_px`` from the image's centre, ``angle_deg`` (direction across the edge),
+        ``fwhm_px``, one row an edge. The flight is along y.
+
+    Returns
+    -------
+    DataFrame
+        One row each for ``centre`` (squared FWHM there, px2), ``radial``, ``tangential`` (its
+        growth per squared radius, px2 per px2) and ``flight`` (added along the flight, px2):
+        ``estimate``, ``std``, ``p``, and ``n``.
+
+    Raises
+    ------
+    ValueError
+        If the edges do not tell the terms apart.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, chapter 5: resolution by radial, tangential, flight and
+    cross-flight direction. The regression is our own.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> (x, y), angle = rng.uniform(-1, 1, (2, 50)), rng.uniform(0, 180, 50)
+    >>> width = np.sqrt(2.0 + 0.5 * np.sin(np.radians(angle)) ** 2)  # motion along the flight
+    >>> edges = pd.DataFrame({"x_px": x, "y_px": y, "angle_deg": angle, "fwhm_px": width})
+    >>> np.abs(blur_dependence(edges)["estimate"]).round(6).tolist()
+    [2.0, 0.0, 0.0, 0.5]
+    """
+    from statsmodels.regression.linear_model import OLS
+
+    x, y, angle = (edges[name].to_numpy(np.float64) for name in ("x_px", "y_px", "angle_deg"))
+    radius2 = x**2 + y**2
+    along = np.cos(np.radians(angle) - np.arctan2(y, x)) ** 2
+    terms = np.stack(
+        [
+            np.ones_like(x),
+            radius2 * along,
+            radius2 * (1 - along),
+            np.sin(np.radians(angle)) ** 2,
+        ],
+        axis=1,
+    )
+    if len(terms) < 6 or np.linalg.matrix_rank(terms / terms.max(axis=0), tol=1e-6) < 4:
+        raise ValueError(
+            f"Invalid edges: {len(terms)} of them cannot tell four terms apart. Must lie all over "
+            "the image in different directions."
+        )
+    fit = OLS(edges["fwhm_px"].to_numpy() ** 2, terms).fit()
+    return pd.DataFrame(
+        {
+            "term": ["centre", "radial", "tangential", "flight"],
+            "estimate": fit.params,
+            "std": fit.bse,
+            "p": fit.pvalues,
+            "n": len(terms),
+        }
+    )
+
+
 def _sector(dy, dx, azimuth_deg):
     """Pixels within the wanted part of the circle, clear of its limits."""
     first, last = (check_number(value, "azimuth_deg", unit="degrees") for value in azimuth_deg)
@@ -295,3 +535,23 @@ def _refined(pixels, centre, n, rings):
 
     found = least_squares(misfit, centre, diff_step=1e-4, xtol=1e-6)
     return found.x
+
+
+def _place_of_bars(group):
+    """Where the group lies in the image."""
+    from mmqa_lab.chart_image.geometry import ChartMap
+
+    period, bars = group["period_px"], group["bars"]
+    turn = np.radians(group["angle_deg"])
+    across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
+    size = np.array([(bars - 0.5) * period, BAR_PERIODS * period])
+    low = np.array([group["x_px"], group["y_px"]]) - across * size[0] / 2 - along * size[1] / 2
+    places = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
+    pixels = low + places[:, :1] * across + places[:, 1:] * along
+    return ChartMap.from_points(places, pixels, source="group of bars")
+
+
+def _block_means(values, rows, columns):
+    """Means over the blocks of an array, shape (rows, columns)."""
+    high, wide = values.shape[0] // rows, values.shape[1] // columns
+    return values.reshape(rows, high, columns, wide).mean(axis=(1, 3))
