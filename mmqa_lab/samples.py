@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from mmqa_lab import _shipped
 from mmqa_lab._checks import check_choice
 
 __all__ = ["has_real", "path", "real_path", "road_patch_heads"]
 
-FOLDER = Path(__file__).resolve().parent.parent / "data_samples"
+FOLDER = _shipped("data_samples")
 
 REAL_VARIABLE = "MMQA_DATA"
 """The environment variable that names the folder of larger public clouds."""

@@ -58,10 +58,6 @@ CALLS = {
     "directional": (TILTED, spacing.directional),
     "turned_f": (TILTED, lambda p: spacing.turned_f(p, angles=[0, 20])),
     "detect_planes": (SCENE, planes.detect_planes),
-    "intersect_patches": (
-        SCENE,
-        lambda p: lines.intersect_patches(p, planes.detect_planes(SCENE)),
-    ),
     "extract_edges": (SCENE, lines.extract_edges),
     "fit_outline": (TILTED, lines.fit_outline),
     "measure_pattern": (FLOOR, lambda p: scan_pattern.measure_pattern(p, scan_line=LINES)),

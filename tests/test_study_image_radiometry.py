@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import bench
-from mmqa_lab.published import ledger
 from mmqa_lab.radiometry import adjust_block, stability
 from mmqa_lab.simulate.targets import ATMOSPHERES, SURFACES, Flight, fly_block
 from mmqa_lab.stats import Interval
@@ -163,7 +162,7 @@ def test_ledger_entries_are_cells_of_the_report_and_say_how_comparable_they_are(
         reflectance=pd.DataFrame({"method": methods, **classes}),
         laboratory=laboratory,
     )
-    found = ledger.frame(rows).set_index("cell")
+    found = pd.DataFrame(rows).set_index("cell")
     assert len(found) == 19
     assert (found["note"] != "").all()
     assert found.loc["corner_factor", ["low", "value", "high"]].tolist() == [1.4, 1.5, 1.6]

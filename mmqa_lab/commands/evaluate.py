@@ -116,8 +116,8 @@ def _draw(quality, file):
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
 
-    plots.use_style()
-    write_atomically(file, quality.plot().savefig)
+    with plots.style():
+        write_atomically(file, quality.plot().savefig)
 
 
 def _axes(text):

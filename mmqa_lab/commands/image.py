@@ -95,11 +95,11 @@ def _draw(quality, file):
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
 
-    plots.use_style()
-    figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
-    quality.plot(ax=axes[0])
-    quality.plot_contrast(ax=axes[1])
-    write_atomically(file, figure.savefig)
+    with plots.style():
+        figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
+        quality.plot(ax=axes[0])
+        quality.plot_contrast(ax=axes[1])
+        write_atomically(file, figure.savefig)
 
 
 def _corners(text):

@@ -280,9 +280,9 @@ def write_report(path, dataset, table, *, title, lines, problems):
     write_atomically(path.with_suffix(".png"), figure.savefig)
 
 
+@plots.style()
 def draw_map(dataset):
     """Return a figure with a row for each layer and a panel for each figure of the map."""
-    plots.use_style()
     names = [name for name in DRAWN if name in dataset][:4]
     layers = [k for k in dataset["layer"].values if (dataset["area"].sel(layer=k) > 0).any()]
     steps = {axis: int(np.ceil(dataset.sizes[axis] / PIXELS)) for axis in ("x", "y")}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab.planes import algebraic_circle
+from mmqa_lab.planes.regression import algebraic_circle
 
 LEAST_CHORDS = 5
 """That agree; fewer tell no diameter of a shaft."""

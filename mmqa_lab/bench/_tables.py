@@ -1,5 +1,6 @@
-"""What results say: means, paired differences, ranks, and what could not be measured."""
+"""The Dataset of all cells, and what it says: means, paired differences, ranks, failures."""
 
+import numbers
 import warnings
 
 import numpy as np
@@ -7,7 +8,99 @@ import pandas as pd
 from scipy import stats
 
 from mmqa_lab._checks import check_choice, check_count
-from mmqa_lab.bench._dataset import RESERVED, suffix
+
+RESERVED = ("method", "case", "seed", "failure", "truth")
+"""Names of the Dataset itself: no parameter or figure may use them, nor begin with ``truth_``."""
+
+
+UNITS = {
+    "_per_m2": "1/m2",
+    "_per_m": "1/m",
+    "_per_mm": "1/mm",
+    "_m_per_s": "m/s",
+    "_m2": "m2",
+    "_m": "m",
+    "_cm": "cm",
+    "_mm": "mm",
+    "_deg": "deg",
+    "_mrad": "mrad",
+    "_px": "px",
+    "_percent": "%",
+    "_share": "1",
+    "_s": "s",
+    "_hz": "Hz",
+    "_kmh": "km/h",
+}
+"""Endings of names and the unit that each stands for; the longest that fits counts."""
+
+
+def dataset(cases, methods, seeds, records):
+    """The Dataset of the records of all cells, in the order of cases, methods and seeds."""
+    columns = {name: _labels([case[name] for case in cases]) for name in cases[0]}
+    codes, labels = _axes(columns, len(cases))
+    labels = {"method": methods, **labels, "seed": seeds}
+    expected = {method: _names(records, method) for method in methods}
+    truths, rows = [], []
+    for (number, seed), found in records.items():
+        place = {name: code[number] for name, code in codes.items()} | {"seed": seeds.index(seed)}
+        truths.append(place | found[""]["figures"])
+        for row, method in enumerate(methods):
+            failure = {"failure": _reason(found[method], expected[method])}
+            rows.append({"method": row, **place, **found[method]["figures"], **failure})
+    dims = [*codes, "seed"]
+    results = pd.DataFrame(rows).set_index(["method", *dims]).to_xarray()
+    results["failure"] = results["failure"].astype(str)
+    results = results.merge(pd.DataFrame(truths).set_index(dims).to_xarray())
+    results = results.assign_coords({name: labels[name] for name in results.dims})
+    if "case" in codes:
+        results = results.assign_coords({name: ("case", one) for name, one in columns.items()})
+    for name in results.variables:
+        if ending := unit_ending(name):
+            results[name].attrs["units"] = UNITS[ending]
+    return results
+
+
+def _names(records, method):
+    """The figures that a method gave in any cell."""
+    return {name for found in records.values() for name in found[method]["figures"]}
+
+
+def _reason(record, expected):
+    """Why figures are missing; also those that the method gave in other cells."""
+    absent = sorted(expected - set(record["figures"]))
+    if record["failure"] or not absent:
+        return record["failure"]
+    return f"gave no {', '.join(absent)}. Must give the same figures in every case."
+
+
+def _axes(columns, count):
+    """Each case's place on every axis, and the axes' labels: a full grid, or one axis of cases."""
+    # in the order they come; NaN is a value too
+    found = {name: pd.factorize(one, use_na_sentinel=False) for name, one in columns.items()}
+    codes = {name: code for name, (code, _) in found.items()}
+    labels = {name: levels for name, (_, levels) in found.items()}
+    different = len(set(zip(*codes.values(), strict=True)))
+    if different == count == np.prod([len(levels) for levels in labels.values()]):
+        return codes, labels
+    return {"case": np.arange(count)}, {"case": np.arange(count)}
+
+
+def _labels(values):
+    """The values of a parameter as a coordinate: numbers as they are, others as text."""
+    if all(isinstance(value, numbers.Real | np.bool_) for value in values):
+        return np.array(values)
+    return np.array([getattr(value, "__name__", None) or str(value) for value in values])
+
+
+def unit_ending(name):
+    """The ending of a name that is a unit, or an empty text."""
+    return max((one for one in UNITS if name.endswith(one)), key=len, default="")
+
+
+def split_unit(name):
+    """A column's name without the unit that it ends with, and the unit; empty where none."""
+    ending = unit_ending(name)
+    return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
 
 
 def failures(results):
@@ -42,11 +135,9 @@ def failures(results):
         first = ", ".join(f"{name}={part[name].iloc[0]}" for name in case)
         rows.append((method, reason, len(part), first))
     table = pd.DataFrame(rows, columns=["method", "reason", "count", "first_case"])
-    order = {name: place for place, name in enumerate(np.atleast_1d(results["method"].values))}
-    table = table.sort_values("count", ascending=False, kind="stable")
-    return table.sort_values(
-        "method", key=lambda names: names.map(order), kind="stable"
-    ).reset_index(drop=True)
+    order = list(np.atleast_1d(results["method"].values))
+    place = table["method"].map(order.index)
+    return table.iloc[np.lexsort((-table["count"], place))].reset_index(drop=True)
 
 
 def cell_table(results):
@@ -133,7 +224,7 @@ def summary(results, figure=None, *, by=()):
     keys = ["method", *([by] if isinstance(by, str) else by)]
     for name in keys[1:]:
         check_choice(name, "parameter", [*_parameters(results), "seed"])
-    ending, rows = suffix(figure), []
+    ending, rows = unit_ending(figure), []
     for key, part in cell_table(results).groupby(keys, sort=False, dropna=False):
         rows.append((*key, *_t_interval(part[figure].to_numpy()), part[figure].isna().sum()))
     figures = [f"mean{ending}", f"low{ending}", f"high{ending}", "n", "missing"]
@@ -183,7 +274,7 @@ def compare(results, figure=None, *, reference, better="lower", over="cells"):
     sign = {"lower": -1, "higher": 1}[check_choice(better, "better", ("lower", "higher"))]
     values, cases = _by_method(results, figure)
     check_choice(reference, "reference", tuple(values))
-    ending, rows = suffix(figure), []
+    ending, rows = unit_ending(figure), []
     for method in values:
         if method == reference:
             continue

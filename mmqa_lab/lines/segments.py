@@ -1,4 +1,4 @@
-"""The line-segment distance of Chen, Leung & Gao 2003 in closed form, for all pairs of two sets.
+"""Sets of 3-D line segments, and the distance of Chen, Leung & Gao 2003 between all pairs of two.
 
 With e the direction of the line that stays, c the midpoints and L the lengths, rotating the other
 line about its midpoint until it is parallel leaves
@@ -13,6 +13,7 @@ line about its midpoint until it is parallel leaves
 arccosine of a scalar product is lost below 1e-8 rad. Differences are taken before products.
 """
 
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -20,12 +21,169 @@ import numba
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_number
-from mmqa_lab.lines.geometry import check_segments, relative_ends
 
 ROTATE = ("test", "shorter")
 RANGE = ("containment", "overlap")
 BLOCK_PAIRS = 500_000
 """Pairs that one thread takes at a time."""
+
+FLOAT32_LIMIT_M = 1e5
+"""Beyond this, float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Checked 3-D line segments with their lengths, directions and midpoints.
+
+    Parameters
+    ----------
+    ends : array_like, shape (n, 2, 3), (n, 6), (n, 2, 2) or (n, 4)
+        The two end points of each segment in metres; 2-D segments lie at height 0. Their order
+        does not matter. n = 0 is allowed.
+    name : str
+        For tables and figures.
+
+    Raises
+    ------
+    TypeError
+        If the values are not real numbers.
+    ValueError
+        If the shape is wrong; if rows are not finite or of zero length (named); if float32
+        coordinates go beyond 100 km: Lambert-93 northings are rounded to half a metre there.
+
+    Warns
+    -----
+    UserWarning
+        If lengths or coordinates look like another unit than metres.
+
+    Examples
+    --------
+    >>> edges = Segments([[[0, 0, 0], [0, 0, 12]], [[0, 0, 12], [9, 0, 12]]])
+    >>> len(edges), edges.lengths.tolist(), edges.midpoints.tolist()
+    (2, [12.0, 9.0], [[0.0, 0.0, 6.0], [4.5, 0.0, 12.0]])
+    >>> Segments([[[1, 2, 3], [1, 2, 3]]])
+    Traceback (most recent call last):
+    ValueError: Invalid segments: no length in row 0. Must have two different ends.
+    """
+
+    ends: np.ndarray
+    name: str = ""
+
+    def __post_init__(self):
+        values = np.asarray(self.ends)
+        ends = _as_ends(values)
+        _refuse_coarse(values)
+        _refuse_rows(~np.isfinite(ends).all(axis=(1, 2)), "not finite", "be finite coordinates")
+        empty = (ends[:, 0] == ends[:, 1]).all(axis=1)
+        _refuse_rows(empty, "no length", "have two different ends")
+        object.__setattr__(self, "ends", ends)
+        _warn_of_units(ends, self.lengths)
+
+    def __len__(self):
+        return len(self.ends)
+
+    @property
+    def vectors(self):
+        """From the first end to the second, shape (n, 3), m."""
+        return self.ends[:, 1] - self.ends[:, 0]
+
+    @property
+    def lengths(self):
+        """Lengths, shape (n,), m."""
+        return np.linalg.norm(self.vectors, axis=1)
+
+    @property
+    def directions(self):
+        """Unit vectors from the first end to the second, shape (n, 3)."""
+        return self.vectors / self.lengths[:, None]
+
+    @property
+    def midpoints(self):
+        """Midpoints, shape (n, 3), m."""
+        return self.ends[:, 0] + self.vectors / 2
+
+    def select(self, which):
+        """Return the segments where a mask is true, or those of an index array."""
+        return Segments(self.ends[which], name=self.name)
+
+    def moved(self, vector):
+        """Return the segments shifted by one vector (3,) or one for each of them (n, 3), m."""
+        vector = np.asarray(vector, dtype=np.float64)
+        shift = vector[:, None] if vector.ndim == 2 else vector
+        return Segments(self.ends + shift, name=self.name)
+
+    def transformed(self, rotation, translation):
+        """Return the segments after x -> rotation @ x + translation."""
+        turned = self.ends @ np.asarray(rotation, dtype=np.float64).T
+        return Segments(turned + np.asarray(translation, dtype=np.float64), name=self.name)
+
+
+def check_segments(segments, *, name="segments"):
+    """Segments as they are, or made from an array."""
+    return segments if isinstance(segments, Segments) else Segments(segments, name=name)
+
+
+def relative_ends(test, model):
+    """End points of both sets, less one common origin: what remains is exact to 1e-9 m."""
+    for segments in (model, test):
+        if len(segments):
+            origin = segments.ends[0, 0]
+            return test.ends - origin, model.ends - origin
+    return test.ends, model.ends
+
+
+def _as_ends(values):
+    """Float64 ends (n, 2, 3) of any accepted shape."""
+    if values.size == 0 and values.dtype.kind in "fiu":
+        return np.empty((0, 2, 3))
+    if values.dtype.kind not in "fiu":
+        raise TypeError(f"Invalid segments of type {values.dtype}. Must be real numbers.")
+    width = values.shape[-1] if values.ndim == 2 else values.shape[1:]
+    if width not in (6, 4, (2, 3), (2, 2)):
+        raise ValueError(
+            f"Invalid segments of shape {values.shape}. Must have shape (n, 2, 3), (n, 6), "
+            "(n, 2, 2) or (n, 4)."
+        )
+    ends = values.astype(np.float64).reshape(len(values), 2, -1)
+    if ends.shape[2] == 2:
+        ends = np.concatenate([ends, np.zeros((*ends.shape[:2], 1))], axis=2)
+    return ends
+
+
+def _refuse_coarse(values):
+    """Raise where single precision cannot represent the coordinates."""
+    if values.dtype not in (np.float32, np.float16):
+        return
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0))
+    if largest > FLOAT32_LIMIT_M:
+        raise ValueError(
+            f"Invalid segments of type {values.dtype} with a coordinate of {largest:.0f} m. "
+            "Must be float64."
+        )
+
+
+def _warn_of_units(ends, lengths):
+    """Say when the numbers are unlikely to be metres."""
+    if not len(ends):
+        return
+    median = float(np.median(lengths))
+    degrees = (np.abs(ends[..., :2]) <= (180, 90)).all()
+    if median > 1000:
+        unit = "millimetres"
+    elif median < 0.01:
+        unit = "geographic degrees" if degrees else "kilometres"
+    else:
+        return
+    warnings.warn(f"Median segment length {median:.2g}: {unit}? Must be metres.", stacklevel=4)
+
+
+def _refuse_rows(bad, what, wanted):
+    """Raise with the rows that are bad."""
+    if bad.any():
+        rows = np.flatnonzero(bad)
+        listed = ", ".join(map(str, rows[:5])) + (", ..." if len(rows) > 5 else "")
+        plural = "s" if len(rows) > 1 else ""
+        raise ValueError(f"Invalid segments: {what} in row{plural} {listed}. Must {wanted}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,17 +328,19 @@ def _in_blocks(kernel, shape, arguments, outputs):
 
 
 @numba.njit
-def _parts(x, y, z, tx, ty, tz, t_length, u, v, w, mx, my, mz, m_length, shorter, overlap):
+def _parts(own, m, j, shorter, overlap):
     """Squared d_theta, d_par, squared d_perp and s of one pair: midpoint, direction, length each.
 
     Scalars throughout and no branch: the loop over the models then fills whole vector registers.
     """
+    x, y, z, tx, ty, tz, t_length = own
+    mx, my, mz, m_length = m[3, j], m[4, j], m[5, j], m[6, j]
     least = min(t_length, m_length)
     cx, cy, cz = ty * mz - tz * my, tz * mx - tx * mz, tx * my - ty * mx
     angle2 = least * least * (cx * cx + cy * cy + cz * cz)
     stays = shorter & (m_length < t_length)
     ex, ey, ez = (tx if stays else mx), (ty if stays else my), (tz if stays else mz)
-    dx, dy, dz = x - u, y - v, z - w
+    dx, dy, dz = x - m[0, j], y - m[1, j], z - m[2, j]
     s = dx * ex + dy * ey + dz * ez
     parallel = max(0.0, abs(s) - abs(t_length - m_length) / 2)
     parallel = 0.0 if overlap & (abs(s) < (t_length + m_length) / 2) else parallel
@@ -191,24 +351,18 @@ def _parts(x, y, z, tx, ty, tz, t_length, u, v, w, mx, my, mz, m_length, shorter
 @numba.njit(nogil=True, cache=True)
 def _distances_block(first, last, t, m, shorter, overlap, weight, distances):
     for i in range(first, last):
-        x, y, z, tx, ty, tz, length = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
+        own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         row = distances[i]
         for j in range(m.shape[1]):
-            u, v, w, mx, my, mz, n = m[0, j], m[1, j], m[2, j], m[3, j], m[4, j], m[5, j], m[6, j]
-            angle2, along, across2, _ = _parts(
-                x, y, z, tx, ty, tz, length, u, v, w, mx, my, mz, n, shorter, overlap
-            )
+            angle2, along, across2, _ = _parts(own, m, j, shorter, overlap)
             row[j] = np.sqrt(weight * angle2 + along * along + across2)
 
 
 @numba.njit(nogil=True, cache=True)
 def _components_block(first, last, t, m, shorter, overlap, angle, parallel, perpendicular, shift):
     for i in range(first, last):
-        x, y, z, tx, ty, tz, length = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
+        own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         for j in range(m.shape[1]):
-            u, v, w, mx, my, mz, n = m[0, j], m[1, j], m[2, j], m[3, j], m[4, j], m[5, j], m[6, j]
-            angle2, along, across2, s = _parts(
-                x, y, z, tx, ty, tz, length, u, v, w, mx, my, mz, n, shorter, overlap
-            )
+            angle2, along, across2, s = _parts(own, m, j, shorter, overlap)
             angle[i, j], parallel[i, j] = np.sqrt(angle2), along
             perpendicular[i, j], shift[i, j] = np.sqrt(across2), s
