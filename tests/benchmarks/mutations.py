@@ -50,7 +50,7 @@ FAULTS = (
      "test_scan_pattern_measured.py"),
     ("scan_pattern", "if strays[best] < CLEAR", "if strays[best] < 0",
      "test_scan_pattern_measured.py"),
-    ("lines", "weight * self.angle**2", "weight * self.angle", "test_lines_lhd.py"),
+    ("lines", "sqrt(weight * self.angle**2", "sqrt(weight * self.angle", "test_lines_lhd.py"),
     ("lines", "float(np.fmax(a, b))", "float(np.fmin(a, b))", "test_lines_lhd.py"),
     ("tender", "value >= threshold", "value > threshold", "test_tender.py"),
     ("tender", "COVERAGE = 1.96", "COVERAGE = 1.0", "test_tender.py"),
