@@ -92,15 +92,15 @@ def outcome(tree, room, old, new, tests):
     if places:
         text = places[0].read_text("utf-8")
         places[0].write_text(text.replace(old, new, 1), "utf-8")
-        word = "caught" if fails(tree, tests) else "NOT CAUGHT"
+        word = "caught" if fails(tree, tests, places[0]) else "NOT CAUGHT"
         places[0].write_text(text, "utf-8")
     print(f"{word:10}  {room}: {old}  ->  {new}", flush=True)
     return word
 
 
-def fails(tree, tests):
-    """Whether the tests fail on the copy."""
-    files = [f"tests/{name}" for name in tests.split()]
+def fails(tree, tests, path):
+    """Whether the tests fail on the copy, or the examples in the docstrings of the file."""
+    files = [str(path), *(f"tests/{name}" for name in tests.split())]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:randomly", *files]
     place = {**os.environ, "PYTHONPATH": str(tree)}
     done = subprocess.run(command, cwd=tree, env=place, capture_output=True, text=True)
