@@ -333,3 +333,8 @@ def test_command_needs_heights_or_targets(surveyed, capsys):
     pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
     assert main(["accuracy", cloud, "--targets", str(file)]) == 2
     assert "no column 'z'" in capsys.readouterr().err
+
+
+def test_le90_counts_differences_of_either_sign():
+    table = pd.DataFrame({"dz_m": np.arange(-10, 1) / 1000, "reason": ""})
+    assert height_accuracy(table)["le90_mm"].tolist() == pytest.approx([9.0, 5.0])
