@@ -4,4 +4,18 @@ The package is a set of rooms, each a module named by a noun of the field; impor
 need (``from mmqa_lab import chart_cloud``). Nothing heavy is imported here.
 """
 
+import sysconfig
+from pathlib import Path
+
 __version__ = "0.2.0"
+
+
+def _shipped(name):
+    """The folder of the notebooks or samples: in the repository, or where the wheel puts it."""
+    root = Path(__file__).resolve().parents[1]
+    if (root / "pyproject.toml").is_file():
+        return root / name
+    schemes = {sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user")}
+    bases = [Path(sysconfig.get_path("data", scheme)) for scheme in schemes]
+    there = [base / "share" / "mmqa_lab" / name for base in (*bases, root)]
+    return next((folder for folder in there if folder.is_dir()), there[0])

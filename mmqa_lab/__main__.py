@@ -8,6 +8,7 @@ import argparse
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import os
 import pkgutil
 import shutil
@@ -39,7 +40,7 @@ that put the published metrics to the test, or open the notebooks.
 
 def main(arguments=None):
     """Run the command line and return its exit status."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     options = parser().parse_args(arguments)
     wanted = TOOLS if options.command == "test" else ENVIRONMENT
     if not prepared(wanted):
@@ -47,6 +48,9 @@ def main(arguments=None):
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
     try:
         return options.run(options) or 0
+    except BrokenPipeError:  # as in: mmqa names | head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (ValueError, TypeError, ImportError, OSError) as error:
         _say(options.command, error)
         return 2
@@ -56,24 +60,31 @@ def main(arguments=None):
 
 
 def parser():
-    """Return the argument parser with a sub-parser per module of ``mmqa_lab.commands``."""
+    """Return the argument parser with a sub-parser for each command."""
     whole = argparse.ArgumentParser(prog="mmqa", description=DESCRIPTION)
     whole.add_argument("--version", action="version", version=f"mmqa_lab {__version__}")
     groups = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for found in pkgutil.iter_modules(commands.__path__):
-        if found.name.startswith("_"):
-            continue
-        module = importlib.import_module(f"mmqa_lab.commands.{found.name}")
+    for name, command in sorted(_commands().items()):
         one = groups.add_parser(
-            found.name,
-            help=module.SUMMARY,
-            description=module.__doc__,
-            epilog=module.EPILOG,
+            name,
+            help=command.SUMMARY,
+            description=inspect.getdoc(command),
+            epilog=command.EPILOG,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(one)
-        one.set_defaults(run=module.run)
+        command.add_arguments(one)
+        one.set_defaults(run=command.run)
     return whole
+
+
+def _commands():
+    """Commands by their names: modules of ``mmqa_lab.commands``, and what one lists itself."""
+    found = {}
+    for one in pkgutil.iter_modules(commands.__path__):
+        if not one.name.startswith("_"):
+            module = importlib.import_module(f"mmqa_lab.commands.{one.name}")
+            found |= getattr(module, "COMMANDS", {one.name: module})
+    return found
 
 
 def prepared(wanted):

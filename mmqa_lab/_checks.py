@@ -31,7 +31,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     TypeError
         If the values are not real numbers.
     ValueError
-        If the shape is wrong, points are too few, or a coordinate is not finite.
+        If the shape is wrong, points are too few, a coordinate is not finite, or a cloud's
+        coordinate reference system is not in metres.
 
     Examples
     --------
@@ -41,6 +42,7 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     Traceback (most recent call last):
     ValueError: Invalid points of shape (1, 2). Must have shape (n, 3).
     """
+    check_metres(getattr(points, "crs", None), name)
     values = np.asarray(_coordinates(points, name, columns))
     if values.dtype.kind not in "fiub":
         raise TypeError(f"Invalid {name} of type {values.dtype}. Must be real numbers.")
@@ -56,6 +58,30 @@ def check_points(points, *, name="points", columns=3, minimum=1):
             f"{int(np.argmax(bad))}. Must be finite coordinates."
         )
     return values
+
+
+def check_crs(crs):
+    """Return a coordinate reference system as :class:`pyproj.CRS`, or raise where it is unknown.
+
+    Examples
+    --------
+    >>> check_crs("EPSG:25832").name
+    'ETRS89 / UTM zone 32N'
+    """
+    import pyproj
+
+    try:
+        return pyproj.CRS(crs)
+    except pyproj.exceptions.CRSError:
+        raise ValueError(f"Invalid crs {crs!r}. Must be known, like EPSG:25832.") from None
+
+
+def check_metres(crs, name):
+    """Raise where a coordinate reference system is known and its plan is not in metres."""
+    axes = getattr(crs, "axis_info", None)
+    if axes and axes[0].unit_conversion_factor != 1:
+        unit = axes[0].unit_name.replace("degree", "degrees")
+        raise ValueError(f"Invalid {name} in {unit} ({crs.name}). Must be projected, in metres.")
 
 
 def check_plan(points, *, name="points", minimum=1):
@@ -112,11 +138,13 @@ def is_table(points):
 def _from_file(path):
     """The points of a file of points, or of a raster of heights."""
     from mmqa_lab.io import read_cloud, read_heights
-    from mmqa_lab.io.heights import is_raster
+    from mmqa_lab.io.rasters import is_raster
 
     if os.path.isfile(path) and is_raster(path):
         return read_heights(path)
-    return read_cloud(path, columns=()).points
+    cloud = read_cloud(path, columns=())
+    check_metres(cloud.crs, str(path))
+    return cloud.points
 
 
 def _cells(heights, name):

@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from mmqa_lab._checks import check_points, is_table
+from mmqa_lab._checks import check_metres, check_points, is_table
 
 OFF_PLANE = 0.05
 """A vertex may lie this share of the vertices' spread (rms distance from their mean) off the plane
@@ -40,9 +40,7 @@ def polygon_parts(polygon, *, name="polygon"):
         from mmqa_lab.io import read_polygon
 
         polygon = read_polygon(polygon)
-    crs = getattr(polygon, "crs", None)
-    if getattr(crs, "is_geographic", False):
-        raise ValueError(f"Invalid {name} in degrees ({crs}). Must be projected, in metres.")
+    check_metres(getattr(polygon, "crs", None), name)
     if not hasattr(polygon, "__geo_interface__"):
         return [[_ring(polygon, name)]]
     parts = [list(rings) for rings in _coordinates(polygon.__geo_interface__) if len(rings)]

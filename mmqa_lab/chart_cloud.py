@@ -12,20 +12,14 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.planes import (
-    CONSISTENT_SCALE,
-    Plane,
-    fit_plane,
-    flat_points,
-    sigma_mad,
-    turned_axes,
-)
+from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
 from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
 
 AXES = ("principal", "horizontal")
@@ -66,6 +60,9 @@ class CloudQuality(Shown):
         The axes of the quadrants.
     rho0_per_m2 : float
         Density that is asked for; NaN where none is.
+    remarks : tuple of str
+        What a reader of the figures must know: coordinates too coarse for a figure, coincident
+        points, a polygon without heights, with holes, off its plane, and the like.
     plane : Plane
     spacing : Spacing
         Of the points in the plane along those axes, from its centre.
@@ -93,6 +90,7 @@ class CloudQuality(Shown):
     coincident: int
     axes: str
     rho0_per_m2: float
+    remarks: tuple[str, ...]
     plane: Plane = field(repr=False)
     spacing: Spacing = field(repr=False)
     outline: object = field(repr=False)
@@ -192,7 +190,8 @@ class CloudQuality(Shown):
             *("std_mm", "sigma_mad_mm", "d1_mm", "d2_mm", "d3_mm", "d4_mm", "f"),
             *("f_exempt", "incomplete_share", "coincident", "axes"),
         )
-        return pd.DataFrame([{name: getattr(self, name) for name in names}])
+        row = {name: getattr(self, name) for name in names}
+        return pd.DataFrame([row | {"remarks": " ".join(self.remarks)}])
 
     def plot(self):
         """Draw the points, their distances from the plane, and the histograms of both.
@@ -236,7 +235,7 @@ class CloudQuality(Shown):
         density = self.n / whole.area
         count = (areas > 0).sum()
         error = np.sqrt(count / (count - 1) * ((counts - density * areas) ** 2).sum()) / whole.area
-        reach = stats.student_t(count - 1) * error
+        reach = stdtrit(count - 1, 0.975) * error
         return density, max(density - reach, 0.0), density + reach
 
     def _std_interval(self, block):
@@ -247,7 +246,7 @@ class CloudQuality(Shown):
         if count < 2:
             return np.nan, np.nan
         error = np.sqrt(count / (count - 1) * (sums**2).sum()) / self.n
-        reach = stats.student_t(count - 1) * error
+        reach = stdtrit(count - 1, 0.975) * error
         return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 
 
@@ -295,14 +294,12 @@ def evaluate_cloud(
     ValueError
         If fewer than three points are left or they lie on a line, or an argument is invalid.
 
-    Warns
-    -----
-    UserWarning
-        If the ``resolution`` of the cloud's coordinates is coarser than sigma_MAD or than a fifth
-        of d1.
-
     Notes
     -----
+    ``remarks`` says where coordinates are coarser than sigma_MAD or than a fifth of d1; by the
+    ``resolution`` of the cloud and, where its coordinates are all multiples of 1, 2 or 5 times a
+    power of ten, by that step.
+
     Nearly square selections have principal axes that turn by chance, and f depends on the axes:
     the same scan lines give another f when they run along an axis than when they run across both.
     A homogeneous random pattern has f = 3.257 at every density, so f < 2 asks for more regularity
@@ -324,9 +321,12 @@ def evaluate_cloud(
     cloud = as_cloud(points)
     points = check_points(cloud, minimum=3)
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
+    remarks = []
     if polygon is not None:
-        inside, polygon = _selected(points, polygon, thickness)
-        points = check_points(points[inside], name="points inside the polygon", minimum=3)
+        polygon, remarks = _polygon(polygon, points, thickness, cloud.crs)
+        inside = _inside(points, polygon, thickness)
+        _check_found(points, polygon, inside)
+        points = points[inside]
     plane = fit_plane(points)
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
@@ -334,7 +334,8 @@ def evaluate_cloud(
     hull = _hull(xy)
     outline = hull if polygon is None else _outline(polygon, framed)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    _remark_on_resolution(1000 * cloud.resolution, sigma_mad_mm, 1000 * gaps.d[0])
+    step_mm = 1000 * np.fmax(cloud.resolution, _step(points))
+    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
     return CloudQuality(
         n=len(points),
         area_polygon_m2=np.nan if polygon is None else outline.area,
@@ -346,6 +347,7 @@ def evaluate_cloud(
         coincident=gaps.coincident,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
+        remarks=tuple(remarks),
         plane=plane,
         spacing=gaps,
         outline=outline,
@@ -382,8 +384,8 @@ def inside_polygon(
     Warns
     -----
     UserWarning
-        If a vertex lies off the plane by more than a quarter of ``thickness``: points near it may
-        be missed.
+        If the polygon has no heights; if a vertex lies off the plane by more than a quarter of
+        ``thickness``, so that points near it may be missed.
 
     Examples
     --------
@@ -391,7 +393,12 @@ def inside_polygon(
     >>> inside_polygon([[0.5, 0.5, 0.01], [0.5, 0.5, 0.2], [2, 0, 0]], square).tolist()
     [True, False, False]
     """
-    return _selected(check_points(points, minimum=0), polygon, thickness)[0]
+    crs = getattr(points, "crs", None)
+    points = check_points(points, minimum=0)
+    parts, remarks = _polygon(polygon, points, thickness, crs)
+    for remark in remarks:
+        warnings.warn(remark, stacklevel=2)
+    return _inside(points, parts, thickness)
 
 
 def chart_polygon(
@@ -444,31 +451,6 @@ def chart_polygon(
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
 
 
-def hull_area(xy: ArrayLike) -> float:
-    """Return the area of the convex hull of points in a plane, m2; 0 when they lie on a line.
-
-    Parameters
-    ----------
-    xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
-        Metres.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If there are no points or one is not finite.
-
-    Examples
-    --------
-    >>> hull_area([[0, 0], [2, 0], [2, 1], [0, 1], [1, 0.5]]), hull_area([[0, 0], [1, 1]])
-    (2.0, 0.0)
-    """
-    return float(_hull(flat_points(xy)).area)
-
-
 def _hull(xy):
     """The convex hull, a line where the points lie on one."""
     import shapely
@@ -485,45 +467,83 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _remark_on_resolution(step_mm, sigma_mm, d1_mm):
-    """Say where the stored coordinates are too coarse for the dispersion or the spacing."""
+def _remarks_on_points(gaps, step_mm, sigma_mm):
+    """Sentences on coordinates too coarse for the figures, and on coincident points."""
+    d1_mm, remarks = 1000 * gaps.d[0], []
     if step_mm > sigma_mm or step_mm > d1_mm / 5:
-        warnings.warn(
-            f"The coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
-            f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.",
-            stacklevel=3,
+        remarks.append(
+            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
+            f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm."
         )
+    if gaps.coincident:
+        share = 100 * gaps.coincident / gaps.n
+        remarks.append(
+            f"{gaps.coincident} points ({share:.2g} %) share their place with another: "
+            "they raise the density."
+        )
+    return remarks
 
 
-def _selected(points, polygon, thickness):
-    """Which points a polygon selects, and its parts with heights."""
-    import shapely
+def _step(points):
+    """The coarsest step, m, of which all coordinates are multiples; NaN where none is seen."""
+    local = points[:: 1 + len(points) // 1000] - points[0]
+    for step in (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001):
+        places = local / step
+        if len(points) > 10 and np.abs(places - np.round(places)).max() < 1e-4:
+            return step
+    return np.nan
 
+
+def _polygon(polygon, points, thickness, crs):
+    """The parts of a polygon with heights, and what there is to say of it."""
     thickness = check_positive(thickness, "thickness", unit="m")
-    parts = polygon_parts(polygon)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        parts = polygon_parts(polygon)
+    remarks = [f"{warning.message}" for warning in said]
+    stated = getattr(polygon, "crs", None)
+    if stated is not None and crs is not None and stated != crs:
+        raise ValueError(
+            f"Invalid polygon in {stated.name}. Must be in that of the cloud, {crs.name}."
+        )
     if any(ring.shape[1] == 2 for rings in parts for ring in rings):
         parts = _draped(parts, points)
-    plane = _polygon_plane(parts, thickness)
-    outline = _outline(parts, plane)
-    near = np.abs(plane.distances(points)) <= thickness
-    x, y = plane.project(points[near]).T
-    near[near] = shapely.contains_xy(outline, x, y)
-    return near, parts
-
-
-def _polygon_plane(parts, thickness):
-    """The plane of a polygon's vertices, with a remark where it is not quite flat."""
+        remarks.append("The polygon has no heights: it is laid onto the plane of the points in it.")
     vertices = np.concatenate([ring for rings in parts for ring in rings])
     plane = fit_plane(vertices)
     check_flatness(vertices, plane)
     off = np.abs(plane.residuals).max()
     if off > thickness / 4:
-        warnings.warn(
+        remarks.append(
             f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
-            f"than {1000 * thickness:.0f} mm from that plane do not count.",
-            stacklevel=4,
+            f"than {1000 * thickness:.0f} mm from that plane do not count."
         )
-    return plane
+    return parts, remarks
+
+
+def _inside(points, parts, thickness):
+    """Which points the parts of a polygon select."""
+    import shapely
+
+    plane = fit_plane(np.concatenate([ring for rings in parts for ring in rings]))
+    near = np.abs(plane.distances(points)) <= thickness
+    x, y = plane.project(points[near]).T
+    near[near] = shapely.contains_xy(_outline(parts, plane), x, y)
+    return near
+
+
+def _check_found(points, parts, inside):
+    """Raise where a polygon has fewer than three points; say where the cloud is."""
+    if inside.sum() >= 3:
+        return
+    centre = np.concatenate([ring for rings in parts for ring in rings]).mean(axis=0)
+    away = np.linalg.norm(points - centre, axis=1).min()
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))
+    raise ValueError(
+        f"Invalid points inside the polygon: {inside.sum()} given. Must be 3 or more. The cloud "
+        f"extends over {extent} m; its nearest point is {away:.3g} m from the polygon's centre."
+    )
 
 
 def _draped(parts, points):
@@ -531,10 +551,10 @@ def _draped(parts, points):
     import shapely
 
     parts = [[ring[:, :2] for ring in rings] for rings in parts]
-    outline = shapely.union_all([_polygon(*rings) for rings in parts])
+    outline = shapely.union_all([_area(*rings) for rings in parts])
     inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
-    found = check_points(points[inside], name="points inside the polygon", minimum=3)
-    plane = fit_plane(found, robust=True)
+    _check_found(points, [[_at_mean(ring, points) for ring in rings] for rings in parts], inside)
+    plane = fit_plane(points[inside], robust=True)
     if abs(plane.normal[2]) < STEEPEST:
         raise ValueError(
             "Invalid polygon without heights over a surface steeper than 60 degrees. "
@@ -549,15 +569,20 @@ def _draped(parts, points):
     return [[lifted(ring) for ring in rings] for rings in parts]
 
 
+def _at_mean(ring, points):
+    """A ring in plan at the mean height of points."""
+    return np.column_stack([ring, np.full(len(ring), points[:, 2].mean())])
+
+
 def _outline(parts, plane):
     """The area of a polygon's parts in a plane, without their holes."""
     import shapely
 
-    flat = [_polygon(*(plane.project(ring) for ring in rings)) for rings in parts]
+    flat = [_area(*(plane.project(ring) for ring in rings)) for rings in parts]
     return flat[0] if len(flat) == 1 else shapely.union_all(flat)
 
 
-def _polygon(xy, *holes):
+def _area(xy, *holes):
     """A valid polygon in the plane."""
     import shapely
 

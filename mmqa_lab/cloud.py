@@ -6,12 +6,12 @@ import html
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_points, coordinate_columns, is_table
+from mmqa_lab._checks import check_crs, check_points, coordinate_columns, is_table
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,11 +46,15 @@ class Cloud:
     resolution : float
         The step that the coordinates were rounded to when they were stored, m; the coarsest of
         the three axes. NaN where it is not known.
+    crs : pyproj.CRS or what it is made from, optional
+        The coordinate reference system: ``"EPSG:25832"``, well-known text. None where it is not
+        known.
 
     Raises
     ------
     ValueError
-        If a coordinate is not finite or a column is not as long as the points.
+        If a coordinate is not finite, a column is not as long as the points, or the coordinate
+        reference system is unknown.
 
     Examples
     --------
@@ -67,6 +71,7 @@ class Cloud:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     name: str = ""
     resolution: float = np.nan
+    crs: object = None
 
     def __post_init__(self):
         points = check_points(self.points, minimum=0)
@@ -79,6 +84,8 @@ class Cloud:
                 )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "columns", columns)
+        if self.crs is not None:
+            object.__setattr__(self, "crs", check_crs(self.crs))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -96,7 +103,7 @@ class Cloud:
         if points.ndim == 1:
             return points
         columns = {key: values[which] for key, values in self.columns.items()}
-        return Cloud(points, columns, self.name, self.resolution)
+        return Cloud(points, columns, self.name, self.resolution, self.crs)
 
     def _column(self, name):
         """A column, or the sentence that lists those present."""
@@ -117,6 +124,7 @@ class Cloud:
             "points": f"{len(self):,}",
             "extent": self._extent(),
             "resolution": f"{1000 * self.resolution:g} mm",
+            "crs": "not known" if self.crs is None else self.crs.name,
             "columns": ", ".join(self.columns) or "none",
         }
         if np.isnan(self.resolution):
@@ -143,7 +151,8 @@ class Cloud:
         data = self.to_frame().rename_axis("point").to_xarray()
         for axis in ("x_m", "y_m", "z_m"):
             data[axis].attrs["units"] = "m"
-        return data.assign_attrs(name=self.name, resolution_m=self.resolution)
+        crs = "" if self.crs is None else self.crs.to_wkt()
+        return data.assign_attrs(name=self.name, resolution_m=self.resolution, crs_wkt=crs)
 
     def plot(self, color: str | None = None, *, axes=None):
         """Draw the points from above and, below that, from the side.
@@ -195,18 +204,30 @@ class Cloud:
         points = check_points(frame, minimum=0)
         used = coordinate_columns(frame.columns)
         rest = [column for column in frame.columns if len(used) == 3 and column not in used]
-        return cls(points, {str(column): frame[column].to_numpy() for column in rest}, name)
+        columns = {str(column): frame[column].to_numpy() for column in rest}
+        return cls(points, columns, name, crs=getattr(frame, "crs", None))
 
     @classmethod
     def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
-        """Return one cloud of several, with the columns that all of them have."""
+        """Return one cloud of several, with the columns that all of them have.
+
+        Raises
+        ------
+        ValueError
+            If they have different coordinate reference systems.
+        """
         clouds = list(clouds)
         if not clouds:
             return cls(np.empty((0, 3)), name=name)
+        known = [cloud.crs for cloud in clouds if cloud.crs is not None]
+        other = next((crs for crs in known if crs != known[0]), None)
+        if other is not None:
+            raise ValueError(f"Invalid clouds in {known[0].name} and {other.name}. Must be in one.")
         shared = [key for key in clouds[0].columns if all(key in cloud for cloud in clouds)]
         columns = {key: np.concatenate([cloud[key] for cloud in clouds]) for key in shared}
         coarsest = float(np.max([cloud.resolution for cloud in clouds]))
-        return cls(np.concatenate([cloud.points for cloud in clouds]), columns, name, coarsest)
+        points = np.concatenate([cloud.points for cloud in clouds])
+        return cls(points, columns, name, coarsest, known[0] if known else None)
 
 
 def as_cloud(points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> Cloud:
@@ -243,3 +264,54 @@ def as_cloud(points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> Cl
     if is_table(points):
         return Cloud.from_frame(points)
     return Cloud(check_points(points, minimum=0))
+
+
+class _Cells(NamedTuple):
+    """What :func:`sort_into_cells` gives."""
+
+    order: np.ndarray
+    starts: np.ndarray
+    places: np.ndarray
+
+
+def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
+    """Sort points into square or cubic cells whose borders lie at multiples of their size.
+
+    Parameters
+    ----------
+    points : array, shape (n, d)
+        Coordinates, in any unit; one point or more.
+    size : float
+        Side of the cells, in that unit.
+
+    Returns
+    -------
+    order : array of int, shape (n,)
+        The points' rows, cell by cell; within a cell as they came.
+    starts : array of int, shape (m + 1,)
+        Cell k has the points ``order[starts[k]:starts[k + 1]]``.
+    places : array of int, shape (m, d)
+        Place of each cell with points, in cells from the origin; the last axis runs fastest.
+
+    Raises
+    ------
+    ValueError
+        If the box around the points has too many cells to be numbered.
+
+    Examples
+    --------
+    >>> cells = sort_into_cells(np.array([[0.9, 0.2], [0.1, 0.1], [0.8, 0.3]]), 0.5)
+    >>> cells.order.tolist(), cells.starts.tolist(), cells.places.tolist()
+    ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
+    """
+    index = np.floor(np.ascontiguousarray(points.T) / size).astype(np.int64)
+    low = index.min(axis=1)
+    wide = index.max(axis=1) - low + 1
+    if np.prod(wide.astype(float)) > 2.0**62:
+        raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
+    key = np.zeros(index.shape[1], np.int64)
+    for along, first, count in zip(index, low, wide, strict=True):
+        key = key * count + (along - first)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return _Cells(order, np.append(first, len(order)), index[:, order[first]].T.copy())

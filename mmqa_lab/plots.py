@@ -1,20 +1,25 @@
 """Journal figures in matplotlib: widths in millimetres, one style, colours all can tell apart.
 
-Import it where figures are drawn: the rooms that compute never need it.
+Import it where figures are drawn: the rooms that compute never need it. Nothing here changes
+matplotlib's settings for good: use ``with style():`` for some figures, or matplotlib's own
+``plt.style.use(plots.STYLE)`` for a whole notebook.
 """
 
+import contextlib
+import warnings
 from dataclasses import dataclass
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from cycler import cycler
+from matplotlib import font_manager
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 
-WIDTHS = ("single", "double", "full")
-"""One column, two columns, the whole width of the page's text."""
+WIDTHS = ("single", "double")
+"""One column, and the whole width of the page's text."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +28,8 @@ class Journal:
 
     Parameters
     ----------
-    widths_mm : tuple of 3 float
-        Of one column, two columns and the whole text, mm.
+    widths_mm : tuple of 2 float
+        Of one column and of the whole text, mm.
     fonts : tuple of str
         In the order of preference.
     lettering_pt : float
@@ -40,26 +45,45 @@ class Journal:
     """
 
     widths_mm: tuple
-    """Of one column, two columns and the whole text."""
     fonts: tuple
     lettering_pt: float
     source: str
 
 
 JOURNALS = {
-    "house": Journal((85.0, 178.0, 178.0), ("DejaVu Sans",), 8.0, "this project's own choice"),
+    "house": Journal((85.0, 178.0), ("DejaVu Sans",), 8.0, "this project's own choice"),
     "elsevier": Journal(
-        (90.0, 190.0, 190.0),
+        (90.0, 190.0),
         ("Arial", "Helvetica"),
         7.0,
         "elsevier.com, artwork and media instructions: artwork sizing, artwork types",
     ),
     "ieee": Journal(
-        (88.9, 182.0, 182.0),
+        (88.9, 182.0),
         ("Arial", "Helvetica"),
         8.0,
         "ieeeauthorcenter.ieee.org, size requirements for graphics; callouts of 8 points: "
         "IEEE guidelines for author supplied electronic text and graphics",
+    ),
+    "mdpi": Journal(
+        (138.6, 184.6),
+        ("Palatino", "Palatino Linotype"),
+        8.0,
+        "mdpi.cls of 12 September 2024: text from 58.7 mm to 12.7 mm within A4, fulllength",
+    ),
+    "isprs": Journal(
+        (82.0, 170.0),
+        ("Times New Roman", "Times"),
+        8.0,
+        "ISPRS guidelines for authors of the Archives and Annals: A4 with margins of 20 mm, two "
+        "columns 6 mm apart, text of 9 points",
+    ),
+    "springer": Journal(
+        (84.0, 174.0),
+        ("Helvetica", "Arial"),
+        8.0,
+        "springer.com, artwork instructions: figures 39, 84, 129 or 174 mm wide, lettering of 8 "
+        "to 12 points",
     ),
 }
 """Widths, fonts and lettering by publisher; other publishers join with their source."""
@@ -93,6 +117,13 @@ STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "mmqa_lab",
     "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
     "legend.frameon": False,
     "lines.linewidth": 1.0,
     "axes.linewidth": 0.6,
@@ -104,22 +135,33 @@ STYLE = {
     "figure.constrained_layout.use": True,
     "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"]),
 }
+"""The house style as matplotlib's settings: fonts embedded as TrueType (Type 42), text in SVG stays
+text, and files are equal to the byte from run to run."""
 
-_in_use = {"single": 85.0, "double": 178.0, "full": 178.0, "default": 85.0}
+_in_use = {"single": 85.0, "double": 178.0, "default": 85.0}
 
 
-def use_style(*, width="single", journal="house"):
-    """Set the style for all figures drawn from here on.
+@contextlib.contextmanager
+def style(journal="house", *, width="single"):
+    """Draw figures as a publisher asks, for the lines of a ``with`` or, above it, of a function.
 
-    Fonts are embedded as TrueType (Type 42), text in SVG stays text, and files are equal to the
-    byte from run to run. A publisher's font that is not installed is replaced by DejaVu Sans.
+    Widths, fonts and lettering are those of ``JOURNALS``; matplotlib's settings are as they were
+    afterwards. Save the figure within it, too. A font that is not installed is replaced by DejaVu
+    Sans, with a warning.
 
     Parameters
     ----------
-    width : {"single", "double", "full"}
+    journal : {"house", "elsevier", "ieee", "mdpi", "isprs", "springer"}
+        Columns and whole text are 85 and 178 mm wide (our own choice), 90 and 190 mm (Elsevier,
+        artwork sizing), 88.9 and 182 mm (IEEE, size requirements for graphics), 138.6 and 184.6 mm
+        (MDPI, its LaTeX class of 2024), 82 and 170 mm (ISPRS, guidelines for authors), 84 and
+        174 mm (Springer, artwork instructions).
+    width : {"single", "double"}
         Of figures that do not say their own.
-    journal : {"house", "elsevier", "ieee"}
-        A key of ``JOURNALS``, which names the source of each publisher's widths and fonts.
+
+    Yields
+    ------
+    Journal
 
     Raises
     ------
@@ -128,22 +170,34 @@ def use_style(*, width="single", journal="house"):
 
     Examples
     --------
-    >>> use_style(width="double", journal="elsevier")
-    >>> figure, ax = subplots()
+    >>> with warnings.catch_warnings(action="ignore"), style("elsevier", width="double"):
+    ...     figure, ax = subplots()
     >>> round(figure.get_size_inches()[0] * 25.4)
     190
     >>> plt.close(figure)
-    >>> use_style()
     """
     chosen = JOURNALS[check_choice(journal, "journal", tuple(JOURNALS))]
-    widths = dict(zip(WIDTHS, chosen.widths_mm, strict=True))
     check_choice(width, "width", WIDTHS)
-    _in_use.update(widths, default=widths[width])
-    size = chosen.lettering_pt
-    lettering = {"font.size": size, "axes.labelsize": size, "axes.titlesize": size}
+    widths = dict(zip(WIDTHS, chosen.widths_mm, strict=True))
+    before = dict(_in_use)
+    with mpl.rc_context(STYLE | _lettering(chosen)):
+        _in_use.update(widths, default=widths[width])
+        try:
+            yield chosen
+        finally:
+            _in_use.update(before)
+
+
+def _lettering(journal):
+    """Settings for the letters that a publisher asks for."""
+    installed = {font.name for font in font_manager.fontManager.ttflist}
+    if not installed & set(journal.fonts):
+        asked = " and ".join(journal.fonts)
+        warnings.warn(f"Fonts not installed: {asked}. DejaVu Sans is used instead.", stacklevel=4)
+    size = journal.lettering_pt
     small = dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), min(size, 7))
-    fonts = {"font.sans-serif": [*chosen.fonts, "DejaVu Sans"]}
-    mpl.rcParams.update(STYLE | lettering | small | fonts)
+    large = dict.fromkeys(("font.size", "axes.labelsize", "axes.titlesize"), size)
+    return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], **large, **small}
 
 
 def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
@@ -152,8 +206,8 @@ def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
     Parameters
     ----------
     rows, columns : int
-    width : {"default", "single", "double", "full"}
-        Of the journal that :func:`use_style` was given; "default" is the width given there.
+    width : {"default", "single", "double"}
+        Of the journal that :func:`style` was given; "default" is the width given there.
     height_mm : float
     **choices
         Handed to ``matplotlib.pyplot.subplots``.
@@ -178,27 +232,6 @@ def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
     check_choice(width, "width", ("default", *WIDTHS))
     size = (_in_use[width] / 25.4, height_mm / 25.4)
     return plt.subplots(rows, columns, figsize=size, **choices)
-
-
-def letter_panels(axes):
-    """Write (a), (b), ... above the left corner of each axes.
-
-    Parameters
-    ----------
-    axes : Axes or array of Axes
-        Lettered row by row.
-
-    Examples
-    --------
-    >>> figure, axes = subplots(1, 2)
-    >>> letter_panels(axes)
-    >>> axes[1].get_title(loc="left")
-    '(b)'
-    >>> plt.close(figure)
-    """
-    for k, ax in enumerate(np.ravel(axes)):
-        letter = f"({chr(ord('a') + k)})"
-        ax.set_title(letter, loc="left", fontweight="bold")
 
 
 def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):

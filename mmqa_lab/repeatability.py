@@ -16,19 +16,15 @@ from mmqa_lab._checks import check_count, check_number, check_points, check_posi
 from mmqa_lab._polygons import polygon_vertices
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
+from mmqa_lab.planes import fit_plane
 
 __all__ = [
-    "PowerLaw",
     "Repeatability",
-    "contaminated_sigma_mad",
     "evaluate_selections",
     "operator_polygons",
-    "power_law",
     "repeatability",
     "strip_law",
     "variance_components",
-    "with_strays",
 ]
 
 STRIP = 0.4579
@@ -97,46 +93,6 @@ def operator_polygons(
             "Must be well below the distance of the vertices."
         )
     return polygons
-
-
-def with_strays(
-    points: ArrayLike, *, share: float, depths: tuple[float, float], seed: int
-) -> np.ndarray:
-    """Add points that a selection catches by mistake behind or in front of a surface.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 3)
-        On the surface, metres.
-    share : float
-        Of all points afterwards, 0 to 0.5.
-    depths : pair of float
-        Strays lie between these distances along the plane's normal, m; equally likely anywhere.
-    seed : int
-
-    Returns
-    -------
-    array, shape (m, 3)
-        The points, then the strays: copies of random points, moved.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three points or the share lies outside 0 to 0.5.
-
-    Examples
-    --------
-    >>> surface = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
-    >>> with_strays(surface, share=0.2, depths=(0.1, 0.1), seed=1)[-1, 2].item()
-    0.1
-    """
-    points = check_points(points, minimum=3)
-    share = check_number(share, "share", low=0, high=0.5)
-    rng = np.random.default_rng(seed)
-    count = round(len(points) * share / (1 - share))
-    depth = rng.uniform(*depths, count)[:, None]
-    strays = points[rng.integers(len(points), size=count)] + depth * fit_plane(points).normal
-    return np.concatenate([points, strays])
 
 
 def evaluate_selections(
@@ -404,32 +360,6 @@ def _between(parts, within):
     return (between - within) / typical, float(icc), (float(low), float(high))
 
 
-@dataclass(frozen=True)
-class PowerLaw:
-    """y = factor x^exponent, fitted to the logarithms, with standard errors of ln and exponent.
-
-    Parameters
-    ----------
-    exponent, standard_error : float
-        The latter of the former.
-    factor : float
-        y at x = 1.
-    n : int
-        Pairs fitted.
-
-    Examples
-    --------
-    >>> law = power_law([1, 2, 4], [5.0, 20.0, 80.0])
-    >>> round(law.exponent, 9), round(law.standard_error, 9), round(law.factor, 9)
-    (2.0, 0.0, 5.0)
-    """
-
-    exponent: float
-    standard_error: float
-    factor: float
-    n: int
-
-
 def strip_law(*, density: float, area: float, click: float, influence: float = 1.0) -> float:
     """Predicted relative s_r of a figure when square selections of one random pattern vary.
 
@@ -472,72 +402,3 @@ def strip_law(*, density: float, area: float, click: float, influence: float = 1
     area = check_positive(area, "area", unit="m2")
     click = check_number(click, "click", low=0, unit="m")
     return float(influence * np.sqrt(STRIP * 4 * np.sqrt(area) * click / density) / area)
-
-
-def contaminated_sigma_mad(share: float) -> float:
-    """sigma_MAD of normal residuals over their standard deviation, with strays far to one side.
-
-    The median moves to m, Phi(m) (1 - share) = 1/2, and d, half of the points about it, solves
-    (1 - share) (Phi(m + d) - Phi(m - d)) = 1/2.
-
-    Parameters
-    ----------
-    share : float
-        Of all points, 0 to below 0.5.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If the share lies outside 0 to 0.49.
-
-    Examples
-    --------
-    >>> [round(contaminated_sigma_mad(share), 3) for share in (0, 0.05, 0.1)]
-    [1.0, 1.065, 1.145]
-    """
-    from scipy.optimize import brentq
-    from scipy.stats import norm
-
-    share = check_number(share, "share", low=0, high=0.49)
-    half = 0.5 / (1 - share)
-    median = norm.ppf(half)
-    d = brentq(lambda d: norm.cdf(median + d) - norm.cdf(median - d) - half, 0, 20)
-    return float(CONSISTENT_SCALE * d)
-
-
-def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
-    """Fit y = factor x^exponent by least squares on the logarithms.
-
-    Parameters
-    ----------
-    x, y : array_like, shape (n,)
-        Above zero, n >= 3.
-
-    Returns
-    -------
-    PowerLaw
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three pairs or one is not above zero.
-
-    Examples
-    --------
-    >>> law = power_law([1, 4, 16, 64], [3.0, 1.5, 0.75, 0.375])
-    >>> round(law.exponent, 6), round(law.factor, 6), law.n
-    (-0.5, 3.0, 4)
-    """
-    import statsmodels.api as sm
-
-    pairs = check_points(np.stack([x, y], axis=1), name="pairs", columns=2, minimum=3)
-    if (pairs <= 0).any():
-        raise ValueError(f"Invalid pairs: the smallest is {pairs.min()}. Must be > 0.")
-    logarithms = np.log(pairs)
-    fit = sm.OLS(logarithms[:, 1], sm.add_constant(logarithms[:, 0])).fit()
-    intercept, exponent = fit.params
-    return PowerLaw(float(exponent), float(fit.bse[1]), float(np.exp(intercept)), len(pairs))

@@ -1,15 +1,17 @@
 """The small clouds in ``data_samples`` and the larger public ones outside the repository."""
 
-import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
+import numpy as np
 
+from mmqa_lab import _shipped
 from mmqa_lab._checks import check_choice
 
-FOLDER = Path(__file__).resolve().parent.parent / "data_samples"
+__all__ = ["has_real", "path", "real_path", "road_patch_heads"]
+
+FOLDER = _shipped("data_samples")
 
 REAL_VARIABLE = "MMQA_DATA"
 """The environment variable that names the folder of larger public clouds."""
@@ -31,12 +33,6 @@ class Sample:
     units : str
         Of the coordinates, and their reference system.
     contents : str
-
-    Examples
-    --------
-    >>> chart = next(sample for sample in SAMPLES if sample.name == "road_patch")
-    >>> sha256(FOLDER / chart.file) == chart.sha256
-    True
     """
 
     name: str
@@ -79,22 +75,6 @@ SAMPLES = (
         contents="the same chart by a rotating scanner of 32 beams, as a COPC file",
     ),
 )
-
-
-def table():
-    """Return the registry as a DataFrame, a row per sample.
-
-    Returns
-    -------
-    DataFrame
-        The fields of :class:`Sample`.
-
-    Examples
-    --------
-    >>> table()["name"].tolist()[0]
-    'road_patch'
-    """
-    return pd.DataFrame([vars(sample) for sample in SAMPLES])
 
 
 def path(name):
@@ -143,8 +123,6 @@ def road_patch_heads() -> dict:
     >>> {name: len(points) for name, points in road_patch_heads().items()}
     {'head A': 12265, 'head B': 6373, 'both heads': 18335}
     """
-    import numpy as np
-
     from mmqa_lab.io import read_cloud
 
     cloud = read_cloud(path("road_patch"), columns=["gps_time"])
@@ -154,27 +132,8 @@ def road_patch_heads() -> dict:
     return {name: np.unique(cloud.points[mask], axis=0) for name, mask in parts.items()}
 
 
-def sha256(file):
-    """Return the SHA-256 of a file in hexadecimal.
-
-    Parameters
-    ----------
-    file : path
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> sha256(os.devnull)[:8]  # of no bytes at all
-    'e3b0c442'
-    """
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
-
-
 def has_real(relative):
-    """Return whether the folder of larger clouds holds this file.
+    """Return whether the folder of larger clouds contains this file.
 
     Parameters
     ----------

@@ -245,103 +245,6 @@ def bootstrap(statistic, *values, groups=None, repeats=1000, confidence=0.95, se
     return Interval(float(statistic(*arrays)), float(low), float(high), len(known))
 
 
-def mcnemar(first, second):
-    """Return the exact two-sided p-value that two methods succeed equally often on the same things.
-
-    Parameters
-    ----------
-    first, second : array_like of bool, shape (n,)
-        Success of each method on each thing.
-
-    Returns
-    -------
-    float
-        1 where neither succeeds alone.
-
-    Raises
-    ------
-    ValueError
-        If the two have different shapes.
-
-    References
-    ----------
-    McNemar 1947, Psychometrika 12, 153-157, doi:10.1007/BF02295996; exact binomial form.
-
-    Examples
-    --------
-    >>> mcnemar([1, 1, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0])
-    0.0625
-    """
-    from scipy.stats import binomtest
-
-    first, second = (np.asarray(a, dtype=bool) for a in (first, second))
-    if first.shape != second.shape:
-        raise ValueError(
-            f"Invalid second of shape {second.shape}. Must be that of the first, {first.shape}."
-        )
-    only_first, only_second = int((first & ~second).sum()), int((second & ~first).sum())
-    if only_first + only_second == 0:
-        return 1.0
-    return float(binomtest(only_first, only_first + only_second).pvalue)
-
-
-def f1(recall, precision):
-    """Return the harmonic mean of recall and precision; NaN where either is, 0 where both are 0.
-
-    Parameters
-    ----------
-    recall, precision : float
-        Shares, 0 to 1.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> f1(0.5, 1.0) == 2 / 3, f1(0.0, 0.0)
-    (True, 0.0)
-    """
-    total = recall + precision
-    if total == 0:
-        return 0.0
-    return 2 * recall * precision / total
-
-
-def average_precision(recall, precision):
-    """Return the area under a precision-recall curve, in steps (no interpolation).
-
-    Parameters
-    ----------
-    recall, precision : array_like, shape (n,)
-        With falling threshold: recall does not decrease.
-
-    Returns
-    -------
-    float
-        0 to 1.
-
-    Raises
-    ------
-    ValueError
-        If recall falls along the curve.
-
-    Notes
-    -----
-    Detections below the lowest threshold add nothing: recall the method never reaches counts as 0.
-
-    Examples
-    --------
-    >>> average_precision([0.5, 1.0], [1.0, 0.5])
-    0.75
-    """
-    recall, precision = (np.asarray(a, dtype=np.float64) for a in (recall, precision))
-    steps = np.diff(recall, prepend=0.0)
-    if (steps < 0).any():
-        raise ValueError("Invalid recall: it falls along the curve. Must not decrease.")
-    return float(np.sum(steps * precision))
-
-
 def _rows_by_group(groups, n):
     """Row numbers of each group; every row its own where there are no groups."""
     if groups is None:
@@ -412,12 +315,14 @@ def median_interval(values, block):
     >>> bool(low < 5 < high), bool(high - low < 0.2)
     (True, True)
     """
+    from scipy.special import stdtrit
+
     known = ~np.isnan(values)
     values, block = np.asarray(values)[known], np.asarray(block)[known]
     scores = _median_scores(values, block)
     if len(scores) < 2:
         return np.nan, np.nan
-    reach = min(student_t(len(scores) - 1) * np.linalg.norm(scores), 0.5)
+    reach = min(stdtrit(len(scores) - 1, 0.975) * np.linalg.norm(scores), 0.5)
     low, high = np.quantile(values, [0.5 - reach, 0.5 + reach], method="nearest")
     return float(low), float(high)
 
@@ -459,28 +364,6 @@ def median_ratio_interval(top, bottom, block):
     reach = np.sqrt(max(above**2 + below**2 - 2 * together * above * below, 0.0))
     ratio = np.median(top) / np.median(bottom)
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
-
-
-def student_t(freedom):
-    """Return the two-sided 95 % quantile of Student's t.
-
-    Parameters
-    ----------
-    freedom : float
-        Degrees of freedom.
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> round(student_t(15), 3)
-    2.131
-    """
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
 
 
 def _median_scores(values, block):

@@ -10,7 +10,8 @@ import pandas as pd
 
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_positive
-from mmqa_lab.chart_image.legibility import MARKS
+from mmqa_lab.chart_image.rules import MARKS
+from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
 
 RELATIONS = {
@@ -35,10 +36,6 @@ SETS = ("test", "scenario 1", "scenario 2")
 RUNGS_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0)
 """Widths of line pairs that Table 1 shows."""
 
-COARSEST_MM = {"h": 40.0, "v": 30.0}
-"""Widest line pairs on the chart (section 3.2). A dash in Table 1 is read as coarser: the paper
-does not explain it, but says that some systems did not reach the coarsest pattern (section 4.4)."""
-
 RANGE_OF_FIVE = 2.326
 """Mean range of five normal values in standard deviations: five selections were compared."""
 
@@ -49,96 +46,21 @@ TEXT_MM = 40.0
 """Capital height of the text that was judged (section 4.2)."""
 
 
-def check_criteria(criteria: pd.DataFrame) -> pd.DataFrame:
-    """Return criteria as a DataFrame, checked and with every column.
+def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
+    """Compare every system's figures with every criterion.
 
     Parameters
     ----------
     criteria : DataFrame
         A row per criterion: ``criterion`` (name), ``quantity``, ``relation`` (>=, >, <=, <),
         ``threshold`` (a number, or a mark a, b, c); optionally ``distance_m``, ``view`` and
-        ``direction``, where empty means all, and for f ``rho0_per_m2``, the density from which
-        its exemption follows (:func:`mmqa_lab.spacing.exempt`).
-
-    Returns
-    -------
-    DataFrame
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, a name repeats, a relation is another or a threshold is neither.
-
-    Examples
-    --------
-    >>> rows = [("density", "density_per_m2", ">=", 3000)]
-    >>> names = ["criterion", "quantity", "relation", "threshold"]
-    >>> check_criteria(pd.DataFrame(rows, columns=names))["view"].tolist()
-    ['']
-    """
-    criteria = _with_columns(criteria, CRITERIA, "criteria")
-    if criteria["criterion"].duplicated().any():
-        name = criteria.loc[criteria["criterion"].duplicated(), "criterion"].iloc[0]
-        raise ValueError(f"Invalid criteria: {name!r} twice. Must be distinct.")
-    for row in criteria.itertuples():
-        check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
-        if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
-            raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
-    criteria["rho0_per_m2"] = _numbers(criteria, "rho0_per_m2")
-    for rho0 in criteria["rho0_per_m2"].dropna():
-        check_positive(rho0, "rho0_per_m2")
-    return criteria
-
-
-def check_results(results: pd.DataFrame) -> pd.DataFrame:
-    """Return results as a DataFrame, checked and with every column.
-
-    Parameters
-    ----------
+        ``direction``, where empty means every figure of that quantity, and for f ``rho0_per_m2``,
+        the density from which its exemption follows (:func:`mmqa_lab.spacing.exempt`).
     results : DataFrame
         A row per figure: ``system``, ``quantity``, ``value`` (a number, or a mark a, b, c; empty
         where not measured); optionally ``sigma`` (standard deviation) or ``low`` and ``high`` (95 %
         interval, or a bound of what could not be measured), ``distance_m``, ``view``,
         ``direction``.
-
-    Returns
-    -------
-    DataFrame
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, a value is neither number nor mark, or an interval is empty.
-
-    Examples
-    --------
-    >>> rows = pd.DataFrame([("A", "f", 2.4)], columns=["system", "quantity", "value"])
-    >>> check_results(rows)["sigma"].tolist()  # not known
-    [nan]
-    """
-    results = _with_columns(results, RESULTS, "results")
-    for row in results.itertuples():
-        _rank(row.value, f"{row.quantity} of {row.system}")
-    results["sigma"] = _numbers(results, "sigma")
-    if (results["sigma"] < 0).any():
-        worst = results["sigma"].min()
-        raise ValueError(f"Invalid sigma {worst}. Must be 0 or more.")
-    for end in ("low", "high"):
-        results[end] = _numbers(results, end)
-    if (results["low"] > results["high"]).any():
-        low = results.loc[results["low"] > results["high"], "low"].iloc[0]
-        raise ValueError(f"Invalid low {low}. Must not exceed high.")
-    return results
-
-
-def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
-    """Compare every system's figures with every criterion.
-
-    Parameters
-    ----------
-    criteria, results : DataFrame
-        See :func:`check_criteria` and :func:`check_results`. A criterion with an empty distance,
-        view or direction applies to every figure of that quantity that the results list.
 
     Returns
     -------
@@ -153,7 +75,8 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     Raises
     ------
     ValueError
-        As :func:`check_criteria` and :func:`check_results`.
+        If a column is missing, a name repeats, a relation is another, or a value or threshold is
+        neither a number nor a mark.
 
     Examples
     --------
@@ -166,7 +89,7 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     >>> verdicts(criteria, results)[["system", "margin", "verdict"]].values.tolist()
     [['B', 1.0, 'met'], ['C', -1.0, 'not met']]
     """
-    criteria, results = check_criteria(criteria), check_results(results)
+    criteria, results = _criteria(criteria), _results(results)
     rows = []
     for system in results["system"].drop_duplicates():
         figures = results[results["system"] == system]
@@ -233,7 +156,7 @@ def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFr
     Returns
     -------
     DataFrame
-        As :func:`check_criteria` wants it. Where the paper prints no relation (section 4.4), a
+        As :func:`verdicts` wants it. Where the paper prints no relation (section 4.4), a
         figure may reach its threshold.
 
     Raises
@@ -311,6 +234,37 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
     return table
 
 
+def _criteria(criteria):
+    """Criteria checked and with every column."""
+    criteria = _with_columns(criteria, CRITERIA, "criteria")
+    twice = criteria.loc[criteria["criterion"].duplicated(), "criterion"]
+    if len(twice):
+        raise ValueError(f"Invalid criteria: {twice.iloc[0]!r} twice. Must be distinct.")
+    for row in criteria.itertuples():
+        check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
+        if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
+            raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
+    criteria["rho0_per_m2"] = _numbers(criteria, "rho0_per_m2")
+    for rho0 in criteria["rho0_per_m2"].dropna():
+        check_positive(rho0, "rho0_per_m2")
+    return criteria
+
+
+def _results(results):
+    """Results checked and with every column."""
+    results = _with_columns(results, RESULTS, "results")
+    for row in results.itertuples():
+        _rank(row.value, f"{row.quantity} of {row.system}")
+    for name in ("sigma", "low", "high"):
+        results[name] = _numbers(results, name)
+    if (results["sigma"] < 0).any():
+        raise ValueError(f"Invalid sigma {results['sigma'].min()}. Must be 0 or more.")
+    crossed = results.loc[results["low"] > results["high"], "low"]
+    if len(crossed):
+        raise ValueError(f"Invalid low {crossed.iloc[0]}. Must not exceed high.")
+    return results
+
+
 def _with_columns(frame, needed, what):
     """A copy with the optional columns, all missing words empty."""
     missing = [name for name in needed if name not in frame.columns]
@@ -366,16 +320,15 @@ def _is_exempt(figures, criterion, figure):
     """Whether f does not matter: d1 and d4 of the same place reach the density asked for."""
     if criterion.quantity != "f" or np.isnan(criterion.rho0_per_m2):
         return False
-    same = (figures["view"] == figure.view) & (figures["direction"] == figure.direction)
-    here, there = figures["distance_m"], figure.distance_m
-    same &= here.isna() if np.isnan(there) else here == there
-    found = [
-        figures.loc[same & (figures["quantity"] == name), "value"] for name in ("d1_mm", "d4_mm")
-    ]
-    if any(len(values) != 1 for values in found):
+    place = ["distance_m", "view", "direction"]
+    here = pd.Series({name: getattr(figure, name) for name in place})
+    same = figures[place].eq(here) | (figures[place].isna() & here.isna())
+    here = figures[same.all(axis=1)].groupby("quantity")["value"].agg(list)
+    d1, d4 = (here.get(name, []) for name in ("d1_mm", "d4_mm"))
+    if len(d1) != 1 or len(d4) != 1:
         return False
-    d1, d4 = (_rank(values.item(), "spacing") / 1000 for values in found)
-    return bool(exempt(d1, d4, criterion.rho0_per_m2))
+    spacings = (_rank(value, "spacing") / 1000 for value in (d1[0], d4[0]))
+    return bool(exempt(*spacings, criterion.rho0_per_m2))
 
 
 def _row(system, criterion, figure):
@@ -440,9 +393,10 @@ def _image_row(row):
 
 def _larger_text(images, by_pixels):
     """Results for text of 60 mm in the orthogonal view at 5 m."""
-    place = ["system", "distance_m", "view"]
-    marks = images.query("quantity == 'legibility'").set_index(place)["printed"]
-    pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(place)["value"]
+    place = {"distance_m": 5.0, "view": "orthogonal", "quantity": "legibility_60mm"}
+    keys = ["system", "distance_m", "view"]
+    marks = images.query("quantity == 'legibility'").set_index(keys)["printed"]
+    pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(keys)["value"]
     judged = pd.DataFrame({"mark": marks, "pixels": TEXT_MM / pixels}).sort_values("pixels")
     rows = []
     for system in "ABC":
@@ -451,9 +405,7 @@ def _larger_text(images, by_pixels):
         if mark == "c":
             fewer = judged[judged["pixels"] <= 60 / pixels[key]]
             mark = fewer["mark"].iloc[-1] if by_pixels else None
-        rows.append(
-            {**dict(zip(place, key, strict=True)), "quantity": "legibility_60mm", "value": mark}
-        )
+        rows.append({**place, "system": system, "value": mark})
     return rows
 
 

@@ -96,7 +96,10 @@ def show_cloud(cloud, values, *, label):
     if not can_render():
         return _figure(local, values, label)
     plotter = _plotter(local, values, label, off_screen=is_headless())
-    return plotter.show(jupyter_backend="static" if is_headless() else "trame", return_viewer=True)
+    if is_headless():
+        return plotter.show(jupyter_backend="static", return_viewer=True)
+    _serve_locally()
+    return plotter.show(jupyter_backend="server", return_viewer=True)
 
 
 def save_cloud(path, cloud, values, *, label):
@@ -134,6 +137,17 @@ def save_cloud(path, cloud, values, *, label):
         plotter.close()
     else:
         write_atomically(path, _figure(local, values, label).savefig)
+
+
+def _serve_locally():
+    """Draw here and send pictures, through a hub's proxy where there is one."""
+    import pyvista
+
+    # it would download code from the network when the first view opens
+    sys.modules.setdefault("trame.widgets.vtklocal", None)
+    if hub := os.environ.get("JUPYTERHUB_SERVICE_PREFIX"):
+        pyvista.global_theme.trame.server_proxy_enabled = True
+        pyvista.global_theme.trame.server_proxy_prefix = f"{hub}proxy/"
 
 
 def _plotter(local, values, label, *, off_screen):

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from mmqa_lab import io, samples
-from mmqa_lab.chart_image import ChartMap, Tones, read_pattern
-from mmqa_lab.chart_image.light import decode
+from mmqa_lab.chart_image import ChartMap
+from mmqa_lab.chart_image.reading import Tones, read_pattern
 from mmqa_lab.charts import LinePairs
+from mmqa_lab.io.images import decode
 
 PERIOD_PX = 8.83
 """Of the 44 real line pairs, as published with them."""
@@ -87,7 +88,7 @@ class RealPairs:
         values = (small - self.black) / (self.white - self.black)
         part = values[int(695 * scale[1]) : int(745 * scale[1]), : int(400 * scale[0])]
         noise = float(np.std(part[:, int(100 * scale[0]) :]))
-        levels = Tones(values, noise, 0.0, 1.0, 0.0, part.size, part.size)
+        levels = Tones(values, noise)
         pairs = LinePairs("real", 0, 0, PERIOD_PX, "h", length=ROWS[1] - ROWS[0])
         x, y = pairs.width, pairs.height
         places = [[0, 0], [x, 0], [x, y], [0, y]]

@@ -5,9 +5,10 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from mmqa_lab.chart_image import ChartMap, read_pattern, tones
-from mmqa_lab.chart_image.light import decode
+from mmqa_lab.chart_image import ChartMap
+from mmqa_lab.chart_image.reading import find_tones, read_pattern
 from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.io.images import decode
 from mmqa_lab.simulate.cameras import Optics, Sensor, photograph
 
 PIXEL_MM = 2.7
@@ -120,7 +121,7 @@ def pattern_case(
     )
     image = grey(photo.image, sensor.get("gamma", "linear"))
     wrong = photo.chart_map.within(*rng.normal(0, error_px, 2))
-    return read_pattern(tones(image, layout, wrong), layout["pairs"], wrong)
+    return read_pattern(find_tones(image, layout, wrong), layout["pairs"], wrong)
 
 
 def grey(image, gamma):

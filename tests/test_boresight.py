@@ -1,11 +1,16 @@
 """Boresight and lever arms recovered from simulated two-way drives."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 
+from mmqa_lab import io
+from mmqa_lab.__main__ import main
 from mmqa_lab.boresight import calibrate
-from mmqa_lab.simulate import NavigationErrors, ProfileScanner
-from mmqa_lab.simulate.testfield import System, drive_testfield, make_testfield
+from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System
+from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 from mmqa_lab.studies import test_field as study
 
 
@@ -59,5 +64,78 @@ def test_drives_that_leave_a_parameter_open_are_refused(street):
     system = System("one head", (head,), NavigationErrors())
     drives = drive_testfield(street, system, seed=4, pulses_per_s=10_000)
     choices = {"lever_arms_m": system.assumed_lever_arms, "patches": 100, "rounds": 1}
-    with pytest.raises(ValueError, match="do not determine the mounting"):
+    with pytest.raises(ValueError, match=r"do not determine the mounting \(.*of head 1.* open\)"):
         calibrate(drives, **choices)
+    kept = calibrate(drives, **choices, keep=("x_m", "y_m", "z_m", "pitch_deg"))
+    assert kept.values[0, [1, 3, 4, 5]].tolist() == [0, 0, 0, 0]
+    assert np.abs(kept.values[0, [0, 2]]).max() < 0.05
+    with pytest.raises(ValueError, match="Invalid keep 'yaw'"):
+        calibrate(drives, **choices, keep=("yaw",))
+
+
+@pytest.fixture(scope="module")
+def files(street, tmp_path_factory):
+    """Two drives of one head with a wrong heading as files: clouds, paths, poles, control."""
+    folder = tmp_path_factory.mktemp("drives")
+    mounting = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
+    head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **mounting)
+    drives = drive_testfield(street, System("one head", (head,)), seed=4, pulses_per_s=20_000)
+    for name, (cloud, path) in zip(("there", "back"), drives, strict=True):
+        io.write_cloud(folder / f"{name}.laz", cloud, scale=0.0001)
+        columns = {"time": path.time, "roll": path.roll, "pitch": path.pitch}
+        columns |= {"heading": path.heading, **dict(zip("xyz", path.position.T, strict=True))}
+        pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
+    poles = street.poles.rename(columns=lambda name: name.removesuffix("_m"))
+    poles.to_csv(folder / "poles.csv", index=False)
+    control = street.ground(spacing_m=4.0, seed=2)
+    pd.DataFrame(control, columns=list("xyz")).to_csv(folder / "control.csv", index=False)
+    return folder
+
+
+def call(folder, *more, drives=("there.laz", "back.laz"), paths=("there.csv", "back.csv")):
+    """The command on some of the files."""
+    texts = [*drives, "--trajectory", *paths, *more, "--patches", "100"]
+    names = {file.name for file in folder.iterdir()}
+    return main(["calibrate", *(str(folder / text) if text in names else text for text in texts)])
+
+
+def test_command_estimates_the_mounting_and_writes_corrected_clouds(files, tmp_path, capsys):
+    out = tmp_path / "corrected"
+    known = ["--poles", "poles.csv", "--control", "control.csv", "--json", "--out", str(out)]
+    assert call(files, *known) == 0
+    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["heading_deg"]["value"] == pytest.approx(0.3, abs=0.02)
+    covariance = pd.read_csv(out / "covariance.csv", index_col=0)
+    assert covariance.loc["heading_deg_1", "heading_deg_1"] ** 0.5 == pytest.approx(
+        rows["heading_deg"]["std"]
+    )
+    before, after = (io.read_cloud(p) for p in (files / "there.laz", out / "1_there.laz"))
+    assert list(before.columns) == list(after.columns)
+    moved = np.linalg.norm(after.points - before.points, axis=1)
+    # 0.3 degrees: 5 mm a metre of distance
+    assert np.median(moved / before["range_m"]) == pytest.approx(np.radians(0.3), rel=0.5)
+
+
+def test_command_says_what_is_kept_and_not_determined(files, capsys):
+    assert call(files, "--poles", "poles.csv", "--keep", "x_m,y_m", "--json") == 0
+    remarks = {row["parameter"]: row["remark"] for row in json.loads(capsys.readouterr().out)}
+    assert remarks["x_m"] == "kept as assumed"
+    assert "without control" in remarks["z_m"]
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"drives": ("there.laz",), "paths": ("there.csv",)}, "one drive of one head"),
+        ({"paths": ("back.csv", "there.csv")}, "the same day and clock"),
+        ({"paths": ("there.csv", "back.csv", "back.csv")}, "3 for 2 drives"),
+        ({"paths": ("none.csv", "back.csv")}, "no such file"),
+        ({"more": ("--lever-arm", "1,2")}, "Invalid lever-arm 1,2"),
+        ({"more": ("--keep", "yaw")}, "Invalid keep 'yaw'"),
+    ],
+)
+def test_command_refuses(files, capsys, given, sentence, tmp_path):
+    more = given.pop("more", ())
+    assert call(files, *more, "--out", str(tmp_path / "out"), **given) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,7 +1,5 @@
 """The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
 
-import warnings
-
 import numpy as np
 import pyproj
 import pytest
@@ -13,7 +11,6 @@ from scipy import stats
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
-    hull_area,
     inside_polygon,
 )
 from mmqa_lab.cloud import Cloud
@@ -95,7 +92,8 @@ def test_homogeneous_poisson_pattern_fails_the_threshold(rng):
 def test_hull_area_is_too_small_by_a_known_amount(rng):
     n, areas = 500, []
     for _ in range(200):
-        areas.append(hull_area(rng.uniform(0, 1, (n, 2))))
+        square = np.column_stack([rng.uniform(0, 1, (n, 2)), np.zeros(n)])
+        areas.append(evaluate_cloud(square).area_hull_m2)
     # Rényi and Sulanke 1963: missing area of n points in a square, 8/3 (ln n + c) / n
     constant = np.euler_gamma - np.log(2)
     expected = 1 - 8 / 3 * (np.log(n) + constant) / n
@@ -367,12 +365,43 @@ def test_polygons_in_degrees_are_refused(slope):
         inside_polygon(slope, shapely.Point(0, 0, 0))
 
 
-def test_coarse_coordinates_are_remarked_on():
+def test_coarse_coordinates_and_coincident_points_are_remarked_on():
     rng = np.random.default_rng(2)
     points = np.column_stack([rng.random((4000, 2)), rng.normal(0, 0.004, 4000)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        evaluate_cloud(Cloud(points, resolution=0.001))
-        evaluate_cloud(points)
-    with pytest.warns(UserWarning, match="in steps of 10 mm: too coarse for sigma_MAD"):
-        evaluate_cloud(Cloud(points.round(2) + [0.001, 0, 0] * points[:, :1], resolution=0.01))
+    assert evaluate_cloud(Cloud(points, resolution=0.001)).remarks == ()
+    assert evaluate_cloud(points).remarks == ()
+    coarse = "in steps of 10 mm: too coarse for sigma_MAD"
+    (said,) = evaluate_cloud(Cloud(points, resolution=0.01)).remarks
+    assert coarse in said
+    said, twice = evaluate_cloud(points.round(2)).remarks  # no header says it
+    assert coarse in said
+    assert "share their place with another" in twice
+    table = evaluate_cloud(points.round(2)).to_frame()
+    assert table["remarks"][0] == f"{said} {twice}"
+
+
+def test_a_polygon_without_points_says_where_the_cloud_is(slope):
+    with pytest.raises(
+        ValueError, match=r"0 given.*extends over .* is [\d.e+]+ m from the polygon"
+    ):
+        evaluate_cloud(slope, polygon=tilted(RING) + [1000, 0, 0])
+
+
+def test_clouds_and_polygons_are_in_metres_and_in_one_system(slope):
+    with pytest.raises(ValueError, match=r"in degrees \(WGS 84\)\. Must be projected, in metres"):
+        evaluate_cloud(Cloud(slope, crs="EPSG:4326"))
+    with pytest.raises(ValueError, match="in US survey foot"):
+        evaluate_cloud(Cloud(slope, crs="EPSG:2263"))
+    polygon = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:25832"))
+    with pytest.raises(ValueError, match="Must be in that of the cloud, ETRS89 / UTM zone 33N"):
+        evaluate_cloud(Cloud(slope, crs="EPSG:25833"), polygon=polygon)
+    assert evaluate_cloud(Cloud(slope, crs="EPSG:25832"), polygon=polygon).n > 0
+
+
+def test_what_is_special_about_a_polygon_is_said(slope):
+    off = tilted(RING)
+    off[0, 2] += 0.15
+    assert "36 mm off the plane" in evaluate_cloud(slope, polygon=off).remarks[0]
+    holed = shapely.Polygon(RING + [4e5, 5e6], [HOLE + [4e5, 5e6]])
+    said = evaluate_cloud(slope, polygon=holed).remarks
+    assert "no heights: it is laid onto the plane" in said[0]

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mmqa_lab import chart_image, charts, io, samples
+from mmqa_lab import chart_image, charts, io, mtf, samples
+from mmqa_lab.chart_image.evaluation import read_layout
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -47,19 +48,17 @@ def orientation_file(folder, **changes):
 def test_targets_corners_and_orientation_find_the_same_chart(panorama, tmp_path):
     file, view = panorama
     corners = view.pixels(CHART.corners())
-    orientation = chart_image.read_orientation(orientation_file(tmp_path))
     ways = (
         {"camera": "panorama"},
         {"camera": "panorama", "corners": corners + 0.6},
-        {"orientation": orientation},
+        {"orientation": orientation_file(tmp_path)},
     )
     rows = []
     for way in ways:
-        quality, window = chart_image.evaluate_file(file, CHART, **way)
-        places = quality.chart_map.pixels(CHART.corners()) + window.origin
+        quality = chart_image.evaluate_file(file, CHART, **way)
+        places = quality.chart_map.pixels(CHART.corners()) + quality.origin
         assert np.abs(places - corners).max() < 0.3
-        assert window.values.size < 500_000  # of 8 million pixels
-        assert window.size == (4000, 2000)
+        assert quality.image.size < 500_000  # of 8 million pixels
         rows.append(quality.to_frame().iloc[0])
     for row in rows:
         # 2 pi 3 m / 4000 at the middle, wider away from the normal
@@ -82,16 +81,17 @@ def test_grey_values_keep_their_type_and_colour_becomes_light(tmp_path, bits):
     assert io.read_grey(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
 
 
-def test_windows_hold_the_same_pixels_at_the_same_places():
-    there = chart_image.locate_corners([[100, 300], [290, 310], [300, 105], [95, 90]], CHART)
-    grey = np.random.default_rng(1).integers(0, 65_536, (400, 500)).astype(np.uint16)
-    window, inside = chart_image.cut(grey, there, CHART, gamma="linear")
-    column, row = window.origin
-    rows, columns = window.values.shape
-    expected = grey[row : row + rows, column : column + columns] / 65_535
-    assert window.values == pytest.approx(expected, abs=1e-6)
-    places = np.array([[10.0, 20.0], [900.0, 500.0]])
-    assert inside.pixels(places) + window.origin == pytest.approx(there.pixels(places))
+def test_windows_are_the_same_pixels_at_the_same_places(panorama):
+    file, view = panorama
+    corners = view.pixels(CHART.corners())
+    quality = chart_image.evaluate_file(file, CHART, camera="panorama", corners=corners)
+    (column, row), (rows, columns) = quality.origin, quality.image.shape
+    expected = io.read_grey(file)[row : row + rows, column : column + columns] / 255
+    assert quality.image == pytest.approx(io.images.decode(expected, "srgb"), abs=1e-6)
+    # the whole outline is inside: in a panorama straight edges bulge
+    side = quality.chart_map.pixels([[x, y] for x in (0, 1000) for y in range(0, 1001, 50)])
+    assert (side > 10).all()
+    assert (side < np.array(quality.image.shape[::-1]) - 10).all()
 
 
 def damaged(tmp_path):
@@ -138,14 +138,14 @@ def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
 def test_layouts_come_by_name_or_from_files(tmp_path):
     own = charts.imaging_chart(widths_h=(30, 24), widths_v=(12,))
     file = tmp_path / "own.json"
-    file.write_text(charts.to_json(own))
-    assert chart_image.read_layout(file) == own
-    assert chart_image.read_layout("grey") == CHART
+    file.write_text(own.to_json())
+    assert read_layout(file) == own
+    assert read_layout("grey") == CHART
     file.write_text("{}")
     with pytest.raises(ValueError, match="Must be JSON with all fields"):
-        chart_image.read_layout(file)
+        read_layout(file)
     with pytest.raises(FileNotFoundError, match="or be one of grey, black"):
-        chart_image.read_layout("green")
+        read_layout("green")
 
 
 @pytest.mark.parametrize(
@@ -160,19 +160,20 @@ def test_layouts_come_by_name_or_from_files(tmp_path):
         ({"corners": [[0, 0, 0], [9, 0, 0], [9, 0, 9], [0, 0, 9]]}, "Must be a chart of 1000"),
     ],
 )
-def test_orientations_with_faults_are_named(tmp_path, changes, sentence):
+def test_orientations_with_faults_are_named(panorama, tmp_path, changes, sentence):
     file = orientation_file(tmp_path, **changes)
     with pytest.raises((ValueError, TypeError), match=sentence):
-        chart_image.ChartMap.from_orientation(*chart_image.read_orientation(file), CHART)
+        chart_image.evaluate_file(panorama[0], CHART, orientation=file)
 
 
-def test_charts_beyond_the_image_are_refused(panorama):
+def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
     file, view = panorama
-    grey = io.read_grey(file)
+    corners = view.within(3000, 0).pixels(CHART.corners())
     with pytest.raises(ValueError, match="Must lie within 4000 x 2000 pixels"):
-        chart_image.cut(grey, view.within(3000, 0), CHART)
+        chart_image.evaluate_file(file, CHART, corners=corners)
+    cv2.imwrite(str(tmp_path / "part.png"), io.read_grey(file)[:-1])
     with pytest.raises(ValueError, match="Must be 2 : 1"):
-        chart_image.panorama_of(grey[:-1])
+        chart_image.evaluate_file(tmp_path / "part.png", CHART, camera="panorama")
 
 
 def photographs():
@@ -210,7 +211,7 @@ def test_parts_of_photographs_are_an_edge_with_uncertainty_or_a_sentence(file):
     for _ in range(4):
         row, column = (int(rng.integers(0, max(side - 40, 1))) for side in grey.shape)
         try:
-            found = chart_image.edge_response(grey[row : row + 40, column : column + 40])
+            found = mtf.fit_edge(grey[row : row + 40, column : column + 40])
         except ValueError:
             continue
         assert np.isnan(found.mtf50) or (found.mtf50 > 0 and found.mtf50_sigma >= 0)

@@ -30,7 +30,20 @@ JSON_KEYS = [
     "incomplete_share",
     "coincident",
     "axes",
+    "remarks",
 ]
+
+
+def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
+    assert main(["info", PATCH, "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["points"], row["resolution_mm"], row["coincident"]) == (28185, 10, 16881)
+    assert row["time_span_s"] > row["time_longest_pause_s"] > 0
+    assert row["crs"] == ""
+    assert "No coordinate system" in row["remarks"]
+    assert "No time" not in row["remarks"]
+    assert main(["info", PATCH]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) < 100
 
 
 def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):

@@ -17,7 +17,7 @@ def photo(tmp_path_factory):
     """A photograph of a redesigned chart, its layout, and the chart's corners in the image."""
     folder = tmp_path_factory.mktemp("photo")
     layout = charts.imaging_chart(widths_h=(40, 30, 24), widths_v=(30, 24, 20), texts=())
-    (folder / "own.json").write_text(charts.to_json(layout))
+    (folder / "own.json").write_text(layout.to_json())
     camera = cameras.FrameCamera(600, 500, focal_px=1200.0)
     view = cameras.chart_view(camera, distance=5, layout=layout, heading_deg=10)
     sensor = cameras.Sensor(noise=0.01, gamma="srgb", bits=8)
@@ -106,9 +106,9 @@ def test_chart_writes_what_its_ending_says(capsys, tmp_path, ending):
     assert "imaging chart, black bar" in capsys.readouterr().out
     layout = charts.imaging_chart(horizontal_bar="black", widths_v=(20, 10))
     writer = {
-        "pdf": charts.to_pdf,
-        "svg": lambda one: charts.to_svg(one).encode(),
-        "json": lambda one: charts.to_json(one).encode(),
+        "pdf": charts.Layout.to_pdf,
+        "svg": charts.Layout.to_svg,
+        "json": lambda one: one.to_json().encode(),
     }[ending]
     assert out.read_bytes() == writer(layout)
 
@@ -117,11 +117,11 @@ def test_chart_options_reach_the_layout(capsys, tmp_path):
     file = tmp_path / "l.json"
     call = ["chart", "--out", str(tmp_path / "c.svg"), "--layout", str(file)]
     assert main([*call, "--points", "--seed", "4"]) == 0
-    assert charts.from_json(file.read_text()) == charts.point_chart(seed=4)
+    assert charts.Layout.from_json(file.read_text()) == charts.point_chart(seed=4)
     assert main([*call, "--no-targets"]) == 0
-    assert charts.from_json(file.read_text()) == charts.imaging_chart(dictionary=None)
+    assert charts.Layout.from_json(file.read_text()) == charts.imaging_chart(dictionary=None)
     assert main([*call, "--first-target", "8"]) == 0
-    assert charts.from_json(file.read_text())["marker_3"].identifier == 11
+    assert charts.Layout.from_json(file.read_text())["marker_3"].identifier == 11
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The house rules as data: who may import whom, and that nothing stands alone."""
 
 import ast
+import hashlib
 import importlib
 import inspect
 import json
@@ -14,7 +15,7 @@ import pytest
 
 import mmqa_lab
 from mmqa_lab import samples
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.studies.catalogue import STUDIES, TOOLS
 
 ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE = ROOT / "mmqa_lab"
@@ -135,10 +136,10 @@ def test_importing_the_package_is_light():
 
 def test_catalogue_notebooks_modules_and_readme_agree():
     notebooks = {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
-    assert notebooks == {study.notebook for study in STUDIES}
+    assert notebooks == {study.notebook for study in (*TOOLS, *STUDIES)}
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f"notebooks/{one.notebook}.ipynb" in readme for one in (*TOOLS, *STUDIES))
     for study in STUDIES:
-        assert f"notebooks/{study.notebook}.ipynb" in readme
         module = study.module
         assert isinstance(module.QUICK, dict)
         assert callable(module.checks)
@@ -172,7 +173,8 @@ def test_samples_are_registered_with_hash_and_licence():
     )
     readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
     for name, sample in registered.items():
-        assert samples.sha256(samples.FOLDER / name) == sample.sha256
+        content = (samples.FOLDER / name).read_bytes()
+        assert hashlib.sha256(content).hexdigest() == sample.sha256
         assert sample.licence
         assert sample.sha256 in readme
 

@@ -21,7 +21,6 @@ from mmqa_lab import samples
 from mmqa_lab._checks import check_points
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import (
-    iterate_cloud,
     read_cloud,
     read_heights,
     read_polygon,
@@ -30,6 +29,7 @@ from mmqa_lab.io import (
     write_cloud,
     write_polygon,
 )
+from mmqa_lab.io.clouds import iterate_cloud
 
 UTM = np.array([448_000.0, 5_411_000.0, 120.0])
 

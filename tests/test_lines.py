@@ -96,7 +96,7 @@ def test_matrix_and_components_agree(rng):
 def test_blocks_of_rows_change_nothing(rng, monkeypatch):
     test, model = at_random(rng, 60), at_random(rng, 50)
     whole = distance_matrix(test, model)
-    monkeypatch.setattr("mmqa_lab.lines.distance.BLOCK_PAIRS", 120)
+    monkeypatch.setattr("mmqa_lab.lines.segments.BLOCK_PAIRS", 120)
     np.testing.assert_array_equal(distance_matrix(test, model), whole)
 
 
@@ -183,35 +183,22 @@ def test_accepted_shapes_and_derived_values():
     assert len(Segments([])) == 0
 
 
-def test_an_origin_is_added_in_float64():
-    local = np.array([[[0.25, 0.5, 0], [3.25, 4.5, 0]]], dtype=np.float32)
-    one = Segments(local, origin=LAMBERT_93)
-    np.testing.assert_array_equal(one.ends, local.astype(np.float64) + LAMBERT_93)
-
-
-def test_bad_rows_can_be_dropped_and_are_known():
-    ends = np.array([[[0, 0, 0], [1, 0, 0]], [[2, 2, 2], [2, 2, 2]], [[0, 0, np.nan], [1, 1, 1]]])
-    one = Segments(ends, on_bad="drop")
-    assert (len(one), one.kept.tolist()) == (1, [0])
-
-
 @pytest.mark.parametrize(
-    ("values", "choices", "kind", "said"),
+    ("values", "kind", "said"),
     [
-        ([[[0, 0, 0], [0, 0, 0]]], {}, ValueError, "no length in row 0"),
-        ([[[0, 0, 0], [0, 0, np.inf]]], {}, ValueError, "not finite in row 0"),
-        (np.zeros((3, 5)), {}, ValueError, r"shape \(3, 5\)"),
-        (np.zeros((3, 3, 2)), {}, ValueError, r"shape \(3, 3, 2\)"),
-        (np.zeros(6), {}, ValueError, r"shape \(6,\)"),
-        ([["a"] * 6], {}, TypeError, "Must be real numbers"),
-        (np.ones((1, 6), dtype=complex), {}, TypeError, "Must be real numbers"),
-        ([[0, 0, 0, 1, 0, 0]], {"on_bad": "ignore"}, ValueError, "Must be one of raise, drop"),
-        (np.float32([[6e6, 0, 0, 6e6, 9, 0]]), {}, ValueError, "float32.*6000000 m"),
+        ([[[0, 0, 0], [0, 0, 0]]], ValueError, "no length in row 0"),
+        ([[[0, 0, 0], [0, 0, np.inf]]], ValueError, "not finite in row 0"),
+        (np.zeros((3, 5)), ValueError, r"shape \(3, 5\)"),
+        (np.zeros((3, 3, 2)), ValueError, r"shape \(3, 3, 2\)"),
+        (np.zeros(6), ValueError, r"shape \(6,\)"),
+        ([["a"] * 6], TypeError, "Must be real numbers"),
+        (np.ones((1, 6), dtype=complex), TypeError, "Must be real numbers"),
+        (np.float32([[6e6, 0, 0, 6e6, 9, 0]]), ValueError, "float32.*6000000 m"),
     ],
 )
-def test_bad_segments_are_refused(values, choices, kind, said):
+def test_bad_segments_are_refused(values, kind, said):
     with pytest.raises(kind, match=said):
-        Segments(values, **choices)
+        Segments(values)
 
 
 @pytest.mark.parametrize(
@@ -244,12 +231,10 @@ def test_unknown_choices_are_refused():
 NEAREST = [0.31, 0.33, 0.36, 0.40, 0.41, 0.47, 0.52, 0.55, 3.2, 4.1, 7.7]
 
 
-@pytest.mark.parametrize(("at", "delta"), [("below", 0.55), ("index", 0.52), ("middle", 1.875)])
-def test_golden_threshold(at, delta, rng):
-    found = peak_threshold(rng.permutation(NEAREST), sensitivity=0.5, at=at)
-    assert found.delta == pytest.approx(delta)
+def test_golden_threshold(rng):
+    found = peak_threshold(rng.permutation(NEAREST), sensitivity=0.5)
+    assert found.delta == 0.55
     assert not found.fallback
-    assert found.peak == 6
 
 
 def test_first_differences_see_the_same_jump():
@@ -264,30 +249,52 @@ def test_a_jump_in_the_last_place_is_found():
 def test_without_a_jump_the_fallback_is_flagged(nearest):
     found = peak_threshold(nearest)
     assert found.fallback
-    assert found.peak is None
     np.testing.assert_equal(found.delta, max(nearest, default=np.nan))
 
 
-def test_alternative_thresholds_split_two_clusters(rng):
+def test_the_mixture_splits_two_clusters(rng):
     near, far = rng.lognormal(-1, 0.3, 40), rng.lognormal(2, 0.4, 25)
     both = np.concatenate([near, far])
-    for threshold in (lines.otsu_threshold, lines.mixture_threshold):
-        assert near.max() <= threshold(both).delta < far.min()
-    assert lines.fixed_threshold(both, delta=1.5).delta == 1.5
-    spread = np.median(np.abs(both - np.median(both))) * 1.482602218505602
-    assert lines.mad_threshold(both).delta == pytest.approx(np.median(both) + 3 * spread)
+    assert near.max() <= lines.mixture_threshold(both).delta < far.min()
+    assert lines.mixture_threshold([]).fallback
 
 
-def test_otsu_is_the_best_of_all_splits(rng):
-    values = np.sort(rng.lognormal(0, 1.2, 30))
+def peak_by_hand(curve, sensitivity):
+    """A running maximum is a peak once the curve, zero behind its end, falls by more than that."""
+    high, low, place, climbing = -np.inf, np.inf, 0, True
+    for index, value in enumerate([*curve, 0.0]):
+        low = min(low, value)
+        if value > high:
+            high, place = value, index
+        if climbing and value < high - sensitivity:
+            if high > 0:
+                return place
+            low, climbing = value, False
+        elif not climbing and value > low + sensitivity:
+            high, place, climbing = value, index, True
+    return None
+
+
+@pytest.mark.parametrize("sensitivity", [0.1, 0.5, 2.0])
+def test_the_peak_is_that_of_a_running_maximum(rng, sensitivity):
+    for _ in range(100):
+        nearest = np.sort(rng.lognormal(0, 1.2, 30))
+        peak = peak_by_hand(np.diff(nearest, 2), sensitivity)
+        found = peak_threshold(nearest, sensitivity=sensitivity)
+        assert found.fallback == (peak is None)
+        assert found.delta == nearest[-1 if peak is None else peak + 1]
+
+
+def test_three_values_are_split_where_the_classes_differ_most(rng):
+    values = np.sort(rng.lognormal(0, 1.2, 3))
     logs = np.log(values)
 
     def between(k):
         low, high = logs[:k], logs[k:]
         return len(low) * len(high) * (low.mean() - high.mean()) ** 2
 
-    best = max(range(1, 30), key=between)
-    assert lines.otsu_threshold(values).delta == values[best - 1]
+    best = max(range(1, 3), key=between)
+    assert lines.mixture_threshold(values).delta == values[best - 1]
 
 
 @pytest.mark.parametrize("nearest", [[0.1, np.nan], [-0.1, 0.2], [[0.1, 0.2]]])

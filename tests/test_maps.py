@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab.maps import LAYERS, METRICS, UNITS, Window, evaluate_tile, reach
+from mmqa_lab.maps import METRICS
+from mmqa_lab.maps.tile import FIGURES, LAYERS, evaluate_tile, reach
 from mmqa_lab.planes import fit_plane, sigma_mad
 from mmqa_lab.spacing import poisson_spacing, quadrant_distances, quadrants
 
@@ -42,7 +43,7 @@ def test_lattice_has_its_spacing_and_density_on_any_surface(tilt, azimuth):
     u, v = np.meshgrid(np.arange(-100, 100) * step, np.arange(-100, 100) * step)
     axes = turned(tilt, azimuth)
     points = np.stack([u.ravel(), v.ravel(), 0 * u.ravel()], axis=1) @ axes + [0.013, 0.017, 0.011]
-    found = evaluate_tile(points, Window(-1, -1, 2, 2), cell=0.5)
+    found = evaluate_tile(points, (-1, -1, 2, 2), cell=0.5)
     layer = LEVEL if tilt <= 45 else UPRIGHT
     assert found["n"][layer].sum() > 0.8 * found["n"].sum()
     # Quadrants are half open: however the axes lie in a square lattice, two of the four nearest
@@ -59,7 +60,7 @@ def test_random_points_have_poisson_spacing_on_the_wall_as_on_the_road(rng):
     density = 4000.0
     for axes, layer in ((np.eye(3), LEVEL), (turned(90, 25), UPRIGHT), (turned(35, 70), LEVEL)):
         points = sheet(rng, int(16 * density), axes=axes, noise=0.003)
-        found = evaluate_tile(points, Window(-2, -2, 4, 4), cell=0.5)
+        found = evaluate_tile(points, (-2, -2, 4, 4), cell=0.5)
         n = found["n"][layer]
         full = n > 0.7 * n.max()
         expected = 1000 * poisson_spacing(density)
@@ -73,7 +74,7 @@ def test_random_points_have_poisson_spacing_on_the_wall_as_on_the_road(rng):
 
 def test_horizontal_cells_equal_the_functions_of_a_chart(rng):
     points = street(rng)
-    found = evaluate_tile(points, Window(-8, -8, 17, 16), cell=0.5, surface="horizontal")
+    found = evaluate_tile(points, (-8, -8, 17, 16), cell=0.5, surface="horizontal")
     distances = quadrant_distances(points[:, :2], radius=0.5)
     places = np.floor(points[:, :2] / 0.5).astype(int) + 8
     for column, row in [(0, 0), (5, 9), (16, 3), (12, 12)]:
@@ -92,7 +93,7 @@ def test_horizontal_cells_equal_the_functions_of_a_chart(rng):
 def test_a_cell_of_a_wall_equals_the_functions_of_a_chart(rng):
     """One cube of a wall: its own regression plane, the points near it, horizontal axes."""
     wall = sheet(rng, 20_000, axes=turned(90, 15), noise=0.004) + [0.25, 0.25, 0]
-    found = evaluate_tile(wall, Window(0, 0, 1, 1), cell=0.5, radius=0.3)
+    found = evaluate_tile(wall, (0, 0, 1, 1), cell=0.5, radius=0.3)
     inside = (np.floor(wall[:, :2] / 0.5) == 0).all(axis=1)
     parts, residuals = [], []
     for k in np.unique(np.floor(wall[inside, 2] / 0.5)):
@@ -128,7 +129,7 @@ def test_density_of_a_plane_does_not_depend_on_its_place_among_the_cells(rng, tu
     inside = (np.abs(exact) < 2.5).all(axis=1)  # so that every cube with points is full of them
     normal = np.cross(along, steepest)
     points = exact[inside] + rng.normal(0, noise, (inside.sum(), 1)) * normal
-    found = evaluate_tile(points, Window(-6, -6, 12, 12), cell=0.5)
+    found = evaluate_tile(points, (-6, -6, 12, 12), cell=0.5)
     assert found["n"][[LEVEL, UPRIGHT]].sum() > 0.99 * len(points)
     # Corners with few points and noise across the outer borders: up to 2 % of the area.
     assert found["area"].sum() == pytest.approx(len(points) / density, rel=0.025)
@@ -143,7 +144,7 @@ def test_density_of_a_plane_does_not_depend_on_its_place_among_the_cells(rng, tu
 def test_a_wall_on_a_border_keeps_its_density_and_its_dispersion(rng, offset):
     flat = rng.uniform(-3, 3, (72_000, 2))
     points = np.stack([flat[:, 0], rng.normal(offset, 0.005, len(flat)), flat[:, 1]], axis=1)
-    found = evaluate_tile(points, Window(-6, -2, 12, 4), cell=0.5)
+    found = evaluate_tile(points, (-6, -2, 12, 4), cell=0.5)
     assert found["n"][UPRIGHT].sum() == len(points)
     assert found["area"].sum() == pytest.approx(36, abs=1e-3)  # each cube's part in one of two
     known = found["area"] > 0
@@ -156,7 +157,7 @@ def test_a_wall_on_a_border_keeps_its_density_and_its_dispersion(rng, offset):
 
 def test_layers_part_road_wall_and_foliage_and_lose_no_point(rng):
     points = street(rng)
-    found = evaluate_tile(points, Window(-12, -12, 24, 24), cell=0.5)
+    found = evaluate_tile(points, (-12, -12, 24, 24), cell=0.5)
     assert found["n"].sum() == len(points)
     assert found["n"][LEVEL].sum() == pytest.approx(4000, rel=0.05)
     assert found["n"][UPRIGHT].sum() == pytest.approx(4000, rel=0.06)
@@ -167,7 +168,7 @@ def test_layers_part_road_wall_and_foliage_and_lose_no_point(rng):
 def test_a_road_on_a_border_of_cubes_is_one_sheet(rng):
     """Noise puts its points into cubes above and below: the area must not double."""
     points = sheet(rng, 16_000, noise=0.005)
-    found = evaluate_tile(points, Window(-2, -2, 4, 4), cell=0.5)
+    found = evaluate_tile(points, (-2, -2, 4, 4), cell=0.5)
     assert found["area"][LEVEL] == pytest.approx(0.25, rel=1e-3)
     assert found["density"][LEVEL].mean() == pytest.approx(1000, rel=0.03)
 
@@ -176,7 +177,7 @@ def test_voids_are_the_squares_without_a_point():
     x, y = np.meshgrid(np.arange(0.025, 1, 0.05), np.arange(0.025, 1, 0.05))
     points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
     points = points[~((points[:, 0] < 0.2) & (points[:, 1] < 0.3))]  # 2 x 3 squares of 0.1 m
-    found = evaluate_tile(points, Window(0, 0, 2, 2), cell=0.5, metrics=("void_share",))
+    found = evaluate_tile(points, (0, 0, 2, 2), cell=0.5, metrics=("void_share",))
     assert found["void_share"][LEVEL].ravel() == pytest.approx([6 / 25, 0, 0, 0])
     assert set(found) == {"n", "area", "void_share"}
 
@@ -192,11 +193,11 @@ def test_voids_are_the_squares_without_a_point():
 def test_any_cut_into_tiles_gives_the_same_bits(seed, cut, surface, cell, radius):
     points = street(np.random.default_rng(seed), 1500)
     choices = {"cell": cell, "surface": surface, "radius": radius}
-    whole = evaluate_tile(points, Window(-14, -14, 28, 28), **choices)
+    whole = evaluate_tile(points, (-14, -14, 28, 28), **choices)
     halo = reach(surface, cell=cell, radius=radius)
     for low, high in ((-14, cut), (cut, 14)):
         near = (points[:, 0] >= low * cell - halo) & (points[:, 0] <= high * cell + halo)
-        part = evaluate_tile(points[near], Window(low, -14, high - low, 28), **choices)
+        part = evaluate_tile(points[near], (low, -14, high - low, 28), **choices)
         for name, values in part.items():
             same = whole[name][:, :, low + 14 : high + 14]
             np.testing.assert_array_equal(values, same, err_msg=name)
@@ -204,8 +205,8 @@ def test_any_cut_into_tiles_gives_the_same_bits(seed, cut, surface, cell, radius
 
 def test_figures_follow_the_cloud_when_it_moves_by_whole_cells(rng):
     points = street(rng, 1500)
-    moved = evaluate_tile(points + [512, -1024, 256], Window(1012, -2060, 24, 24), cell=0.5)
-    for name, values in evaluate_tile(points, Window(-12, -12, 24, 24), cell=0.5).items():
+    moved = evaluate_tile(points + [512, -1024, 256], (1012, -2060, 24, 24), cell=0.5)
+    for name, values in evaluate_tile(points, (-12, -12, 24, 24), cell=0.5).items():
         # Coordinates 1000 times larger carry 1e-13 m of rounding.
         np.testing.assert_allclose(moved[name], values, rtol=1e-6, atol=1e-6, err_msg=name)
 
@@ -213,7 +214,7 @@ def test_figures_follow_the_cloud_when_it_moves_by_whole_cells(rng):
 def test_spacing_is_that_of_a_selection(rng):
     """The medians of one full cell are those of spacing() over its points."""
     points = sheet(rng, 3000, size=0.5) + [0.25, 0.25, 0.1]
-    found = evaluate_tile(points, Window(0, 0, 1, 1), cell=0.5, surface="horizontal")
+    found = evaluate_tile(points, (0, 0, 1, 1), cell=0.5, surface="horizontal")
     whole = quadrants(points[:, :2], radius=0.5)
     assert [found[f"d{k}"][0, 0, 0] for k in range(1, 5)] == (1000 * whole.d).tolist()
     assert found["f"][0, 0, 0] == whole.f
@@ -221,12 +222,12 @@ def test_spacing_is_that_of_a_selection(rng):
 
 
 def test_nothing_and_next_to_nothing_are_not_measurable():
-    empty = evaluate_tile(np.empty((0, 3)), Window(0, 0, 2, 1), cell=0.5)
+    empty = evaluate_tile(np.empty((0, 3)), (0, 0, 2, 1), cell=0.5)
     assert empty["n"].shape == (3, 1, 2)
     assert not empty["n"].any()
-    few = evaluate_tile(np.full((3, 3), 0.1), Window(0, 0, 2, 1), cell=0.5)
+    few = evaluate_tile(np.full((3, 3), 0.1), (0, 0, 2, 1), cell=0.5)
     assert few["n"][OTHER].tolist() == [[3, 0]]
-    for name in set(UNITS) - {"n", "area"}:
+    for name in set(FIGURES) - {"n", "area"}:
         assert np.isnan(few[name]).all()
 
 
@@ -243,9 +244,9 @@ def test_nothing_and_next_to_nothing_are_not_measurable():
 )
 def test_rejects(choices, sentence):
     with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
-        evaluate_tile(np.zeros((1, 3)), Window(0, 0, 1, 1), **({"cell": 0.5} | choices))
+        evaluate_tile(np.zeros((1, 3)), (0, 0, 1, 1), **({"cell": 0.5} | choices))
 
 
-def test_metrics_name_every_variable_with_its_unit():
-    everything = evaluate_tile(np.empty((0, 3)), Window(0, 0, 1, 1), cell=1, metrics=METRICS)
-    assert set(everything) == set(UNITS)
+def test_metrics_name_every_variable():
+    everything = evaluate_tile(np.empty((0, 3)), (0, 0, 1, 1), cell=1, metrics=METRICS)
+    assert set(everything) == set(FIGURES)

@@ -4,10 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab.mtf.bars import read_bars, resolving_power
-from mmqa_lab.mtf.sharpness import haar_sharpness
-from mmqa_lab.mtf.sigmoid import dependence, fit_edge
-from mmqa_lab.mtf.star import measure_star
+from mmqa_lab.mtf import (
+    blur_dependence,
+    fit_edge,
+    haar_sharpness,
+    measure_star,
+    read_bars,
+    resolving_power,
+)
 from mmqa_lab.simulate.targets import (
     PointSpread,
     blur_over_image,
@@ -35,19 +39,48 @@ def test_edge_fit_within_one_percent_at_one_percent_noise(sigma, rng):
     for _ in range(6):
         angle = rng.uniform(3, 11)
         image = render_edge((100, 64), spread, angle_deg=angle)
-        fit = fit_edge(image + 0.005 * rng.standard_normal(image.shape))
+        fit = fit_edge(image + 0.005 * rng.standard_normal(image.shape), method="sigmoid")
         errors.append((fit.fwhm_px / spread.fwhm(angle) - 1, fit.mtf50 / spread.mtf50(angle) - 1))
     assert np.abs(errors).max() < 0.01
 
 
-def test_edge_fit_knows_its_own_shapes():
-    fit = fit_edge(render_edge((60, 60), PointSpread(0.8), angle_deg=8.0))
-    x = np.linspace(-4, 4, 2001)
-    assert np.trapezoid(fit.lsf(x), x) == pytest.approx(1, abs=1e-4)
-    assert fit.mtf(fit.mtf50) == pytest.approx(0.5, abs=1e-9)
-    assert fit.lsf(fit.fwhm_px / 2) == pytest.approx(fit.lsf(0.0) / 2, rel=1e-6)
-    turned = fit_edge(render_edge((60, 60), PointSpread(0.8), angle_deg=8.0)[::-1, ::-1])
-    assert turned.width_px == pytest.approx(fit.width_px, rel=1e-4)
+@pytest.mark.parametrize("method", ["isogaussian", "sigmoid"])
+@pytest.mark.parametrize("angle", [8.0, 98.0, -40.0])
+def test_edge_fit_knows_its_own_shapes(method, angle):
+    spread = PointSpread(0.8)
+    fit = fit_edge(render_edge((60, 60), spread, angle_deg=angle), method=method)
+    assert np.trapezoid(fit.lsf, fit.distance_px) == pytest.approx(1, abs=1e-4)
+    assert (fit.esf[0], fit.esf[-1]) == pytest.approx((0, 1), abs=1e-4)
+    assert fit.mtf50 == pytest.approx(spread.mtf50(angle), rel=4e-3)
+    assert fit.fwhm_px == pytest.approx(spread.fwhm(angle), rel=5e-3)
+
+
+def test_logistic_fit_recovers_a_logistic_edge():
+    y, x = np.mgrid[:40, :40] - 19.5
+    across = x * np.cos(np.radians(5)) + y * np.sin(np.radians(5)) - 0.3
+    fit = fit_edge(10 + 80 / (1 + np.exp(-across / 0.8)), method="logistic")
+    # 2 ln(3 + 2 sqrt(2)) w, and x / sinh(x) = 1/2 at x = 2.1773
+    assert fit.width_px == pytest.approx(0.8, rel=1e-3)
+    assert fit.fwhm_px == pytest.approx(2 * np.log(3 + 2 * np.sqrt(2)) * 0.8, rel=1e-3)
+    assert fit.mtf50 == pytest.approx(2.17731898 / (2 * np.pi**2 * 0.8), rel=1e-3)
+    assert fit.contrast == pytest.approx(80, rel=1e-3)
+
+
+def test_a_sigmoid_that_does_not_fit_says_so(rng):
+    from scipy.ndimage import uniform_filter
+
+    image = render_edge((100, 64), PointSpread(0.3), angle_deg=6.0)
+    boxed = uniform_filter(image, 5) + 0.001 * rng.standard_normal(image.shape)
+    assert "no sigmoid" in fit_edge(boxed, method="sigmoid").remark
+    assert "no sigmoid" not in fit_edge(boxed).remark
+
+
+def test_grain_on_a_long_edge_does_not_turn_it(rng):
+    spread = PointSpread(0.8)
+    image = render_edge((600, 60), spread, angle_deg=6.0)
+    fit = fit_edge(image + 0.08 * rng.standard_normal(image.shape))
+    assert fit.mtf50 == pytest.approx(spread.mtf50(6.0), rel=0.05)
+    assert fit.angle_deg == pytest.approx(6, abs=0.3)
 
 
 @pytest.mark.parametrize(("half", "sigma"), [(False, 0.7), (True, 0.7), (False, 1.5)])
@@ -105,14 +138,16 @@ def test_dependence_is_exact_where_variances_add():
     square = 2 + 3e-7 * r2 * along + 1e-7 * r2 * (1 - along)
     square += 0.4 * np.sin(np.radians(angle)) ** 2
     frame = pd.DataFrame({"x_px": x, "y_px": y, "angle_deg": angle, "fwhm_px": np.sqrt(square)})
-    assert np.allclose(dependence(frame)["estimate"], [2, 3e-7, 1e-7, 0.4], rtol=1e-8)
+    assert np.allclose(blur_dependence(frame)["estimate"], [2, 3e-7, 1e-7, 0.4], rtol=1e-8)
 
 
 def test_rejects():
-    with pytest.raises(ValueError, match="Invalid region"):
+    with pytest.raises(ValueError, match="Invalid edge of"):
         fit_edge(np.zeros((4, 4)))
-    with pytest.raises(ValueError, match="one grey value"):
+    with pytest.raises(ValueError, match="no edge"):
         fit_edge(np.zeros((20, 20)))
+    with pytest.raises(ValueError, match="Must be one of isogaussian, sigmoid, logistic"):
+        fit_edge(np.zeros((20, 20)), method="iso")
     with pytest.raises(ValueError, match="Invalid star"):
         measure_star(np.zeros((60, 60)), (30, 30), cycles=36, radius_px=25)
     with pytest.raises(ValueError, match="Invalid image"):

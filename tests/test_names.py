@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.commands import names
+from mmqa_lab.commands import house
 
-PUBLIC = names.table()
+PUBLIC = house.name_table()
 
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 

@@ -48,7 +48,6 @@ CORNERS_TIME = np.linspace(0, 0.05, len(SCENE))
 CALLS = {
     "evaluate_cloud": (TILTED, chart_cloud.evaluate_cloud),
     "inside_polygon": (FLOOR, lambda p: chart_cloud.inside_polygon(p, SQUARE)),
-    "hull_area": (TILTED, chart_cloud.hull_area),
     "fit_plane": (TILTED, planes.fit_plane),
     "fit_line": (FLOOR, lambda p: planes.fit_line(np.asarray(p)[:, :2] if is_bare(p) else p)),
     "project": (TILTED, lambda p: planes.fit_plane(p).project(p)),
@@ -58,14 +57,7 @@ CALLS = {
     "quadrants": (TILTED, spacing.quadrants),
     "directional": (TILTED, spacing.directional),
     "turned_f": (TILTED, lambda p: spacing.turned_f(p, angles=[0, 20])),
-    "structure_tensor_ratio": (TILTED, spacing.structure_tensor_ratio),
-    "pair_contrast": (TILTED, lambda p: spacing.pair_contrast(p, reach=0.1)),
-    "clark_evans": (TILTED, spacing.clark_evans),
     "detect_planes": (SCENE, planes.detect_planes),
-    "intersect_patches": (
-        SCENE,
-        lambda p: lines.intersect_patches(p, planes.detect_planes(SCENE)),
-    ),
     "extract_edges": (SCENE, lines.extract_edges),
     "fit_outline": (TILTED, lines.fit_outline),
     "measure_pattern": (FLOOR, lambda p: scan_pattern.measure_pattern(p, scan_line=LINES)),
@@ -74,21 +66,13 @@ CALLS = {
         lambda p: scan_pattern.fit_scan_planes(p, CORNERS_TIME, mirror_frequency_hz=100),
     ),
     "poles.detect": (SCENE, lambda p: poles.detect(p, method="itc")),
-    "ground_reference": (FLOOR, testfield.ground_reference),
     "thinned": (SCENE, lambda p: testfield.thinned(p, 0.5)),
-    "pole_positions": (SCENE, lambda p: testfield.pole_positions(p, POLES)),
-    "corner_positions": (SCENE, lambda p: testfield.corner_positions(p, CORNER)),
+    "plan_differences": (SCENE, lambda p: testfield.plan_differences(p, POLES)),
+    "corners": (SCENE, lambda p: testfield.plan_differences(p, CORNER)),
     "height_differences": (FLOOR, lambda p: testfield.height_differences(p, REFERENCE)),
     "distance_to_path": (SCENE, lambda p: testfield.distance_to_path(p, REFERENCE)),
     "evaluate_selections": (FLOOR, lambda p: repeatability.evaluate_selections(p, [SQUARE])),
-    "with_strays": (
-        FLOOR,
-        lambda p: repeatability.with_strays(p, share=0.1, depths=(0.1, 0.2), seed=1),
-    ),
-    "evaluate_tile": (
-        FLOOR,
-        lambda p: maps.evaluate_tile(p, maps.Window(0, 0, 3, 3), cell=1.0),
-    ),
+    "map_cloud": (FLOOR, lambda p: maps.map_cloud(p, cell=1.0)["d4"].values),
     "draw_points": (TILTED, lambda p: drawn(p)),
 }
 

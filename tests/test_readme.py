@@ -11,8 +11,8 @@ from overlaps import overlapping_texts
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
-from mmqa_lab.run import readme
-from mmqa_lab.run.notebooks import Outcome
+from mmqa_lab.run import pages as readme
+from mmqa_lab.run.pages import Outcome
 from mmqa_lab.spacing import poisson_spacing
 from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
 

@@ -8,16 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.planes import sigma_mad
 from mmqa_lab.repeatability import (
-    contaminated_sigma_mad,
     evaluate_selections,
     operator_polygons,
-    power_law,
     repeatability,
     strip_law,
     variance_components,
-    with_strays,
 )
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
@@ -134,24 +130,6 @@ def test_law_predicts_the_spread_of_counted_points():
     assert abs(np.mean(ratios) - predicted) < 3 * error
 
 
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.1, 0.3])
-def test_contaminated_sigma_mad_by_drawing(share):
-    rng = np.random.default_rng(8)
-    residuals = rng.standard_normal(200_000)
-    residuals[: int(share * len(residuals))] = 50
-    # sigma_MAD of 200,000 residuals is known to 0.3 %
-    assert sigma_mad(residuals) == pytest.approx(contaminated_sigma_mad(share), rel=0.01)
-
-
-@settings(deadline=None)
-@given(st.floats(-3, 3), st.floats(0.01, 100))
-def test_power_law_is_recovered(exponent, factor):
-    x = np.array([0.1, 1.0, 7.0, 30.0])
-    law = power_law(x, factor * x**exponent)
-    assert law.exponent == pytest.approx(exponent, abs=1e-9)
-    assert law.factor == pytest.approx(factor, rel=1e-9)
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     click=st.floats(0, 0.03),
@@ -176,14 +154,6 @@ def test_click_error_is_the_standard_deviation_of_each_vertex():
     assert spread == pytest.approx(np.full((4, 2), 0.02), rel=4 / np.sqrt(2 * 2000))
 
 
-def test_strays_are_as_many_and_as_far_as_said(rng):
-    points = np.column_stack([rng.random((900, 2)), np.zeros(900)])
-    mixed = with_strays(points, share=0.1, depths=(0.2, 0.4), seed=1)
-    assert len(mixed) == 1000
-    assert np.array_equal(mixed[:900], points)
-    assert ((mixed[900:, 2] > 0.2) & (mixed[900:, 2] < 0.4)).all()
-
-
 def test_each_selection_is_evaluated_as_study_01_does(rng):
     points = rng.random((2000, 3)) * [1, 0.01, 1]
     corners = [0.2, 0, 0.2] + 0.6 * SQUARE
@@ -206,7 +176,6 @@ def test_each_selection_is_evaluated_as_study_01_does(rng):
             lambda: operator_polygons(SQUARE, repeats=1, click=0.01, seed=1, vertices=6),
             "Invalid vertices 6. Must be a multiple of four corners.",
         ),
-        (lambda: with_strays(SQUARE, share=0.7, depths=(0, 1), seed=1), "Invalid share 0.7"),
         (lambda: repeatability(rated().drop_duplicates("scan"), "f"), "a single selection"),
         (lambda: repeatability(rated().assign(f=np.nan), "f"), "Invalid f: not finite"),
         (lambda: variance_components(rated().iloc[1:], "f", factors=["scan"]), "not balanced"),
@@ -215,9 +184,7 @@ def test_each_selection_is_evaluated_as_study_01_does(rng):
             lambda: variance_components(rated().assign(system=1), "f", factors=["system", "scan"]),
             "two levels or more",
         ),
-        (lambda: power_law([1, 2, 3], [1, 0, 2]), "Must be > 0"),
         (lambda: strip_law(density=0, area=1, click=0.01), "Invalid density 0"),
-        (lambda: contaminated_sigma_mad(0.5), "Invalid share 0.5"),
     ],
 )
 def test_rejects(call, message):

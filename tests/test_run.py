@@ -10,8 +10,7 @@ import pytest
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.run import Check, Run, parameter_names
-from mmqa_lab.run.results import read_record
+from mmqa_lab.run import Check, Run, parameter_names, read_record
 from mmqa_lab.studies.catalogue import STUDIES
 
 
@@ -24,7 +23,7 @@ def run(tmp_path, monkeypatch):
 
 def test_the_record_is_written_with_every_file(run):
     run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "table")
-    assert read_record(run.folder)["files"] == ["table.csv"]
+    assert read_record(run.folder)["files"] == ["table.csv", "table.tex"]
     run.save_value("f_poisson", 3.257, "1", "predicted")
     run.save_checks([Check("f exceeds 2", True, "3.257", "closed form")])
     record = read_record(run.folder)
@@ -33,7 +32,7 @@ def test_the_record_is_written_with_every_file(run):
     record = read_record(run.folder)
     assert record["finished"]
     assert record["parameters"] == {"seed": 3}
-    assert record["files"] == ["table.csv", "values.csv", "checks.csv"]
+    assert record["files"] == ["table.csv", "table.tex", "values.csv", "checks.csv"]
     assert (record["checks"], record["checks_passed"]) == (1, 1)
     assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
@@ -113,8 +112,8 @@ def test_ledger_is_written_as_given(run):
     assert pd.read_csv(run.folder / "ledger.csv")["cell"].item() == "A, 5 m, f"
 
 
+@plots.style()
 def test_figures_are_equal_to_the_byte(run):
-    plots.use_style()
     contents = []
     for _ in range(2):
         figure, ax = plots.subplots(height_mm=40)
@@ -126,7 +125,6 @@ def test_figures_are_equal_to_the_byte(run):
 
 
 def test_fonts_are_embedded_as_truetype(run):
-    plots.use_style()
     figure, ax = plots.subplots(height_mm=40)
     ax.set_xlabel("range (m)")
     run.save_figure(figure, "font")
@@ -136,9 +134,8 @@ def test_fonts_are_embedded_as_truetype(run):
     assert b"/FontFile2" in pdf
 
 
-def drawn(height_mm=40, **choices):
+def drawn(height_mm=40):
     """A figure with a legend and a title, drawn."""
-    plots.use_style(**choices)
     figure, ax = plots.subplots(height_mm=height_mm)
     ax.plot([0.1, 1], [0, 1], label="a line")
     ax.set(xlabel="range (m)", ylabel="error (mm)", title="plain")
@@ -159,6 +156,59 @@ def test_a_figure_has_its_data_and_says_what_is_seen(run):
     assert figures["again"]["seen"] == "One rising line."
 
 
+def test_a_figure_without_data_is_drawn_again_from_its_csv(run):
+    figure, axes = plots.subplots(1, 3, width="double", height_mm=40)
+    axes[0].plot([1, 2, 3], [4, 9, 5], label="a line")
+    axes[0].scatter([0, 1], [5, 6], c=[7, 8], label="marks")
+    axes[0].set(xlabel="range (m)", ylabel="error (mm)")
+    axes[1].bar([10, 20], [3, 4], label="bars")
+    axes[2].imshow([[1, 2], [3, 4]], extent=(0, 2, 0, 2), origin="upper")
+    run.save_figure(figure, "parts")
+    plt.close(figure)
+    shown = pd.read_csv(run.folder / "parts.csv")
+    line = shown.query("series == 'a line'")
+    assert line[["panel", "x", "y"]].to_numpy().tolist() == [[1, 1, 4], [1, 2, 9], [1, 3, 5]]
+    assert line["y_label"].unique().tolist() == ["error (mm)"]
+    marks = shown.query("series == 'marks'")
+    assert marks[["x", "y", "value"]].to_numpy().tolist() == [[0, 5, 7], [1, 6, 8]]
+    bars = shown.query("panel == 2")
+    assert bars[["x", "y"]].to_numpy().tolist() == [[10, 3], [20, 4]]
+    pixels = shown.query("panel == 3").set_index(["x", "y"])["value"]
+    assert pixels.to_dict() == {(0.5, 1.5): 1, (1.5, 1.5): 2, (0.5, 0.5): 3, (1.5, 0.5): 4}
+
+
+def test_a_table_of_the_figures_name_is_its_data(run):
+    run.save_table(pd.DataFrame({"f": [2.0]}), "both", kind="measured")
+    figure, _ = drawn()
+    run.save_figure(figure, "both")
+    plt.close(figure)
+    assert list(pd.read_csv(run.folder / "both.csv")) == ["f", "kind"]
+
+
+def test_tables_are_written_for_latex(run):
+    frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & c"]})
+    run.save_table(frame, "table", kind="measured")
+    text = (run.folder / "table.tex").read_text()
+    for part in ("\\toprule", "\\midrule", "\\bottomrule", "area polygon (m2)", "0.56 &", "-- &"):
+        assert part in text
+    assert "50 \\%" in text
+    assert "a\\_b \\& c" in text
+    run.save_table(pd.concat([frame] * 40), "long", kind="measured")
+    assert not (run.folder / "long.tex").exists()
+
+
+def test_files_name_what_made_them(run):
+    figure, _ = drawn()
+    run.save_figure(figure, "named")
+    plt.close(figure)
+    record = read_record(run.folder)
+    pdf = (run.folder / "named.pdf").read_bytes()
+    assert b"/Title (named)" in pdf
+    assert f"mmqa_lab {record['version']}".encode() in pdf
+    assert f"mmqa_lab {record['version']}" in (run.folder / "named.svg").read_text()
+
+
+@plots.style()
 def test_texts_on_each_other_or_outside_are_named():
     figure, ax = drawn()
     assert overlapping_texts(figure) == []
@@ -173,22 +223,48 @@ def test_texts_on_each_other_or_outside_are_named():
     ]
 
 
+@pytest.mark.filterwarnings("ignore:Fonts not installed")
 @pytest.mark.parametrize("journal", plots.JOURNALS)
 @pytest.mark.parametrize("width", plots.WIDTHS)
 def test_files_have_the_width_that_the_journal_asks_for(journal, width, run):
-    figure, _ = drawn(journal=journal, width=width)
-    run.save_figure(figure, "page")
+    with plots.style(journal, width=width):
+        figure, _ = drawn()
+        run.save_figure(figure, "page")
     plt.close(figure)
-    plots.use_style()
     box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (run.folder / "page.pdf").read_bytes())
     points = float(box.group(1).split()[2])
     wanted = plots.JOURNALS[journal].widths_mm[plots.WIDTHS.index(width)]
     assert points / 72 * 25.4 == pytest.approx(wanted, abs=0.1)  # a third of a point
     assert plots.JOURNALS[journal].source
+    shown = re.sub(r"\s+", " ", plots.style.__doc__)
+    assert f"{wanted:g}" in shown
+    assert journal in shown
+
+
+@pytest.mark.filterwarnings("ignore:Fonts not installed")
+def test_a_style_leaves_everything_as_it_was():
+    @plots.style("elsevier", width="double")
+    def interrupted():
+        assert plt.rcParams["font.size"] == 7
+        raise KeyError
+
+    before = dict(plt.rcParams)
+    with pytest.raises(KeyError):
+        interrupted()
+    assert dict(plt.rcParams) == before
+    figure, _ = plots.subplots()
+    assert figure.get_figwidth() * 25.4 == pytest.approx(85)
+    plt.close(figure)
+
+
+def test_a_font_that_is_missing_is_said(monkeypatch):
+    monkeypatch.setattr(plots.font_manager.fontManager, "ttflist", [])
+    with pytest.warns(UserWarning, match="Fonts not installed: Arial and Helvetica"):
+        plots.style("elsevier").__enter__()
 
 
 def test_an_unknown_journal_or_width_is_refused():
     with pytest.raises(ValueError, match=r"Invalid journal 'Nature'. Must be one of"):
-        plots.use_style(journal="Nature")
+        plots.style("Nature").__enter__()
     with pytest.raises(ValueError, match=r"Invalid width 'triple'. Must be one of"):
-        plots.use_style(width="triple")
+        plots.style(width="triple").__enter__()

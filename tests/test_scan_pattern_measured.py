@@ -13,12 +13,11 @@ from mmqa_lab.scan_pattern import (
     Target,
     fit_scan_planes,
     measure_pattern,
-    mirror_frequency,
     revolutions_from_time,
     scan_lattice,
 )
-from mmqa_lab.scan_pattern.lines import mean_gap
-from mmqa_lab.scan_pattern.numbering import profiles_from_pattern, pulse_period
+from mmqa_lab.scan_pattern.measure import mean_gap
+from mmqa_lab.scan_pattern.numbering import mirror_frequency, profiles_from_pattern, pulse_period
 from mmqa_lab.studies.mimic import simulate_patch
 
 
@@ -332,7 +331,8 @@ def test_scan_planes_of_a_turning_vehicle(rate):
     from_vehicle = planes.centre - [0, 6 * 0.025, 2]
     advance = (6 * scanner.plane_normal[1] + np.cross(omega, from_vehicle) @ planes.normal) / 200
     assert planes.advance_m == pytest.approx(advance, abs=2e-5)
-    assert planes.turn_rate_deg_s == pytest.approx(
+    turn_rate = np.degrees(np.linalg.norm(planes.turning) * 200)
+    assert turn_rate == pytest.approx(
         rate * np.linalg.norm(np.cross(scanner.plane_normal, [0, 0, 1])), abs=0.06
     )
 

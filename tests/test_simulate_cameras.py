@@ -6,8 +6,8 @@ from rendered import slanted_edge, step_seen_by_pixel
 from scipy.special import j1
 
 from mmqa_lab import charts
-from mmqa_lab.chart_image.light import decode
 from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.io.images import decode
 from mmqa_lab.simulate.cameras import (
     ChartMap,
     FrameCamera,

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import simulate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.simulate import MatchingCamera, Scene
-from mmqa_lab.simulate.matching import hard_core_points, thin
+from mmqa_lab.simulate.point_patterns import hard_core_points, thin
 
 CAMERA = MatchingCamera(focal_px=2000, width_px=400, height_px=300, base_m=1.0, noise_px=0.3)
 PATH = simulate.straight(10, 10)
@@ -25,7 +25,7 @@ def cloud(scene, camera=CAMERA, seed=1):
 
 @pytest.mark.parametrize("hard_core", [0.0, 0.3, 0.5])
 def test_hard_core_keeps_its_distance_and_density(rng, hard_core):
-    points = hard_core_points(300, 200, density=0.5, hard_core=hard_core, rng=rng)
+    points = hard_core_points(np.array([300, 200]), 0.5, hard_core, rng)
     n = 300 * 200 * 0.5
     assert len(points) == pytest.approx(n, abs=4 * np.sqrt(n))
     nearest = cKDTree(points).query(points, k=2)[0][:, 1].min()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from mmqa_lab import simulate
 from mmqa_lab.charts import point_chart, reflectance
-from mmqa_lab.simulate import Scene
+from mmqa_lab.simulate import Scene, surfaces
 
 FAR = np.array([1e7, -4e6, 300.0])
 
@@ -168,7 +168,7 @@ def test_wall_openings_show_reveals_and_panes():
 
 
 def test_kerb_is_struck_below_its_top_and_passed_above_it():
-    scene = simulate.Scene([simulate.ground(), *simulate.kerb([(4, -9, 0), (4, 0, 0), (5, 9, 0)])])
+    scene = simulate.Scene([simulate.ground(), *surfaces.kerb([(4, -9, 0), (4, 0, 0), (5, 9, 0)])])
     directions = np.array([[1.0, 0, 0]] * 2)
     low, high = scene.cast([[0, -5, 0.11], [0, -5, 0.13]], directions).range_m
     assert low == pytest.approx(4, abs=1e-12)
@@ -176,7 +176,7 @@ def test_kerb_is_struck_below_its_top_and_passed_above_it():
     turned = scene.cast([[0, 4.5, 0.05]], directions[:1]).range_m[0]
     assert turned == pytest.approx(4.5, abs=1e-12)  # half way along the second stretch
     with pytest.raises(ValueError, match="Invalid line"):
-        simulate.kerb([(4, 0, 0)])
+        surfaces.kerb([(4, 0, 0)])
 
 
 def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
@@ -232,7 +232,7 @@ def test_many_equal_boxes_do_not_break_the_tree():
         (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
         (lambda: simulate.cylinder((0, 0, 0), (0, 0, 0), 1), "Must differ from the base"),
         (lambda: simulate.cylinder((0, 0, 0), (0, 0, 1), 0), "Invalid radius 0. Must be > 0 m."),
-        (lambda: simulate.disc((0, 0, 0), (0, 0, 0), 1), "Invalid normal"),
+        (lambda: surfaces.disc((0, 0, 0), (0, 0, 0), 1), "Invalid normal"),
         (lambda: simulate.ellipsoid((0, 0, 0), (1, -1, 1)), "Invalid radii -1"),
         (lambda: simulate.board((0, 0, 0), 1, 1, reflectance=2), "Must be between 0 and 1"),
         (lambda: simulate.polygon([(0, 0, 0), (1, 0, 0), (2, 0, 0)]), "one line"),

@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from mmqa_lab import io, simulate
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, Scene, Trajectory
-from mmqa_lab.simulate.draws import draws
+from mmqa_lab.simulate.scan import draws
 
 SPEED = 10.0
 PROFILER = ProfileScanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mmqa_lab import published, simulate
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import chart_corners, presets, systems
@@ -82,3 +83,41 @@ def test_scanners_that_see_no_chart_leave_no_points():
 def test_bad_distances_are_named():
     with pytest.raises(ValueError, match="Invalid distance -5"):
         systems.pass_chart(systems.SYSTEM_A, -5, seed=1)
+
+
+def test_five_systems_have_the_numbers_of_table_3_2():
+    printed = published.table("eurosdr2013_mls", "table_3_2")
+    as_tested = ~printed["condition"].str.contains("not tested")
+    rows = printed[as_tested].set_index(["system", "quantity"])["value"]
+    names = {"roamer": "ROAMER", "sensei": "Sensei"}
+    names |= dict.fromkeys(("vmx-250", "streetmapper-360"), "RIEGL VMX-250 and Streetmapper 360")
+    names["lynx"] = "Optech Lynx Mobile Mapper (TerraTec AS)"
+    for name, system in names.items():
+        head = simulate.system(name).heads[0]
+        low, high = head.field_of_view_deg
+        assert head.pulse_rate_hz * (high - low) / 360 == pytest.approx(
+            float(rows[system, "points_per_s_max"])
+        )
+        assert 1000 * head.range_noise_m == pytest.approx(float(rows[system, "distance_accuracy"]))
+    assert [len(simulate.system(name).heads) for name in names] == [1, 1, 2, 2, 2]
+
+
+def test_positions_are_worse_where_trees_hide_the_satellites():
+    good, bad = (simulate.system("roamer", section=s).navigation for s in "AC")
+    assert bad.drift_m == pytest.approx(np.array(good.drift_m) / 0.03)
+    assert bad.drift_deg == good.drift_deg
+    with pytest.raises(ValueError, match="Invalid section 'E'"):
+        simulate.system("roamer", section="E")
+
+
+def test_a_wide_beam_blurs_poles_along_the_track_only():
+    lamp = simulate.cylinder((5, 0, -3), (5, 0, 3), 0.05)
+    scene = simulate.Scene([lamp])
+    lux = replace(systems.IBEO_LUX, lever_arm_m=(0, 0, 0), range_noise_m=0.0)
+    seen = {}
+    for wide in (1.4, 14.0):
+        head = replace(lux, divergence_axial_mrad=wide)
+        path = simulate.straight(0.4, 0.2, start=(0, -0.2, 0))
+        seen[wide] = np.ptp(simulate.scan_all(scene, head, path, seed=1).points[:, 1])
+    # 14 mrad at 5 m: 7 cm in all, of which the ring of rays has 0.651
+    assert seen[14.0] - seen[1.4] == pytest.approx(0.651 * (0.07 - 0.007), abs=0.015)

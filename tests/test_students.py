@@ -6,7 +6,7 @@ import nbformat
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.run.students import student_cell, write_student_notebooks
+from mmqa_lab.run.notebooks import student_cell, write_student_notebooks
 from mmqa_lab.studies.catalogue import STUDIES
 
 ANSWER = """# 2: twice the side makes four times the area
@@ -25,11 +25,11 @@ def run(source):
 def test_check_fails_until_the_name_is_worked_out():
     given = student_cell(ANSWER)
     assert given.splitlines()[:2] == ["# 2: your work", "areas = ..."]
-    with pytest.raises(TypeError):
+    with pytest.raises(AssertionError, match="2: give areas a value"):
         run(given)
-    with pytest.raises(AssertionError):
-        run(given.replace("...", "[9, 18]"))
-    run(given.replace("...", "[9, 36]"))
+    with pytest.raises(AssertionError, match="2: not right yet"):
+        run(given.replace("areas = ...", "areas = [9, 18]"))
+    run(given.replace("areas = ...", "areas = [9, 36]"))
 
 
 def test_names_bound_inside_a_check_are_no_answers():
@@ -54,9 +54,16 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
     tags = [tag for cell in copy.cells for tag in cell.metadata.get("tags", [])]
     assert tags.count("exercise") == len(answers)
     assert "lesson" not in tags
+    assert tags.count("check") == len(answers)
     for cell in copy.cells:
-        if "exercise" in cell.metadata.get("tags", []):
-            assert any(isinstance(node, ast.Assert) for node in ast.parse(cell.source).body)
+        part = [tag for tag in cell.metadata.get("tags", []) if tag in ("exercise", "check")]
+        if part:
+            graded = cell.metadata["nbgrader"]
+            asserted = any(isinstance(node, ast.Assert) for node in ast.parse(cell.source).body)
+            assert asserted == graded["grade"] == graded["locked"] == (part == ["check"])
+            assert graded["solution"] == (part == ["exercise"])
+    ids = [c.metadata["nbgrader"]["grade_id"] for c in copy.cells if "nbgrader" in c.metadata]
+    assert len(set(ids)) == len(ids) == 2 * len(answers)
 
 
 def test_stored_outputs_stay_with_the_teacher(tmp_path):
@@ -72,7 +79,7 @@ def test_stored_outputs_stay_with_the_teacher(tmp_path):
     nbformat.write(nbformat.v4.new_notebook(cells=[cell, plain]), Ran.path)
     (path,) = write_student_notebooks([Ran], tmp_path / "course")
     assert "answer is 36" not in path.read_text()
-    assert [c.execution_count for c in nbformat.read(path, as_version=4).cells] == [None, None]
+    assert [c.execution_count for c in nbformat.read(path, as_version=4).cells] == 3 * [None]
 
 
 def test_a_students_work_is_not_overwritten(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,11 +15,10 @@ import nbformat
 import pandas as pd
 import pytest
 
-from mmqa_lab.run import Run, notebooks, pages, parameter_names
-from mmqa_lab.run.readme import masked
-from mmqa_lab.run.results import read_record
-from mmqa_lab.run.students import student_cell
-from mmqa_lab.studies.catalogue import STUDIES, Study, chosen, notebooks_folder
+from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
+from mmqa_lab.run.notebooks import student_cell
+from mmqa_lab.samples import SAMPLES
+from mmqa_lab.studies.catalogue import STUDIES, TOOLS, Study, chosen, notebooks_folder
 
 TESTS = str(Path(__file__).parent)
 
@@ -31,6 +31,11 @@ class Elsewhere(Study):
     @property
     def path(self):
         return self.folder / f"{self.notebook}.ipynb"
+
+
+def masked(text):
+    """A text with # for every number: what stays the same from run to run."""
+    return re.sub(r"[-−]?\d[\d,.]*\d|[-−]?\d", "#", text)
 
 
 def before_the_answers(study, folder):
@@ -75,15 +80,34 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     # written by mmqa readme; real clouds, where they are available, add to an answer
     assert f"| {masked(answer['sentence']).rstrip('.')}" in masked(readme)
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
+    for name in record["figures"]:
+        assert len(pd.read_csv(folder / f"{name}.csv")) > 0, f"no data of {name}"
     page = (folder / f"{study.stem}.html").read_text()
     assert "<img" in page
     assert page.count("Traceback (most recent call last)") == exercises  # checks fail unworked
     assert 'src="http' not in page  # nothing comes from the network
     assert "No description has been provided" not in page
-    pages.write_pages(tmp_path / "results", [study], [outcome])
+    pages.write_pages(tmp_path / "results", [study])
     index = (tmp_path / "results" / "index.html").read_text()
     assert study.title in index
     assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])
+
+
+@pytest.mark.timeout(0)
+def test_the_tool_runs_on_samples(tmp_path):
+    outcome = notebooks.run_study(TOOLS[0], tmp_path)
+    assert outcome.failure == ""
+    folder = tmp_path / TOOLS[0].stem
+    record = read_record(folder)
+    assert record["finished"]
+    assert list(record["parameters"]) == parameter_names(TOOLS[0].path)
+    table = pd.read_csv(folder / "comparison.csv")
+    assert set(table["cloud"]) == {"chart_a_5m", "chart_b_5m"}
+    assert (table["low"] <= table["value"]).all()
+    page = (folder / "report.html").read_text()
+    for part in (SAMPLES[1].sha256, record["version"], "sigma_mad", "radius_m", "data:image/png"):
+        assert part in page
+    assert (folder / "report.pdf").read_bytes().count(b"/Type /Page ") == 1
 
 
 @pytest.fixture
@@ -115,13 +139,14 @@ def test_a_failing_cell_is_named_and_what_it_made_is_shown(broken, tmp_path):
     folder = tmp_path / "results"
     assert not outcome.ok
     assert outcome.verdict == "ValueError: f is <missing>"
-    assert notebooks.read_outcome(folder / "broken") == outcome
+    assert pages.read_outcome(folder / "broken") == outcome
     assert "f is &lt;missing&gt;" in (folder / "broken" / "broken.html").read_text()
-    pages.write_pages(folder, [study, study], [outcome, None])
+    never_run = Study(98, "never", "Never", "?", "nowhere")
+    pages.write_pages(folder, [study, never_run])
     index = (folder / "index.html").read_text()
     assert "ValueError: f is &lt;missing&gt;" in index
     assert index.count('href="broken/made.csv"') == 1
-    assert notebooks.finished(study, folder) is None
+    assert "Never" not in index
 
 
 def test_a_check_that_fails_stops_nothing(broken, tmp_path):
@@ -130,20 +155,29 @@ def test_a_check_that_fails_stops_nothing(broken, tmp_path):
     assert outcome.ok
     assert not outcome.true
     assert outcome.verdict == "0 of 1 checks passed"
-    pages.write_pages(tmp_path / "results", [study], [outcome])
+    pages.write_pages(tmp_path / "results", [study])
     assert "Not true of this run: f is below 2" in (tmp_path / "results/index.html").read_text()
 
 
 def test_a_finished_study_is_not_run_again(broken, tmp_path, monkeypatch):
     study, outcome = broken("seed = 1", MADE)
     folder = tmp_path / "results"
-    assert notebooks.finished(study, folder) == outcome
-    assert notebooks.finished(study, folder, quick=True) is None
+
+    def resumed(**choices):
+        """What stopped the study when it was resumed: "ran" where it was run again."""
+        return notebooks.run_study(study, folder, resume=True, **choices).failure
+
+    assert notebooks.run_study(study, folder, resume=True) == outcome
+    kept = (folder / "broken" / "outcome.json").read_text()
+    monkeypatch.setattr(notebooks, "execute", lambda *_, **__: "ran")
+    assert resumed() == ""
     monkeypatch.setenv("MMQA_DATA", "elsewhere")
-    assert notebooks.finished(study, folder) is None
-    monkeypatch.undo()
+    assert resumed() == "ran"
+    monkeypatch.delenv("MMQA_DATA")
+    (folder / "broken" / "outcome.json").write_text(kept)
     study.path.write_text(study.path.read_text().replace("seed = 1", "seed = 2"))
-    assert notebooks.finished(study, folder) is None
+    assert resumed() == "ran"
+    assert resumed() == "ran"  # it failed, so it is tried again
 
 
 def test_a_study_runs_where_an_event_loop_runs_already(broken):
@@ -179,7 +213,7 @@ def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_pa
             assert run.poll() is None
             time.sleep(0.02)
         os.killpg(run.pid, signal.SIGKILL)
-    assert notebooks.read_outcome(study).verdict == "stopped before its end"
+    assert pages.read_outcome(study).verdict == "stopped before its end"
     assert set(read_record(study)["files"]) <= {path.name for path in study.iterdir()}
     for path in study.glob("[!.]*"):
         if path.suffix == ".csv":

@@ -119,7 +119,7 @@ def test_limit_lies_a_little_above_that_of_the_noise_free_contrast(sigma, blur):
 
 
 def test_limit_never_falls_below_beats():
-    assert images.pair_limit(0.1) >= chart_image.line_pairs.SMALLEST_PAIR_PX
+    assert images.pair_limit(0.1) >= images.SMALLEST_PAIR_PX
 
 
 def test_motion_counts_for_standing_bars_alone(limits, cells):
@@ -242,7 +242,7 @@ def test_cases_are_the_rows_of_table_1_and_then_others():
 def test_a_rule_of_ones_own_enters_the_comparison():
     comparison = images.comparison(quick=True)
     comparison.cases = comparison.cases[:1]
-    comparison.methods["mine"] = lambda seen: seen.quality.pairs["width_px"] > 3
+    comparison.methods["mine"] = lambda seen: seen.pairs["width_px"] > 3
     results = comparison.run()
     assert results.sizes["method"] == 3
     assert bench.failures(results).empty

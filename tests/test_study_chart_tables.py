@@ -134,7 +134,7 @@ def test_every_printed_cell_of_table_2_and_both_scenarios_have_an_entry(comparis
     chosen = pd.DataFrame(
         {"set": ["test", "scenario 1", "scenario 2"], "fewest": 0, "likely": [0, 0, 2], "most": 2}
     )
-    entries = ledger.frame(study.ledger_entries(comparison, chosen))
+    entries = pd.DataFrame(study.ledger_entries(comparison, chosen))
     cells = ledger.cells().query("source == 'pfeifer2021'")
     printed = set(cells.query("table == 'table_2'")["cell"])
     printed |= {"scenario_1_systems", "scenario_2_systems"}

@@ -189,7 +189,7 @@ def test_the_ledger_has_every_cell_that_a_street_can_answer():
     beside = study.beside_published(example_rates(), example_rates())
     errors, half = stats.errors(np.arange(-3.0, 4)), stats.wilson(10, 20)
     choices = {"visible": half, "correctness": half, "crowded": half, "diameters": errors}
-    entries = ledger.frame(study.ledger_entries(beside, **choices))
+    entries = pd.DataFrame(study.ledger_entries(beside, **choices))
     cells = ledger.cells().query("source == 'eurosdr2013_mls' and role == 'result'")
     asked = cells[cells["table"].isin(["table_4_1", "table_4_2", "poles_text"])]
     left = set(asked["cell"]) - set(entries["cell"])

@@ -1,10 +1,12 @@
 """The study of selections: its surfaces, operators, ranges, and checks that can fail."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from mmqa_lab import bench, plots
 from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.planes import sigma_mad
 from mmqa_lab.published import ledger
 from mmqa_lab.studies import repeatability as study
 
@@ -168,3 +170,20 @@ def test_answer_and_explorer(results):
     std = [figure.axes[3].get_legend().get_texts()[0].get_text() for figure in (plain, strays)]
     assert std[0] != std[1]
     plots.plt.close("all")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.1, 0.3])
+def test_contaminated_sigma_mad_by_drawing(share):
+    rng = np.random.default_rng(8)
+    residuals = rng.standard_normal(200_000)
+    residuals[: int(share * len(residuals))] = 50
+    # sigma_MAD of 200,000 residuals is known to 0.3 %
+    assert sigma_mad(residuals) == pytest.approx(study.contaminated_sigma_mad(share), rel=0.01)
+
+
+def test_strays_are_as_many_and_as_far_as_said(rng):
+    points = np.column_stack([rng.random((900, 2)), np.zeros(900)])
+    mixed = study.with_strays(points, share=0.1, depths=(0.2, 0.4), seed=1)
+    assert len(mixed) == 1000
+    assert np.array_equal(mixed[:900], points)
+    assert ((mixed[900:, 2] > 0.2) & (mixed[900:, 2] < 0.4)).all()

@@ -12,14 +12,11 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
-    between_drives,
-    corner_positions,
     distance_to_path,
-    ground_reference,
     height_accuracy,
     height_differences,
     plan_accuracy,
-    pole_positions,
+    plan_differences,
     split_drives,
     thinned,
     trend,
@@ -75,14 +72,19 @@ def test_accuracy_rows():
     assert kept["rmse_mm"] ** 2 == pytest.approx(kept["mean_mm"] ** 2 + removed["rmse_mm"] ** 2)
 
 
-def test_drives_are_told_apart_and_compared(ground):
+def test_report_rule_is_the_plane_of_the_three_nearest_points(ground, rng):
+    reference = np.column_stack([rng.uniform(1, 9, (60, 2)), np.zeros(60)])
+    found = height_differences(ground, reference, rule="report", gross_limit=10, slope_limit=90)
+    for row, place in zip(found.itertuples(), reference, strict=True):
+        near = np.argsort(np.hypot(*(ground[:, :2] - place[:2]).T))[:3]
+        design = np.column_stack([np.ones(3), ground[near, :2] - place[:2]])
+        height, east, north = np.linalg.solve(design, ground[near, 2])
+        assert row.dz_m == pytest.approx(height, abs=1e-9)
+        assert row.slope_deg == pytest.approx(np.degrees(np.arctan(np.hypot(east, north))))
+
+
+def test_drives_are_told_apart():
     assert split_drives([0.0, 1.0, 9000.0]).tolist() == [0, 0, 1]
-    reference = np.array([[3.0, 4.0, 0.0], [50.0, 4.0, 0.0]])
-    one = height_differences(ground, reference)
-    two = height_differences(ground - [0, 0, 0.02], reference)
-    both = between_drives(one, two)
-    assert both["dz_m"][0] == pytest.approx(0.02, abs=1e-9)
-    assert both["reason"].tolist() == ["", "no points"]
 
 
 def test_trend_is_not_tilted_by_a_gross_error(rng):
@@ -131,15 +133,15 @@ def test_poles_seen_from_one_side_and_far_from_the_origin(rng):
             arc(np.array([8.0, 4.0]) + shift, 0.10, np.pi / 2, rng, n=400),
         ]
     )
-    found = pole_positions(cloud, poles)
+    found = plan_differences(cloud, poles)
     assert (found["reason"] == "").all()
     # 3 mm of noise on some 60 points a circle: well below 3 mm
     assert np.abs(found[["dx_m", "dy_m"]] - shift).to_numpy().max() < 0.003
-    far = pole_positions(
+    far = plan_differences(
         cloud + FAR, poles.assign(x_m=poles["x_m"] + 1e7, y_m=poles["y_m"] - 1e7, z_m=5e3)
     )
     assert np.allclose(far[["dx_m", "dy_m"]], found[["dx_m", "dy_m"]], atol=1e-5)
-    nothing = pole_positions(cloud, poles.assign(x_m=100.0))
+    nothing = plan_differences(cloud, poles.assign(x_m=100.0))
     assert set(nothing["reason"]) == {"too few points"}
 
 
@@ -153,11 +155,10 @@ def test_corner_of_two_walls_and_of_one(rng):
     cloud[:, :2] = cloud[:, :2] @ rotation.T + [0.04, 0.02]
     cloud[:, :2] += rng.normal(0, 0.004, (2 * n, 2))
     corners = pd.DataFrame({"x_m": [0.0], "y_m": [0.0], "z_m": [0.0], "kind": ["building"]})
-    found = corner_positions(cloud, corners).iloc[0]
+    found = plan_differences(cloud, corners).iloc[0]
     assert found["reason"] == ""
-    assert found["angle_deg"] == pytest.approx(90, abs=0.5)
     assert (found["dx_m"], found["dy_m"]) == pytest.approx((0.04, 0.02), abs=0.003)
-    assert corner_positions(cloud[:n], corners)["reason"].item() == "one line"
+    assert plan_differences(cloud[:n], corners)["reason"].item() == "one line"
 
 
 def test_plan_accuracy_removes_easting_and_northing_separately():
@@ -168,14 +169,15 @@ def test_plan_accuracy_removes_easting_and_northing_separately():
     assert removed["rmse_mm"] == pytest.approx(10)
 
 
-def test_ground_reference_keeps_smooth_ground_only(rng):
-    xy = rng.uniform(0, 6, (40_000, 2))
-    rough = np.where(xy[:, 0] > 3, 0.03, 0.002)
-    cloud = np.column_stack([xy, rough * rng.standard_normal(len(xy))])
-    found = ground_reference(cloud)
-    assert len(found) == 18
-    assert found["x_m"].max() < 3
-    assert found["z_m"].abs().max() < 0.002
+def test_centre_of_a_painted_mark(rng):
+    xy = rng.uniform(-1, 1, (4000, 2))
+    bright = np.abs(xy - [0.03, -0.02]).max(axis=1) < 0.15
+    intensity = np.where(bright, 900, 200) + rng.normal(0, 20, len(xy))
+    cloud = Cloud(np.column_stack([xy, 0 * xy[:, 0]]), {"intensity": intensity})
+    mark = pd.DataFrame({"x_m": [0.0], "y_m": 0.0, "z_m": 0.0, "kind": "mark"})
+    found = plan_differences(cloud, mark).iloc[0]
+    # the outermost of some 90 points stop short of the edge by a centimetre or less
+    assert (found["dx_m"], found["dy_m"]) == pytest.approx((0.03, -0.02), abs=0.01)
 
 
 def test_rasters_agree_with_each_other(tmp_path):
@@ -268,3 +270,53 @@ def test_real_drives_against_airborne_heights(real):
     # measured beforehand with another method: -62 and -48 mm; 900 and 600 points scatter by 1 mm
     assert first == pytest.approx(-62, abs=4)
     assert second == pytest.approx(-48, abs=4)
+
+
+@pytest.fixture
+def surveyed(tmp_path, rng):
+    """A cloud of three poles 4 cm east of where the survey has them, and the targets."""
+    places = np.array([[2.0, 2.0], [6.0, 2.0], [4.0, 7.0]])
+    posts = [arc(place + [0.04, 0.0], 0.1, 0.0, rng, n=600) for place in places]
+    np.savetxt(tmp_path / "cloud.txt", np.vstack(posts))
+    targets = pd.DataFrame(places, columns=["x", "y"]).assign(z=0.0, kind="pole", diameter=0.2)
+    targets.to_csv(tmp_path / "targets.csv", index=False)
+    return tmp_path
+
+
+def test_command_measures_targets_in_plan(surveyed, capsys):
+    files = [str(surveyed / "cloud.txt"), "--targets", str(surveyed / "targets.csv"), "--json"]
+    assert main(["accuracy", *files, "--out", str(surveyed / "each.csv")]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["kind"], row["shift"]) for row in rows] == [
+        *(("pole", "kept"), ("pole", "removed")),
+        *(("all", "kept"), ("all", "removed")),
+    ]
+    assert rows[2]["mean_east_mm"] == pytest.approx(40, abs=2)
+    assert rows[3]["rmse_mm"] < 3
+    assert len(pd.read_csv(surveyed / "each.csv")) == 6  # three poles, two slices
+    assert main(["accuracy", *files, "--slices", "report"]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"x": 500.0}, "none measured in the cloud (too few points). Must lie in it"),
+        ({"kind": "tree"}, "Invalid kind 'tree'. Must be one of pole, building, curb, mark."),
+        ({"z": None}, "no finite number in line 2"),
+    ],
+)
+def test_command_refuses_targets(surveyed, capsys, change, sentence):
+    file = surveyed / "targets.csv"
+    pd.read_csv(file).assign(**change).to_csv(file, index=False)
+    assert main(["accuracy", str(surveyed / "cloud.txt"), "--targets", str(file)]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_command_needs_heights_or_targets(surveyed, capsys):
+    cloud, file = str(surveyed / "cloud.txt"), surveyed / "targets.csv"
+    assert main(["accuracy", cloud]) == 2
+    assert "either REFERENCE or --targets" in capsys.readouterr().err
+    pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
+    assert main(["accuracy", cloud, "--targets", str(file)]) == 2
+    assert "no column 'z'" in capsys.readouterr().err

@@ -15,6 +15,7 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_polygon, write_cloud
 from mmqa_lab.planes import fit_plane
+from mmqa_lab.widgets import selection
 
 # of ipympl's own toolbar
 pytestmark = pytest.mark.filterwarnings("ignore:Passing unrecognized arguments to super")
@@ -37,7 +38,7 @@ def tool(wall, monkeypatch):
 
 
 def test_view_is_upright_and_inverts(wall):
-    view = widgets.View(wall)
+    view = selection._View(wall)
     xy = view.to_plane(wall)
     assert np.ptp(xy, axis=0) == pytest.approx([2, 1.5], abs=0.02)
     assert abs(view.axes[0, 2]) < 1e-12
@@ -47,14 +48,14 @@ def test_view_is_upright_and_inverts(wall):
 
 def test_view_of_level_ground_has_axes_all_the_same(rng):
     ground = np.column_stack([rng.random((500, 2)), np.zeros(500)])
-    assert np.abs(widgets.View(ground).axes[:, 2]).max() < 1e-9
+    assert np.abs(selection._View(ground).axes[:, 2]).max() < 1e-9
 
 
 def test_tool_shows_what_evaluate_cloud_finds(tool, wall):
     quality = evaluate_cloud(wall, polygon=tool.vertices)
     assert tool.quality.n == quality.n
     assert tool.quality.f == quality.f
-    assert widgets.summary(quality) in tool.text.value
+    assert selection._summary(quality) in tool.text.value
 
 
 def test_other_figures_stay_with_their_backend():
@@ -127,11 +128,11 @@ def test_a_polygon_that_cannot_be_saved_says_why(tool, tmp_path):
 
 def test_without_a_screen_it_is_a_picture(wall, monkeypatch):
     monkeypatch.setenv("MMQA_HEADLESS", "1")
-    corners = widgets.View(wall).middle_polygon(wall)
+    corners = selection._View(wall).middle_polygon(wall)
     figure = widgets.select_polygon(wall, polygon=corners)
     assert isinstance(figure, Figure)
     quality = evaluate_cloud(wall, polygon=corners)
-    assert figure.axes[0].get_title() == widgets.summary(quality)
+    assert figure.axes[0].get_title() == selection._summary(quality)
     assert fit_plane(corners).rms < 1e-9
 
 

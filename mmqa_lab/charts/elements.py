@@ -1,10 +1,12 @@
-"""The elements of a chart, and its layout."""
+"""The elements of a chart, its layout, and how they are drawn: PDF, SVG, image of area means."""
 
 import dataclasses
 import json
 import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from io import BytesIO
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,9 +14,41 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
+POINTS_PER_MM = 72 / 25.4
+
+STYLE = {
+    "figure.constrained_layout.use": False,
+    "figure.autolayout": False,
+    "savefig.bbox": None,
+    "savefig.dpi": "figure",
+    "svg.hashsalt": "mmqa_lab",
+    "pdf.compression": 4,
+}
+"""A style that someone set must not change the size of the page."""
+
+
+class _Element:
+    """What has a lower left corner, a width and a height."""
+
+    def corners(self):
+        """Return the corners from the lower left, counterclockwise, mm, shape (4, 2)."""
+        share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        return np.array([self.x, self.y]) + share * [float(self.width), float(self.height)]
+
+
+class _Square(_Element):
+    """What has one side for its width and height."""
+
+    @property
+    def width(self):
+        """Side, mm."""
+        return self.size
+
+    height = width
+
 
 @dataclass(frozen=True)
-class Bar:
+class Bar(_Element):
     """A plain rectangle: long bars, panels, patches.
 
     Parameters
@@ -49,7 +83,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class LinePairs:
+class LinePairs(_Element):
     """Equal black and white bars; ``pair`` is the width w of one black and one white bar.
 
     ``direction`` says along what the pairs follow each other: ``"h"`` is standing bars, read in
@@ -110,20 +144,6 @@ class LinePairs:
         return np.array([self.x, self.x + self.length]), self.y + steps, tones[:, None]
 
 
-class _Square:
-    """What has one side for its width and height."""
-
-    @property
-    def width(self):
-        """Side, mm."""
-        return self.size
-
-    @property
-    def height(self):
-        """Side, mm."""
-        return self.size
-
-
 @dataclass(frozen=True)
 class Marker(_Square):
     """A coded square target of an OpenCV dictionary, black border included.
@@ -168,12 +188,6 @@ class Marker(_Square):
         edges = np.linspace(0, self.size, len(bits) + 1)
         return self.x + edges, self.y + edges, bits[::-1]
 
-    def corners(self):
-        """Return the corners as OpenCV's detector orders them, from the upper left, (4, 2)."""
-        low, right = np.array([self.x, self.y]), np.array([self.size, 0.0])
-        up = right[::-1]
-        return np.stack([low + up, low + up + right, low + right, low])
-
 
 @dataclass(frozen=True)
 class Cells(_Square):
@@ -216,7 +230,7 @@ class Cells(_Square):
 
 
 @dataclass(frozen=True)
-class Text:
+class Text(_Element):
     """A line of text from its lower left corner on the base line; ``cap`` is the height of H.
 
     Parameters
@@ -276,7 +290,7 @@ KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
 
 
 @dataclass(frozen=True)
-class Layout:
+class Layout(_Element):
     """A chart: its size in mm and its elements, each with a name of its own.
 
     Parameters
@@ -290,19 +304,22 @@ class Layout:
     Raises
     ------
     ValueError
-        If two elements share a name or one reaches over the chart's edge.
+        If two elements share a name, one reaches over the chart's edge, or JSON lacks a field.
 
     Examples
     --------
     >>> chart = Layout("two bars", 100, 50, (Bar("a", 10, 10, 5, 30), Bar("b", 60, 10, 5, 30)))
-    >>> chart["b"].x
-    60
+    >>> chart["b"].x, Layout.from_json(chart.to_json()) == chart
+    (60, True)
+    >>> chart.to_pdf()[:5], b'<g id="a">' in chart.to_svg()
+    (b'%PDF-', True)
     """
 
     name: str
     width: float
     height: float
     elements: tuple
+    x = y = 0.0
 
     def __post_init__(self):
         check_positive(self.width, "chart width", unit="mm")
@@ -348,68 +365,97 @@ class Layout:
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear
 
-    def corners(self):
-        """Return the chart's corners from the lower left, counterclockwise, mm, shape (4, 2)."""
-        w, h = self.width, self.height
-        return np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=float)
+    def to_pdf(self):
+        """Return the chart as a PDF of one page at true size; letters are outlines."""
+        return self._saved("pdf", {"CreationDate": None, "Title": self.name})
+
+    def to_svg(self):
+        """Return the chart as SVG at true size, bytes; each element is a named group."""
+        return self._saved("svg", {"Date": None, "Title": self.name})
+
+    def to_json(self):
+        """Return the layout as JSON text, which :meth:`from_json` reads back unchanged."""
+        elements = [
+            {"kind": type(element).__name__, **dataclasses.asdict(element)}
+            for element in self.elements
+        ]
+        whole = {"name": self.name, "width": self.width, "height": self.height}
+        return json.dumps({**whole, "elements": elements}, indent=1)
+
+    @classmethod
+    def from_json(cls, text):
+        """Return the layout that JSON text describes; ValueError if it describes none."""
+        try:
+            whole = json.loads(text)
+            elements = []
+            for fields in whole["elements"]:
+                kind = KINDS[check_choice(fields.pop("kind"), "kind", tuple(KINDS))]
+                elements.append(kind(**fields))
+            return cls(whole["name"], whole["width"], whole["height"], tuple(elements))
+        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+            raise ValueError(
+                f"Invalid chart layout: {error}. Must be JSON with all fields."
+            ) from None
+
+    def _saved(self, form, metadata):
+        """The page in one form, equal to the byte from run to run."""
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+        from matplotlib.patches import PathPatch
+        from matplotlib.transforms import Affine2D
+
+        stream, to_points = BytesIO(), Affine2D().scale(POINTS_PER_MM)
+        with mpl.rc_context(STYLE):
+            size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
+            page = Figure(figsize=size, frameon=False, dpi=72)
+            for element in self.elements:
+                for tone, outline in _shapes(element).items():
+                    look = {"facecolor": str(float(tone)), "lw": 0, "gid": element.name}
+                    page.add_artist(PathPatch(outline, transform=to_points, **look))
+            page.savefig(stream, format=form, metadata=metadata)
+        return stream.getvalue()
 
 
-def to_json(layout):
-    """Return a layout as JSON text; :func:`from_json` reads it back unchanged.
+def reflectance(layout, *, cell):
+    """Return the mean tone of each square cell of a chart.
+
+    Everything but letters consists of rectangles, whose share of a cell is a product of two
+    overlaps and therefore exact. Of letters matplotlib measures the share, to 1/255.
 
     Parameters
     ----------
     layout : Layout
+    cell : float
+        Side of a cell, mm. The last column and row may reach beyond the chart: white there.
 
     Returns
     -------
-    str
-
-    Examples
-    --------
-    >>> text = to_json(Layout("one bar", 100, 50, (Bar("a", 10, 10, 5, 30),)))
-    >>> json.loads(text)["elements"][0]["kind"]
-    'Bar'
-    """
-    elements = [
-        {"kind": type(element).__name__, **dataclasses.asdict(element)}
-        for element in layout.elements
-    ]
-    whole = {"name": layout.name, "width": layout.width, "height": layout.height}
-    return json.dumps({**whole, "elements": elements}, indent=1)
-
-
-def from_json(text):
-    """Return the layout that JSON text describes.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Layout
+    array of float32, shape (rows, columns)
+        The first row lies at the lower edge of the chart.
 
     Raises
     ------
     ValueError
-        If the text is no JSON, lacks a field or describes no valid layout.
+        If the cell is not positive or so small that the image had more than 1e9 cells.
 
     Examples
     --------
-    >>> chart = Layout("one bar", 100, 50, (Bar("a", 10, 10, 5, 30),))
-    >>> from_json(to_json(chart)) == chart
-    True
+    >>> from mmqa_lab.charts import Bar, Layout
+    >>> reflectance(Layout("bar", 4, 2, (Bar("a", 0.5, 0, 2, 1),)), cell=1).tolist()
+    [[0.5, 0.0, 0.5, 1.0], [1.0, 1.0, 1.0, 1.0]]
     """
-    try:
-        whole = json.loads(text)
-        elements = []
-        for fields in whole["elements"]:
-            kind = KINDS[check_choice(fields.pop("kind"), "kind", tuple(KINDS))]
-            elements.append(kind(**fields))
-        return Layout(whole["name"], whole["width"], whole["height"], tuple(elements))
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"Invalid chart layout: {error}. Must be JSON with all fields.") from None
+    cell = check_positive(cell, "cell", unit="mm")
+    columns, rows = (int(np.ceil(side / cell - 1e-9)) for side in (layout.width, layout.height))
+    check_count(columns * rows, "number of cells")
+    if columns * rows > 1e9:
+        raise ValueError(f"Invalid cell {cell} mm: {columns * rows} cells. Must be 1e9 or fewer.")
+    image = np.full((rows, columns), WHITE, dtype=np.float32)
+    for element in layout.elements:
+        if isinstance(element, Text):
+            _add_text(image, element, cell)
+        else:
+            _add_grid(image, element, cell)
+    return image
 
 
 def _check_element(element):
@@ -465,3 +511,66 @@ def _marker_bits(dictionary, identifier):
         )
     side = book.markerSize + 2
     return cv2.aruco.generateImageMarker(book, identifier, side) / 255.0
+
+
+def _shapes(element):
+    """The outline of each tone that differs from white; cells alike in a row are one rectangle."""
+    from matplotlib.path import Path
+
+    if isinstance(element, Text):
+        return {element.tone: element.outline()}
+    corners = {}
+    x, y, tones = element.grid()
+    for (low, high), values in zip(pairwise(y), tones, strict=True):
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
+        for first, last in pairwise(starts):
+            left, right = x[first], x[last]
+            ring = [(left, low), (right, low), (right, high), (left, high), (left, low)]
+            corners.setdefault(float(values[first]), []).append(ring)
+    if element.ground == WHITE:
+        corners.pop(WHITE, None)
+    codes = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
+    return {
+        tone: Path(np.concatenate(rings), codes * len(rings)) for tone, rings in corners.items()
+    }
+
+
+def _add_grid(image, element, cell):
+    """Add the difference of a grid's tones to what lies below them."""
+    x, y, tones = element.grid()
+    first_column, across = _overlaps(x, cell, image.shape[1])
+    first_row, upward = _overlaps(y, cell, image.shape[0])
+    part = upward.T @ (tones - element.ground) @ across
+    rows, columns = part.shape
+    image[first_row : first_row + rows, first_column : first_column + columns] += part
+
+
+def _overlaps(edges, cell, count):
+    """The share of each cell that each interval covers, from the first cell that any covers."""
+    first = int(np.floor(edges[0] / cell))
+    last = min(int(np.ceil(edges[-1] / cell)), count)
+    low = np.arange(first, last) * cell
+    inner = np.minimum(edges[1:, None], low + cell) - np.maximum(edges[:-1, None], low)
+    return first, np.clip(inner, 0, None) / cell
+
+
+def _add_text(image, element, cell):
+    """Add the difference of letters' tone to what lies below them."""
+    from matplotlib.backends.backend_agg import RendererAgg
+    from matplotlib.transforms import Affine2D
+
+    outline = element.outline()
+    if not len(outline.vertices):
+        return
+    box = outline.get_extents().get_points() / cell
+    first = np.maximum(np.floor(box[0]).astype(int), 0)
+    last = np.minimum(np.ceil(box[1]).astype(int), image.shape[::-1])
+    renderer = RendererAgg(*(last - first), 72)
+    plain = renderer.new_gc()
+    plain.set_linewidth(0)
+    plain.set_snap(False)
+    to_cells = Affine2D().scale(1 / cell).translate(*-first)
+    renderer.draw_path(plain, outline, to_cells, (0, 0, 0))
+    share = np.asarray(renderer.buffer_rgba())[::-1, :, 3] / np.float32(255)
+    change = np.float32(element.tone - element.ground)
+    image[first[1] : last[1], first[0] : last[0]] += share * change

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import textwrap
 from pathlib import Path
 
 
@@ -31,18 +32,34 @@ def print_rows(frame, options, *, upright=None):
     """Print a DataFrame as a table or as JSON, and write it where ``--csv`` says.
 
     JSON is a list with an object for each row, null where a figure is not measurable. ``upright``
-    names the column that heads the table when each row is printed as a column.
+    names the column that heads the table when each row is printed as a column. What stands in the
+    column ``remarks`` is printed below the table.
     """
     write_rows(frame, options)
     if options.json:
         print_json(frame.astype(object).to_dict(orient="records"))
         return
+    remarks = _remarks(frame)
+    frame = frame.drop(columns="remarks", errors="ignore")
     if upright is not None:
         frame = frame.set_index(upright).T.rename_axis("figure").reset_index()
     if frame.empty:
         print(f"{' '.join(frame.columns)}\nnone")
         return
     print(_texts_left(frame).to_string(index=False, float_format=_figure))
+    for remark in remarks:
+        print(textwrap.fill(remark, 99))
+
+
+def _remarks(frame):
+    """What the rows remark, each sentence once, behind the file that it is about."""
+    rows = frame[frame["remarks"] != ""] if "remarks" in frame else frame[:0]
+    names = rows["file"] if "file" in rows else [""] * len(rows)
+    said = (
+        f"{name}: {text}".removeprefix(": ")
+        for name, text in zip(names, rows.get("remarks", []), strict=True)
+    )
+    return list(dict.fromkeys(said))
 
 
 def write_rows(frame, options):

@@ -1,25 +1,33 @@
-"""Compare the heights of a cloud with reference points or a raster of heights.
+"""Compare a cloud with surveyed heights (points or a raster), or with surveyed plan positions.
 
-At each reference point the cloud around it is triangulated; the height differences are summarised
-with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning, section 3.2).
-Reference points without a valid difference are counted by reason. In the words of the ASPRS
-Positional Accuracy Standards (edition 2, 2023): check points should be 30 or more; rmse_v_mm is the
-vertical accuracy of the product, the RMSE with the shift kept and the standard deviation of the
-check points' own survey (--reference-std) together; drive against drive is relative accuracy. The
-trend over the distance is that of absolute differences with their shift removed.
+Heights: at each reference point the cloud around it is triangulated; the height differences are
+summarised with their systematic shift kept and removed (EuroSDR 2013, mobile laser scanning,
+section 3.2). Reference points without a valid difference are counted by reason. In the words of the
+ASPRS Positional Accuracy Standards (edition 2, 2023): check points should be 30 or more; rmse_v_mm
+is the vertical accuracy of the product, the RMSE with the shift kept and the standard deviation of
+the check points' own survey (--reference-std) together; drive against drive is relative accuracy.
+The trend over the distance is that of absolute differences with their shift removed.
+
+Plan positions (--targets): poles are circles, corners of buildings and curbs are where two lines
+meet, marks are bright spots, each in slices of height above its foot. The table has each kind and
+all together, with the shift in easting and northing kept and removed (equation 3-1).
 """
 
 import sys
 
 from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows
 
-SUMMARY = "height accuracy of a cloud against reference points or a raster"
+SUMMARY = "accuracy of a cloud against surveyed heights or plan positions"
 
 EPILOG = """\
-example:
+examples:
   mmqa accuracy street.laz levelled_points.csv --radius 0.5
   mmqa accuracy street.laz airborne.tif --classes 2,11 --thin 1
   mmqa accuracy street.laz airborne.tif --drives --trajectory path.csv --json
+  mmqa accuracy street.laz --targets targets.csv
+
+targets.csv has the columns x, y, z (of the foot, m), kind (pole, building, curb, mark) and, where
+known, name and diameter (of poles, m).
 """
 
 CHECKPOINTS = 30
@@ -28,84 +36,100 @@ CHECKPOINTS = 30
 FAR_MM = 1000.0
 """A median beyond this is no error of a scan: said."""
 
+NUMBERS = (
+    ("--radius", "M", 0.2, "of the surface, 0.2 m (default) where points are dense, 0.5 where not"),
+    ("--slope-limit", "DEG", 20.0, "steeper surfaces do not count, default 20 degrees"),
+    ("--gross-limit", "M", None, "differences farther off do not count; default five NMAD"),
+    ("--thin", "M", None, "take one reference point from each square this wide"),
+    ("--reference-std", "M", None, "standard deviation of the reference's own heights"),
+    ("--gap", "S", 3600.0, "time without points that separates drives, default 3600 s"),
+    ("--search", "M", 0.4, "points of poles and marks lie this near to the target, default 0.4 m"),
+)
+"""Options that take a number: flag, unit, default, help."""
+
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
-    parser.add_argument(
-        "reference",
-        metavar="REFERENCE",
-        help="points (CSV, text, LAS: x, y, z) or raster (GeoTIFF, Esri ASCII grid, npz)",
-    )
-    parser.add_argument(
-        "--classes",
-        metavar="C,C",
-        help="take points of these classes only, such as 2,11 (ground, road) of LAS files",
-    )
-    parser.add_argument(
-        "--trajectory",
-        metavar="FILE",
-        help="CSV of the path: adds the trend of absolute differences, less their shift",
-    )
-    parser.add_argument(
-        "--radius",
-        type=float,
-        default=0.2,
-        metavar="M",
-        help="of the triangulated surface, 0.2 m (default) where points are dense, 0.5 m where not",
-    )
-    parser.add_argument(
-        "--slope-limit",
-        type=float,
-        default=20.0,
-        metavar="DEG",
-        help="steeper surfaces do not count, default %(default)s degrees",
-    )
-    parser.add_argument(
-        "--gross-limit",
-        type=float,
-        metavar="M",
-        help="differences farther from the median do not count; default five NMAD",
-    )
-    parser.add_argument(
-        "--thin",
-        type=float,
-        metavar="M",
-        help="take one reference point from each square this wide",
-    )
-    parser.add_argument(
-        "--reference-std",
-        type=float,
-        metavar="M",
-        help="standard deviation of the reference's own heights: adds rmse_v_mm",
-    )
-    parser.add_argument(
-        "--drives",
-        action="store_true",
-        help="each drive on its own, and against the first",
-    )
-    parser.add_argument(
-        "--gap",
-        type=float,
-        default=3600.0,
-        metavar="S",
-        help="time without points that separates drives, default %(default).0f s",
-    )
-    parser.add_argument(
-        "--out",
-        "--differences",
-        type=output_file,
-        metavar="FILE",
-        help="write each difference to this CSV",
-    )
+    add = parser.add_argument
+    add("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
+    add("reference", metavar="REFERENCE", nargs="?", help="points (CSV, LAS) or raster (GeoTIFF)")
+    add("--targets", metavar="FILE", help="CSV of poles, corners and marks: accuracy in plan")
+    add("--slices", choices=("ours", "report"), default="ours", help="of height above the foot")
+    add("--classes", metavar="C,C", help="take points of these classes only, such as 2,11")
+    add("--trajectory", metavar="FILE", help="CSV of the path: adds the trend over the distance")
+    for flag, unit, default, text in NUMBERS:
+        add(flag, type=float, metavar=unit, default=default, help=text)
+    add("--drives", action="store_true", help="each drive on its own, and against the first")
+    differences = {"type": output_file, "metavar": "FILE", "help": "write each difference here"}
+    add("--out", "--differences", **differences)
     add_output_arguments(parser)
 
 
 def run(options):
     """Compare, then print and write."""
+    if (options.reference is None) == (options.targets is None):
+        raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
+    summary, differences = (_heights if options.targets is None else _plan)(options)
+    if options.out is not None:
+        from mmqa_lab.io import write_atomically
+
+        write_atomically(options.out, lambda file: differences.to_csv(file, index=False))
+    print_rows(summary, options)
+
+
+def _plan(options):
+    """Figures and differences of the targets in plan."""
     import pandas as pd
 
-    from mmqa_lab.io import read_heights, read_trajectory, write_atomically
+    from mmqa_lab.testfield import REPORT_SLICES, SLICES, plan_accuracy, plan_differences
+
+    targets = read_targets(options.targets)
+    cloud = _read(options, also=("intensity",) if (targets["kind"] == "mark").any() else ())
+    slices = {"ours": SLICES, "report": REPORT_SLICES}[options.slices]
+    table = plan_differences(cloud, targets, slices=slices, search=options.search)
+    if (table["reason"] != "").all():
+        reasons = ", ".join(sorted(set(table["reason"])))
+        raise ValueError(
+            f"Invalid targets {options.targets}: none measured in the cloud ({reasons}). Must lie "
+            f"in it ({_extent(cloud.points)}), with the height of the foot."
+        )
+    groups = [*table.groupby("kind", sort=False), ("all", table)]
+    rows = [plan_accuracy(rows).assign(kind=kind) for kind, rows in groups]
+    summary = pd.concat(rows, ignore_index=True)
+    summary.insert(0, "kind", summary.pop("kind"))
+    return summary, table
+
+
+def read_targets(path, kind=None):
+    """Targets of a CSV file as ``plan_differences`` takes them; all of a kind where it is given."""
+    import numpy as np
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, skipinitialspace=True)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"Invalid targets {path}: no such file. Must exist.") from None
+    except (ValueError, UnicodeDecodeError):
+        raise ValueError(f"Invalid targets {path}: no table. Must be a CSV file.") from None
+    table = table.rename(columns={name: f"{name}_m" for name in ("x", "y", "z", "diameter")})
+    table = table if kind is None else table.assign(kind=kind)
+    missing = [name for name in ("x_m", "y_m", "z_m", "kind") if name not in table]
+    if missing or not len(table):
+        lacks = f"no column {missing[0].removesuffix('_m')!r}" if missing else "no targets"
+        raise ValueError(f"Invalid targets {path}: {lacks}. Must have x, y, z and kind.")
+    xyz = table[["x_m", "y_m", "z_m"]].apply(pd.to_numeric, errors="coerce")
+    bad = ~np.isfinite(xyz).all(axis=1)
+    if bad.any():
+        line = bad.idxmax() + 2
+        raise ValueError(f"Invalid targets {path}: no finite number in line {line}. Must be three.")
+    return table.assign(**xyz)
+
+
+def _heights(options):
+    """Figures and differences of heights."""
+    import pandas as pd
+
+    from mmqa_lab.io import read_heights, read_trajectory
     from mmqa_lab.testfield import thinned
 
     reference = read_heights(options.reference)
@@ -114,24 +138,25 @@ def run(options):
     path = None if options.trajectory is None else read_trajectory(options.trajectory)
     cloud = _read(options)
     tables = _compared(cloud, reference, options)
-    _check_overlap(tables, cloud.points, reference)
+    if not any((table["n"] > 0).any() for table in tables.values()):
+        raise ValueError(
+            f"Invalid reference: no point of the cloud ({_extent(cloud.points)}) lies near one of "
+            f"it ({_extent(reference)}). Must overlap, in one coordinate system."
+        )
     rows = [_rows(name, table, path, options.reference_std) for name, table in tables.items()]
-    if options.out is not None:
-        differences = pd.concat([table.assign(drive=name) for name, table in tables.items()])
-        write_atomically(options.out, lambda file: differences.to_csv(file, index=False))
     summary = pd.concat(rows, ignore_index=True)
     _warn(summary)
-    print_rows(summary, options)
+    return summary, pd.concat([table.assign(drive=name) for name, table in tables.items()])
 
 
-def _read(options):
+def _read(options, also=()):
     """The cloud, or its points of the classes asked for."""
     import numpy as np
 
     from mmqa_lab.io import read_cloud
 
     wanted = {"gps_time": options.drives, "classification": options.classes is not None}
-    cloud = read_cloud(options.cloud, columns=[name for name in wanted if wanted[name]])
+    cloud = read_cloud(options.cloud, columns=[*also, *(name for name in wanted if wanted[name])])
     if options.classes is None:
         return cloud
     try:
@@ -147,19 +172,10 @@ def _read(options):
     return cloud[chosen]
 
 
-def _check_overlap(tables, points, reference):
-    """Refuse a reference that lies elsewhere."""
-    if any((table["n"] > 0).any() for table in tables.values()):
-        return
-    cloud, other = (
-        f"x {xyz[:, 0].min():.1f} to {xyz[:, 0].max():.1f} m, "
-        f"y {xyz[:, 1].min():.1f} to {xyz[:, 1].max():.1f} m"
-        for xyz in (points, reference)
-    )
-    raise ValueError(
-        f"Invalid reference: no point of the cloud ({cloud}) lies near one of it ({other}). "
-        "Must overlap, in one coordinate system."
-    )
+def _extent(xyz):
+    """Where points lie, in words."""
+    (west, south), (east, north) = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    return f"x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m"
 
 
 def _warn(summary):
@@ -182,7 +198,7 @@ def _warn(summary):
 
 def _compared(cloud, reference, options):
     """Tables of differences by name: the whole cloud, or each drive and drive against drive."""
-    from mmqa_lab.testfield import between_drives, height_differences, split_drives
+    from mmqa_lab.testfield import height_differences, split_drives
 
     choices = {
         "radius": options.radius,
@@ -198,8 +214,10 @@ def _compared(cloud, reference, options):
         points = cloud.points[drive == number]
         tables[f"drive {number + 1}"] = height_differences(points, reference, **choices)
     for number in range(1, drive.max() + 1):
-        name = f"drive {number + 1}"
-        tables[f"drive 1 - {name}"] = between_drives(tables["drive 1"], tables[name])
+        first, other = tables["drive 1"], tables[f"drive {number + 1}"]
+        reason = first["reason"].where(first["reason"] != "", other["reason"])
+        between = first.assign(dz_m=first["dz_m"] - other["dz_m"], reason=reason)
+        tables[f"drive 1 - drive {number + 1}"] = between
     return tables
 
 
@@ -208,8 +226,7 @@ def _rows(name, table, path, reference_std):
     import numpy as np
 
     from mmqa_lab._checks import check_number
-    from mmqa_lab.testfield import distance_to_path, height_accuracy
-    from mmqa_lab.testfield.heights import REASONS
+    from mmqa_lab.testfield import REASONS, distance_to_path, height_accuracy
 
     rows = height_accuracy(table)
     rows.insert(0, "drive", name)
@@ -236,4 +253,4 @@ def _trend(distance, values_mm):
         line = trend(distance, values_mm)
     except ValueError:
         return dict.fromkeys(names, float("nan"))
-    return dict(zip(names, (line.slope, line.slope_low, line.slope_high), strict=True))
+    return dict(zip(names, line[["slope", "slope_low", "slope_high"]], strict=True))

@@ -116,7 +116,7 @@ def _means(results):
 
 def _write(comparison, results, out):
     """Write the results, the study's tables and figures, and what failed."""
-    from mmqa_lab import bench
+    from mmqa_lab import bench, plots
     from mmqa_lab.io import write_atomically
 
     write_atomically(out / "results.nc", results.to_netcdf)
@@ -125,6 +125,9 @@ def _write(comparison, results, out):
         indexed = any(table.index.names)
         text = table.to_csv(index=indexed)
         write_atomically(out / f"{name}.csv", lambda path, text=text: path.write_text(text))
-    for name, figure in (comparison.figures(results) if comparison.figures else {}).items():
-        for ending in ("png", "svg"):
-            write_atomically(out / f"{name}.{ending}", figure.savefig)
+    if comparison.figures is None:
+        return
+    with plots.style():
+        for name, figure in comparison.figures(results).items():
+            for ending in ("png", "svg"):
+                write_atomically(out / f"{name}.{ending}", figure.savefig)

@@ -56,9 +56,9 @@ def run(options):
     from mmqa_lab.io import write_atomically
 
     writers = {
-        ".pdf": charts.to_pdf,
-        ".svg": lambda layout: charts.to_svg(layout).encode(),
-        ".json": lambda layout: charts.to_json(layout).encode(),
+        ".pdf": charts.Layout.to_pdf,
+        ".svg": charts.Layout.to_svg,
+        ".json": lambda layout: layout.to_json().encode(),
     }
     ending = check_choice(options.out.suffix.lower(), "ending", tuple(writers))
     if options.layout is not None:

@@ -9,12 +9,7 @@ most sqrt(1 / rho0). Without --polygon the whole cloud is taken for the surface.
 
 import argparse
 
-from mmqa_lab.commands._output import (
-    add_output_arguments,
-    output_file,
-    print_rows,
-    with_progress,
-)
+from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows, with_progress
 
 SUMMARY = "point density, planarity and point spacing of a surface in a cloud"
 
@@ -29,10 +24,10 @@ COLUMNS = (
     *("file", "n", "area_polygon_m2", "area_hull_m2"),
     *("density_polygon_per_m2", "density_hull_per_m2", "std_mm", "sigma_mad_mm"),
     *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f", "f_exempt"),
-    *("incomplete_share", "coincident", "axes"),
+    *("incomplete_share", "coincident", "axes", "remarks"),
 )
 
-INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit")
+INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit", "remarks")
 
 
 def add_arguments(parser):
@@ -94,24 +89,26 @@ def run(options):
 
     from mmqa_lab._checks import check_choice
     from mmqa_lab.chart_cloud import evaluate_cloud
-    from mmqa_lab.io import read_cloud, read_polygon
+    from mmqa_lab.io import read_cloud
     from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 
     if options.out is not None:
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
-    polygon = None if options.polygon is None else read_polygon(options.polygon)
     scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
     choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
     rows = []
     for file in with_progress(options.cloud, "cloud"):
         cloud = read_cloud(file, columns=())
-        quality = evaluate_cloud(cloud, polygon=polygon, scale=scale, rho0=options.rho0, **choices)
+        quality = evaluate_cloud(
+            cloud, polygon=options.polygon, scale=scale, rho0=options.rho0, **choices
+        )
         table = quality.intervals() if options.intervals else quality.to_frame()
-        rows.append(table.assign(file=str(file)))
+        rows.append(table.assign(file=str(file), remarks=" ".join(quality.remarks)))
     if options.out is not None:
         _draw(quality, options.out)
     names = INTERVAL_COLUMNS if options.intervals else COLUMNS
-    print_rows(pd.concat(rows)[list(names)], options)
+    one = len(rows) == 1 and not options.intervals
+    print_rows(pd.concat(rows)[list(names)], options, upright="file" if one else None)
 
 
 def _draw(quality, file):
@@ -119,8 +116,8 @@ def _draw(quality, file):
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
 
-    plots.use_style()
-    write_atomically(file, quality.plot().savefig)
+    with plots.style():
+        write_atomically(file, quality.plot().savefig)
 
 
 def _axes(text):

@@ -62,44 +62,44 @@ def run(options):
     """Evaluate every image, then print, write and draw."""
     import pandas as pd
 
-    from mmqa_lab import chart_image
     from mmqa_lab._checks import check_choice
+    from mmqa_lab.chart_image import evaluate_file
+    from mmqa_lab.chart_image.evaluation import read_layout
     from mmqa_lab.io import write_atomically
 
     if options.out is not None:
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
-    layout = chart_image.read_layout(options.chart)
+    layout = read_layout(options.chart)
     choices = {
         "corners": None if options.corners is None else _corners(options.corners),
         "camera": "panorama" if options.panorama else "plain",
         "gamma": "linear" if options.linear else "srgb",
+        "orientation": options.orientation,
     }
-    if options.orientation is not None:
-        choices["orientation"] = chart_image.read_orientation(options.orientation)
     rows, patterns = [], []
     for file in with_progress(options.image, "image"):
-        quality, window = chart_image.evaluate_file(file, layout, **choices)
+        quality = evaluate_file(file, layout, **choices)
         rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
     if options.patterns is not None:
         table = pd.concat(patterns)
         write_atomically(options.patterns, lambda path: table.to_csv(path, index=False))
     if options.out is not None:
-        _draw(window, quality, layout, options.out)
+        _draw(quality, options.out)
     # one figure per line reads better than twenty columns
     print_rows(pd.concat(rows), options, upright="file")
 
 
-def _draw(window, quality, layout, file):
+def _draw(quality, file):
     """Write the figure of one evaluated photograph."""
     from mmqa_lab import plots
     from mmqa_lab.io import write_atomically
 
-    plots.use_style()
-    figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
-    quality.plot(window.values, layout, ax=axes[0])
-    quality.plot_contrast(ax=axes[1])
-    write_atomically(file, figure.savefig)
+    with plots.style():
+        figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
+        quality.plot(ax=axes[0])
+        quality.plot_contrast(ax=axes[1])
+        write_atomically(file, figure.savefig)
 
 
 def _corners(text):

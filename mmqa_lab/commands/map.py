@@ -86,22 +86,19 @@ def run(options):
     import sys
 
     from mmqa_lab import maps
-    from mmqa_lab._checks import check_choice, check_positive
-    from mmqa_lab.maps import VARIABLES
-    from mmqa_lab.maps.files import known_crs
-    from mmqa_lab.maps.outputs import check_crs, check_ending, check_place
-    from mmqa_lab.maps.summary import check_thresholds
+    from mmqa_lab._checks import check_choice, check_crs, check_positive
+    from mmqa_lab.maps.campaign import known_crs
+    from mmqa_lab.maps.results import check_place, check_thresholds, write_report
+    from mmqa_lab.maps.tile import variables
 
-    check_ending(options.out)
-    wanted = [name for metric in options.metrics for name in VARIABLES.get(metric, ())]
-    check_thresholds(options.below, wanted)
+    check_thresholds(options.below, variables(options.metrics))
     if options.rho0 is not None:
         check_positive(options.rho0, "rho0", unit="points per m2")
         check_choice("spacing", "metric for --rho0", options.metrics)
     if options.crs:
         check_crs(options.crs)
-    elif options.out.suffix == ".tif":
-        check_place(options.out, known_crs(options.cloud))
+    lazily = options.out.suffix == ".tif" and not options.crs
+    check_place(options.out, known_crs(options.cloud) if lazily else "given")
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
@@ -111,7 +108,8 @@ def run(options):
         dataset = dataset.persist()
     table = maps.summarise(dataset, below=options.below)
     maps.write_map(dataset, options.out)
-    _write_report(options, outcome, dataset, table)
+    about = _about(outcome, dataset) | {"problems": outcome.problems}
+    write_report(options.out.with_suffix(".html"), dataset, table, **about)
     options.csv = options.csv or options.out.with_suffix(".csv")
     print_rows(table, options)
     for problem in outcome.problems:
@@ -119,22 +117,15 @@ def run(options):
     return 1 if outcome.problems else 0
 
 
-def _write_report(options, outcome, dataset, table):
-    """The report and its figure."""
-    from mmqa_lab.io import write_atomically
-    from mmqa_lab.maps.report import draw_map, write_report
-
+def _about(outcome, dataset):
+    """Title and lines of the report."""
     points = dataset["n"].sum(dim=("y", "x")).to_series()
     lines = [
         f"{outcome.points} points, {outcome.tiles} tiles",
         *(f"points in layer {layer}: {n}" for layer, n in points.items()),
         *(f"{name}: {value}" for name, value in dataset.attrs.items()),
     ]
-    out = options.out
-    about = {"title": f"Map {out.name}", "lines": lines, "problems": outcome.problems}
-    figure = draw_map(dataset)
-    write_report(out.with_suffix(".html"), figure, table, **about)
-    write_atomically(out.with_suffix(".png"), figure.savefig)
+    return {"title": f"Map {outcome.folder.stem}", "lines": lines}
 
 
 def _names(text):

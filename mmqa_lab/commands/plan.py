@@ -24,19 +24,23 @@ example:
       --sigma target_heading_deg=1.93
 """
 
-FLAGS = (
-    ("--pulse-rate", "HZ", "pulses per second"),
-    ("--mirror-frequency", "HZ", "revolutions of the mirror per second"),
-    ("--speed", "M/S", "speed of the vehicle"),
-    ("--scanner-heading", "DEG", "scan plane turned about the vertical, default 0 or the preset's"),
-    ("--scanner-tilt", "DEG", "scan plane tilted about X, default 0 or the preset's"),
-)
+SETUP = {
+    "pulse_rate": ("pulse_rate_hz", "pulses per second"),
+    "mirror_frequency": ("mirror_frequency_hz", "revolutions of the mirror per second"),
+    "speed": ("speed_m_s", "speed of the vehicle"),
+    "scanner_heading": ("scanner_heading_deg", "scan plane turned about the vertical, default 0"),
+    "scanner_tilt": ("scanner_tilt_deg", "scan plane tilted about X, default 0"),
+}
+"""Options that describe the set-up: fields of ``ScanSetup`` and what they are."""
+
+UNITS = {"_hz": "HZ", "_m_s": "M/S", "_deg": "DEG"}
 
 
 def add_arguments(parser):
     """Declare the arguments."""
-    for flag, unit, text in FLAGS:
-        parser.add_argument(flag, type=float, metavar=unit, help=text)
+    for name, (field, text) in SETUP.items():
+        unit = next(unit for ending, unit in UNITS.items() if field.endswith(ending))
+        parser.add_argument(_flag(name), type=float, metavar=unit, help=text)
     number = {"type": float, "default": 0.0}
     parser.add_argument("--target-heading", metavar="DEG", help="default 0", **number)
     parser.add_argument("--target-tilt", metavar="DEG", help="default 0", **number)
@@ -105,9 +109,8 @@ def run(options):
     if options.json:
         print_json(answer)
         return
-    width = max(map(len, answer))
     for name, value in answer.items():
-        print(f"{name:<{width}}  {value:.6g}")
+        print(f"{name:<31}  {value:.6g}")
 
 
 def _with_errors(answer, setup, target, options):
@@ -127,44 +130,36 @@ def _with_errors(answer, setup, target, options):
 
 def _setup(options):
     """The set-up from the preset and from what was given beside it."""
+    from dataclasses import replace
+
     from mmqa_lab.scan_pattern import ScanSetup
 
-    given = {name: getattr(options, name) for name in _NAMES}
-    preset = {} if options.scanner is None else _preset(options.scanner)
-    values = {**preset, **{name: value for name, value in given.items() if value is not None}}
+    given = {name: getattr(options, name) for name in SETUP if getattr(options, name) is not None}
     if options.largest_speed is not None:
-        values.setdefault("speed", 1.0)
-    for name in ("pulse_rate", "mirror_frequency", "speed"):
-        if name not in values:
-            flag = name.replace("_", "-")
+        given.setdefault("speed", 1.0)
+    for name in ("speed",) if options.scanner else ("pulse_rate", "mirror_frequency", "speed"):
+        if name not in given:
             preset = "" if name == "speed" else ", or a preset with --scanner"
-            raise ValueError(f"Invalid plan without --{flag}. Must have it{preset}.")
-    return ScanSetup(
-        pulse_rate_hz=values["pulse_rate"],
-        mirror_frequency_hz=values["mirror_frequency"],
-        speed_m_s=values["speed"],
-        scanner_heading_deg=values.get("scanner_heading", 0.0),
-        scanner_tilt_deg=values.get("scanner_tilt", 0.0),
-    )
+            raise ValueError(f"Invalid plan without {_flag(name)}. Must have it{preset}.")
+    values = {SETUP[name][0]: value for name, value in given.items()}
+    if options.scanner is None:
+        return ScanSetup(**values)
+    return replace(ScanSetup.of_scanner(_preset(options.scanner), speed_m_s=1.0), **values)
 
 
-_NAMES = tuple(flag[2:].replace("-", "_") for flag, _, _ in FLAGS)
+def _flag(name):
+    """An option as it is typed."""
+    return "--" + name.replace("_", "-")
 
 
 def _preset(name):
-    """Pulse rate, mirror frequency and mounting of a simulator's profile scanner."""
+    """A profile scanner of the simulator."""
     from mmqa_lab._checks import check_choice
     from mmqa_lab.simulate.presets import PRESETS
     from mmqa_lab.simulate.scanners import ProfileScanner
 
     profilers = {key: s for key, s in PRESETS.items() if isinstance(s, ProfileScanner)}
-    scanner = profilers[check_choice(name, "scanner", tuple(profilers))]
-    return {
-        "pulse_rate": scanner.pulse_rate_hz,
-        "mirror_frequency": scanner.mirror_frequency_hz,
-        "scanner_heading": scanner.heading_deg,
-        "scanner_tilt": scanner.tilt_deg,
-    }
+    return profilers[check_choice(name, "scanner", tuple(profilers))]
 
 
 def _limit(text):

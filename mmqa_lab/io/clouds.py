@@ -1,13 +1,18 @@
 """Clouds from and to files.
 
 LAS, LAZ and COPC are read by laspy, PLY by plyfile (it keeps double precision and every property;
-VTK's reader rounds coordinates to float32), text by pandas, E57 by pye57 where it is installed.
-All of it arrives as :class:`mmqa_lab.cloud.Cloud`.
+VTK's reader rounds coordinates to float32), PCD by numpy, text by pandas, E57 by pye57 where it is
+installed. All of it arrives as :class:`mmqa_lab.cloud.Cloud`.
+
+LAS and LAZ headers are distrusted: what they say is checked before anything is allocated. A damaged
+count would otherwise make the readers loop for minutes, or ask for more memory than there is, which
+ends the process.
 """
 
 from __future__ import annotations
 
 import os
+import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,14 +21,25 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.io._files import damage_named, write_atomically
-from mmqa_lab.io._formats import e57_tables, pcd_tables, ply_tables
-from mmqa_lab.io._las import las_data, las_tables
-from mmqa_lab.io._text import text_tables
+from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
+from mmqa_lab.io.tables import text_tables
 
 LAS_ENDINGS = (".las", ".laz")
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".asc", ".pts")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", ".pcd", ".e57", *TEXT_ENDINGS)
+
+PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
+
+SCAN_ANGLE_STEP = 0.006
+"""Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10)."""
+
+LAS_POINT_FORMAT = 6
+
+VLR_HEADER, EVLR_HEADER = 54, 60
+"""Bytes of the header of a variable length record and of an extended one (LAS 1.4 R15)."""
+
+LASZIP_CHUNK = 50_000
+"""Points in a chunk where the writer does not choose."""
 
 
 def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
@@ -45,14 +61,14 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Cloud
         Points in float64. Columns are kept as read, but for ``scan_angle``, which is in degrees.
         Its ``resolution`` is the scale of a LAS header, or the step of single precision at the
-        largest coordinate of PLY and PCD; NaN else.
+        largest coordinate of PLY and PCD; NaN else. Its ``crs`` is what a LAS header names.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is no cloud, is damaged or cut short, holds no points, or lacks a column.
+        If it is no cloud, is damaged or cut short, has no points, or lacks a column.
 
     Warns
     -----
@@ -110,8 +126,8 @@ def iterate_cloud(
         listed = ", ".join(CLOUD_ENDINGS)
         raise ValueError(f"Invalid cloud {path} with ending {ending!r}. Must be one of {listed}.")
     bare = columns is not None and not len(columns)
-    for points, attributes, resolution in _tables(path, ending, chunk, bare):
-        yield _finite_cloud(path, points, _chosen(path, attributes, columns), resolution)
+    for points, attributes, about in _tables(path, ending, chunk, bare):
+        yield _finite_cloud(path, points, _chosen(path, attributes, columns), about)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) -> None:
@@ -123,7 +139,8 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) 
         Ends in ``.las`` or ``.laz``; an existing file is replaced.
     cloud : Cloud, array_like of shape (n, 3) or DataFrame
         Columns that LAS knows (``gps_time`` in seconds, ``intensity``, ``scan_angle`` in
-        degrees, ``classification``, ...) go to their fields, the others to extra dimensions.
+        degrees, ``classification``, ...) go to their fields, the others to extra dimensions. Its
+        ``crs`` goes to the header.
     scale : float
         Coordinates are rounded to this step, m.
 
@@ -154,12 +171,12 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud, *, scale: float = 0.001) 
 
 
 def _tables(path, ending, chunk, bare):
-    """Points, attributes and resolution of a file's pieces."""
+    """Points, attributes, and resolution and CRS of a file's pieces."""
     if ending in LAS_ENDINGS:
         with damage_named(path, "a complete LAS or LAZ file"):
             yield from las_tables(path, chunk, bare=bare)
     elif ending in TEXT_ENDINGS:
-        yield from ((*table, np.nan) for table in text_tables(path, chunk))
+        yield from ((*table, {}) for table in text_tables(path, chunk))
     else:
         yield from {".ply": ply_tables, ".pcd": pcd_tables, ".e57": e57_tables}[ending](path)
 
@@ -177,7 +194,7 @@ def _chosen(path, attributes, columns):
     return {column: attributes[column] for column in columns}
 
 
-def _finite_cloud(path, points, attributes, resolution):
+def _finite_cloud(path, points, attributes, about):
     """A cloud of the finite points, with a warning that counts the others."""
     if not np.isfinite(points).all():
         finite = np.isfinite(points).all(axis=1)
@@ -188,4 +205,241 @@ def _finite_cloud(path, points, attributes, resolution):
         )
         points = points[finite]
         attributes = {key: values[finite] for key, values in attributes.items()}
-    return Cloud(points, attributes, Path(path).stem, resolution)
+    return Cloud(points, attributes, path.stem, **about)
+
+
+def las_tables(path, chunk, *, bare=False):
+    """Yield points (n, 3), attributes, and scale and CRS, at most ``chunk`` points at a time.
+
+    ``bare`` leaves the attributes out, and compressed where the file's format allows it.
+
+    Raises
+    ------
+    Exception
+        Whatever the readers raise on a damaged file; ``ValueError`` where a check here finds it.
+    """
+    import laspy
+
+    _check_header(path)
+    kinds = laspy.DecompressionSelection
+    wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z if bare else kinds.all()
+    with laspy.open(path, decompression_selection=wanted) as reader:
+        header = reader.header
+        if header.are_points_compressed:
+            _check_compression(path, header)
+        names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
+        names = [] if bare else names
+        about = {"resolution": float(max(header.scales)), "crs": _las_crs(path, header)}
+        read = 0
+        for part in reader.chunk_iterator(chunk):
+            read += len(part)
+            attributes = {name: np.array(part[name]) for name in names}
+            if "scan_angle" in attributes:
+                attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
+            points = np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1)
+            yield points, attributes, about
+        if read < header.point_count:
+            raise ValueError(f"{read} points where the header says {header.point_count}")
+
+
+def las_data(cloud, scale):
+    """Return a cloud as laspy's LAS 1.4 data, coordinates in steps of ``scale``."""
+    import laspy
+
+    header = laspy.LasHeader(point_format=LAS_POINT_FORMAT, version="1.4")
+    header.scales = np.full(3, scale)
+    header.offsets = np.floor(cloud.points.min(axis=0))
+    if cloud.crs is not None:
+        header.add_crs(cloud.crs)
+    fields = set(header.point_format.dimension_names)
+    for key, values in cloud.columns.items():
+        if key not in fields:
+            kind = _extra_type(key, values)
+            header.add_extra_dim(laspy.ExtraBytesParams(name=key, type=kind))
+    las = laspy.LasData(header)
+    las.xyz = cloud.points
+    for key, values in cloud.columns.items():
+        las[key] = _angle_steps(values) if key == "scan_angle" else values
+    return las
+
+
+def _las_crs(path, header):
+    """The coordinate reference system that a LAS header names, None without one."""
+    try:
+        return header.parse_crs()
+    except Exception as error:
+        reason = first_sentence(error)
+        warnings.warn(
+            f"{path} names a coordinate system that is not known: {reason}.", stacklevel=2
+        )
+        return None
+
+
+def _check_header(path):
+    """Whether the records that the header counts fit into the file."""
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(375)
+    if len(head) < 227 or head[:4] != b"LASF":
+        raise ValueError("no LAS header")
+    header_size, points_at, records = struct.unpack_from("<HII", head, 94)
+    if header_size + VLR_HEADER * records > points_at or points_at > size:
+        raise ValueError(f"{records} records before byte {points_at} of {size}")
+    if head[25] >= 4 and len(head) >= 247:
+        start, extended = struct.unpack_from("<QI", head, 235)
+        if extended and start + EVLR_HEADER * extended > size:
+            raise ValueError(f"{extended} extended records from byte {start} of {size}")
+
+
+def _check_compression(path, header):
+    """Whether the chunks of a LAZ file are as many and as long as the file."""
+    import lazrs
+
+    record = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    if record.item_size() != header.point_format.size:
+        raise ValueError(f"points of {record.item_size()} bytes, not {header.point_format.size}")
+    fixed = not record.uses_variable_size_chunks()
+    if fixed and not 0 < record.chunk_size() <= max(header.point_count, LASZIP_CHUNK):
+        raise ValueError(f"chunks of {record.chunk_size()} points")
+    size, first = path.stat().st_size, header.offset_to_point_data + 8
+    with open(path, "rb") as file:
+        file.seek(first - 8)
+        table = int.from_bytes(file.read(8), "little", signed=True)
+        if table == -1:  # written to a stream: the place of the table stands at the end
+            file.seek(size - 8)
+            table = int.from_bytes(file.read(8), "little", signed=True)
+        if not first <= table <= size - 8:
+            raise ValueError(f"a table of chunks at byte {table} of {size}")
+        file.seek(table + 4)
+        chunks = int.from_bytes(file.read(4), "little")
+        if chunks > (table - first) // header.point_format.size + 1:
+            raise ValueError(f"{chunks} chunks in {table - first} bytes")
+        file.seek(first - 8)
+        lengths = [length for _, length in lazrs.read_chunk_table(file, record) or []]
+    if sum(lengths) > table - first:
+        raise ValueError(f"chunks of {sum(lengths)} bytes in {table - first}")
+
+
+def _extra_type(name, values):
+    """The LAS extra-bytes type of a column."""
+    if values.ndim != 1 or values.dtype.kind not in "fiub":
+        raise ValueError(
+            f"Invalid column {name!r} of type {values.dtype} and shape {values.shape}. "
+            "Must be one number for each point."
+        )
+    return np.uint8 if values.dtype.kind == "b" else values.dtype
+
+
+def _angle_steps(degrees):
+    """Scan angles as LAS 1.4 stores them, -180 to 180 degrees in steps of 0.006."""
+    wrapped = (np.asarray(degrees, dtype=np.float64) + 180) % 360 - 180
+    return np.round(wrapped / SCAN_ANGLE_STEP).astype(np.int16)
+
+
+def ply_tables(path):
+    """Yield points, attributes and the resolution of coordinates of a PLY file's vertices."""
+    from plyfile import PlyData
+
+    with damage_named(path, "a PLY file with vertices x, y, z"):
+        vertices = PlyData.read(path)["vertex"].data
+        yield _table(vertices)
+
+
+def pcd_tables(path):
+    """Yield points, attributes and the resolution of coordinates of a PCD file (0.7).
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, compressed, or has no x, y, z.
+    """
+    with damage_named(path, "a PCD file with x, y, z, ascii or binary"), open(path, "rb") as file:
+        header = _pcd_header(file)
+        fields = _pcd_fields(header)
+        count, size = int(header["POINTS"][0]), path.stat().st_size
+        kind = header["DATA"][0].lower()
+        if kind == "ascii":
+            rows = np.loadtxt(file, dtype=fields, ndmin=1, max_rows=count)
+        elif kind == "binary":
+            rows = np.frombuffer(file.read(min(count * fields.itemsize, size)), fields)
+        else:
+            raise ValueError(f"data are {kind}")
+        if len(rows) != count:
+            raise ValueError(f"{len(rows)} points where the header says {count}")
+        yield _table(rows)
+
+
+def e57_tables(path):
+    """Yield points, attributes and the resolution of coordinates of an E57 file, scan by scan.
+
+    Raises
+    ------
+    ValueError
+        If pye57 is not installed, or the file is damaged.
+    """
+    try:
+        import pye57
+    except ImportError:
+        raise ValueError(
+            f"Invalid cloud {path}: E57 needs the package pye57. Install it by pip install pye57."
+        ) from None
+    with damage_named(path, "an E57 file with Cartesian coordinates"):
+        file = pye57.E57(str(path))
+        for number in range(file.scan_count):
+            scan = file.read_scan(number, intensity=True, colors=True, ignore_missing_fields=True)
+            axes = [scan.pop(f"cartesian{axis}") for axis in "XYZ"]
+            scan = {name: np.asarray(values) for name, values in scan.items()}
+            points = np.stack(axes, axis=1).astype(np.float64)
+            yield points, scan, {"resolution": _e57_resolution(file.get_header(number), points)}
+
+
+def _e57_resolution(header, points):
+    """The step of a scan's coordinates before they were placed; NaN for double precision."""
+    from pye57 import libe57
+
+    node = libe57.StructureNode(header.points.prototype())["cartesianX"]
+    if isinstance(node, libe57.ScaledIntegerNode):
+        return float(node.scale())
+    if node.precision() != libe57.E57_SINGLE or not len(points):
+        return np.nan
+    return float(np.spacing(np.float32(np.abs(points - header.translation).max())))
+
+
+def _pcd_header(file):
+    """The entries of a PCD header, up to the line before the data."""
+    header = {}
+    for line in iter(file.readline, b""):
+        words = line.decode("ascii").split("#")[0].split()
+        if words:
+            header[words[0].upper()] = words[1:]
+        if "DATA" in header or len(header) > 20:
+            break
+    return header
+
+
+def _pcd_fields(header):
+    """The type of a PCD file's rows; padding fields get names of their own."""
+    names = [name if name != "_" else f"_{k}" for k, name in enumerate(header["FIELDS"])]
+    counts = header.get("COUNT", ["1"] * len(names))
+    kinds = [PCD_TYPES[t] + size for t, size in zip(header["TYPE"], header["SIZE"], strict=True)]
+    parts = zip(names, kinds, map(int, counts), strict=True)
+    return np.dtype([(name, kind) if n == 1 else (name, kind, n) for name, kind, n in parts])
+
+
+def _table(rows):
+    """Points, attributes and resolution of an array with fields x, y, z."""
+    points = np.stack([rows[axis] for axis in "xyz"], axis=1)
+    rest = [name for name in rows.dtype.names if name not in "xyz" and not name.startswith("_")]
+    return (
+        points.astype(np.float64),
+        {name: np.array(rows[name]) for name in rest},
+        {"resolution": _resolution(points)},
+    )
+
+
+def _resolution(points):
+    """The step of single precision at the largest coordinate; NaN for double precision."""
+    finite = points[np.isfinite(points)]
+    if points.dtype != np.float32 or not len(finite):
+        return np.nan
+    return float(np.spacing(np.abs(finite).max()))

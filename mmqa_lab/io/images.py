@@ -1,4 +1,4 @@
-"""Images from files."""
+"""Images from files, and between their grey values and linear light."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 import numpy as np
+
+from mmqa_lab._checks import check_choice
+
+GAMMAS = ("srgb", "linear")
+
+SRGB_KNEE = 0.0031308
 
 
 def read_grey(path: str | os.PathLike) -> np.ndarray:
@@ -56,6 +62,47 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
     if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
         raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits.")
     return grey
+
+
+def check_image(image, *, convert=True):
+    """Return a grey image as float64, or in its own type without ``convert``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is no array of real numbers with two dimensions, or has values that are not finite.
+    """
+    values = np.asarray(image)
+    if values.dtype.kind not in "fiu":
+        raise TypeError(f"Invalid image of type {values.dtype}. Must be real numbers.")
+    if values.ndim != 2 or min(values.shape) < 3:
+        raise ValueError(f"Invalid image of shape {values.shape}. Must be grey, 3 x 3 or larger.")
+    if not np.isfinite(values).all():
+        raise ValueError("Invalid image: values that are not finite. Must be finite.")
+    return values.astype(np.float64) if convert else values
+
+
+def encode(values, gamma):
+    """Return values 0..1 of linear light as the file's: unchanged, or by sRGB's curve."""
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    values = np.clip(values, 0, 1)
+    curve = 1.055 * np.maximum(values, SRGB_KNEE) ** (1 / 2.4) - 0.055
+    return np.where(values <= SRGB_KNEE, 12.92 * values, curve).astype(values.dtype)
+
+
+def decode(values, gamma):
+    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
+
+    Examples
+    --------
+    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
+    True
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    curve = ((np.maximum(values, 12.92 * SRGB_KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 12.92 * SRGB_KNEE, values / 12.92, curve).astype(values.dtype)
 
 
 def _is_complete(path):

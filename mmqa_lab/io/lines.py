@@ -1,9 +1,11 @@
-"""Line segments from and to CSV files: x1, y1, z1, x2, y2, z2 in metres, a segment in a line."""
+"""Line segments from CSV, GeoJSON and DXF files, and to CSV files."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,13 +23,15 @@ COLUMNS = ("x1", "y1", "z1", "x2", "y2", "z2")
 
 
 def read_segments(path: str | os.PathLike) -> Segments:
-    """Read line segments from a CSV or text file.
+    """Read line segments from a CSV or text file, GeoJSON or DXF.
 
     Parameters
     ----------
     path : path
-        A segment in a line: six numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas,
-        semicolons or white space. A header is optional; one with the names x1, y1, z1, x2, y2, z2
+        GeoJSON: the pieces of all LineStrings and MultiLineStrings. DXF (needs ``ezdxf``): the
+        pieces of all LINE, LWPOLYLINE and POLYLINE entities. Other files: a segment in a line: six
+        numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas, semicolons or white space.
+        A header is optional; one with the names x1, y1, z1, x2, y2, z2
         may have them in any order among others. ``#`` begins a comment.
 
     Returns
@@ -40,7 +44,8 @@ def read_segments(path: str | os.PathLike) -> Segments:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If a line lacks six finite numbers or a segment has no length; names the line.
+        If a file is damaged or ``ezdxf`` is not installed; if a line lacks six finite numbers or a
+        segment has no length; names the line.
 
     Examples
     --------
@@ -55,6 +60,9 @@ def read_segments(path: str | os.PathLike) -> Segments:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"Invalid segments {path}: no such file. Must exist.")
+    if path.suffix.lower() in READERS:
+        pieces = [pair for chain in READERS[path.suffix.lower()](path) for pair in pairwise(chain)]
+        return Segments(np.array(pieces, dtype=np.float64).reshape(-1, 2, 3), name=path.stem)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -103,10 +111,50 @@ def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> N
     ...     read_segments(f"{folder}/edges.csv").lengths.tolist()
     [2.5]
     """
-    from mmqa_lab.lines import check_segments
+    from mmqa_lab.lines.segments import check_segments
 
     frame = pd.DataFrame(check_segments(segments).ends.reshape(-1, 6), columns=list(COLUMNS))
     write_atomically(path, lambda temporary: frame.to_csv(temporary, index=False))
+
+
+def _chains_of_geojson(path):
+    """Vertices (n, 3) of each line of a GeoJSON file; those without a height lie at 0."""
+    try:
+        node = json.loads(path.read_text(encoding="utf-8-sig"))
+        features = node.get("features", [node])
+        geometries = [feature.get("geometry", feature) for feature in features]
+        chains = []
+        for geometry in geometries:
+            if geometry["type"] == "LineString":
+                chains.append(geometry["coordinates"])
+            elif geometry["type"] == "MultiLineString":
+                chains += geometry["coordinates"]
+        return [[(*vertex, 0.0)[:3] for vertex in chain] for chain in chains]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"Invalid segments {path}. Must be GeoJSON with lines of 3-D vertices."
+        ) from error
+
+
+def _chains_of_dxf(path):
+    """Vertices (n, 3) of each line of a DXF file."""
+    try:
+        import ezdxf
+    except ImportError as error:
+        raise ValueError(
+            f"Invalid segments {path}: ezdxf is not installed. Must be CSV or GeoJSON without it."
+        ) from error
+    try:
+        entities = ezdxf.readfile(path).modelspace()
+    except (OSError, ezdxf.DXFError) as error:
+        raise ValueError(f"Invalid segments {path}. Must be a DXF file.") from error
+    chains = [(line.dxf.start, line.dxf.end) for line in entities.query("LINE")]
+    chains += [line.vertices_in_wcs() for line in entities.query("LWPOLYLINE")]
+    chains += [line.points_in_wcs() for line in entities.query("POLYLINE")]
+    return [[tuple(vertex) for vertex in chain] for chain in chains]
+
+
+READERS = {".geojson": _chains_of_geojson, ".json": _chains_of_geojson, ".dxf": _chains_of_dxf}
 
 
 def _words(line):

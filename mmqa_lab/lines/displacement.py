@@ -8,15 +8,24 @@ with t and m the points of both lines at the middle of their common stretch, x t
 rows of B perpendicular to the model line. u(x) is a constant plus a drift, a Gaussian process of
 exponential covariance (a Gauss-Markov process along any straight way). Its size and the noise are
 those that the pairs make likely, averaged over a grid of both with their posterior weights.
+
+Pairs are found with the displacement. Two parallel neighbours half a metre apart cannot be told
+from each other while the whole set is displaced by more than that. But true pairs agree on one
+slowly varying displacement, and false ones do not. Hypotheses from pairs of crossing lines are
+scored by how many lines they bring together; the best are refined by turns (a displacement field
+from the pairs, pairs from the field); the outcomes are weighed by their evidence, and a pair stands
+that more than half of the weight speaks for.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from mmqa_lab.lines.candidates import LinePairs
-from mmqa_lab.lines.geometry import check_segments
+from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab.lines.pairing import LinePairs, by_stretches
+from mmqa_lab.lines.segments import check_segments, components
 
 DRIFT_LENGTH_M = 60.0
 CONSTANT_M = 1.0
@@ -31,29 +40,40 @@ WRONG_SHARE, WRONG_OFFSET_M = 0.04, 0.45
 """One pair in 25 is taken for a wrong one, 0.45 m off: enters the covariance as noise. Set so that
 95 % ellipsoids cover 95 % on simulated scenes (seeds 1000-1069)."""
 
+DRIFT_PRIOR = (0.2, 0.5)
+"""The same of the drift per axis, before the pairs are seen."""
+
 FIELD_PAIRS = 80
 """At most so many pairs, evenly drawn, carry the drift: the cost grows with their cube."""
 
+ANGLE_DEG = 8.0
+"""Largest angle between the lines of a pair."""
 
-@dataclass(frozen=True)
-class DriftPrior:
-    """What is believed of the drift's standard deviation per axis before the pairs are seen.
+OVERLAP = 0.18
+"""Least common stretch, as a part of the shorter line."""
 
-    Parameters
-    ----------
-    median_m : float
-    spread : float
-        Standard deviation of the natural logarithm.
+MAHALANOBIS = 11.8
+"""99.7 % quantile of chi-squared with two degrees of freedom."""
 
-    Examples
-    --------
-    >>> prior = DriftPrior(median_m=0.2, spread=0.5)
-    >>> round(float(prior.median_m * np.exp(prior.spread)), 2)  # one of six drifts is larger
-    0.33
-    """
+HYPOTHESES = 2000
+STARTS, STARTS_APART_M = 5, 0.4
+NEAR_M = 40.0
+"""Two lines so near to each other are displaced alike."""
 
-    median_m: float = 0.2
-    spread: float = 0.5
+SCORE_WIDTH_M = 0.35
+FIRST_ROUNDS, ROUNDS, REFINED = 3, 10, 4
+AGREEING_ENDS = (0.6, 0.37)
+"""Share of the ends that lie at one place: of true pairs, and of false ones, which often share the
+ground or the building."""
+
+END_NOISE_M, CUT_M = 0.55, 5.0
+"""Standard deviation of the gap between ends at one place; mean gap where one line is cut short."""
+
+CLUTTER_PER_M2 = 0.1
+"""Density of parallel unrelated lines that the evidence of an outcome is reckoned against."""
+
+TEMPER = 4.0
+"""Divides the evidence before outcomes are weighed: their pairs are not independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +138,7 @@ def fit_displacement(test, model, pairs):
 
     Examples
     --------
-    >>> from mmqa_lab.lines.geometry import Segments
+    >>> from mmqa_lab.lines import Segments
     >>> ends = [[[0, 0, 0], [0, 0, 9]], [[0, 0, 9], [8, 0, 9]], [[8, 0, 0], [8, 5, 0]]]
     >>> shift = fit_displacement(Segments(ends).moved([0.3, 0, 0.1]), ends, np.eye(3, dtype=bool))
     >>> shift.vector.round(2).tolist()
@@ -135,13 +155,13 @@ def fit_displacement(test, model, pairs):
     if start is None:
         return unknown
     seen = lines.observe(start)
-    field = DriftField(seen.select(evenly(len(rows))), start, DriftPrior())
+    field = _DriftField(seen.select(_evenly(len(rows))), start, DRIFT_PRIOR)
     field.choose()
     vector, covariance = field.mean()
     return Displacement(vector, covariance, field.drift, field.noise, len(rows))
 
 
-class DriftField:
+class _DriftField:
     """Gaussian process of the displacement about ``start``, given the offsets of line pairs."""
 
     def __init__(self, seen, start, prior):
@@ -248,7 +268,7 @@ class DriftField:
         return cho_solve(self._factor, right, check_finite=False)
 
     def _log_prior(self):
-        drift = np.log(self.drift / self.prior.median_m) / self.prior.spread
+        drift = np.log(self.drift / self.prior[0]) / self.prior[1]
         noise = np.log(self.noise / NOISE_PRIOR[0]) / NOISE_PRIOR[1]
         return -(drift**2 + noise**2) / 2
 
@@ -267,10 +287,260 @@ def _least_squares(seen):
     return np.linalg.solve(normal, np.einsum("nkd,nk->d", seen.frame, seen.offset))
 
 
-def evenly(n):
+def _evenly(n):
     """Indices of at most FIELD_PAIRS of n, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(n, FIELD_PAIRS)).round().astype(int))
 
 
 def _nearest(grid, value):
     return int(np.argmin(np.abs(np.log(grid / value))))
+
+
+class _Search(NamedTuple):
+    """How firmly the refinement keeps to a steady displacement.
+
+    Parameters
+    ----------
+    prior : tuple of two floats
+        Median of the drift, m, and spread of its logarithm.
+    start_m : float
+        Uncertainty of a hypothesis, per axis.
+    least_drift_m : float
+        The drift is taken to be this large at least when pairs are accepted.
+    reach_m : float
+        Largest remaining offset.
+    clutter_per_m2 : float
+        A pair is accepted where its density, times the ratio of its ends, exceeds this.
+    ease : float
+        Factor of the clutter in the first round, doubled each round up to one.
+    """
+
+    prior: tuple
+    start_m: float
+    least_drift_m: float
+    reach_m: float
+    clutter_per_m2: float
+    ease: float
+
+
+STEADY = _Search((0.2, 0.5), 0.2, 0.15, 0.5, 0.4, 0.05)
+DRIFTING = _Search((0.3, 0.8), 0.4, 0.4, 1.2, 0.1, 0.02)
+
+
+@dataclass(frozen=True, eq=False)
+class DisplacedMatch:
+    """Pairs and the displacement they agree on.
+
+    Parameters
+    ----------
+    pairs : array of bool, shape (p, q)
+    displacement : Displacement
+    evidence : float
+        Log of how much likelier the pairs of the best outcome are than chance, by what lies across
+        them and by their ends, per pair; NaN without pairs.
+    """
+
+    pairs: np.ndarray
+    displacement: Displacement
+    evidence: float
+
+
+def match_displaced(test, model, *, radius=4.0, seed=0):
+    """Pair two displaced segment sets by the displacement that brings most of them together.
+
+    Parameters
+    ----------
+    test, model : Segments or array_like
+        p and q segments, m.
+    radius : float
+        Largest displacement sought, m. Must exceed the true one; a larger radius costs time and
+        admits more false hypotheses.
+    seed : int
+        Of the random choice of hypotheses.
+
+    Returns
+    -------
+    DisplacedMatch
+        Without pairs when fewer than three lines agree.
+
+    Raises
+    ------
+    ValueError
+        If the radius is not positive.
+
+    Notes
+    -----
+    Segments must run in two directions at least. Settings were chosen on simulated canyons with
+    other seeds than those reported. The idea is that of line-based registration (Poreba & Goulette
+    2015); the distance of the 2013 paper is then taken at the original coordinates.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate.canyon import canyon
+    >>> scene = canyon(1)
+    >>> test, model = scene.surveys["C1"].segments, scene.surveys["TLS"].segments
+    >>> match = match_displaced(test, model)
+    >>> truth = scene.pairs("C1", "TLS")
+    >>> bool((match.pairs & truth).sum() > 0.9 * truth.sum())
+    True
+    """
+    test, model = check_segments(test, name="test"), check_segments(model, name="model")
+    radius = check_positive(radius, "radius", unit="m")
+    rng = np.random.default_rng(check_count(seed, "seed", low=0))
+    rows, columns = _candidates(test, model, radius)
+    outcomes = []
+    if len(rows) >= 3:
+        lines = LinePairs(test, model, rows, columns)
+        starts = _starts(lines, rows, columns, radius, rng)
+        shape = len(test), len(model)
+        for search in (STEADY, DRIFTING):
+            outcomes += _refined(starts, lines, rows, columns, shape, search)
+    if not outcomes:
+        pairs = np.zeros((len(test), len(model)), dtype=bool)
+        return DisplacedMatch(pairs, fit_displacement(test, model, pairs), np.nan)
+    best = max(outcomes, key=lambda outcome: outcome.evidence)
+    pairs = _agreed(outcomes, best)
+    displacement = fit_displacement(test, model, pairs)
+    return DisplacedMatch(pairs, displacement, best.evidence / best.pairs.sum())
+
+
+class _Refinement:
+    """Pairs and displacement field, each from the other by turns."""
+
+    def __init__(self, start, lines, rows, columns, shape, search):
+        self.start, self.lines, self.search = start, lines, search
+        self.rows, self.columns, self.shape = rows, columns, shape
+        self.expected = np.broadcast_to(start, (len(lines), 3))
+        uncertainty = search.start_m**2 * np.eye(3)
+        self.covariance = np.broadcast_to(uncertainty, (len(lines), 3, 3))
+        self.members = np.empty(0, dtype=int)
+        self.drift, self.noise, self.field = search.prior[0], 0.06, None
+        self.rounds, self.settled = 0, False
+
+    def round(self):
+        """One turn; False when fewer than three pairs remain."""
+        seen = self.lines.observe(self.expected)
+        self.ends = _log_ratio_of_ends(self.lines.end_gaps(self.expected))
+        density = self._log_densities(seen) + self.ends
+        clutter = self.search.clutter_per_m2 * min(1.0, self.search.ease * 2.0**self.rounds)
+        allowed = np.flatnonzero(density > np.log(clutter))
+        stretches = [part[allowed] for part in self.lines.stretches(self.expected)]
+        rows, columns = self.rows[allowed], self.columns[allowed]
+        self.pairs = by_stretches(self.shape, rows, columns, -density[allowed], stretches)
+        members = np.flatnonzero(self.pairs[self.rows, self.columns])
+        if len(members) < 3:
+            return False
+        self.settled = np.array_equal(members, self._accepted) if self.rounds else False
+        self._accepted = members
+        self.members = members[_evenly(len(members))]
+        self._update(seen)
+        self.rounds += 1
+        return True
+
+    def _log_densities(self, seen):
+        """Log density of each candidate's offset, members left out of their own prediction."""
+        residual = seen.offset - np.einsum("nkd,nd->nk", seen.frame, self.expected)
+        covariance = np.einsum("nkd,nde,nle->nkl", seen.frame, self.covariance, seen.frame)
+        covariance += (self.noise**2 + seen.variance)[:, None, None] * np.eye(2)
+        if self.field is not None:
+            residual[self.members], covariance[self.members] = self.field.left_out()
+        inverse, determinant = np.linalg.inv(covariance), np.linalg.det(covariance)
+        squares = np.einsum("nk,nkl,nl->n", residual, inverse, residual)
+        density = -squares / 2 - np.log(2 * np.pi) - np.log(determinant) / 2
+        far = np.linalg.norm(residual, axis=1) > self.search.reach_m
+        density[(squares > MAHALANOBIS) | far | (seen.overlap < OVERLAP)] = -np.inf
+        return density
+
+    def _update(self, seen):
+        """The field of the present members and what it expects of all candidates."""
+        self.field = _DriftField(seen.select(self.members), self.start, self.search.prior)
+        posterior = self.field.climb(self.drift, self.noise)
+        self.drift, self.noise = self.field.drift, self.field.noise
+        per_pair = posterior / len(self.members) - np.log(CLUTTER_PER_M2)
+        self.evidence = per_pair * len(self._accepted) + self.ends[self._accepted].sum()
+        if self.field.drift < self.search.least_drift_m:
+            self.field.set(self.search.least_drift_m, self.noise)
+        self.expected, self.covariance = self.field.at(seen.place)
+
+
+def _log_ratio_of_ends(gaps):
+    """How much likelier true pairs leave these gaps (n, 2) between their ends than false ones."""
+    agree = np.sqrt(2 / np.pi) / END_NOISE_M * np.exp(-((gaps / END_NOISE_M) ** 2) / 2)
+    cut = np.exp(-gaps / CUT_M) / CUT_M
+    true, false = (share * agree + (1 - share) * cut for share in AGREEING_ENDS)
+    return np.log(true / false).sum(axis=1)
+
+
+def _candidates(test, model, radius):
+    """Rows and columns of nearly parallel lines within the radius of each other."""
+    if not len(test) or not len(model):
+        return np.empty(0, dtype=int), np.empty(0, dtype=int)
+    parts = components(test, model)
+    shorter = np.minimum(test.lengths[:, None], model.lengths)
+    gap = np.abs(parts.shift) - (test.lengths[:, None] + model.lengths) / 2
+    parallel = parts.angle < np.sin(np.radians(ANGLE_DEG)) * shorter
+    return np.nonzero(parallel & (parts.perpendicular < radius) & (gap < radius))
+
+
+def _starts(lines, rows, columns, radius, rng):
+    """Displacements that bring many lines together, best first, apart from each other."""
+    seen = lines.observe(np.zeros(3))
+    normal = np.einsum("nkd,nke->nde", seen.frame, seen.frame)
+    right = np.einsum("nkd,nk->nd", seen.frame, seen.offset)
+    a, b = rng.integers(len(lines), size=(2, 8 * HYPOTHESES))
+    crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
+    near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
+    usable = crossing & near & (rows[a] != rows[b]) & (columns[a] != columns[b])
+    a, b = a[usable][:HYPOTHESES], b[usable][:HYPOTHESES]
+    shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
+    shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
+    scores = _scores(shifts, normal, right, lines, rows)
+    starts = []
+    for shift in shifts[np.argsort(-scores, kind="stable")]:
+        if all(np.linalg.norm(shift - other) > STARTS_APART_M for other in starts):
+            starts.append(shift)
+        if len(starts) == STARTS:
+            break
+    return starts
+
+
+def _scores(shifts, normal, right, lines, rows):
+    """How many test lines each shift brings to a model line, long ones counting more."""
+    products = np.einsum("nd,ne->nde", shifts, shifts).reshape(-1, 9)
+    unknowns = np.concatenate([np.ones((len(shifts), 1)), -2 * shifts, products], axis=1)
+    knowns = np.concatenate([(right**2).sum(axis=1)[:, None], right, normal.reshape(-1, 9)], axis=1)
+    weight = np.minimum(1, 2 * np.minimum(lines.test_half, lines.model_half) / 3)
+    first = np.flatnonzero(np.r_[True, np.diff(rows) > 0])
+    scores = np.empty(len(shifts))
+    for at in range(0, len(shifts), 200):
+        squares = unknowns[at : at + 200] @ knowns.T
+        near = np.maximum(0, 1 - squares / SCORE_WIDTH_M**2) * weight
+        scores[at : at + 200] = np.maximum.reduceat(near, first, axis=1).sum(axis=1)
+    return scores
+
+
+def _refined(starts, lines, rows, columns, shape, search):
+    """The best outcomes of one search, a short trial of every start first."""
+    trials = []
+    for start in starts:
+        trial = _Refinement(start, lines, rows, columns, shape, search)
+        if all(trial.round() for _ in range(FIRST_ROUNDS)):
+            trials.append(trial)
+    trials.sort(key=lambda trial: -trial.evidence)
+    outcomes = []
+    for trial in trials[:REFINED]:
+        while trial.rounds < ROUNDS and not (trial.settled and trial.rounds > 6):
+            if not trial.round():
+                break
+        else:
+            outcomes.append(trial)
+    return outcomes
+
+
+def _agreed(outcomes, best):
+    """The pairs that outcomes with more than half of the weight share, or the best one's if few."""
+    different = {outcome.pairs.tobytes(): outcome for outcome in outcomes}.values()
+    weights = [np.exp((outcome.evidence - best.evidence) / TEMPER) for outcome in different]
+    shares = np.average([outcome.pairs for outcome in different], axis=0, weights=weights)
+    pairs = shares > 0.5
+    return pairs if pairs.sum() >= 3 else best.pairs

@@ -1,20 +1,25 @@
-"""Edges: where adjacent planes of a cloud meet, with the uncertainty that the planes leave."""
+"""Edges of clouds, where adjacent planes meet or a board ends, with their uncertainty."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import least_squares
+from scipy.spatial import ConvexHull
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.lines.geometry import Segments
-from mmqa_lab.planes import _cells, detect_planes
-from mmqa_lab.planes.detection import CELLS_PER_SIZE
+from mmqa_lab._checks import check_number, check_points
+from mmqa_lab.lines.segments import Segments
+from mmqa_lab.planes import Plane, detect_planes, fit_plane
+from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
 
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
 END_NOISE = 2.0
 """Share of the points' variance in that of an end: the outermost of many noisy points marks it."""
+
+LEAST_SUPPORT = 6
+"""Points beside an edge on either plane."""
 
 LONGEST_GAP = 5.0
 """An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
@@ -37,14 +42,6 @@ class Edges:
         Angle between the planes, degrees, 0 to 90.
     patches : array of int, shape (n, 2)
         Numbers of the two patches.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> flat = rng.uniform(0, 5, (4000, 3)) + 0.005 * rng.standard_normal((4000, 3))
-    >>> edges = extract_edges(np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]]))
-    >>> edges.angle.round(3).tolist(), edges.to_frame()["length_m"].round(1).tolist()
-    ([90.0], [5.0])
     """
 
     segments: Segments
@@ -87,40 +84,8 @@ class Edges:
         return self.to_frame()._repr_html_()
 
 
-def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=None, angle=20.0, support=6):
-    """Detect planes and intersect those that meet.
-
-    :func:`mmqa_lab.planes.detect_planes`, then :func:`intersect_patches`, with their parameters.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 3)
-        Metres.
-    tolerance, size, minimum
-        See :func:`mmqa_lab.planes.detect_planes`.
-    angle, support
-        See :func:`intersect_patches`.
-
-    Returns
-    -------
-    Edges
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> flat = rng.uniform(0, 5, (4000, 3))
-    >>> edges = extract_edges(np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]]))
-    >>> len(edges), edges.segments.lengths.round(1).tolist()
-    (1, [5.0])
-    """
-    patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum)
-    return intersect_patches(
-        points, patches, tolerance=tolerance, size=size, angle=angle, support=support
-    )
-
-
-def intersect_patches(points, patches, *, tolerance=0.05, size=2.0, angle=20.0, support=6):
-    """Intersect adjacent planes and clip the lines to where both planes have points.
+def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=None, angle=20.0):
+    """Detect planes and intersect those that meet, clipped to where both have points.
 
     The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
     patches have points within half of ``size`` of the line that are clear of the other plane, and a
@@ -131,17 +96,12 @@ def intersect_patches(points, patches, *, tolerance=0.05, size=2.0, angle=20.0, 
     Parameters
     ----------
     points : array_like, shape (n, 3)
-        The cloud of which the patches are made, m.
-    patches : list of Patch
-    tolerance : float
-        As in :func:`mmqa_lab.planes.detect_planes`, m: points within it of both planes support
-        neither.
-    size : float
-        As in :func:`mmqa_lab.planes.detect_planes`, m; edges are half of it long at least.
+        Metres.
+    tolerance, size, minimum
+        See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
+        support neither; edges are half of ``size`` long at least.
     angle : float
         Least angle between two planes, degrees.
-    support : int
-        Least number of points beside the edge on either plane.
 
     Returns
     -------
@@ -164,24 +124,21 @@ def intersect_patches(points, patches, *, tolerance=0.05, size=2.0, angle=20.0, 
 
     Examples
     --------
-    >>> from mmqa_lab.planes import detect_planes
-    >>> flat = np.random.default_rng(0).uniform(0, 5, (4000, 3))
-    >>> points = np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]])
-    >>> edges = intersect_patches(points, detect_planes(points))
-    >>> edges.angle.round(6).tolist(), edges.patches.tolist()
-    ([90.0], [[0, 1]])
+    >>> rng = np.random.default_rng(0)
+    >>> flat = rng.uniform(0, 5, (4000, 3))
+    >>> edges = extract_edges(np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]]))
+    >>> len(edges), edges.segments.lengths.round(1).tolist()
+    (1, [5.0])
     """
-    points = check_points(points, minimum=0)
-    tolerance = check_positive(tolerance, "tolerance", unit="m")
-    size = check_positive(size, "size", unit="m")
     angle = check_number(angle, "angle", low=0, high=90, unit="degrees")
-    support = check_count(support, "support")
+    points = check_points(points, minimum=0)
+    patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum)
     rows = []
     if len(patches) > 1:
-        lines = _Lines(patches, *_neighbours(points, patches, size / 2), angle)
+        lines = _Lines(points, patches, size / 2, angle)
         for line, sides in lines.supported(tolerance, size / 2):
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE):
-                if high[0] - low[0] >= size / 2 and min(counts) >= support:
+                if high[0] - low[0] >= size / 2 and min(counts) >= LEAST_SUPPORT:
                     rows.append(lines.edge(line, low, high, counts))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 5
     return Edges(
@@ -196,11 +153,18 @@ def intersect_patches(points, patches, *, tolerance=0.05, size=2.0, angle=20.0, 
 class _Lines:
     """The lines in which neighbouring planes meet at an angle."""
 
-    def __init__(self, patches, grid, owner, origin, angle):
-        self.patches, self.grid, self.owner, self.origin = patches, grid, owner, origin
+    def __init__(self, points, patches, reach, angle):
+        owner = np.full(len(points), -1, dtype=np.int32)
+        for number, patch in enumerate(patches):
+            owner[patch.index] = number
+        owned = np.flatnonzero(owner >= 0)
+        self.patches, self.origin = patches, points[owned].mean(axis=0)
+        self.grid = Grid(points[owned], reach)
+        self.owner = owner[owned][self.grid.order]
         self.normals = np.array([patch.plane.normal for patch in patches])
-        self.centres = np.array([patch.plane.centre for patch in patches]) - origin
-        pairs = _cells.neighbouring_owners(grid, owner, len(patches))
+        self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
+        self.meetings = neighbours(self.grid, self.owner, len(patches))
+        pairs = np.unique(np.sort(self.meetings[:, 1:], axis=1), axis=0)
         first, second = self.normals[pairs].swapaxes(0, 1)
         cosine = (first * second).sum(axis=1)
         meet = 1 - cosine**2 >= np.sin(np.radians(angle)) ** 2
@@ -213,8 +177,7 @@ class _Lines:
 
     def supported(self, tolerance, reach):
         """Each line with the sorted stations of the points beside it, those of either plane."""
-        found = _cells.beside_lines(self.grid, self.owner, self, tolerance=tolerance, reach=reach)
-        side, station = found
+        side, station = beside_lines(self, tolerance, reach)
         order = np.lexsort((station, side))
         side, station = side[order], station[order]
         bounds = np.searchsorted(side, np.arange(2 * len(self.pairs) + 1))
@@ -236,16 +199,6 @@ class _Lines:
             covariance.append(solve @ heights @ solve.T + along)
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
-
-
-def _neighbours(points, patches, reach):
-    """Cells of the points that patches own, the owners, and the cells' origin."""
-    owner = np.full(len(points), -1, dtype=np.int32)
-    for number, patch in enumerate(patches):
-        owner[patch.index] = number
-    owned = np.flatnonzero(owner >= 0)
-    grid = _cells.Grid(points[owned], reach)
-    return grid, owner[owned][grid.order], points[owned].mean(axis=0)
 
 
 def _runs(sides, cell):
@@ -284,3 +237,131 @@ def _ends(side, first, last, cell):
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
     return inside[a] - gap, gap, inside[b] + gap, gap, b - a + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A rectangle fitted to the outline of a planar set of points.
+
+    Parameters
+    ----------
+    corners : array, shape (4, 3)
+        In order around the rectangle, m.
+    size : array, shape (2,)
+        The longer and the shorter side, m.
+    sigma : array, shape (2,)
+        Standard deviation of either side, m.
+    residuals : array, shape (k,)
+        Signed distances of the k outline points from the rectangle, outside positive, m.
+    plane : Plane
+    """
+
+    corners: np.ndarray
+    size: np.ndarray
+    sigma: np.ndarray
+    residuals: np.ndarray
+    plane: Plane
+
+    @property
+    def segments(self):
+        """The four edges, in the order of the corners."""
+        return Segments(np.stack([self.corners, np.roll(self.corners, -1, axis=0)], axis=1))
+
+
+def fit_outline(points, *, lines=None):
+    """Fit a rectangle to the outline of a board.
+
+    The points are projected on their plane. The outline points are the ends of the scan lines,
+    moved out by half of the line's point spacing (the edge lies anywhere within one spacing
+    beyond the last point), or the convex hull when no lines are known. The rectangle with the least
+    robust distances (soft L1 of 1 cm) from them is sought from eight turned starts.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        A board and nothing else, m.
+    lines : array_like, shape (n,), optional
+        Scan line (ring) of each point.
+
+    Returns
+    -------
+    Outline
+
+    Raises
+    ------
+    ValueError
+        If fewer than eight outline points remain, or ``lines`` has another length.
+
+    Notes
+    -----
+    Points that a beam split by the edge returned lie beyond it; the size then comes out too large
+    by part of the footprint.
+
+    Examples
+    --------
+    >>> z, y = np.mgrid[-1:1:0.1, -1:1:0.005].reshape(2, -1)
+    >>> board = (np.abs(0.8 * y + 0.6 * z) < 0.4) & (np.abs(0.8 * z - 0.6 * y) < 0.3)
+    >>> y, z = y[board], z[board]
+    >>> fit_outline(np.stack([0 * y, y, z], axis=1), lines=z).size.round(2).tolist()
+    [0.8, 0.6]
+    """
+    points = check_points(points, minimum=8)
+    plane = fit_plane(points, robust=True)
+    flat = plane.project(points)
+    outline = flat[ConvexHull(flat).vertices] if lines is None else _line_ends(flat, lines)
+    if len(outline) < 8:
+        raise ValueError(f"Invalid outline of {len(outline)} points. Must have 8 or more.")
+    fits = [_fitted(outline, turn) for turn in np.radians(np.arange(0, 90, 11.25))]
+    best = min(fits, key=lambda fit: fit.cost)
+    x, y, turn, length, width = best.x
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners = [x, y] + signs * [length / 2, width / 2] @ axes
+    freedom = max(1, len(outline) - 5)
+    variance = (best.fun**2).sum() / freedom * np.diag(np.linalg.pinv(best.jac.T @ best.jac))
+    order = np.argsort([-length, -width])
+    return Outline(
+        corners=plane.centre + corners @ plane.axes,
+        size=np.array([length, width])[order],
+        sigma=np.sqrt(variance[3:])[order],
+        residuals=best.fun,
+        plane=plane,
+    )
+
+
+def _line_ends(flat, lines):
+    """Both ends of each scan line with four points or more, half a spacing further out."""
+    lines = np.asarray(lines)
+    if lines.shape != (len(flat),):
+        raise ValueError(f"Invalid lines of shape {lines.shape}. Must be ({len(flat)},).")
+    ends = []
+    for line in np.unique(lines):
+        members = flat[lines == line]
+        if len(members) < 4:
+            continue
+        centred = members - members.mean(axis=0)
+        direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+        along = np.sort(centred @ direction)
+        step = np.median(np.diff(along)) / 2
+        order = np.argsort(centred @ direction)
+        ends += [members[order[0]] - step * direction, members[order[-1]] + step * direction]
+    return np.array(ends).reshape(-1, 2)
+
+
+def _fitted(outline, turn):
+    """Least squares from a rectangle turned by ``turn`` about the outline's middle."""
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    turned = outline @ axes.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    middle = (low + high) / 2 @ axes
+    start = [*middle, turn, *(high - low)]
+    return least_squares(_distances, start, args=(outline,), loss="soft_l1", f_scale=0.01)
+
+
+def _distances(rectangle, outline):
+    """Signed distances of points from a rectangle's outline, outside positive, m."""
+    x, y, turn, length, width = rectangle
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    local = np.abs((outline - [x, y]) @ axes.T) - np.abs([length, width]) / 2
+    outside = np.linalg.norm(np.maximum(local, 0), axis=1)
+    return np.where((local > 0).any(axis=1), outside, local.max(axis=1))

@@ -11,12 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.lines.compensation import match_displaced
-from mmqa_lab.lines.correspondence import MATCHERS, correspond
-from mmqa_lab.lines.displacement import Displacement, fit_displacement
-from mmqa_lab.lines.distance import components, distance_matrix
-from mmqa_lab.lines.geometry import Segments, check_segments
-from mmqa_lab.lines.thresholds import Threshold, peak_threshold
+from mmqa_lab.lines.displacement import Displacement, fit_displacement, match_displaced
+from mmqa_lab.lines.pairing import MATCHERS, Threshold, correspond, peak_threshold
+from mmqa_lab.lines.segments import Segments, check_segments, components, distance_matrix
 
 NORMS = ("pairs", "matched", "all")
 APART_M = 100.0
@@ -48,15 +45,6 @@ class Directed:
         Share of the source set's length that is paired.
     total : float
         What the weighted sum of :meth:`olhd` is divided by, m.
-
-    Examples
-    --------
-    >>> model = np.array([[[x, 0, 0], [x, 0, 6]] for x in range(0, 60, 10)], dtype=float)
-    >>> test = model + [0, 0.1, 0]
-    >>> test[-1, :, 1] += 40  # of this one there is no partner
-    >>> forward = lhd(test, model, matcher="mutual").test_model
-    >>> forward.n, round(float(forward.coverage), 3)  # 30 m of 36 m
-    (5, 0.833)
     """
 
     threshold: Threshold
@@ -74,27 +62,23 @@ class Directed:
         """Number of pairs."""
         return len(self.length)
 
+    def distances(self, weight):
+        """Distances d(W) of the pairs, shape (k,), m."""
+        return np.sqrt(weight * self.angle**2 + self.parallel**2 + self.perpendicular**2)
+
     def olhd(self, weight):
         """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (equation 7)."""
-        squares = weight * self.angle**2 + self.parallel**2 + self.perpendicular**2
-        return self._mean(np.sqrt(squares))
+        return self._mean(self.distances(weight))
 
     @property
     def perpendicular_only(self):
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
         return self._mean(self.perpendicular)
 
-    def shares(self, weight):
-        """Shares of angle, parallel and perpendicular part in the sum of squared distances."""
-        squares = [weight * self.angle**2, self.parallel**2, self.perpendicular**2]
-        sums = np.array([float(self.length @ square) for square in squares])
-        return sums / sums.sum() if sums.sum() else np.full(3, np.nan)
-
     def resampled(self, weight, repeats, rng):
         """Bootstrap values of :meth:`olhd`, source segments drawn with their pairs, (repeats,)."""
-        squares = weight * self.angle**2 + self.parallel**2 + self.perpendicular**2
         _, cluster = np.unique(self.source, return_inverse=True)
-        sums = np.bincount(cluster, self.length * np.sqrt(squares))
+        sums = np.bincount(cluster, self.length * self.distances(weight))
         lengths = np.bincount(cluster, self.length)
         draws = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=repeats)
         return (draws @ sums) / (draws @ lengths) * (lengths.sum() / self.total)
@@ -190,10 +174,9 @@ class LHD:
         p, q = pairs.shape
         rows, columns = np.nonzero(pairs)
         graph = coo_array((np.ones(len(rows)), (rows, p + columns)), shape=(p + q, p + q))
-        _, group = connected_components(graph, directed=False)
-        tests, models = np.bincount(group[:p]), np.bincount(group[p:])
-        size = max(len(tests), len(models))
-        tests, models = (np.pad(n, (0, size - len(n))) for n in (tests, models))
+        groups, group = connected_components(graph, directed=False)
+        tests = np.bincount(group[:p], minlength=groups)
+        models = np.bincount(group[p:], minlength=groups)
         counts = {
             "one-to-null": (tests + models == 1).sum(),
             "one-to-one": ((tests == 1) & (models == 1)).sum(),
@@ -239,49 +222,39 @@ class LHD:
         return ax
 
     def to_dict(self):
-        """Return what ``mmqa lhd --json`` prints; NaN becomes None."""
-        forward, backward = self.test_model, self.model_test
+        """Return what ``mmqa lhd --json`` prints."""
+        directions = {"test_model": self.test_model, "model_test": self.model_test}
         values = {
             "weight": self.weight,
             "sensitivity_m": self.sensitivity,
             "matcher": self.asked,
             "matcher_used": self.matcher,
-            "p": forward.pairs.shape[0],
-            "q": forward.pairs.shape[1],
+            "p": len(self.test),
+            "q": len(self.model),
             "lhd_m": self.value,
-            "olhd_test_model_m": forward.olhd(self.weight),
-            "olhd_model_test_m": backward.olhd(self.weight),
-            "threshold_test_model_m": forward.threshold.delta,
-            "threshold_model_test_m": backward.threshold.delta,
-            "threshold_fallback": [forward.threshold.fallback, backward.threshold.fallback],
-            "pairs_test_model": np.argwhere(forward.pairs).tolist(),
-            "pairs_model_test": np.argwhere(backward.pairs).tolist(),
+            "threshold_fallback": [part.threshold.fallback for part in directions.values()],
             "lhd_w0_m": self.at_weight(0),
             "perpendicular_only_m": self.perpendicular_only,
             "displacement_m": self.displacement.vector.tolist(),
             "displacement_covariance_m2": self.displacement.covariance.tolist(),
-            "coverage_test": forward.coverage,
-            "coverage_model": backward.coverage,
         }
-        return {key: _none_for_nan(value) for key, value in values.items()}
+        for name, part in directions.items():
+            values[f"olhd_{name}_m"] = part.olhd(self.weight)
+            values[f"threshold_{name}_m"] = part.threshold.delta
+            values[f"pairs_{name}"] = np.argwhere(part.pairs).tolist()
+            values[f"coverage_{name.split('_')[0]}"] = part.coverage
+        return values
 
 
-def hausdorff(
-    test: Segments,
-    model: Segments,
-    *,
-    weight: float = 10.0,
-    rotate: str = "test",
-    within: str = "containment",
-) -> float:
+def hausdorff(test: Segments, model: Segments, **choices) -> float:
     """Plain Hausdorff distance of two segment sets: the largest of all nearest distances.
 
     Parameters
     ----------
     test, model : Segments or array_like
         p and q segments, m.
-    weight, rotate, within
-        As in :func:`mmqa_lab.lines.distance_matrix`.
+    **choices
+        Of :func:`mmqa_lab.lines.distance_matrix`: ``weight``, ``rotate``, ``within``.
 
     Returns
     -------
@@ -302,7 +275,6 @@ def hausdorff(
     >>> hausdorff([[[0, 0.5, 0], [9, 0.5, 0]]], model)
     4.5
     """
-    choices = {"weight": weight, "rotate": rotate, "within": within}
     there, back = distance_matrix(test, model, **choices), distance_matrix(model, test, **choices)
     if not there.size:
         return np.nan
@@ -343,7 +315,8 @@ def lhd(
     rotate, within
         As in :func:`components`.
     norm : {"pairs", "matched", "all"}
-        As in :func:`olhd`.
+        What the weighted sum of equation 7 is divided by: the lengths of all pairs (a mean; agrees
+        with the published numbers), of each matched target once, or of all targets (as printed).
     threshold : callable, optional
         Takes the nearest distances of one direction and returns a :class:`Threshold`, or its
         delta; by default :func:`peak_threshold` with ``sensitivity``.
@@ -380,7 +353,7 @@ def lhd(
 
     Examples
     --------
-    >>> from mmqa_lab.lines.geometry import Segments
+    >>> from mmqa_lab.lines import Segments
     >>> both = [[[0, 0, 0], [9, 0, 0]], [[0, 0, 0], [0, 0, 6]], [[9, 0, 0], [9, 0, 7]],
     ...         [[9, 0, 7], [9, 8, 7]], [[0, 0, 6], [0, 8, 6]]]
     >>> model = Segments([*both, [[0, 20, 0], [0, 20, 6]]])
@@ -394,98 +367,47 @@ def lhd(
     check_choice(matcher, "matcher", (*MATCHERS, "displaced"))
     check_choice(norm, "norm", NORMS)
     threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
-    test, model = check_segments(test, name="test"), check_segments(model, name="model")
-    forward = components(test, model, rotate=rotate, within=within)
-    backward = components(model, test, rotate=rotate, within=within)
-    thresholds = [
-        _as_threshold(threshold, _nearest(parts.distance(weight))) for parts in (forward, backward)
-    ]
-    _refuse_apart(thresholds[0], test, model)
-    if pairs is None:
-        used, both = _pairs(
-            matcher, (test, model), (forward, backward), thresholds, weight=weight, radius=radius
-        )
+    sets = check_segments(test, name="test"), check_segments(model, name="model")
+    orders = sets, sets[::-1]
+    parts = [components(*order, rotate=rotate, within=within) for order in orders]
+    distances = [part.distance(weight) for part in parts]
+    thresholds = [_threshold(threshold, values) for values in distances]
+    _refuse_apart(thresholds[0], *sets)
+    if pairs is not None:
+        used = matcher = "given"
+        both = _given(pairs, distances[0].shape)
     else:
-        used, both = "given", _given(pairs, forward.angle.shape)
+        used, both = _pairs(matcher, orders, distances, thresholds, radius)
     if used in ("displaced", "given"):
         thresholds = [Threshold(np.nan, False, threshold.nearest) for threshold in thresholds]
-    result = LHD(
-        weight=weight,
-        sensitivity=sensitivity,
-        matcher=used,
-        test_model=_directed(thresholds[0], both[0], forward, test, model, norm=norm),
-        model_test=_directed(
-            thresholds[1], both[1].T, backward, model, test, norm=norm, turned=True
-        ),
-        test=test,
-        model=model,
-        asked=matcher if pairs is None else used,
-    )
-    _warn(result, test, model)
+    forward = _directed(thresholds[0], both[0], parts[0], sets, norm)
+    backward = _directed(thresholds[1], both[1].T, parts[1], sets[::-1], norm, turned=True)
+    result = LHD(weight, sensitivity, used, forward, backward, *sets, matcher)
+    _warn(result, *sets)
     return result
 
 
-def olhd(distances, pairs, lengths, *, norm="pairs"):
-    """Oriented distance: mean of the pairs' distances weighted by their targets' lengths.
-
-    Parameters
-    ----------
-    distances : array_like, shape (p, q)
-        From source (rows) to target segments (columns), m.
-    pairs : array_like of bool, shape (p, q)
-    lengths : array_like, shape (q,) or (p, q)
-        Weights: the lengths of the targets, m.
-    norm : {"pairs", "matched", "all"}
-        What the weighted sum is divided by: the weights of all pairs (a mean; agrees with the
-        published numbers), of each matched target once, or of all targets (as printed).
-
-    Returns
-    -------
-    float
-        Metres; NaN without pairs.
-
-    Raises
-    ------
-    ValueError
-        If the norm is another.
-
-    References
-    ----------
-    Poreba & Goulette 2013 (hal-00846334), equation 7. Its denominator is printed as a sum over the
-    model set; the text calls the result a weighted average.
-
-    Examples
-    --------
-    >>> olhd([[0.2, 9.0], [0.4, 9.0]], [[True, False], [True, False]], [5.0, 15.0])
-    0.3
-    """
-    check_choice(norm, "norm", NORMS)
-    distances, pairs = np.asarray(distances, dtype=np.float64), np.asarray(pairs, dtype=bool)
-    weights = np.broadcast_to(np.asarray(lengths, dtype=np.float64), distances.shape)
-    if not pairs.any():
-        return np.nan
-    total = {
-        "pairs": weights[pairs].sum(),
-        "matched": weights.max(axis=0, where=pairs, initial=0).sum(),
-        "all": weights.mean(axis=0).sum(),
-    }
-    return float((weights * distances)[pairs].sum() / total[norm])
+def _threshold(threshold, distances):
+    """What a threshold function makes of each row's least distance; a bare number is a delta."""
+    nearest = distances.min(axis=1) if distances.shape[1] else np.empty(0)
+    found = threshold(nearest)
+    if isinstance(found, Threshold):
+        return found
+    return Threshold(float(found), False, np.sort(nearest))
 
 
-def _pairs(matcher, sets, parts, thresholds, *, weight, radius):
+def _pairs(matcher, orders, distances, thresholds, radius):
     """The matcher used and the pairs of both directions, each (source, target)."""
     if matcher == "displaced":
-        match = match_displaced(*sets, radius=radius)
-        both = [match.pairs, match.pairs.T]
-        others = _pairs("fragments", sets, parts, thresholds, weight=weight, radius=radius)[1]
-        few = match.pairs.sum() < AGREED_SHARE * others[0].sum()
+        match = match_displaced(*orders[0], radius=radius)
+        others = _pairs("fragments", orders, distances, thresholds, radius)
+        few = match.pairs.sum() < AGREED_SHARE * others[1][0].sum()
         if few and not match.evidence > WEAK_EVIDENCE:
-            return "fragments", others
-        return matcher, both
-    orders = (sets, sets[::-1])
+            return others
+        return matcher, [match.pairs, match.pairs.T]
     both = [
-        correspond(part.distance(weight), threshold.delta, matcher=matcher, test=a, model=b)
-        for part, threshold, (a, b) in zip(parts, thresholds, orders, strict=True)
+        correspond(values, threshold.delta, matcher=matcher, test=a, model=b)
+        for values, threshold, (a, b) in zip(distances, thresholds, orders, strict=True)
     ]
     return matcher, both
 
@@ -501,19 +423,11 @@ def _given(pairs, shape):
     return pairs, pairs.T
 
 
-def _as_threshold(threshold, nearest):
-    """What a threshold function returns, a bare number made one."""
-    found = threshold(nearest)
-    return (
-        found if isinstance(found, Threshold) else Threshold(float(found), False, np.sort(nearest))
-    )
-
-
-def _directed(threshold, pairs, parts, source, target, *, norm, turned=False):
+def _directed(threshold, pairs, parts, order, norm, turned=False):
     """One direction; ``pairs`` are (test, model), turned where the model is the source."""
-    rows, columns = np.nonzero(pairs)
-    here = (columns, rows) if turned else (rows, columns)
-    matched = np.isin(np.arange(len(source)), here[0])
+    source, target = order
+    here = np.nonzero(pairs)[:: -1 if turned else 1]
+    matched = np.unique(here[0])
     whole = source.lengths.sum()
     totals = {
         "pairs": target.lengths[here[1]].sum(),
@@ -531,11 +445,6 @@ def _directed(threshold, pairs, parts, source, target, *, norm, turned=False):
         coverage=float(source.lengths[matched].sum() / whole) if whole else np.nan,
         total=float(totals[norm]),
     )
-
-
-def _nearest(distances):
-    """Least distance of each row; none where there are no columns."""
-    return distances.min(axis=1) if distances.shape[1] else np.empty(0)
 
 
 def _refuse_apart(threshold, test, model):
@@ -582,10 +491,3 @@ def _warn(result, test, model):
 def _larger(a, b):
     """The larger of two numbers, the other where one is NaN."""
     return float(np.fmax(a, b))
-
-
-def _none_for_nan(value):
-    """None wherever a number is NaN, in lists too."""
-    if isinstance(value, list):
-        return [_none_for_nan(item) for item in value]
-    return None if isinstance(value, float) and np.isnan(value) else value

@@ -1,15 +1,12 @@
 """One tile of a map: per cell and layer, how many points lie there and how."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab.maps import _patches
+from mmqa_lab.maps._patches import OTHER
 from mmqa_lab.planes import CONSISTENT_SCALE
-
-METRICS = ("density", "linear_point_distance", "spacing", "f", "sigma_mad", "void_share")
-
-SURFACES = ("local", "horizontal")
+from mmqa_lab.spacing import quadrant_distances
 
 MINIMUM = 10
 """Points in a cell that its sigma_MAD needs: fewer lie too near to a plane fitted to them."""
@@ -17,52 +14,45 @@ MINIMUM = 10
 LAYERS = {"local": ("level", "upright", "other"), "horizontal": ("horizontal",)}
 """Layers of a map by the surface that spacing is measured in."""
 
-VARIABLES = {
-    "density": ("density",),
-    "linear_point_distance": ("linear_point_distance",),
-    "spacing": ("d1", "d2", "d3", "d4", "incomplete_share"),
-    "f": ("f",),
-    "sigma_mad": ("sigma_mad",),
-    "void_share": ("void_share",),
+NEAREST = "median distance to the {} of the nearest points in four quadrants"
+
+FIGURES = {
+    "n": ("", "1", "points in the cell"),
+    "area": ("", "m2", "area of the surface in the cell"),
+    "density": ("density", "m-2", "points per area of the surface"),
+    "linear_point_distance": ("linear_point_distance", "mm", "sqrt(1 / density)"),
+    "d1": ("spacing", "mm", NEAREST.format("nearest")),
+    "d2": ("spacing", "mm", NEAREST.format("second")),
+    "d3": ("spacing", "mm", NEAREST.format("third")),
+    "d4": ("spacing", "mm", NEAREST.format("farthest")),
+    "incomplete_share": (
+        *("spacing", "1"),
+        "share of points with an empty quadrant within the search radius",
+    ),
+    "f": ("f", "1", "inhomogeneity d4 / d1"),
+    "sigma_mad": (
+        *("sigma_mad", "mm"),
+        "1.4826 x median absolute deviation of the residuals from the plane",
+    ),
+    "void_share": ("void_share", "1", "share of the squares on the surface without a point"),
 }
-"""The arrays that each metric gives; ``n`` and ``area`` always come with them."""
+"""Variables of a map: the metric that each belongs to ("" for those of all maps), its unit, and
+what it is."""
 
-UNITS = {
-    "n": "1",
-    "area": "m2",
-    "density": "m-2",
-    "linear_point_distance": "mm",
-    **{f"d{k}": "mm" for k in range(1, 5)},
-    "incomplete_share": "1",
-    "f": "1",
-    "sigma_mad": "mm",
-    "void_share": "1",
-}
+METRICS = tuple(dict.fromkeys(metric for metric, *_ in FIGURES.values() if metric))
 
 
-@dataclass(frozen=True)
-class Window:
-    """The cells of a tile: the place of its first cell, and how many there are each way.
+def variables(metrics):
+    """Return the variables that some metrics give, ``n`` and ``area`` first.
 
-    Parameters
-    ----------
-    column, row : int
-        Of the first cell, counted in cells from the coordinates' zero.
-    columns, rows : int
-        Cells to the east and to the north.
-
-    Examples
-    --------
-    >>> points = [[10.1, 20.1, 0.0], [10.6, 20.1, 0.0]]
-    >>> found = evaluate_tile(points, Window(20, 40, 2, 1), cell=0.5, surface="horizontal")
-    >>> found["n"].tolist()
-    [[[1, 1]]]
+    Raises
+    ------
+    ValueError
+        If a metric is unknown.
     """
-
-    column: int
-    row: int
-    columns: int
-    rows: int
+    for metric in metrics:
+        check_choice(metric, "metric", METRICS)
+    return [name for name, (metric, *_) in FIGURES.items() if metric in ("", *metrics)]
 
 
 def reach(surface, *, cell, radius=0.5, thickness=0.1):
@@ -87,15 +77,7 @@ def reach(surface, *, cell, radius=0.5, thickness=0.1):
 
 
 def evaluate_tile(
-    points,
-    window,
-    *,
-    cell,
-    surface="local",
-    metrics=METRICS,
-    radius=0.5,
-    thickness=0.1,
-    void=0.1,
+    points, window, *, cell, surface="local", metrics=METRICS, radius=0.5, thickness=0.1, void=0.1
 ):
     """Evaluate the points in each cell of a tile.
 
@@ -110,7 +92,9 @@ def evaluate_tile(
     ----------
     points : array_like, shape (n, 3)
         Those of the tile and around it as far as :func:`reach`, m, from the origin of the cells.
-    window : Window
+    window : tuple of int, length 4
+        Column and row of the first cell, counted in cells from the coordinates' zero; columns and
+        rows.
     cell : float
         Side of the square cells, m; their borders lie at its multiples.
     surface : {"local", "horizontal"}
@@ -127,8 +111,8 @@ def evaluate_tile(
     Returns
     -------
     dict of str to array, shape (layers, rows, columns)
-        ``n`` and ``area`` (m2 of the surface in the cell), and what ``VARIABLES`` lists for the
-        metrics, in ``UNITS``; NaN where not measurable.
+        ``n`` and ``area`` (m2 of the surface in the cell), and the variables of the
+        metrics, in the units of ``FIGURES``; NaN where not measurable.
 
     Raises
     ------
@@ -138,7 +122,7 @@ def evaluate_tile(
     Notes
     -----
     ``area`` is that of the tangent planes within the cell; on horizontal maps, of the cell. A wall
-    on the border of two cells counts in the one that holds more of it, where the rest lies within
+    on the border of two cells counts in the one with more of it, where the rest lies within
     ``thickness`` of the border. The quadrants' axes are east and
     north, on upright planes the horizontal and the line of greatest slope; f depends on them.
     d1..d4 are medians over the cell's points that have a neighbour of that rank, as in
@@ -153,19 +137,16 @@ def evaluate_tile(
     --------
     >>> x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(25) * 0.04)
     >>> points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-    >>> found = evaluate_tile(points, Window(0, 0, 2, 2), cell=0.5, surface="horizontal")
+    >>> found = evaluate_tile(points, (0, 0, 2, 2), cell=0.5, surface="horizontal")
     >>> found["n"].tolist(), found["d4"].round().tolist()
     ([[[325, 325], [300, 300]]], [[[40.0, 40.0], [40.0, 40.0]]])
     """
     points = check_points(points, minimum=0)
-    check_choice(surface, "surface", SURFACES)
+    check_choice(surface, "surface", tuple(LAYERS))
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     thickness, void = check_positive(thickness, "thickness"), check_positive(void, "void")
-    for metric in metrics:
-        check_choice(metric, "metric", METRICS)
-    names = ("n", "area", *(name for metric in metrics for name in VARIABLES[metric]))
-    shape = (len(LAYERS[surface]), window.rows, window.columns)
-    result = {name: np.full(shape, np.nan) for name in names}
+    shape = (len(LAYERS[surface]), window[3], window[2])
+    result = {name: np.full(shape, np.nan) for name in variables(metrics)}
     result["n"] = np.zeros(shape, np.int64)
     result["area"] = np.zeros(shape)
     if len(points):
@@ -174,68 +155,50 @@ def evaluate_tile(
 
 
 def _fill(result, points, window, cell, surface, lengths):
-    """Enter the figures of every layer's cells that hold points."""
-    from mmqa_lab.maps.cubes import join, moved, ranges_around, sort_into_cubes
-    from mmqa_lab.maps.tangents import OTHER, fuller_parts, one_surface, tangent_planes
-    from mmqa_lab.maps.unfolding import distances_in_planes
-    from mmqa_lab.spacing import quadrant_distances
-
+    """Enter the figures of every layer's cells that have points."""
     radius, thickness, void = lengths
     local = surface == "local"
-    cubes = sort_into_cubes(points, cell, columns=not local)
-    tangents, patches, top = tangent_planes(cubes), cubes, cubes.index[:, 2]
-    if local:
-        whole = moved(cubes, fuller_parts(cubes, tangents, thickness), thickness)
-        if whole is not cubes:
-            cubes, tangents = whole, tangent_planes(whole)
-        patches, top = join(cubes, one_surface(cubes, tangents, thickness))
-        tangents = tangent_planes(patches)
-    column, row = patches.index[:, 0] - window.column, patches.index[:, 1] - window.row
-    inside = (column >= 0) & (column < window.columns) & (row >= 0) & (row < window.rows)
-    layer = tangents.layer if local else np.zeros(len(column), int)
+    cubes = _patches.sort_into_cubes(points, cell, columns=not local)
+    found = _patches.surfaces(cubes, thickness, join=local)
+    patches = found.patches
+    column, row = patches.index[:, 0] - window[0], patches.index[:, 1] - window[1]
+    inside = (column >= 0) & (column < window[2]) & (row >= 0) & (row < window[3])
+    layer = found.tangents.layer if local else np.zeros(len(column), int)
     distances = None
     if ("d1" in result or "f" in result) and local:
-
-        def around(chosen, distance):
-            cells = int(np.ceil(distance / cell))
-            return ranges_around(cubes, patches.index[chosen], top[chosen], cells)
-
         planar = np.flatnonzero(inside & (layer != OTHER))
         near = {"radius": radius, "thickness": thickness}
-        distances = distances_in_planes(patches, tangents, planar, around, **near)
+        distances = _patches.distances_in_planes(found, planar, **near)
     elif "d1" in result or "f" in result:
-        distances = quadrant_distances(cubes.xyz[:2].T, radius=radius)
-    for k in range(result["n"].shape[0]):
+        distances = quadrant_distances(patches.xyz[:2].T, radius=radius)
+    for k in range(len(result["n"])):
         chosen = np.flatnonzero(inside & (layer == k))
         if len(chosen):
-            figures = _Layer(patches, top, tangents, chosen, distances, local, void)
+            figures = _Layer(found, chosen, distances, local)
             place = (k, row[chosen[figures.first]], column[chosen[figures.first]])
             result["n"][place] = figures.n
             if not local or k != OTHER:
-                figures.enter(result, place)
+                figures.enter(result, place, max(1, round(cell / void)))
 
 
 class _Layer:
     """The patches of one layer, gathered into cells."""
 
-    def __init__(self, patches, top, tangents, chosen, distances, local, void):
-        self.patches, self.tangents, self.chosen, self.local = patches, tangents, chosen, local
-        self.top = top
-        self.side = max(1, round(patches.cell / void))
-        self.index = patches.index[chosen]
-        columns = self.index[:, :2]
+    def __init__(self, found, chosen, distances, local):
+        self.found, self.chosen, self.local = found, chosen, local
+        patches = found.patches
+        columns = patches.index[chosen, :2]
         self.first = np.flatnonzero(np.append(True, (np.diff(columns, axis=0) != 0).any(axis=1)))
-        counts = patches.counts[chosen]
-        self.n = np.add.reduceat(counts, self.first)
+        self.n = np.add.reduceat(patches.counts[chosen], self.first)
         self.starts = np.append(0, np.cumsum(self.n))
         taken = np.zeros(len(patches.counts), dtype=bool)
         taken[chosen] = True
         self.points = np.repeat(taken, patches.counts)
         self.distances = None if distances is None else distances[self.points]
 
-    def enter(self, result, place):
+    def enter(self, result, place, side):
         """Enter the figures of the cells at ``place`` into the arrays that are wanted."""
-        area, void_share = self._faces("void_share" in result)
+        area, void_share = self._faces(side if "void_share" in result else 0)
         density = self.n / area
         found = {"area": area, "density": density, "void_share": void_share}
         found["linear_point_distance"] = 1000 / np.sqrt(density)
@@ -246,51 +209,46 @@ class _Layer:
         for name in found.keys() & result.keys():
             result[name][place] = found[name]
 
-    def _faces(self, with_voids):
-        """Area of the surface in each cell, m2, and the share of it that is void."""
-        from mmqa_lab.maps._grouped import surface_squares
-        from mmqa_lab.maps.tangents import surface_areas
-
-        patches, tangents, index = self.patches, self.tangents.select(self.chosen), self.index
+    def _faces(self, side):
+        """Area of the surface in each cell, m2, and the share of its squares without a point."""
+        patches, tangents = self.found.patches, self.found.tangents.select(self.chosen)
+        cell, index = patches.cell, patches.index[self.chosen]
         face, normals = tangents.face, tangents.axes[:, 2]
         if self.local:
             low = index[np.arange(len(face)), face]
-            high = np.where(face == 2, self.top[self.chosen], low)
-            extent = patches.cell * np.stack([low, high + 1], axis=1)
+            high = np.where(face == 2, self.found.top[self.chosen], low)
+            extent = cell * np.stack([low, high + 1], axis=1)
             extent = extent + patches.wider[self.chosen] * [-1, 1]
-            area = np.add.reduceat(surface_areas(tangents, index, extent, patches.cell), self.first)
+            areas = _patches.surface_areas(tangents, index, extent, cell)
+            area = np.add.reduceat(areas, self.first)
         else:
             face, normals = np.full(len(face), 2), np.tile([0.0, 0.0, 1.0], (len(face), 1))
             extent = np.tile([-np.inf, np.inf], (len(face), 1))
-            area = np.full(len(self.first), patches.cell**2)
-        if not with_voids:
+            area = np.full(len(self.first), cell**2)
+        if not side:
             return area, None
         starts = np.append(0, np.cumsum(patches.counts[self.chosen]))
         planes = tangents.centres, normals, extent
-        xyz, squares = patches.xyz[:, self.points], (patches.cell, self.side)
-        counts = surface_squares(xyz, starts, index, face, *planes, *squares)
+        xyz = patches.xyz[:, self.points]
+        counts = _patches.surface_squares(xyz, starts, index, face, *planes, cell, side)
         whole, seen = np.add.reduceat(counts, self.first).T
         with np.errstate(invalid="ignore"):
             return area, 1 - seen / whole
 
     def _spacing(self):
         """d1..d4 in mm, f, and the share of points without four neighbours."""
-        from mmqa_lab.maps._grouped import group_medians
-
-        medians = [group_medians(self.distances[:, k].copy(), self.starts) for k in range(4)]
-        d1, d4 = medians[0], medians[3]
+        medians = [_patches.group_medians(d.copy(), self.starts) for d in self.distances.T]
         missing = np.isnan(self.distances[:, 3]).astype(np.int64)
         share = np.add.reduceat(missing, self.starts[:-1]) / self.n
         found = {f"d{k + 1}": 1000 * median for k, median in enumerate(medians)}
         with np.errstate(invalid="ignore", divide="ignore"):
-            found["f"] = np.where(d1 > 0, d4 / d1, np.nan)
+            found["f"] = np.where(medians[0] > 0, medians[3] / medians[0], np.nan)
         return found | {"incomplete_share": share}
 
     def _sigma_mad(self):
         """sigma_MAD of the distances from the patches' planes, mm; NaN of few points."""
-        from mmqa_lab.maps._grouped import group_mads, group_medians
-        from mmqa_lab.maps.tangents import plane_residuals
-
-        residuals = plane_residuals(self.patches, self.tangents)[self.points]
-        mads = group_mads(residuals, self.starts, group_medians(residuals, self.starts))
+        residuals = _patches.plane_residuals(self.found)[self.points]
+        middle = _patches.group_medians(residuals, self.starts)
+        deviations = np.abs(residuals - np.repeat(middle, self.n))
+        mads = _patches.group_medians(deviations, self.starts)
         return np.where(self.n >= MINIMUM, 1000 * CONSISTENT_SCALE * mads, np.nan)

@@ -1,13 +1,12 @@
 """Planes: the regression plane of points, their dispersion, and the planes of whole clouds."""
 
-from mmqa_lab.planes.circles import Circle, algebraic_circle, fit_circle
-from mmqa_lab.planes.detection import Patch, detect_planes
+from mmqa_lab.planes.detection import detect_planes
 from mmqa_lab.planes.regression import (
     CONSISTENT_SCALE,
     PAPER_SCALE,
     TUKEY,
-    Line,
     Plane,
+    fit_circle,
     fit_line,
     fit_plane,
     flat_points,
@@ -19,11 +18,7 @@ __all__ = [
     "CONSISTENT_SCALE",
     "PAPER_SCALE",
     "TUKEY",
-    "Circle",
-    "Line",
-    "Patch",
     "Plane",
-    "algebraic_circle",
     "detect_planes",
     "fit_circle",
     "fit_line",

@@ -12,10 +12,11 @@ import warnings
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numba
 import numpy as np
+from scipy.special import lambertw
 
 from mmqa_lab._checks import check_count, check_points, check_positive
-from mmqa_lab.planes import _cells
 from mmqa_lab.planes.regression import Plane, fit_plane
 
 CELLS_PER_SIZE = 4
@@ -36,6 +37,36 @@ ROUNDS = 4
 THINNEST = 1.0
 """Fewest points per cell of a surface that still hangs together."""
 
+PER_CELL = 3
+"""Points of a cell that take part in a trial: dense and sparse parts then count alike."""
+
+REACH = 2
+"""Cells on either side that a trial looks at."""
+
+AROUND = (2 * REACH + 1) ** 3
+TRIALS = 32
+SHARE = 0.25
+"""A plane takes a cell in which it has this share of all points: tails of a noisy wall and strips
+of a floor have less."""
+
+STANDS_OUT = 1.5
+"""Least number of points on a plane for one beside it, within three tolerances and in all cells
+that were looked at; a volume filled with points has 1/2."""
+
+BESIDE = 10
+"""Place of that count behind the ten moments."""
+
+PASSES = 4
+MOST_AROUND = 64
+"""Planes that a cell may have around it."""
+
+LEAST_TRIAL = 6
+LEAST_SPREAD = 0.5
+"""Of a trial triangle: twice its area in squared cells."""
+
+ROUGH = 1 / 3
+"""Mean square residual, in squared tolerances, of points without any plane."""
+
 
 @dataclass(frozen=True, eq=False)
 class Patch:
@@ -52,13 +83,6 @@ class Patch:
     sigma : float
         Standard deviation of the points about the plane, corrected for the tolerance that cuts its
         tails off, m.
-
-    Examples
-    --------
-    >>> flat = np.random.default_rng(0).uniform(0, 5, (4000, 3)) * [1, 1, 0]
-    >>> floor = detect_planes(flat)[0]
-    >>> len(floor), floor.plane.normal.round(9).tolist()
-    (4000, [0.0, 0.0, 1.0])
     """
 
     plane: Plane
@@ -137,9 +161,9 @@ def detect_planes(points, *, tolerance=0.05, size=2.0, minimum=None):
     minimum = check_count(30 if minimum is None else minimum, "minimum", low=3)
     if len(points) < minimum:
         return []
-    grid = _cells.Grid(points, size / CELLS_PER_SIZE)
+    grid = Grid(points, size / CELLS_PER_SIZE)
     _warn_if_thin(grid, size)
-    search = _cells.Search(grid, tolerance, max(minimum, 3), LEAST_AREA * CELLS_PER_SIZE**2)
+    search = _Search(grid, tolerance, minimum)
     for _ in range(ROUNDS):
         if not search.round():
             break
@@ -186,3 +210,435 @@ def _untruncated(std, tolerance):
         lost = cut * np.sqrt(2 / np.pi) * np.exp(-(cut**2) / 2) / math.erf(cut / np.sqrt(2))
         sigma = std / np.sqrt(max(1 - lost, 0.34))
     return float(sigma)
+
+
+class Grid:
+    """Points sorted into the cubic cells that they occupy.
+
+    ``points`` are relative to their mean and in the order of the cells; ``order`` are their rows;
+    ``keys`` number the cells so that neighbours in z follow each other; ``start`` bounds them.
+    """
+
+    def __init__(self, points, edge):
+        self.edge = edge
+        origin = points.mean(axis=0)
+        low = points.min(axis=0) - origin
+        shape = np.floor((points.max(axis=0) - origin - low) / edge) + 8
+        if shape.prod() > 2.0**62:
+            raise ValueError(
+                f"Invalid cloud of {shape.max() * edge:.3g} m in cells of {edge:g} m. "
+                "Must be smaller, or have a larger size."
+            )
+        self.shape = shape.astype(np.int64)
+        keys = np.zeros(len(points), dtype=np.int64)
+        for axis in range(3):
+            along = ((points[:, axis] - origin[axis] - low[axis]) / edge).astype(np.int64) + 3
+            keys = keys * self.shape[axis] + along
+        self.order = np.argsort(keys, kind="stable")
+        keys = keys[self.order]
+        first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+        self.keys, self.start = keys[first], np.r_[first, len(keys)]
+        self.points = points[self.order] - origin
+
+    @property
+    def layout(self):
+        """Points, keys, bounds, and what a step in x and in y adds to a key."""
+        steps = np.array([self.shape[1] * self.shape[2], self.shape[2]])
+        return self.points, self.keys, self.start, steps
+
+    def points_per_cell(self):
+        """Points that a cell of a surface has on average, empty cells of the surface included.
+
+        A surface with x points per cell shows x / (1 - exp(-x)) per occupied cell.
+        """
+        seen = np.median(np.diff(self.start[:: max(1, len(self.start) // 100_000)]))
+        mean = max(float(np.diff(self.start).mean()), 1.0 + 1e-9) if seen < 3 else seen
+        return mean + lambertw(-mean * np.exp(-mean)).real
+
+    def fullest(self, counts):
+        """Of every eight cells the one with the highest count, where it is above zero."""
+        index = np.stack(np.unravel_index(self.keys, self.shape))
+        blocks = np.ravel_multi_index(index // 2, self.shape)
+        order = np.lexsort((-counts, blocks))
+        first = np.r_[True, np.diff(blocks[order]) != 0]
+        cells = order[first]
+        return cells[counts[cells] > 0]
+
+
+class _Search:
+    """Planes found so far and the points that they own."""
+
+    def __init__(self, grid, tolerance, least_points):
+        self.grid, self.tolerance = grid, tolerance
+        self.least = float(least_points), LEAST_AREA * CELLS_PER_SIZE**2
+        self.owner = np.full(len(grid.points), -1, dtype=np.int32)
+        self.centres, self.normals = np.empty((0, 3)), np.empty((0, 3))
+        self.taken = np.empty((2, 0), dtype=np.int64)  # cells and the planes that take them
+        self.trials = np.random.default_rng(0).random((TRIALS, 3))
+
+    def round(self):
+        """Try planes among the points that nobody owns and grow them; whether any was found."""
+        grid, tolerance = self.grid, self.tolerance
+        free = np.add.reduceat((self.owner < 0).astype(np.int64), grid.start[:-1])
+        seeds = grid.fullest(free)
+        thin = LEAST_SPREAD * grid.edge**2
+        pieces, scores = _try_planes(grid.layout, self.owner, seeds, self.trials, tolerance, thin)
+        best = np.argsort(-scores, kind="stable")
+        best = best[scores[best] > LEAST_TRIAL / 2]
+        found, taken = _grow_all(
+            grid.layout,
+            self.owner,
+            seeds[best],
+            pieces[best],
+            tolerance,
+            self.least,
+            len(self.centres),
+        )
+        self.centres = np.concatenate([self.centres, found[:, 0]])
+        self.normals = np.concatenate([self.normals, found[:, 1]])
+        self.taken = np.concatenate([self.taken, *taken], axis=1)
+        return len(found) > 0
+
+    def assigned(self):
+        """Owner of each point (-1: none) and whether it lies on that plane alone; input order."""
+        grid = self.grid
+        cells, planes = self.taken[:, np.argsort(self.taken[0], kind="stable")]
+        near = np.searchsorted(cells, np.arange(len(grid.keys) + 1)), planes
+        for _ in range(2):
+            surfaces = self.centres, self.normals
+            owner, clear = _assign(grid.layout, near, surfaces, self.tolerance)
+            _refit(grid.points, owner, clear, *surfaces)
+        rows = np.empty(len(owner), dtype=np.int32), np.empty(len(owner), dtype=bool)
+        rows[0][grid.order], rows[1][grid.order] = owner, clear
+        return rows
+
+
+@numba.njit(cache=True)
+def _around(keys, steps, cell, reach, out):
+    """Occupied cells within ``reach`` of a cell along each axis; how many."""
+    n = 0
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            key = keys[cell] + i * steps[0] + j * steps[1]
+            k = np.searchsorted(keys, key - reach)
+            while k < len(keys) and keys[k] <= key + reach:
+                out[n] = k
+                n += 1
+                k += 1
+    return n
+
+
+@numba.njit(cache=True)
+def _distance(points, p, centre, normal):
+    """Signed distance of a point from a plane."""
+    x, y, z = points[p, 0] - centre[0], points[p, 1] - centre[1], points[p, 2] - centre[2]
+    return x * normal[0] + y * normal[1] + z * normal[2]
+
+
+@numba.njit(cache=True)
+def _add(moments, points, p, origin):
+    """Add a point to count, sums and products (10 numbers) about an origin."""
+    x, y, z = points[p, 0] - origin[0], points[p, 1] - origin[1], points[p, 2] - origin[2]
+    moments[0] += 1
+    moments[1] += x
+    moments[2] += y
+    moments[3] += z
+    moments[4] += x * x
+    moments[5] += x * y
+    moments[6] += x * z
+    moments[7] += y * y
+    moments[8] += y * z
+    moments[9] += z * z
+
+
+@numba.njit(cache=True)
+def _fit(moments, origin):
+    """Centre, unit normal and mean square residual of the least-squares plane of moments."""
+    mean = moments[1:4] / moments[0]
+    scatter = np.empty((3, 3))
+    k = 4
+    for i in range(3):
+        for j in range(i, 3):
+            scatter[i, j] = scatter[j, i] = moments[k] / moments[0] - mean[i] * mean[j]
+            k += 1
+    values, vectors = np.linalg.eigh(scatter)
+    return origin + mean, vectors[:, 0].copy(), max(values[0], 0.0)
+
+
+@numba.njit(cache=True)
+def _free_around(grid, owner, cell, room, out):
+    """Free points around a cell, at most PER_CELL of each cell, evenly drawn; how many."""
+    _, keys, start, steps = grid
+    n = 0
+    for c in room[: _around(keys, steps, cell, REACH, room)]:
+        free = 0
+        for p in range(start[c], start[c + 1]):
+            free += owner[p] < 0
+        stride = (free + PER_CELL - 1) // PER_CELL
+        seen = 0
+        for p in range(start[c], start[c + 1]):
+            if owner[p] < 0:
+                if seen % stride == 0:
+                    out[n] = p
+                    n += 1
+                seen += 1
+    return n
+
+
+@numba.njit(cache=True)
+def _triangle(points, a, b, c, least):
+    """Unit normal of three points; zero for a thin triangle."""
+    normal = np.cross(points[b] - points[a], points[c] - points[a])
+    length = np.sqrt((normal**2).sum())
+    if length <= least:
+        return np.zeros(3)
+    return normal / length
+
+
+@numba.njit(cache=True)
+def _best_trial(points, near, trials, tolerance, least):
+    """Centre and normal of the trial that most neighbours lie on."""
+    best, centre, normal = 0, np.zeros(3), np.zeros(3)
+    for t in range(len(trials)):
+        chosen = (trials[t] * len(near)).astype(np.int64)
+        a, b, c = near[chosen[0]], near[chosen[1]], near[chosen[2]]
+        trial = _triangle(points, a, b, c, least)
+        if not trial.any():
+            continue
+        votes = 0
+        for p in near:
+            votes += abs(_distance(points, p, points[a], trial)) <= tolerance
+        if votes > best:
+            best, centre, normal = votes, points[a].copy(), trial
+    return centre, normal
+
+
+@numba.njit(cache=True)
+def _refined(points, near, centre, normal, tolerance):
+    """The plane fitted to the neighbours on it; score: their number less what chance would give."""
+    moments, origin, score = np.zeros(10), centre.copy(), 0.0
+    for _ in range(3):
+        moments[:] = 0
+        for p in near:
+            if abs(_distance(points, p, centre, normal)) <= tolerance:
+                _add(moments, points, p, origin)
+        if moments[0] < LEAST_TRIAL:
+            return centre, normal, 0.0
+        centre, normal, square = _fit(moments, origin)
+        score = moments[0] * (1 - square / (ROUGH * tolerance**2))
+    return centre, normal, score
+
+
+@numba.njit(cache=True, parallel=True)
+def _try_planes(grid, owner, seeds, trials, tolerance, thin):
+    """A plane piece around each seed cell: (centre, normal) as (n, 2, 3), and scores."""
+    pieces, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
+    for s in numba.prange(len(seeds)):
+        room = np.empty(AROUND, dtype=np.int64)
+        near = np.empty(PER_CELL * AROUND, dtype=np.int64)
+        n = _free_around(grid, owner, seeds[s], room, near)
+        if n < LEAST_TRIAL:
+            continue
+        centre, normal = _best_trial(grid[0], near[:n], trials, tolerance, thin)
+        if normal.any():
+            centre, normal, scores[s] = _refined(grid[0], near[:n], centre, normal, tolerance)
+            pieces[s, 0], pieces[s, 1] = centre, normal
+    return pieces, scores
+
+
+@numba.njit(cache=True)
+def _takes(grid, owner, cell, centre, normal, tolerance, moments, origin):
+    """Whether a plane takes a cell; its free points there are then added to the moments."""
+    points, first, last = grid[0], grid[2][cell], grid[2][cell + 1]
+    on, near = 0, 0
+    for p in range(first, last):
+        d = abs(_distance(points, p, centre, normal))
+        near += owner[p] < 0 and d <= 3 * tolerance
+        on += owner[p] < 0 and d <= tolerance
+    if on == 0 or on < SHARE * (last - first):
+        moments[BESIDE] += near
+        return False
+    moments[BESIDE] += near - on
+    for p in range(first, last):
+        if owner[p] < 0 and abs(_distance(points, p, centre, normal)) <= tolerance:
+            _add(moments, points, p, origin)
+    return True
+
+
+@numba.njit(cache=True)
+def _grow(grid, owner, seed, centre, normal, tolerance, refit, mark, desk):
+    """Cells that hang together with the seed's on a plane: their number (in the queue), the plane.
+
+    With ``refit`` the plane is fitted anew whenever the points have doubled. ``desk`` are arrays
+    to work on: marks, queue, room, moments.
+    """
+    (marks, queue, room, moments), origin = desk, centre.copy()
+    moments[:] = 0
+    marks[seed] = mark
+    if not _takes(grid, owner, seed, centre, normal, tolerance, moments, origin):
+        return 0, centre, normal
+    queue[0], done, n, fitted = seed, 0, 1, 4 * LEAST_TRIAL
+    while done < n:
+        cell = queue[done]
+        done += 1
+        for other in room[: _around(grid[1], grid[3], cell, 1, room)]:
+            if marks[other] == mark:
+                continue
+            marks[other] = mark
+            if _takes(grid, owner, other, centre, normal, tolerance, moments, origin):
+                queue[n] = other
+                n += 1
+        if refit and moments[0] >= 2 * fitted:
+            fitted = moments[0]
+            centre, normal, _ = _fit(moments, origin)
+    if moments[0] >= 3:
+        centre, normal, _ = _fit(moments, origin)
+    return n, centre, normal
+
+
+@numba.njit(cache=True)
+def _own(grid, owner, cells, centre, normal, tolerance, number):
+    """Give the free points of the cells near the plane to it."""
+    for cell in cells:
+        for p in range(grid[2][cell], grid[2][cell + 1]):
+            if owner[p] < 0 and abs(_distance(grid[0], p, centre, normal)) <= tolerance:
+                owner[p] = number
+
+
+@numba.njit(cache=True)
+def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
+    """Grow one piece after the other: planes (n, 2, 3), and (cell, plane) of cells they take."""
+    cells = len(grid[1])
+    marks, queue = np.full(cells, -1, dtype=np.int64), np.empty(cells, dtype=np.int64)
+    moments = np.zeros(BESIDE + 1)
+    desk = marks, queue, np.empty(27, dtype=np.int64), moments
+    found, mark = 0, 0
+    planes, taken = np.empty((len(seeds), 2, 3)), [np.empty((2, 0), dtype=np.int64)]
+    for s in range(len(seeds)):
+        centre, normal, size = pieces[s, 0], pieces[s, 1], 0
+        for turn in range(PASSES):
+            n, new_centre, new_normal = _grow(
+                grid, owner, seeds[s], centre, normal, tolerance, turn == 0, mark, desk
+            )
+            mark += 1
+            if n < least[1] or moments[0] < least[0]:
+                size = 0
+                break
+            if turn and n <= size:
+                break
+            size, centre, normal = n, new_centre, new_normal
+        if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
+            continue
+        _own(grid, owner, queue[:n], centre, normal, tolerance, first + found)
+        taken.append(np.stack((queue[:n], np.full(n, first + found))))
+        planes[found, 0], planes[found, 1] = centre, normal
+        found += 1
+    return planes[:found], taken
+
+
+@numba.njit(cache=True)
+def _planes_around(keys, steps, bounds, planes, cell, room, out):
+    """Different planes that take a cell or one beside it; how many."""
+    n = 0
+    for c in room[: _around(keys, steps, cell, 1, room)]:
+        for k in range(bounds[c], bounds[c + 1]):
+            known = False
+            for other in out[:n]:
+                known |= other == planes[k]
+            if not known and n < len(out):
+                out[n] = planes[k]
+                n += 1
+    return n
+
+
+@numba.njit(cache=True, parallel=True)
+def _assign(grid, near, surfaces, tolerance):
+    """The nearest plane around each point within the tolerance (-1: none), and whether the only."""
+    (points, keys, start, steps), (centres, normals) = grid, surfaces
+    owner = np.full(len(points), -1, dtype=np.int32)
+    clear = np.zeros(len(points), dtype=np.bool_)
+    for cell in numba.prange(len(keys)):
+        room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
+        n = _planes_around(keys, steps, near[0], near[1], cell, room, around)
+        for p in range(start[cell], start[cell + 1]):
+            least, claims = tolerance, 0
+            for plane in around[:n]:
+                d = abs(_distance(points, p, centres[plane], normals[plane]))
+                claims += d <= tolerance
+                if d <= least:
+                    least = d
+                    owner[p] = plane
+            clear[p] = claims == 1
+    return owner, clear
+
+
+@numba.njit(cache=True)
+def _refit(points, owner, clear, centres, normals):
+    """Fit all planes to the points that lie on them alone."""
+    moments, origins = np.zeros((len(centres), 10)), centres.copy()
+    for p in range(len(points)):
+        if owner[p] >= 0 and clear[p]:
+            _add(moments[owner[p]], points, p, origins[owner[p]])
+    for k in range(len(centres)):
+        if moments[k, 0] >= 3:
+            centres[k], normals[k], _ = _fit(moments[k], origins[k])
+
+
+def neighbours(grid, owner, n):
+    """Rows (cell, a, b): owner a of points in a cell, b of others there or in a cell beside it."""
+    cell = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start))
+    cells, owners = np.divmod(np.unique(cell * n + owner), n)
+    bounds = np.searchsorted(cells, np.arange(len(grid.keys) + 1))
+    return _neighbours(grid.layout, bounds, owners)
+
+
+@numba.njit(cache=True)
+def _neighbours(grid, bounds, owners):
+    """The rows of :func:`neighbours`."""
+    room, near = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
+    found = []
+    for cell in range(len(grid[1])):
+        k = _planes_around(grid[1], grid[3], bounds, owners, cell, room, near)
+        for a in owners[bounds[cell] : bounds[cell + 1]]:
+            for b in near[:k]:
+                if a != b:
+                    found.append((cell, a, b))
+    rows = np.empty((len(found), 3), dtype=np.int64)
+    for k, row in enumerate(found):
+        rows[k, 0], rows[k, 1], rows[k, 2] = row
+    return rows
+
+
+def beside_lines(lines, tolerance, reach):
+    """Points within ``reach`` of a line of their plane with another, and clear of that other.
+
+    Returns the side of each (twice the line's number, plus one for the second plane) and
+    its station along the line, m.
+    """
+    n, (cells, a, b) = len(lines.normals), lines.meetings.T
+    keys = lines.pairs @ [n, 1]
+    wanted = np.minimum(a, b) * n + np.maximum(a, b)
+    line = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    meets = keys[line] == wanted if len(keys) else np.zeros(len(a), dtype=bool)
+    meetings = np.stack([cells, a, b, line], axis=1)[meets]
+    room = int(np.diff(lines.grid.start)[meetings[:, 0]].sum())
+    frames = lines.foot, lines.direction, lines.centres, lines.normals
+    return _beside(lines.grid.layout, lines.owner, meetings, frames, tolerance, reach, room)
+
+
+@numba.njit(cache=True)
+def _beside(grid, owner, meetings, frames, tolerance, reach, room):
+    """The sides and stations of :func:`beside_lines`, at most ``room``."""
+    points, start = grid[0], grid[2]
+    foot, direction, centres, normals = frames
+    sides, stations, n = np.empty(room, dtype=np.int64), np.empty(room), 0
+    for cell, a, b, line in meetings:
+        for p in range(start[cell], start[cell + 1]):
+            if owner[p] != a or abs(_distance(points, p, centres[b], normals[b])) <= tolerance:
+                continue
+            station = _distance(points, p, foot[line], direction[line])
+            square = ((points[p] - foot[line]) ** 2).sum() - station**2
+            if square <= reach**2:
+                sides[n], stations[n] = 2 * line + (a > b), station
+                n += 1
+    return sides[:n], stations[:n]

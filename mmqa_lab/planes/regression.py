@@ -1,4 +1,4 @@
-"""Orthogonal regression planes and the dispersion of the points about them.
+"""Planes, lines and circles fitted to points, and the dispersion of the points about them.
 
 Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the plane of a chart is
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
@@ -137,16 +137,9 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     ([0.0, 0.0, 1.0], 0.0)
     """
     points = check_points(points, minimum=3)
-    origin = points.mean(axis=0)
-    local = points - origin
-    weights = np.ones(len(local))
-    centre, vectors = _principal(local, weights)
-    if robust:
-        centre, vectors = _reweighted(local, centre, vectors)
-    normal = vectors[0] * np.sign(vectors[0][np.argmax(np.abs(vectors[0]))])
-    first = vectors[2] * np.sign(vectors[2][np.argmax(np.abs(vectors[2]))])
+    origin, centre, (normal, _, first) = _principal_axes(points, robust)
     axes = np.array([first, np.cross(normal, first)])
-    return Plane(origin + centre, normal, axes, (local - centre) @ normal)
+    return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
 
 
 def flat_points(points, *, name="xy", minimum=1):
@@ -207,12 +200,6 @@ class Line:
         A point of the line: the (weighted) mean of the points, m.
     direction : array, shape (2,)
         Unit vector along the line.
-
-    Examples
-    --------
-    >>> line = fit_line([[0, 0], [5, 0], [10, 0]])
-    >>> line.direction.tolist(), line.distances([[2, 3]]).tolist()
-    ([1.0, 0.0], [3.0])
     """
 
     centre: np.ndarray
@@ -250,12 +237,7 @@ def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
     ([0.6, 0.8], [5.0])
     """
     points = check_points(points, columns=2, minimum=2)
-    origin = points.mean(axis=0)
-    local = points - origin
-    centre, vectors = _principal(local, np.ones(len(local)))
-    if robust:
-        centre, vectors = _reweighted(local, centre, vectors)
-    direction = vectors[-1] * np.sign(vectors[-1][np.argmax(np.abs(vectors[-1]))])
+    origin, centre, (_, direction) = _principal_axes(points, robust)
     return Line(origin + centre, direction)
 
 
@@ -331,6 +313,108 @@ def turned_axes(axes: ArrayLike, angle: float) -> np.ndarray:
     turn = np.radians(check_number(angle, "angle", unit="degrees"))
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, s], [-s, c]]) @ np.asarray(axes, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A circle fitted to points in plan.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        m.
+    radius : float
+        m; as given where it was.
+    std : float
+        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open.
+    """
+
+    centre: np.ndarray
+    radius: float
+    std: float
+
+
+def fit_circle(points, *, diameter=None, scale=0.01):
+    """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 3.
+    diameter : float, optional
+        Where it is known, m. Points of a pole cover less than half of the circle: with a free
+        diameter centre and radius trade off along the line of sight.
+    scale : float
+        Distances beyond this weigh less, m.
+
+    Returns
+    -------
+    Circle
+        The best one from seven starts: the algebraic circle, and circles beside the points.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the diameter is not positive.
+
+    Examples
+    --------
+    >>> turn = np.linspace(0, 2, 20)
+    >>> arc = 5 + 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
+    ([5.0, 5.0], 0.1)
+    """
+    from scipy.optimize import least_squares
+
+    points = check_points(points, columns=2, minimum=3)
+    origin = np.median(points, axis=0)
+    xy = points - origin
+    x, y, algebraic = algebraic_circle(xy)
+    free = diameter is None
+    radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
+    turn = np.arange(0, 2 * np.pi, np.pi / 3)
+    around = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    def misfit(p):
+        """Distances from the circle."""
+        return np.hypot(*(xy - p[:2]).T) - (np.exp(p[2]) if free else radius)
+
+    def jacobian(p):
+        """Derivatives of the distances."""
+        off = p[:2] - xy
+        away = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
+        return np.column_stack([away, np.full(len(xy), -np.exp(p[2]))]) if free else away
+
+    choices = {"jac": jacobian, "loss": "cauchy", "f_scale": scale}
+    fits = [
+        least_squares(misfit, [*start, np.log(radius)][: 2 + free], **choices)
+        for start in [(x, y), *around]
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    normal = best.jac.T @ best.jac
+    std = np.nan
+    if np.linalg.cond(normal) < 1e10:
+        covariance = sigma_mad(misfit(best.x)) ** 2 * np.linalg.inv(normal)
+        std = float(np.sqrt(np.trace(covariance[:2, :2]) / 2))
+    return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), std)
+
+
+def algebraic_circle(xy):
+    """Centre x, centre y and radius of the circle with the least algebraic distance."""
+    design = np.column_stack([xy, np.ones(len(xy))])
+    (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
+    return a / 2, b / 2, np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
+
+
+def _principal_axes(points, robust):
+    """Mean, weighted centre from there, and directions by extent, largest component positive."""
+    origin = points.mean(axis=0)
+    local = points - origin
+    centre, vectors = _principal(local, np.ones(len(local)))
+    if robust:
+        centre, vectors = _reweighted(local, centre, vectors)
+    signs = np.sign(vectors[np.arange(len(vectors)), np.abs(vectors).argmax(axis=1)])
+    return origin, centre, vectors * signs[:, None]
 
 
 def _principal(local, weights):

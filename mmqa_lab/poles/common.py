@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab.planes import algebraic_circle
+from mmqa_lab.planes.regression import algebraic_circle
 
 ROW_M = 0.5
 

@@ -6,6 +6,7 @@ reference is ignored, neither right nor wrong; a second hit on a pole is a dupli
 """
 
 from dataclasses import dataclass
+from statistics import harmonic_mean
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.stats import Errors, Rate, errors, f1, wilson
+from mmqa_lab.stats import Errors, Rate, errors, wilson
 
 GATE_M = 0.5
 
@@ -166,7 +167,7 @@ class Score:
     @property
     def f1(self) -> float:
         """Harmonic mean of recall and precision."""
-        return f1(self.recall.value, self.precision.value)
+        return float(harmonic_mean([self.recall.value, self.precision.value]))
 
     @property
     def duplicates(self) -> int:

@@ -34,46 +34,6 @@ import pandas as pd
 DATA = resources.files("mmqa_lab.published") / "data"
 
 
-def contents():
-    """Return the table of contents.
-
-    Returns
-    -------
-    DataFrame
-        A row for each table: ``source``, ``table``, ``title``, ``section``, ``pages``, ``kind``
-        (published or derived), ``rows``, ``doi`` (or the HAL identifier; empty where there is
-        neither).
-
-    Examples
-    --------
-    >>> contents().query("source == 'poreba2013'")["table"].tolist()
-    ['table_1', 'table_2', 'equations', 'numbers', 'derived']
-    """
-    tables, sources = strings("contents"), strings("sources").set_index("source")
-    files = tables["source"] + "/" + tables["table"]
-    tables["rows"] = [len(strings(file)) for file in files]
-    identifiers = sources["doi"].where(sources["doi"] != "", sources["hal"])
-    tables["doi"] = tables["source"].map(identifiers)
-    return tables
-
-
-def columns():
-    """Return what the columns mean that are not plain text.
-
-    Returns
-    -------
-    DataFrame
-        ``column``, ``type`` (float, int, bool), ``unit``, ``label`` (the name without its unit),
-        ``meaning``.
-
-    Examples
-    --------
-    >>> columns().set_index("column").loc["olhd_m", "meaning"]
-    'oriented line Hausdorff distance'
-    """
-    return strings("columns")
-
-
 def table(source, name):
     """Return one table of a source.
 
@@ -83,13 +43,13 @@ def table(source, name):
         ``pfeifer2021``, ``poreba2013``, ``cahalane2014``, ``eurosdr2013_mls`` or
         ``eurosdr2013_radiometry``.
     name : str
-        As in :func:`contents`.
+        Such as ``table_1``; an unknown name is answered with those that there are.
 
     Returns
     -------
     DataFrame
         A new frame. Text is a string (empty where nothing is printed), numbers are float (NaN
-        where there is none) or int, yes/no columns are bool. Units as :func:`columns` says.
+        where there is none) or int, yes/no columns are bool. Units as the names of the columns say.
 
     Raises
     ------
@@ -106,7 +66,7 @@ def table(source, name):
     systems, numbers, derived.
     """
     frame = raw(source, name)
-    types = columns().set_index("column")["type"]
+    types = _columns()["type"]
     for column in frame.columns.intersection(types.index):
         frame[column] = _typed(frame[column], types[column])
     return frame
@@ -137,10 +97,10 @@ def raw(source, name):
     >>> raw("poreba2013", "table_1")["detection_rate_percent"].iloc[0]
     '99.90'
     """
-    _check(source, strings("sources")["source"].tolist(), "source")
-    known = strings("contents").query("source == @source")["table"].tolist()
+    _check(source, _strings("sources")["source"].tolist(), "source")
+    known = _strings("contents").query("source == @source")["table"].tolist()
     _check(name, known, "table", of=f" of {source}")
-    return strings(f"{source}/{name}")
+    return _strings(f"{source}/{name}").copy()
 
 
 def number(source, key):
@@ -170,69 +130,20 @@ def number(source, key):
     >>> precision["relation"], precision["value"], precision["unit"]
     ('about', 0.3, 'm')
     """
-    _check(source, strings("sources")["source"].tolist(), "source")
+    _check(source, _strings("sources")["source"].tolist(), "source")
     rows = {row["id"]: row for row in _numbers(source) if row["id"]}
     _check(key, list(rows), "number", of=f" of {source}")
     return rows[key]
 
 
-def citation(source):
-    """Return authors, year, title, place and identifier of a source in one line.
-
-    Parameters
-    ----------
-    source : str
-        As in :func:`table`.
-
-    Returns
-    -------
-    str
-        With the DOI or the HAL identifier where there is one.
-
-    Raises
-    ------
-    ValueError
-        If the source is unknown.
-
-    Examples
-    --------
-    >>> citation("poreba2013")
-    'Poreba, M.; Goulette, F. (2013): Line segment-based approach for accuracy assessment of MLS
-    point clouds in urban areas. 8th International Symposium on Mobile Mapping Technology, Tainan,
-    hal-00846334'
-    """
-    sources = strings("sources").set_index("source")
-    _check(source, sources.index.tolist(), "source")
-    row = sources.loc[source]
-    identifier = f", doi:{row['doi']}" if row["doi"] else f", {row['hal']}" if row["hal"] else ""
-    start = f"{row['authors']} ({row['year']}): {row['title']}."
-    return f"{start} {row['published_in']}{identifier}"
-
-
-def strings(path):
-    """Return a CSV file of the data folder with every cell as a string.
-
-    Parameters
-    ----------
-    path : str
-        Below ``data``, without ending, such as ``sources`` or ``poreba2013/table_1``.
-
-    Returns
-    -------
-    DataFrame of str
-        A new frame; empty strings where the file has nothing.
-
-    Examples
-    --------
-    >>> strings("sources")["year"].tolist()
-    ['2021', '2013', '2014', '2013', '2013']
-    """
-    return _strings(path).copy()
+def _columns():
+    """What the columns mean that are not plain text, by their names."""
+    return _strings("columns").set_index("column")
 
 
 @cache
 def _strings(path):
-    """Read a CSV file once."""
+    """A CSV file below ``data``, every cell a string; the frame is shared, so leave it as it is."""
     with (DATA / f"{path}.csv").open(encoding="utf-8") as file:
         return pd.read_csv(file, dtype=str, keep_default_na=False)
 
@@ -248,7 +159,7 @@ def _typed(cells, kind):
 
 def _numbers(source):
     """All rows of a source that have an id, as dicts."""
-    for name in strings("contents").query("source == @source and kind == 'published'")["table"]:
+    for name in _strings("contents").query("source == @source and kind == 'published'")["table"]:
         frame = table(source, name)
         if "id" in frame:
             yield from frame.assign(table=name).to_dict("records")

@@ -1,7 +1,7 @@
 """The ledger: every number that the five sources print, beside what the studies find.
 
 A *cell* is one printed number. A study writes its own values into ``ledger.csv`` of its results
-folder, a row for each value (:func:`entry`, :func:`frame`); :func:`collect` joins them with the
+folder, a row for each value (:func:`entry`); :func:`collect` joins them with the
 cells and gives each one a verdict:
 
 - **reproduced**: our value rounds to what is printed, and no parameter was fitted to it;
@@ -27,7 +27,6 @@ from mmqa_lab import published
 
 KINDS = ("predicted", "measured", "fitted")
 VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable")
-COLORS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
@@ -94,29 +93,8 @@ def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note="")
     as 'A 5 m density'.
     """
     row = dict(zip(COLUMNS, (source, table, cell, value, low, high, kind, note), strict=True))
-    _check_entry(row, _cell_names())
+    _check_entry(row)
     return row
-
-
-def frame(entries):
-    """Return entries as the table that a study writes as ``ledger.csv``.
-
-    Parameters
-    ----------
-    entries : list of dict
-        Of :func:`entry`.
-
-    Returns
-    -------
-    DataFrame
-        A row for each entry; columns ``COLUMNS``.
-
-    Examples
-    --------
-    >>> frame([entry("cahalane2014", "table_3", "wall 1 mimic", 0.0816, kind="predicted")]).shape
-    (1, 8)
-    """
-    return pd.DataFrame(entries, columns=COLUMNS)
 
 
 def verdict(printed, ours):
@@ -159,23 +137,6 @@ def verdict(printed, ours):
     return "consistent" if _meets(printed, low, high) else "contradicted"
 
 
-def reasons():
-    """Return the default reason for each cell, in the order of :func:`cells`.
-
-    Returns
-    -------
-    Series of str
-        The first line of ``data/reasons.csv`` whose patterns fit; empty where none does.
-
-    Examples
-    --------
-    >>> bool((reasons() == "").any())
-    False
-    """
-    rules = published.strings("reasons").to_dict("records")
-    return pd.Series([_reason(cell, rules) for cell in cells().to_dict("records")])
-
-
 def collect(folder):
     """Return the whole ledger of a run.
 
@@ -203,7 +164,9 @@ def collect(folder):
     >>> bool(ledger["decides"].all()), ledger["verdict"].unique().tolist()
     (True, ['not comparable'])
     """
-    ledger = cells().assign(reason=reasons())
+    rules = published._strings("reasons").to_dict("records")
+    reasons = [_reason(cell, rules) for cell in cells().to_dict("records")]
+    ledger = cells().assign(reason=reasons)
     ledger = ledger.merge(_entries(folder), on=["source", "table", "cell"], how="left")
     ledger["verdict"] = [_verdict_of_row(row) for row in ledger.to_dict("records")]
     silent = (ledger["verdict"] == "not comparable") & (ledger["note"].fillna("") == "")
@@ -212,15 +175,13 @@ def collect(folder):
     return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
 
 
-def summary(ledger, role="result"):
-    """Return how many cells of each source have which verdict.
+def summary(ledger):
+    """Return how many results of each source have which verdict.
 
     Parameters
     ----------
     ledger : DataFrame
         Of :func:`collect`.
-    role : str, optional
-        Count cells of this role only; all when None.
 
     Returns
     -------
@@ -232,73 +193,21 @@ def summary(ledger, role="result"):
     >>> int(summary(collect("no/such/folder")).loc["poreba2013"].sum())
     80
     """
-    rows = ledger[ledger["decides"]]
-    rows = rows if role is None else rows[rows["role"] == role]
-    sources = published.strings("sources")["source"]
+    rows = ledger[ledger["decides"] & (ledger["role"] == "result")]
+    sources = published._strings("sources")["source"]
     counts = pd.crosstab(rows["source"], rows["verdict"])
     counts = counts.reindex(index=sources, columns=VERDICTS, fill_value=0)
     counts.loc["all"] = counts.sum()
     return counts
 
 
-def gaps(ledger):
-    """Return the contradicted rows without an argument and the cells without a reason.
-
-    Parameters
-    ----------
-    ledger : DataFrame
-        Of :func:`collect`.
-
-    Returns
-    -------
-    DataFrame
-        Rows of the ledger with an empty note; none in a complete run.
-
-    Examples
-    --------
-    >>> len(gaps(collect("no/such/folder")))
-    0
-    """
-    argued = ledger["verdict"].isin(["contradicted", "not comparable"])
-    return ledger[argued & (ledger["note"] == "")]
-
-
-def plot(ledger, ax, role="result"):
-    """Draw the verdicts of each source as stacked bars.
-
-    Parameters
-    ----------
-    ledger : DataFrame
-        Of :func:`collect`.
-    ax : matplotlib Axes
-    role : str, optional
-        As for :func:`summary`.
-
-    Returns
-    -------
-    matplotlib Axes
-        The same.
-
-    Examples
-    --------
-    >>> from matplotlib.figure import Figure
-    >>> plot(collect("no/such/folder"), Figure().subplots()).get_xlabel()
-    'printed numbers'
-    """
-    counts = summary(ledger, role).drop(index="all")[::-1]
-    counts.plot.barh(stacked=True, ax=ax, color=COLORS, width=0.7)
-    ax.set(xlabel="printed numbers", ylabel="")
-    ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return ax
-
-
 @cache
 def _cells():
     """All cells, made once."""
-    sections = published.contents().set_index(["source", "table"])["section"]
-    columns = published.columns().set_index("column").to_dict("index")
+    sections = published._strings("contents").set_index(["source", "table"])["section"]
+    columns = published._columns().to_dict("index")
     rows = []
-    for layout in published.strings("ledger_tables").to_dict("records"):
+    for layout in published._strings("ledger_tables").to_dict("records"):
         section = sections[layout["source"], layout["table"]]
         for row in published.raw(layout["source"], layout["table"]).to_dict("records"):
             row = {"section": section, **row}
@@ -357,15 +266,9 @@ def _low_high(row):
     return _number({"relation": row["relation"], "value": row["low"] or row["high"]}, "value")
 
 
-def _as_cell(relation, printed, value, low, high):
+def _as_cell(*parts):
     """The part of a cell that its number gives."""
-    return {
-        "relation": relation,
-        "printed": printed,
-        "value": value,
-        "low": low,
-        "high": high,
-    }
+    return dict(zip(("relation", "printed", "value", "low", "high"), parts, strict=True))
 
 
 def _interval(digits, relation):
@@ -408,7 +311,8 @@ def _reason(cell, rules):
 def _entries(folder):
     """All entries below a folder, those that decide first."""
     files = sorted(Path(folder).glob("*/ledger.csv"))
-    entries = pd.concat([_read(file) for file in files] or [frame([]).assign(study="")])
+    none = pd.DataFrame(columns=[*COLUMNS, "study"])
+    entries = pd.concat([_read(file) for file in files] or [none])
     entries["rank"] = entries["kind"].map(KINDS.index)
     numbers = dict.fromkeys(("value", "low", "high"), float)
     entries = entries.astype(numbers).sort_values("rank", kind="stable")
@@ -422,9 +326,8 @@ def _read(file):
     missing = [column for column in COLUMNS if column not in entries]
     if missing:
         raise ValueError(f"Invalid {file}: no column {missing[0]}. Must have {', '.join(COLUMNS)}.")
-    names = _cell_names()
     for row in entries.to_dict("records"):
-        _check_entry(row, names)
+        _check_entry(row)
     return entries[COLUMNS].assign(study=file.parent.name)
 
 
@@ -434,10 +337,10 @@ def _cell_names():
     return _cells().groupby(["source", "table"])["cell"].apply(list).to_dict()
 
 
-def _check_entry(row, names):
+def _check_entry(row):
     """Refuse an entry for an unknown cell, of an unknown kind, or outside its own interval."""
     place = f"{row['source']} {row['table']}"
-    known = names.get((row["source"], row["table"]))
+    known = _cell_names().get((row["source"], row["table"]))
     if known is None:
         raise ValueError(f"Invalid table {place}. Must be one with printed numbers in cells().")
     if row["cell"] not in known:
@@ -458,5 +361,5 @@ def _verdict_of_row(row):
     """The verdict of one row of the joined table."""
     if pd.isna(row["kind"]):
         return "not comparable"
-    ends = {"low": row["ours_low"], "high": row["ours_high"]}
-    return verdict(row, {"value": row["ours"], "kind": row["kind"], **ends})
+    ours = {name: row[f"ours_{name}"] for name in ("low", "high")}
+    return verdict(row, {"value": row["ours"], "kind": row["kind"], **ours})

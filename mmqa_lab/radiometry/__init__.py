@@ -1,42 +1,496 @@
 """Radiometry of digital images: radiance, reflectance, even blocks of images.
 
 EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogrammetric images",
-2008-2011, Honkavaara et al.). The modules follow the steps of the report: ``sensor`` (DN to
-radiance, equations 2 and 3), ``reflectance`` (equation 4, empirical line, directions, errors by
-equations 6-8, NDVI), ``block`` (one adjustment of overlapping images). Resolution is in
-``mmqa_lab.mtf``.
-The sum of radiances at the sensor (equation 1) is simulated in ``mmqa_lab.simulate.targets``.
-Equation 5 defines a bidirectional reflectance and is no model. Equations are numbered as in the
-report; the notation is that of this package.
+2008-2011, Honkavaara et al.). The functions follow the steps of the report: DN to radiance
+(equations 2 and 3), reflectance (equation 4, empirical line, NDVI), one adjustment of overlapping
+images (``block``). Resolution is in ``mmqa_lab.mtf``. The sum of radiances at the sensor (equation
+1) is simulated in ``mmqa_lab.simulate.targets``. Equation 5 defines a bidirectional reflectance and
+is no model; the model here is Walthall's, which the report names only where it describes the
+software XPro (a modified form). Equations are numbered as in the report.
+
+A linear sensor records DN = offset + gain * radiance * exposure, where exposure is the exposure
+time over the squared f-number, relative to that of a reference setting: L = K DN f^2 / t. That
+follows from equation 2, in which DN grows with the lens's solid angle and the exposure time.
+Equation 3 as printed there, L = K' (t / f) DN, has the ratio upside down and f not squared; this
+room deviates from it.
 """
 
-from mmqa_lab.radiometry.block import Priors, adjust_block
-from mmqa_lab.radiometry.reflectance import (
-    empirical_line,
-    fit_walthall,
-    ndvi,
-    reflectance_errors,
-    reflectance_factor,
-)
-from mmqa_lab.radiometry.sensor import (
-    fit_sensor,
-    patch_statistics,
-    relative_exposure,
-    saturation_level,
-    stability,
-)
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.radiometry.block import adjust_block, fit_walthall
 
 __all__ = [
-    "Priors",
     "adjust_block",
     "empirical_line",
     "fit_sensor",
     "fit_walthall",
     "ndvi",
     "patch_statistics",
-    "reflectance_errors",
     "reflectance_factor",
     "relative_exposure",
-    "saturation_level",
     "stability",
 ]
+
+SPREAD = 3.0
+"""A target counts as saturated when its mean comes this near full scale, in its own deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFit(Shown):
+    """A linear sensor model and how well it is known.
+
+    Parameters
+    ----------
+    gain, offset : float
+        DN per unit of radiance at exposure 1, and DN of darkness.
+    covariance : array, shape (2, 2)
+        Of (gain, offset).
+    r_squared : float
+        Share of the (weighted) variance of DN that radiance explains.
+    residuals : array, shape (n,)
+        DN minus the line for every given target, NaN for the saturated ones.
+    saturated : int
+        Targets left out because they were saturated.
+
+    Examples
+    --------
+    >>> fit = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820])
+    >>> round(fit.gain, 6), round(fit.offset, 6), round(float(fit.radiance(520)), 6)
+    (10.0, 20.0, 50.0)
+    """
+
+    gain: float
+    offset: float
+    covariance: np.ndarray
+    r_squared: float
+    residuals: np.ndarray
+    saturated: int
+
+    @property
+    def n(self):
+        """Number of targets used."""
+        return int(np.isfinite(self.residuals).sum())
+
+    @property
+    def std(self):
+        """Standard errors of (gain, offset), shape (2,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def p_values(self):
+        """Two-sided p-values of (gain, offset) being zero, Student's t with n - 2."""
+        from scipy.stats import t
+
+        return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.n - 2)
+
+    def radiance(self, dn, *, exposure=1.0):
+        """Radiance of digital numbers taken at an exposure relative to the calibration's."""
+        exposure = check_positive(exposure, "exposure")
+        return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
+
+    def to_frame(self):
+        """Return one row: both coefficients with standard errors and p-values, R2 and counts."""
+        (s_gain, s_offset), (p_gain, p_offset) = self.std, self.p_values
+        row = {
+            **{"gain": self.gain, "gain_std": s_gain, "gain_p": p_gain},
+            **{"offset_dn": self.offset, "offset_std_dn": s_offset, "offset_p": p_offset},
+            **{"r_squared": self.r_squared, "n": self.n, "saturated": self.saturated},
+        }
+        return pd.DataFrame([row])
+
+
+def relative_exposure(time_s, f_number, *, reference=(0.01, 4.0)):
+    """Return the exposure time / f-number squared, over that of a reference setting.
+
+    Parameters
+    ----------
+    time_s, f_number : float
+    reference : (float, float)
+        Exposure time (s) and f-number at which the relative exposure is 1.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ValueError
+        If a setting is not above zero.
+
+    Examples
+    --------
+    >>> relative_exposure(0.02, 8.0)
+    0.5
+    """
+    values = [check_positive(v, "exposure setting") for v in (time_s, f_number, *reference)]
+    time, number, time0, number0 = values
+    return time / time0 * (number0 / number) ** 2
+
+
+def patch_statistics(image, patches, *, full_scale=None):
+    """Return the mean DN of targets in an image, and how much of each is saturated.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        One band.
+    patches : array_like of int, shape (m, 4)
+        First row, last row (excluded), first column, last column (excluded) of each target.
+    full_scale : float, optional
+        DN from which a pixel is saturated. When not given it is the highest value, if more than 1
+        in 10,000 of the pixels and five times as many as of any of the ten levels below have it.
+
+    Returns
+    -------
+    DataFrame
+        ``n``, ``mean_dn``, ``std_dn`` (of a pixel), ``std_error_dn`` (of the mean),
+        ``saturated_share``.
+
+    Raises
+    ------
+    ValueError
+        If a patch has fewer than two pixels or leaves the image.
+
+    Examples
+    --------
+    >>> image = np.array([[10.0, 12.0, 255.0, 255.0]] * 2)
+    >>> found = patch_statistics(image, [[0, 2, 0, 2], [0, 2, 2, 4]], full_scale=255)
+    >>> found["mean_dn"].tolist(), found["saturated_share"].tolist()
+    ([11.0, 255.0], [0.0, 1.0])
+    """
+    image = np.asarray(image, dtype=np.float64)
+    full_scale = _saturation_level(image) if full_scale is None else full_scale
+    rows = []
+    for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
+        inside = 0 <= r0 < r1 <= image.shape[0] and 0 <= c0 < c1 <= image.shape[1]
+        if not inside or (r1 - r0) * (c1 - c0) < 2:
+            raise ValueError(
+                f"Invalid patch {(r0, r1, c0, c1)}. Must have two or more pixels in an image of "
+                f"{image.shape[0]} x {image.shape[1]}."
+            )
+        dn = image[r0:r1, c0:c1].ravel()
+        std = dn.std(ddof=1)
+        rows.append((dn.size, dn.mean(), std, std / np.sqrt(dn.size), (dn >= full_scale).mean()))
+    columns = ["n", "mean_dn", "std_dn", "std_error_dn", "saturated_share"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale: float = np.inf) -> SensorFit:
+    """Fit gain and offset of a sensor to targets of known radiance.
+
+    Weighted regression of DN on radiance times exposure. Targets whose DN comes within three of
+    their standard deviations of full scale are left out: a mean of clipped pixels is too low.
+
+    Parameters
+    ----------
+    radiance : array_like, shape (n,)
+        At the sensor, W m-2 sr-1 um-1 or any unit in which the answer is wanted.
+    dn : array_like, shape (n,)
+        Digital numbers of the targets.
+    exposure : float or array_like, shape (n,)
+        See ``relative_exposure``.
+    std_dn : float or array_like, shape (n,), optional
+        Standard deviation of a target's pixels; weights are its inverse square. Without it all
+        targets weigh alike, which is right only where noise does not grow with the signal.
+    full_scale : float
+        DN from which a pixel is saturated.
+
+    Returns
+    -------
+    SensorFit
+
+    Raises
+    ------
+    ValueError
+        If fewer than three unsaturated targets are left or all have the same radiance.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, equation 2; for equation 3 see the top of this module.
+
+    Examples
+    --------
+    >>> fit = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820.4])
+    >>> round(fit.gain, 2), round(fit.offset, 1), fit.n
+    (10.01, 19.9, 4)
+    """
+    from statsmodels.regression.linear_model import WLS
+
+    dn = np.asarray(dn, dtype=np.float64)
+    signal = np.broadcast_to(np.asarray(radiance, dtype=np.float64) * exposure, dn.shape)
+    std = np.broadcast_to(1.0 if std_dn is None else np.asarray(std_dn, np.float64), dn.shape)
+    if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
+        raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
+    used = dn + SPREAD * (0 if std_dn is None else std) < full_scale
+    if used.sum() < 3 or np.ptp(signal[used]) == 0:
+        raise ValueError(
+            f"Invalid targets: {used.sum()} unsaturated of {len(dn)}. Must be three or more, of "
+            "different radiance."
+        )
+    design = np.stack([signal, np.ones_like(signal)], axis=1)
+    fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
+    return SensorFit(
+        gain=float(fit.params[0]),
+        offset=float(fit.params[1]),
+        covariance=np.asarray(fit.cov_params()),
+        r_squared=float(fit.rsquared),
+        residuals=np.where(used, dn - design @ fit.params, np.nan),
+        saturated=int((~used).sum()),
+    )
+
+
+def stability(fits: dict, radiance):
+    """Say how well the parameters of one setting fit the images of another.
+
+    Digital numbers that one setting gives for known radiances are turned into radiance with the
+    parameters of another. If exposure time and f-number did what their labels say, and nothing
+    changed in between, all differences would be zero.
+
+    Parameters
+    ----------
+    fits : dict of str to SensorFit
+        By the name of the setting (exposure time, f-number, date), all at relative exposure.
+    radiance : array_like, shape (n,)
+        At which they are compared.
+
+    Returns
+    -------
+    DataFrame
+        A row for each ordered pair: ``setting``, ``other`` (whose parameters are used) and
+        ``difference_percent``, the mean absolute difference of the radiance.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two settings.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, section 4.3; how differences are averaged is not printed.
+
+    Examples
+    --------
+    >>> one = fit_sensor([10, 20, 40, 80], [120, 220, 420, 820.4])
+    >>> two = fit_sensor([10, 20, 40, 80], [122, 224, 428, 836.4])
+    >>> stability({"1/100 s": one, "1/200 s": two}, [20, 40, 80])["difference_percent"].round(1)
+    0    2.0
+    1    2.0
+    Name: difference_percent, dtype: float64
+    """
+    check_count(len(fits), "number of settings", low=2)
+    known, rows = np.asarray(radiance, dtype=np.float64), []
+    for (name, one), (other, two) in permutations(fits.items(), 2):
+        found = two.radiance(one.offset + one.gain * known)
+        rows.append((name, other, 100 * np.abs(found / known - 1).mean()))
+    return pd.DataFrame(rows, columns=["setting", "other", "difference_percent"])
+
+
+@dataclass(frozen=True, eq=False)
+class EmpiricalLine:
+    """Reflectance as a straight line of DN: reflectance = slope * DN + intercept.
+
+    Parameters
+    ----------
+    slope, intercept : float
+        Reflectance per DN, reflectance.
+    covariance : array, shape (2, 2)
+        Of (slope, intercept); NaN from two targets without known uncertainty.
+    residuals : array, shape (n,)
+        Known minus computed reflectance of the targets.
+
+    Examples
+    --------
+    >>> line = empirical_line([100, 500], [0.05, 0.45])
+    >>> round(float(line.reflectance(300)), 6), line.n
+    (0.25, 2)
+    """
+
+    slope: float
+    intercept: float
+    covariance: np.ndarray
+    residuals: np.ndarray
+
+    @property
+    def n(self):
+        """Number of targets."""
+        return len(self.residuals)
+
+    def reflectance(self, dn, *, anisotropy=1.0):
+        """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
+        return (self.slope * np.asarray(dn, np.float64) + self.intercept) / anisotropy
+
+    def std(self, dn, *, std_dn=0.0):
+        """Standard deviation of the reflectance: that of the line, and that of the DN."""
+        dn = np.asarray(dn, dtype=np.float64)
+        terms = np.stack([dn, np.ones_like(dn)], axis=-1)
+        line = np.einsum("...i,ij,...j", terms, self.covariance, terms)
+        return np.sqrt(line + (self.slope * np.asarray(std_dn)) ** 2)
+
+
+def reflectance_factor(
+    radiance,
+    irradiance: float,
+    *,
+    path_radiance: float = 0.0,
+    transmittance: float = 1.0,
+    spherical_albedo: float = 0.0,
+    surroundings: float = 0.0,
+):
+    """Return the reflectance of a target by equation 4.
+
+    rho = pi (L - L_atm) (1 - s rho') / (E tau). In the notation of the report E is S tau_s: the
+    irradiance of the sun above the air times the cosine of its zenith angle, times the
+    transmittance on its way down.
+
+    Parameters
+    ----------
+    radiance : array_like
+        At the sensor, W m-2 sr-1 um-1.
+    irradiance : float
+        On level ground, W m-2 um-1, without the light that ground and air throw back and forth.
+    path_radiance : float
+        All light from elsewhere that the air adds between ground and sensor, unit of the radiance.
+    transmittance : float
+        Of the air between ground and sensor, 0 to 1.
+    spherical_albedo : float
+        s, the share of the light from the ground that the air sends back, 0 to 1.
+    surroundings : float
+        rho', mean reflectance around the target, 0 to 1.
+
+    Returns
+    -------
+    float or array
+
+    Raises
+    ------
+    ValueError
+        If the irradiance is not above zero or a share is outside 0 to 1.
+
+    Notes
+    -----
+    With ``spherical_albedo`` left at 0 the factor (1 - s rho') is 1. That is right only for an
+    irradiance measured on site, which contains the light thrown back.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, equation 4.
+
+    Examples
+    --------
+    >>> round(float(reflectance_factor(100.0, 1500.0, path_radiance=10.0, transmittance=0.9)), 3)
+    0.209
+    >>> air = {"path_radiance": 10.0, "transmittance": 0.9, "spherical_albedo": 0.1}
+    >>> round(float(reflectance_factor(100.0, 1500.0, surroundings=0.2, **air)), 3)
+    0.205
+    """
+    irradiance = check_positive(irradiance, "irradiance", unit="W m-2 um-1")
+    tau = check_positive(check_number(transmittance, "transmittance", high=1), "transmittance")
+    s = check_number(spherical_albedo, "spherical_albedo", low=0, high=1)
+    around = check_number(surroundings, "surroundings", low=0, high=1)
+    of_ground = np.asarray(radiance, np.float64) - path_radiance
+    return np.pi * of_ground * (1 - s * around) / (tau * irradiance)
+
+
+def empirical_line(dn, reflectance, *, std_dn=None, anisotropy=1.0):
+    """Fit reflectance as a line of DN through targets of known reflectance.
+
+    Parameters
+    ----------
+    dn : array_like, shape (n,)
+        Mean DN of the targets, n >= 2.
+    reflectance : array_like, shape (n,)
+        Known reflectance at nadir.
+    std_dn : float or array_like, shape (n,), optional
+        Standard error of each mean DN. Where given, targets weigh by its inverse square, and the
+        covariance follows from it; where not, it follows from the residuals (n >= 3).
+    anisotropy : float or array_like, shape (n,)
+        Anisotropy factor of each target as the camera saw it: a target that reflects 5 %
+        more that way than at nadir has 1.05.
+
+    Returns
+    -------
+    EmpiricalLine
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two targets or all have the same DN.
+
+    Notes
+    -----
+    With two targets the line passes through both: errors of the targets are not seen, and
+    reflectance beyond the brighter one is extrapolated.
+
+    Examples
+    --------
+    >>> line = empirical_line([200, 1000, 1800], [0.05, 0.25, 0.45])
+    >>> round(float(line.reflectance(600)), 3)
+    0.15
+    """
+    from statsmodels.regression.linear_model import WLS
+
+    dn = np.asarray(dn, dtype=np.float64)
+    known = np.broadcast_to(np.asarray(reflectance, np.float64) * anisotropy, dn.shape)
+    if dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0:
+        raise ValueError(
+            f"Invalid targets: {dn.size} given. Must be two or more of different, finite DN."
+        )
+    slope = np.polyfit(dn, known, 1)[0]
+    std = np.ones_like(dn) if std_dn is None else np.abs(slope) * np.broadcast_to(std_dn, dn.shape)
+    if (std <= 0).any():
+        raise ValueError("Invalid standard errors. Must be > 0 DN.")
+    fit = WLS(known, np.stack([dn, np.ones_like(dn)], axis=1), weights=std**-2.0).fit()
+    spread = 1.0 if std_dn is not None else fit.scale if len(dn) > 2 else np.nan
+    slope, intercept = map(float, fit.params)
+    return EmpiricalLine(slope, intercept, fit.normalized_cov_params * spread, fit.resid)
+
+
+def ndvi(near_infrared, red, *, std_near_infrared=0.0, std_red=0.0, correlation=0.0):
+    """Return NDVI = (N - R) / (N + R) and its standard deviation.
+
+    Parameters
+    ----------
+    near_infrared, red : array_like
+        Reflectances, not DN: the index of DN depends on both bands' gains.
+    std_near_infrared, std_red : array_like
+        Their standard deviations.
+    correlation : float
+        Of the errors of the two bands; errors that both share (illumination) have one near 1, and
+        then most of them cancel.
+
+    Returns
+    -------
+    ndvi, std : array
+        First-order propagation.
+
+    Raises
+    ------
+    ValueError
+        If the correlation lies outside -1 to 1.
+
+    Examples
+    --------
+    >>> value, std = ndvi(0.45, 0.05, std_near_infrared=0.0225, std_red=0.0025)
+    >>> round(float(value), 3), round(float(std), 4)
+    (0.8, 0.0127)
+    """
+    n, r = np.asarray(near_infrared, np.float64), np.asarray(red, np.float64)
+    check_number(correlation, "correlation", low=-1, high=1)
+    total = n + r
+    by_n, by_r = 2 * r / total**2 * std_near_infrared, -2 * n / total**2 * std_red
+    variance = by_n**2 + by_r**2 + 2 * correlation * by_n * by_r
+    return (n - r) / total, np.sqrt(variance)
+
+
+def _saturation_level(dn):
+    """The digital number on which saturated pixels pile up, infinity where none does."""
+    top = dn.max()
+    counts = np.array([np.count_nonzero(dn == top - k) for k in range(11)])
+    piled = counts[0] > max(1e-4 * dn.size, 5 * counts[1:].max(), 1)
+    return float(top) if piled else np.inf

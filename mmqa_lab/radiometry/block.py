@@ -12,9 +12,13 @@ of them together. The radiance of tie point k in image i is taken to be
 with Walthall's terms (v, a: zenith angle and azimuth of the view; radians) and r, the distance from
 the image's centre over that of its corner. With control targets R is reflectance, without any it is
 relative.
+
+Angles in degrees: zenith angles of sun and view from the vertical; the relative azimuth is 0 where
+the camera looks at the ground with the sun behind it (backward scattering) and 180 where it looks
+against the sun.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -23,11 +27,11 @@ from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.radiometry.reflectance import walthall_terms
 
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
 
 FREE, FIXED = np.inf, 0.0
+"""Deviations of a prior: the parameter is left to the images, or keeps its value."""
 
 HUBER = 1.5
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009)."""
@@ -40,35 +44,68 @@ CONVERGED = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Priors:
-    """What is known beforehand of the parameters: a value and a standard deviation each.
+class WalthallFit:
+    """A fitted Walthall function: ``coefficients`` of v^2, v cos(a), 1, ``rms`` and ``n``."""
 
-    A deviation of 0 (``FIXED``) keeps the parameter at its value, infinity (``FREE``) leaves it to
-    the images.
+    coefficients: np.ndarray
+    rms: float
+    n: int
+
+    def reflectance(self, view_zenith, azimuth):
+        """Reflectance factor in a direction."""
+        return walthall_terms(view_zenith, azimuth) @ self.coefficients
+
+    def anisotropy(self, view_zenith, azimuth):
+        """Anisotropy factor: the reflectance factor over that at nadir."""
+        return self.reflectance(view_zenith, azimuth) / self.reflectance(0.0, 0.0)
+
+
+def fit_walthall(reflectance, view_zenith, azimuth):
+    """Fit Walthall's function to reflectances of one surface from many directions.
 
     Parameters
     ----------
-    gain_std : float
-        Of the natural logarithm of each image's gain about 0.
-    anisotropy_std : float
-        Of b1 and b2 about 0.
-    radial : (float, float)
-        Value and deviation, as from a flat-field calibration.
-    haze : (float, float)
-        In the unit of R. Without control targets haze cannot be told from a brighter ground; it is
-        then to be fixed.
+    reflectance : array_like, shape (n,)
+    view_zenith, azimuth : array_like, shape (n,) or float
+        Degrees, for one position of the sun.
+
+    Returns
+    -------
+    WalthallFit
+
+    Raises
+    ------
+    ValueError
+        If the directions do not tell the terms apart: too few, or all at nadir.
+
+    References
+    ----------
+    Walthall et al. 1985, doi:10.1364/AO.24.000383.
 
     Examples
     --------
-    >>> known = Priors(radial=(0.1, 0.02))
-    >>> known.gain_std == FREE, known.haze[1] == FIXED
-    (True, True)
+    >>> view, azimuth = np.array([0, 30, 30, 30.0, 50]), np.array([0, 0, 90, 180.0, 45])
+    >>> fit = fit_walthall(walthall_terms(view, azimuth) @ [0.1, 0.05, 0.2], view, azimuth)
+    >>> fit.coefficients.round(6).tolist(), float(fit.anisotropy(30, 0)) > 1
+    ([0.1, 0.05, 0.2], True)
     """
+    from statsmodels.regression.linear_model import OLS
 
-    gain_std: float = FREE
-    anisotropy_std: float = FREE
-    radial: tuple = (0.0, FIXED)
-    haze: tuple = (0.0, FIXED)
+    seen = np.asarray(reflectance, dtype=np.float64)
+    terms = np.broadcast_to(walthall_terms(view_zenith, azimuth), (*seen.shape, 3))
+    if len(seen) < 4 or np.linalg.matrix_rank(terms, tol=1e-6 * len(seen)) < 3:
+        raise ValueError(
+            f"Invalid directions: {len(seen)} observations cannot tell three terms apart. Must be "
+            "more, from different directions."
+        )
+    fit = OLS(seen, terms).fit()
+    return WalthallFit(fit.params, float(np.sqrt(fit.scale)), len(seen))
+
+
+def walthall_terms(view_zenith, azimuth):
+    """Return v^2, v cos(a) and 1 with v and a in radians, shape (..., 3)."""
+    v, a = np.radians(np.asarray(np.broadcast_arrays(view_zenith, azimuth), dtype=np.float64))
+    return np.stack([v**2, v * np.cos(a), np.ones_like(v)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,20 +124,17 @@ class BlockAdjustment(Shown):
         ``tie``, ``reflectance`` (relative without control), ``n``, ``cv_before_percent`` and
         ``cv_after_percent``: coefficient of variation of its values over the images, before
         (radiance over the cosine of the sun's zenith angle) and after.
-    residuals : array, shape (n,)
-        Observed minus adjusted, over its standard deviation.
     sigma0 : float
         Standard deviation of unit weight.
     absolute : bool
         Whether control targets gave the scale.
-    iterations : int
 
     Examples
     --------
     >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
     >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
     ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
-    >>> block = adjust_block(seen, priors=Priors(anisotropy_std=FIXED))
+    >>> block = adjust_block(seen, anisotropy_std=FIXED)
     >>> corrected = block.correct(seen)
     >>> bool(np.allclose(corrected[:2], corrected[2:]))
     True
@@ -111,10 +145,8 @@ class BlockAdjustment(Shown):
     radial: tuple
     haze: tuple
     ties: pd.DataFrame
-    residuals: np.ndarray
     sigma0: float
     absolute: bool
-    iterations: int
 
     def to_frame(self) -> pd.DataFrame:
         """Return the gains, one row an image."""
@@ -141,25 +173,42 @@ class BlockAdjustment(Shown):
         return seen / anisotropy if to_nadir else seen
 
 
-def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, rounds=50):
+def adjust_block(
+    observations,
+    *,
+    control=None,
+    gain_std=FREE,
+    anisotropy_std=FREE,
+    radial=(0.0, FIXED),
+    haze=None,
+    relative_std=0.02,
+    rounds=50,
+):
     """Adjust the radiometry of a block of overlapping images.
 
-    Gauss-Newton with the reflectances of the tie points eliminated (each observation has one), so
-    that the system to solve has the size of the images. Observations that fit badly are weighed
-    down (Huber).
+    Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse.
+    Observations that fit badly are weighed down (Huber). A prior is a value and a standard
+    deviation: 0 (``FIXED``) keeps the value, infinity (``FREE``) leaves it to the images.
 
     Parameters
     ----------
     observations : DataFrame
         One row for each tie point in each image: ``image``, ``tie``, ``radiance`` (DN less offset,
-        over gain and exposure: ``sensor``), ``sun_zenith_deg``, ``view_zenith_deg``,
+        over gain and exposure), ``sun_zenith_deg``, ``view_zenith_deg``,
         ``azimuth_deg`` (0 with the sun behind the camera), ``radius`` (0 in the centre, 1 in the
         corner). Optionally ``surface``: each gets an anisotropy of its own.
     control : DataFrame, optional
         ``tie``, ``reflectance``, ``std``: targets of known nadir reflectance. Two or more of
         different brightness are needed to estimate haze.
-    priors : Priors, optional
-        By default gains and anisotropy are free, no radial term, and haze is free with control.
+    gain_std : float
+        Of the natural logarithm of each image's gain about 0.
+    anisotropy_std : float
+        Of b1 and b2 about 0.
+    radial : (float, float)
+        Value and deviation, as from a flat-field calibration.
+    haze : (float, float), optional
+        In the unit of R; by default free with control and 0 without, where it cannot be told from
+        a brighter ground.
     relative_std : float
         Standard deviation of an observation, as a share of its radiance.
     rounds : int
@@ -190,195 +239,173 @@ def adjust_block(observations, *, control=None, priors=None, relative_std=0.02, 
     >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
     >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
     ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
-    >>> gain = adjust_block(seen, priors=Priors(anisotropy_std=FIXED)).gains["gain"]
+    >>> gain = adjust_block(seen, anisotropy_std=FIXED).gains["gain"]
     >>> round(float(gain[1] / gain[0]), 6)
     1.1
     """
     check_count(rounds, "rounds")
-    problem, names = _block_problem(observations, control, priors, relative_std)
-    step, iteration = np.inf, 0
-    while step > CONVERGED:
-        if iteration == rounds:
-            raise ValueError(
-                f"Invalid block: still changing after {rounds} iterations. Must have tie points "
-                "that determine the parameters."
-            )
-        misfit, jacobian, by_ground = problem.linearised()
-        scaled = misfit / problem.std
+    haze = haze or (0.0, FIXED if control is None else FREE)
+    block = _Block(observations, relative_std)
+    priors = ((0.0, gain_std), (0.0, anisotropy_std), radial, haze)
+    value, std = block.priors(priors, control)
+    free, images = std > 0, len(block.images)
+    with np.errstate(divide="ignore"):
+        prior_weight = np.where(free, std, np.inf)[free] ** -2.0
+    estimate = block.start(value, std)
+    # without control only ratios of gains are determined: their sum stays
+    together = sparse.csc_matrix(np.ones((images, images)) * (control is None))
+    ties, parameters = len(block.ties), int(free.sum()) - len(block.ties)
+    for iteration in range(rounds):
+        misfit, jacobian = block.linearised(estimate)
+        scaled, jacobian = misfit / block.std, jacobian[:, free]
         if iteration < REWEIGHTINGS:
-            weight = np.minimum(
-                1, HUBER * _misfit_scale(scaled) / np.maximum(np.abs(scaled), 1e-12)
-            )
-            weight = weight / problem.std**2
-        step, inverse = _iterate(problem, (misfit, jacobian, by_ground), weight)
-        iteration += 1
-    return _result(problem, names, observations, inverse, scaled, iteration)
+            limit = HUBER * _misfit_scale(scaled)
+            weight = np.minimum(1, limit / np.maximum(np.abs(scaled), 1e-12)) / block.std**2
+        normal = jacobian.T @ sparse.diags(weight) @ jacobian + sparse.diags(prior_weight)
+        if control is None and gain_std > 0:
+            gauge = together * (normal.diagonal()[:parameters].sum() / images**2)
+            size = parameters + ties - images
+            normal = normal + sparse.block_diag([gauge, sparse.csc_matrix((size, size))])
+        right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
+        change, inverse = _solved(normal.tocsc(), right, parameters)
+        estimate[free] += change
+        change[parameters:] /= np.abs(estimate[-ties:]).mean()
+        if np.abs(change).max() <= CONVERGED:
+            adjusted = _result(block, observations, estimate, inverse, free, scaled)
+            return replace(adjusted, absolute=control is not None)
+    raise ValueError(
+        f"Invalid block: still changing after {rounds} iterations. Must have tie points that "
+        "determine the parameters."
+    )
 
 
-def tie_spread(values, tie):
-    """Return the coefficient of variation of each tie point's values, percent.
-
-    Parameters
-    ----------
-    values, tie : array_like, shape (n,)
-
-    Returns
-    -------
-    Series
-        By tie point; NaN where it has one value.
-
-    Examples
-    --------
-    >>> tie_spread([0.9, 1.1, 5.0], ["a", "a", "b"]).round(1).tolist()
-    [14.1, nan]
-    """
+def _tie_spread(values, tie):
+    """The coefficient of variation of each tie point's values, percent; NaN for one value."""
     groups = pd.Series(np.asarray(values, dtype=np.float64)).groupby(np.asarray(tie))
     return 100 * groups.std() / groups.mean()
 
 
-def _result(problem, names, observations, inverse, scaled, iterations):
+class _Block:
+    """Arrays of the observations, and indices of their images, ties and surfaces."""
+
+    def __init__(self, observations, relative_std):
+        missing = [name for name in COLUMNS if name not in observations]
+        if missing:
+            raise ValueError(f"Invalid observations: no column {missing[0]!r}. Must have it.")
+        check_positive(relative_std, "relative_std")
+        self.signal = observations["radiance"].to_numpy(dtype=np.float64)
+        if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):
+            raise ValueError(f"Invalid radiance {np.nanmin(self.signal)}. Must be > 0 and finite.")
+        if not (observations.groupby("tie")["image"].nunique() > 1).any():
+            raise ValueError("Invalid observations: no tie point in two images. Must overlap.")
+        self.image, self.images = pd.factorize(observations["image"], sort=True)
+        self.tie, self.ties = pd.factorize(observations["tie"], sort=True)
+        self.surface, self.surfaces = pd.factorize(_surfaces_of(observations), sort=True)
+        self.std = relative_std * self.signal
+        self.terms, self.sun = _view_terms(observations), _sun_cosine(observations)
+        self.radius2 = observations["radius"].to_numpy(dtype=np.float64) ** 2
+
+    def priors(self, priors, control):
+        """Values and standard deviations of all parameters, the ties' reflectances last."""
+        for _, std in priors:
+            if std != FREE:
+                check_number(std, "prior's standard deviation", low=0)
+        counts = len(self.images), 2 * len(self.surfaces), 1, 1, len(self.ties)
+        value, std = np.repeat([*priors, (0.0, FREE)], counts, axis=0).T.copy()
+        if control is not None:
+            place = pd.Index(self.ties).get_indexer(control["tie"])
+            if (place < 0).any() or not (control["std"] > 0).all():
+                raise ValueError(
+                    "Invalid control. Must be tie points of the block, each with a std above zero."
+                )
+            place = place - len(self.ties)
+            value[place], std[place] = control["reflectance"], control["std"]
+        return value, std
+
+    def start(self, value, std):
+        """Parameters to begin with: as if all gains were 1, or as control says."""
+        estimate, ties = value.copy(), len(self.ties)
+        ground = np.bincount(self.tie, self.signal / self.sun) / np.bincount(self.tie)
+        known = np.isfinite(std[-ties:])
+        scale = np.median(ground[known] / value[-ties:][known]) if known.any() else 1.0
+        estimate[-ties:] = ground / scale
+        estimate[: len(self.images)] += np.log(scale)
+        return estimate
+
+    def split(self, estimate):
+        """Log gains, anisotropy (surfaces, 2), radial, haze, reflectances."""
+        ends = np.cumsum([len(self.images), 2 * len(self.surfaces), 1, 1])
+        log_gain, b, radial, haze, ground = np.split(estimate, ends)
+        return log_gain, b.reshape(-1, 2), radial[0], haze[0], ground
+
+    def linearised(self, estimate):
+        """Misfit and the sparse Jacobian of the model."""
+        log_gain, b, radial, haze, ground = self.split(estimate)
+        gain, fall = np.exp(log_gain)[self.image], 1 - radial * self.radius2
+        lit = self.sun * ground[self.tie]
+        anisotropy = 1 + (self.terms * b[self.surface]).sum(axis=1)
+        light, scale = lit * anisotropy + haze, gain * fall
+        first = len(self.images)
+        last = first + b.size
+        derivatives = [
+            (self.image, scale * light),
+            (first + 2 * self.surface, scale * lit * self.terms[:, 0]),
+            (first + 2 * self.surface + 1, scale * lit * self.terms[:, 1]),
+            (np.full_like(self.image, last), -gain * light * self.radius2),
+            (np.full_like(self.image, last + 1), scale),
+            (last + 2 + self.tie, scale * self.sun * anisotropy),
+        ]
+        columns, values = (np.stack(part) for part in zip(*derivatives, strict=True))
+        rows = np.broadcast_to(np.arange(len(self.signal)), columns.shape)
+        size = len(self.signal), len(estimate)
+        places = rows.ravel(), columns.ravel()
+        return self.signal - scale * light, sparse.csc_matrix((values.ravel(), places), size)
+
+
+def _solved(normal, right, count):
+    """The solution, and the covariance of the first ``count`` unknowns."""
+    from scipy.sparse.linalg import splu
+
+    unknown = "Invalid block: its parameters cannot be told apart. Must have more overlap, control "
+    try:
+        factor = splu(normal)
+    except RuntimeError:
+        raise ValueError(f"{unknown}targets, or priors (see Notes).") from None
+    inverse = factor.solve(np.eye(len(right), count))[:count]
+    sigma = np.sqrt(np.abs(np.diag(inverse)))
+    values = np.linalg.eigvalsh(inverse / np.outer(sigma, sigma))
+    if not values[0] > 1e-10 * values[-1]:
+        raise ValueError(f"{unknown}targets, or priors (see Notes).")
+    return factor.solve(right), inverse
+
+
+def _result(block, observations, estimate, inverse, free, scaled):
     """The adjustment as tables."""
-    images, ties, surfaces = names
-    log_gain, b, radial, haze = problem.split()
-    freedom = max(len(scaled) - (~problem.fixed).sum() - len(ties), 1)
-    sigma0 = float(np.sqrt(np.minimum(scaled**2, (5 * _misfit_scale(scaled)) ** 2).sum() / freedom))
-    std = sigma0 * np.sqrt(np.diag(inverse))
-    count = len(images)
-    gains = pd.DataFrame(
-        {
-            "image": images,
-            "gain": np.exp(log_gain),
-            "gain_std_percent": 100 * std[:count],
-            "n": np.bincount(problem.image, minlength=count),
-        }
-    )
-    b_std = std[count:-2].reshape(-1, 2)
-    anisotropy = pd.DataFrame(
-        {"surface": surfaces, "b1": b[:, 0], "b2": b[:, 1]}
-        | {"b1_std": b_std[:, 0], "b2_std": b_std[:, 1]}
-    )
-    table = pd.DataFrame({"tie": ties, "reflectance": problem.ground})
-    table["n"] = np.bincount(problem.tie)
+    log_gain, b, radial, haze, ground = block.split(estimate)
+    freedom = max(len(scaled) - free.sum(), 1)
+    clipped = np.minimum(scaled**2, (5 * _misfit_scale(scaled)) ** 2)
+    sigma0 = float(np.sqrt(clipped.sum() / freedom))
+    std = np.zeros(len(estimate))
+    std[np.flatnonzero(free)[: len(inverse)]] = sigma0 * np.sqrt(np.diag(inverse))
+    gain_std, b_std, radial_std, haze_std, _ = block.split(std)
+    gains = pd.DataFrame({"image": block.images, "gain": np.exp(log_gain)})
+    gains = gains.assign(gain_std_percent=100 * gain_std, n=np.bincount(block.image))
+    anisotropy = pd.DataFrame(np.hstack([b, b_std]), columns=["b1", "b2", "b1_std", "b2_std"])
+    anisotropy.insert(0, "surface", block.surfaces)
+    ties = pd.DataFrame({"tie": block.ties, "reflectance": ground, "n": np.bincount(block.tie)})
     adjusted = BlockAdjustment(
         gains=gains,
         anisotropy=anisotropy,
-        radial=(float(radial), float(std[-2])),
-        haze=(float(haze), float(std[-1])),
-        ties=table,
-        residuals=scaled,
+        radial=(float(radial), float(radial_std)),
+        haze=(float(haze), float(haze_std)),
+        ties=ties,
         sigma0=sigma0,
-        absolute=bool(problem.control_weight.any()),
-        iterations=iterations,
+        absolute=False,
     )
-    table["cv_before_percent"] = tie_spread(problem.signal / problem.sun, problem.tie).to_numpy()
-    after = tie_spread(adjusted.correct(observations), problem.tie)
-    table["cv_after_percent"] = after.to_numpy()
+    ties["cv_before_percent"] = _tie_spread(block.signal / block.sun, block.tie).to_numpy()
+    after = _tie_spread(adjusted.correct(observations), block.tie)
+    ties["cv_after_percent"] = after.to_numpy()
     return adjusted
-
-
-@dataclass(eq=False)
-class _Problem:
-    """Arrays of the adjustment: observations, indices, parameters."""
-
-    signal: np.ndarray
-    std: np.ndarray
-    image: np.ndarray
-    tie: np.ndarray
-    surface: np.ndarray
-    terms: np.ndarray
-    sun: np.ndarray
-    radius2: np.ndarray
-    shape: tuple
-    fixed: np.ndarray
-    prior: np.ndarray
-    prior_weight: np.ndarray
-    control: np.ndarray
-    control_weight: np.ndarray
-    parameters: np.ndarray = field(default=None)
-    ground: np.ndarray = field(default=None)
-
-    def split(self):
-        """Log gains, anisotropy (surfaces, 2), radial, haze."""
-        images, surfaces, _ = self.shape
-        p = self.parameters
-        return p[:images], p[images : images + 2 * surfaces].reshape(-1, 2), p[-2], p[-1]
-
-    def linearised(self):
-        """Misfit, Jacobian of the parameters (sparse), derivative by the tie's reflectance."""
-        images, surfaces, _ = self.shape
-        log_gain, b, radial, haze = self.split()
-        gain, fall = np.exp(log_gain)[self.image], 1 - radial * self.radius2
-        lit = self.sun * self.ground[self.tie]
-        anisotropy = 1 + (self.terms * b[self.surface]).sum(axis=1)
-        light = lit * anisotropy + haze
-        by_ground = gain * fall * self.sun * anisotropy
-        columns = np.stack(
-            [
-                self.image,
-                images + 2 * self.surface,
-                images + 2 * self.surface + 1,
-                np.full_like(self.image, images + 2 * surfaces),
-                np.full_like(self.image, images + 2 * surfaces + 1),
-            ]
-        )
-        values = np.stack(
-            [
-                gain * fall * light,
-                gain * fall * lit * self.terms[:, 0],
-                gain * fall * lit * self.terms[:, 1],
-                -gain * light * self.radius2,
-                gain * fall,
-            ]
-        )
-        rows = np.broadcast_to(np.arange(len(self.signal)), columns.shape)
-        size = (len(self.signal), len(self.parameters))
-        jacobian = sparse.csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())), size)
-        return self.signal - gain * fall * light, jacobian, by_ground
-
-
-def _iterate(problem, linearised, weight):
-    """One step: its largest change, and the inverse of the reduced system."""
-    misfit, jacobian, by_ground = linearised
-    ties = problem.shape[2]
-    ground_normal = np.bincount(problem.tie, weight * by_ground**2, ties) + problem.control_weight
-    ground_right = np.bincount(problem.tie, weight * by_ground * misfit, ties)
-    ground_right += problem.control_weight * (problem.control - problem.ground)
-    select = sparse.csr_matrix(
-        (weight * by_ground, (problem.tie, np.arange(len(misfit)))), (ties, len(misfit))
-    )
-    mixed = (select @ jacobian).tocsr()
-    normal = (jacobian.T @ sparse.diags(weight) @ jacobian).toarray()
-    normal += np.diag(problem.prior_weight)
-    right = jacobian.T @ (weight * misfit)
-    right += problem.prior_weight * (problem.prior - problem.parameters)
-    if not problem.control_weight.any():
-        images = problem.shape[0]
-        normal[:images, :images] += np.trace(normal) / images**2
-    reduced = normal - (mixed.T @ sparse.diags(1 / ground_normal) @ mixed).toarray()
-    change, inverse = _solved(
-        reduced, right - mixed.T @ (ground_right / ground_normal), problem.fixed
-    )
-    problem.parameters = problem.parameters + change
-    ground_change = (ground_right - mixed @ change) / ground_normal
-    problem.ground = problem.ground + ground_change
-    relative = np.abs(ground_change) / np.abs(problem.ground).mean()
-    return max(np.abs(change).max(), relative.max()), inverse
-
-
-def _solved(reduced, right, fixed):
-    """Change and covariance of the parameters that are not fixed."""
-    free = np.flatnonzero(~fixed)
-    part = reduced[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-    values = np.linalg.eigvalsh(part * np.outer(scale, scale))
-    if values[0] < 1e-10 * values[-1]:
-        raise ValueError(
-            "Invalid block: its parameters cannot be told apart. Must have more overlap, control "
-            "targets, or priors (see Notes)."
-        )
-    inverse = np.zeros_like(reduced)
-    inverse[np.ix_(free, free)] = np.linalg.inv(part)
-    return inverse @ right, inverse
 
 
 def _misfit_scale(scaled):
@@ -386,82 +413,9 @@ def _misfit_scale(scaled):
     return max(median_abs_deviation(scaled, scale="normal"), 1e-12)
 
 
-def _block_problem(observations, control, priors, relative_std):
-    """The arrays of a block, and the names of its images, ties and surfaces."""
-    missing = [name for name in COLUMNS if name not in observations]
-    if missing:
-        raise ValueError(f"Invalid observations: no column {missing[0]!r}. Must have it.")
-    check_positive(relative_std, "relative_std")
-    signal = observations["radiance"].to_numpy(dtype=np.float64)
-    if not (np.isfinite(signal).all() and (signal > 0).all()):
-        raise ValueError(f"Invalid radiance {np.nanmin(signal)}. Must be > 0 and finite.")
-    image, images = pd.factorize(observations["image"], sort=True)
-    tie, ties = pd.factorize(observations["tie"], sort=True)
-    surface, surfaces = pd.factorize(_surfaces_of(observations), sort=True)
-    if not (observations.groupby("tie")["image"].nunique() > 1).any():
-        raise ValueError("Invalid observations: no tie point in two images. Must overlap.")
-    if priors is None:
-        priors = Priors(haze=(0.0, FIXED if control is None else FREE))
-    value, std = _prior_arrays(priors, len(images), len(surfaces))
-    known, known_weight = _control(control, ties)
-    sun, radius = _sun_cosine(observations), observations["radius"].to_numpy(dtype=np.float64)
-    with np.errstate(divide="ignore"):
-        weight = np.where(std > 0, std**-2.0, 0.0)
-    problem = _Problem(
-        signal=signal,
-        std=relative_std * signal,
-        image=image,
-        tie=tie,
-        surface=surface,
-        terms=_view_terms(observations),
-        sun=sun,
-        radius2=radius**2,
-        shape=(len(images), len(surfaces), len(ties)),
-        fixed=std == 0,
-        prior=value,
-        prior_weight=weight,
-        control=known,
-        control_weight=known_weight,
-    )
-    problem.parameters = value.copy()
-    problem.ground = np.bincount(tie, signal / sun) / np.bincount(tie)
-    if control is not None:
-        measured = known_weight > 0
-        scale = np.median(problem.ground[measured] / known[measured])
-        problem.ground = problem.ground / scale
-        problem.parameters[: len(images)] += np.log(scale)
-    return problem, (images, ties, surfaces)
-
-
-def _prior_arrays(priors, images, surfaces):
-    """Values and standard deviations of all parameters in their order."""
-    stds = (priors.gain_std, priors.anisotropy_std, priors.radial[1], priors.haze[1])
-    for std in stds:
-        if std != FREE:
-            check_number(std, "prior's standard deviation", low=0)
-    counts = (images, 2 * surfaces, 1, 1)
-    values = (0.0, 0.0, priors.radial[0], priors.haze[0])
-    return np.repeat(values, counts), np.repeat(stds, counts)
-
-
-def _control(control, ties):
-    """Known reflectance of each tie point and its weight, 0 where it is not known."""
-    known, weight = np.zeros(len(ties)), np.zeros(len(ties))
-    if control is None:
-        return known, weight
-    place = pd.Index(ties).get_indexer(control["tie"])
-    if (place < 0).any() or not (control["std"] > 0).all():
-        raise ValueError(
-            "Invalid control. Must be tie points of the block, each with a std above zero."
-        )
-    known[place], weight[place] = control["reflectance"], control["std"] ** -2.0
-    return known, weight
-
-
 def _view_terms(observations):
     """Walthall's even and odd term of each observation, shape (n, 2)."""
-    angles = (observations[f"{name}_deg"] for name in ("sun_zenith", "view_zenith", "azimuth"))
-    return walthall_terms(*angles)[:, :2]
+    return walthall_terms(observations["view_zenith_deg"], observations["azimuth_deg"])[:, :2]
 
 
 def _sun_cosine(observations):

@@ -1,5 +1,459 @@
-"""Running the studies: results of a run, notebooks without a screen, pages, students' copies."""
+"""Running the studies. Here: what a run leaves behind, tables, figures, values, checks, record."""
 
-from mmqa_lab.run.results import FORMATS, KINDS, Check, Run, parameter_names, results_folder
+import ast
+import io
+import json
+import os
+import platform
+import re
+import subprocess
+import time
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
 
-__all__ = ["FORMATS", "KINDS", "Check", "Run", "parameter_names", "results_folder"]
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import plots, samples
+from mmqa_lab.io import write_atomically
+
+__all__ = ["Check", "Run", "parameter_names", "results_folder"]
+
+FORMATS = ("pdf", "svg", "png")
+RECORD = "run.json"
+
+SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefig.dpi")
+"""Settings of the house style that matter when a figure is saved."""
+
+LONGEST_LATEX = 60
+"""Rows of a table that is written for LaTeX too; longer ones are data."""
+
+LARGEST_IMAGE = 40_000
+"""Pixels of a picture within a figure whose values are written with the figure's data."""
+
+KINDS = ("published", "predicted", "fitted", "measured")
+"""What a number can be: printed in a paper, from specifications alone, from parameters chosen so
+that it comes close, or taken from a real or simulated cloud or image."""
+
+PLAIN = (bool, int, float, str, tuple, list, dict, range, type(None))
+"""Types of values that are recorded as parameters where no notebook names them."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A statement of a study, compared with the numbers of a run.
+
+    Parameters
+    ----------
+    statement : str
+        What the notebook says.
+    passed : bool
+        Whether it is true of this run.
+    obtained : str
+        The numbers of this run.
+    reason : str
+        Where the tolerance comes from.
+
+    Examples
+    --------
+    >>> ratio = 40.1 / 20.0
+    >>> check = Check("f is 2.", abs(ratio - 2) < 0.01, f"f = {ratio:.3f}", "digits of d1 and d4")
+    >>> check.passed, check.obtained
+    (True, 'f = 2.005')
+    """
+
+    statement: str
+    passed: bool
+    obtained: str
+    reason: str
+
+
+def results_folder():
+    """Return the folder for the results of notebooks: ``MMQA_RESULTS``, or one beside the notebook.
+
+    A notebook that is run by hand writes to ``results/by_hand`` in its own folder, so it replaces
+    neither the results of ``mmqa studies`` nor those of another user.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> with patch.dict(os.environ, MMQA_RESULTS="elsewhere"):
+    ...     results_folder().name
+    'elsewhere'
+    """
+    return Path(os.environ.get("MMQA_RESULTS", Path.cwd() / "results" / "by_hand"))
+
+
+class Run:
+    """The results of one run of one study, each file written whole or not at all.
+
+    The run record ``run.json`` is written with every file, so that a run that ends early says
+    what it left.
+
+    Parameters
+    ----------
+    stem : str
+        The study's stem; results go to ``<results_folder()>/<stem>/``.
+    parameters : dict
+        The notebook's ``globals()``. The record keeps the names that the cell tagged
+        ``parameters`` of ``NN_<stem>.ipynb`` in the working folder sets; where there is no such
+        notebook, all names with plain values.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> os.environ["MMQA_RESULTS"] = tempfile.mkdtemp()
+    >>> run = Run("example", parameters={"seed": 1})
+    >>> run.save_value("f_poisson", 3.257, "1", "predicted")
+    >>> run.finish()
+    >>> sorted(path.name for path in run.folder.iterdir())
+    ['run.json', 'values.csv']
+    >>> del os.environ["MMQA_RESULTS"]
+    """
+
+    def __init__(self, stem, *, parameters):
+        self.folder = results_folder() / stem
+        self._began = time.time()
+        self._values = []
+        self._record = {
+            "study": stem,
+            "finished": False,
+            "answer": {"sentence": "", "figure": ""},
+            "parameters": _parameters(stem, parameters),
+            "seconds": 0.0,
+            "checks": 0,
+            "checks_passed": 0,
+            "files": [],
+            "figures": {},
+            **_environment(),
+            "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
+        }
+        for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
+            left.unlink()
+        self._write_record()
+
+    def save_table(self, frame, name, *, kind=""):
+        """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
+
+        A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
+        where it does not, ``kind`` becomes such a column, and tells of the columns without a word.
+
+        Raises
+        ------
+        ValueError
+            If the table has numbers, and neither it nor ``kind`` says of which kind they are.
+        """
+        if kind:
+            frame = frame.assign(**{"kind_of_number" if "kind" in frame else "kind": kind})
+        if not _says_kind(frame):
+            raise ValueError(
+                f"Invalid table {name}: nothing says which kind its numbers are. "
+                f"Must be one of {', '.join(KINDS)}."
+            )
+        self._write_table(frame, name)
+        if len(frame) <= LONGEST_LATEX:
+            self._write(
+                f"{name}.tex", lambda path: path.write_text(_latex(frame), encoding="utf-8")
+            )
+
+    def save_figure(self, figure, name, *, data=None, seen=""):
+        """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
+
+        What it shows is written as ``<name>.csv``: ``data``, a DataFrame, or else what the axes
+        contain, a row for each point. ``seen`` says in a sentence what one sees, for readers
+        without the picture; without it the axes' labels and the legends do.
+        """
+        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
+        details = {
+            "pdf": {"CreationDate": None, "Title": name, "Subject": self._record["study"]},
+            "svg": {"Date": None, "Title": name, "Description": made},
+            "png": {"Title": name, "Software": made},
+        }
+        details["pdf"]["Creator"] = made
+        self._record["figures"][name] = {
+            "seen": seen or _described(figure),
+            "width_mm": round(25.4 * figure.get_figwidth(), 1),
+        }
+        with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
+            for form in FORMATS:
+                self._write(
+                    f"{name}.{form}",
+                    lambda path, form=form: figure.savefig(path, metadata=details[form]),
+                )
+        if data is not None:
+            self._write_table(data, name)
+        elif f"{name}.csv" not in self._record["files"]:
+            self._write_table(_drawn(figure), name)
+
+    def save_report(self, figure, table, *, title, inputs):
+        """Write one page with a figure and a table as ``report.html`` and ``report.pdf``.
+
+        It names the parameters, the versions and ``inputs``, a dict of files and their SHA-256.
+
+        Returns
+        -------
+        list of Path
+            Both files.
+        """
+        from mmqa_lab.run.pages import report_page, report_sheet
+
+        picture = io.BytesIO()
+        with mpl.rc_context({"savefig.dpi": 200}):
+            figure.savefig(picture, format="png")
+        whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
+        page = report_page(picture.getvalue(), **whole)
+        self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
+        sheet = report_sheet(picture.getvalue(), **whole)
+        metadata = {"CreationDate": None, "Title": title}
+        self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
+        return [self.folder / name for name in ("report.html", "report.pdf")]
+
+    def save_value(self, name, value, unit, kind):
+        """Keep a named number of a kind in ``values.csv``."""
+        self._values.append({"name": name, "value": float(value), "unit": unit, "kind": kind})
+        self._write_table(pd.DataFrame(self._values), "values")
+
+    def save_answer(self, sentence, *, figure):
+        """Keep the study's answer with its numbers, and the name of the figure that shows it.
+
+        The index page and the README take them from the run record.
+        """
+        self._record["answer"] = {"sentence": sentence, "figure": figure}
+        self._write_record()
+
+    def save_checks(self, *groups):
+        """Write the checks as ``checks.csv`` and show them; a check that fails stops nothing.
+
+        Parameters
+        ----------
+        *groups : iterable of Check
+            A generator that raises counts as one more check that did not pass.
+        """
+        rows = [asdict(check) for group in groups for check in _worked_out(group)]
+        frame = pd.DataFrame(rows, columns=list(Check.__dataclass_fields__))
+        frame["passed"] = frame["passed"].astype(bool)
+        self._record["checks"] = len(frame)
+        self._record["checks_passed"] = int(frame["passed"].sum())
+        self._write_table(frame, "checks")
+        _show(frame)
+
+    def save_ledger(self, entries):
+        """Write what the study says of printed results as ``ledger.csv``.
+
+        Parameters
+        ----------
+        entries : DataFrame or list of dict
+            As :func:`mmqa_lab.published.ledger.entry` makes them.
+        """
+        self._write_table(pd.DataFrame(entries), "ledger")
+
+    def finish(self):
+        """Mark the run as complete in its record."""
+        self._record["finished"] = True
+        self._write_record()
+
+    def _write_table(self, frame, name):
+        """Write a table as CSV."""
+        self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False))
+
+    def _write(self, name, write):
+        """Write one file of this run and enter it into the record."""
+        write_atomically(self.folder / name, write)
+        if name not in self._record["files"]:
+            self._record["files"].append(name)
+        self._write_record()
+
+    def _write_record(self):
+        """Write the run record as it stands."""
+        self._record["seconds"] = round(time.time() - self._began, 1)
+        write_text(self.folder / RECORD, json.dumps(self._record, indent=1))
+
+
+def read_record(folder):
+    """Return the run record in a study's folder; empty where a run did not get that far."""
+    file = Path(folder) / RECORD
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def write_text(path, text):
+    """Write a text file whole or not at all."""
+    write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def parameter_names(notebook):
+    """Return the names that a notebook's cell tagged ``parameters`` sets, in their order.
+
+    Parameters
+    ----------
+    notebook : path
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    ValueError
+        If no cell has the tag.
+
+    Examples
+    --------
+    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> parameter_names(chosen(["mimic"])[0].path)[:2]
+    ['ranges_m', 'seeds']
+    """
+    cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
+    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+    if not tagged:
+        raise ValueError(f"Invalid notebook {notebook}. Must have a cell tagged parameters.")
+    nodes = ast.walk(ast.parse("".join(tagged[0]["source"])))
+    return [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+
+
+def _parameters(stem, given):
+    """What is recorded of a notebook's names."""
+    notebooks = sorted(Path.cwd().glob(f"*{stem}.ipynb"))
+    if notebooks:
+        return {name: _plain(given.get(name)) for name in parameter_names(notebooks[0])}
+    return {
+        name: _plain(value)
+        for name, value in given.items()
+        if isinstance(value, PLAIN) and not name.startswith("_")
+    }
+
+
+def _environment():
+    """Version and commit of the package, of Python and of the libraries it asks for."""
+    asked = metadata.requires("mmqa_lab") or []
+    names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
+    installed = {one.name.lower(): one.version for one in metadata.distributions()}
+    return {
+        "version": metadata.version("mmqa_lab"),
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "versions": {name: installed[name] for name in sorted(names & set(installed))},
+    }
+
+
+def _commit():
+    """The commit of the package's checkout, with ``-dirty`` where files differ; empty without."""
+    command = ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    here = Path(__file__).parents[2]
+    if not (here / "pyproject.toml").is_file():  # installed: another project's folder, perhaps
+        return ""
+    try:
+        return subprocess.run(command, cwd=here, capture_output=True, text=True).stdout.strip()
+    except OSError:
+        return ""
+
+
+def _worked_out(checks):
+    """The checks, with one for an error in place of those that could not be worked out."""
+    try:
+        yield from checks
+    except Exception as error:  # of any kind: with other parameters a table may lack a row
+        yield Check(
+            "The other checks can be worked out for these parameters.",
+            False,
+            f"{type(error).__name__}: {error}",
+            "they look up cases of the delivered parameters",
+        )
+
+
+def _show(checks):
+    """The table of checks in a notebook."""
+    from IPython.display import display
+
+    marks = checks.assign(passed=checks["passed"].map({True: "yes", False: "NO"}))
+    with pd.option_context("display.max_colwidth", None):
+        display(marks)
+
+
+def _described(figure):
+    """What the axes of a figure show, from their titles, labels and legends."""
+    said = []
+    for ax in figure.axes:
+        seen = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
+        if ax.get_legend():
+            names = ", ".join(text.get_text() for text in ax.get_legend().get_texts())
+            seen = f"{seen} of {names}".lstrip()
+        said.append(": ".join(filter(None, [ax.get_title(), seen])))
+    return "; ".join(filter(None, said))
+
+
+def _drawn(figure):
+    """What a figure shows: a row for each point of a panel's lines, marks, bars and pictures."""
+    parts = [pd.DataFrame(columns=["panel", "series", "x", "y"])]
+    for panel, ax in enumerate(figure.axes, 1):
+        for artist in (*ax.lines, *ax.collections, *ax.patches, *ax.images):
+            label = str(artist.get_label())
+            named = {"panel": panel, "series": "" if label.startswith("_") else label}
+            axes = {"x_label": ax.get_xlabel(), "y_label": ax.get_ylabel()}
+            parts.append(pd.DataFrame({**_points_of(artist), **axes}).assign(**named))
+    return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+
+
+def _points_of(artist):
+    """The columns x, y, and value where it is coloured by one, of what is drawn."""
+    if hasattr(artist, "get_xydata"):
+        x, y = artist.get_xydata().T
+    elif isinstance(artist, mpl.image.AxesImage):
+        value = np.asarray(artist.get_array())
+        if value.ndim != 2 or value.size > LARGEST_IMAGE:
+            return {"x": [], "y": []}
+        left, right, bottom, top = artist.get_extent()
+        y, x = np.indices(value.shape) + 0.5
+        x = left + (right - left) * x / value.shape[1]
+        y = top + (bottom - top) * y / value.shape[0]
+        return {"x": x.ravel(), "y": y.ravel(), "value": value.ravel()}
+    elif isinstance(artist, mpl.collections.PathCollection):
+        x, y = np.ma.filled(artist.get_offsets(), np.nan).T
+        value = artist.get_array()
+        return {"x": x, "y": y} | ({} if value is None else {"value": value})
+    elif isinstance(artist, mpl.patches.Rectangle):
+        x, y = [artist.get_x() + artist.get_width() / 2], [artist.get_y() + artist.get_height()]
+    else:
+        paths = artist.get_paths() if hasattr(artist, "get_paths") else [artist.get_path()]
+        x, y = np.concatenate([path.vertices for path in paths] or [np.empty((0, 2))]).T
+    return {"x": x, "y": y}
+
+
+def _latex(frame):
+    """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
+    from mmqa_lab.bench._tables import split_unit
+
+    heads = {}
+    for name in map(str, frame.columns):
+        plain, unit = split_unit(name)
+        heads[name] = f"{plain.replace('_', ' ')} ({unit})" if unit else plain.replace("_", " ")
+    shown = frame.rename(columns=str).rename(columns=heads)
+    return shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
+
+
+def _says_kind(frame):
+    """Whether a table says of which kind its numbers are, or has none."""
+    words = frame.select_dtypes(exclude=["number", "bool"])
+    if len(words.columns) == len(frame.columns):
+        return True
+    if any(kind in str(name) for name in frame for kind in KINDS):
+        return True
+    pattern = "|".join(KINDS)
+    return any(words[name].astype(str).str.contains(pattern).all() for name in words)
+
+
+def _plain(value):
+    """A value as JSON knows it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list | set | range):
+        return [_plain(one) for one in value]
+    if hasattr(value, "tolist"):  # of NumPy
+        return value.tolist()
+    return value if isinstance(value, PLAIN) else str(value)

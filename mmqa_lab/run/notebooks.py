@@ -1,5 +1,11 @@
-"""Running a study's notebook without a screen, in a kernel of its own."""
+"""Notebooks run without a screen, in a kernel of their own, and copied for a class.
 
+Cells tagged ``solution`` contain an answer and the assertions that test it; cells tagged ``lesson``
+are for the teacher. A student's copy keeps only the assertions: they fail until the names in them
+are worked out. It has no stored outputs.
+"""
+
+import ast
 import asyncio
 import hashlib
 import json
@@ -8,13 +14,15 @@ import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from mmqa_lab.run.pages import notebook_page
-from mmqa_lab.run.results import read_record, write_text
+import nbformat
 
-OUTCOME = "outcome.json"
+from mmqa_lab.bench._tables import split_unit
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run import read_record, write_text
+from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page, read_outcome
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -25,35 +33,7 @@ ENVIRONMENT = {
 }
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How one run of a study ended; without its end, how far it came."""
-
-    study: str
-    quick: bool
-    code: str
-    seconds: float = 0.0
-    failure: str = "stopped before its end"
-    checks: int = 0
-    passed: int = 0
-
-    @property
-    def ok(self):
-        """Whether every cell ran."""
-        return not self.failure
-
-    @property
-    def true(self):
-        """Whether all checks passed."""
-        return self.passed == self.checks
-
-    @property
-    def verdict(self):
-        """How many checks passed, or what stopped the run."""
-        return self.failure or f"{self.passed} of {self.checks} checks passed"
-
-
-def run_study(study, folder, *, quick=False, timeout=None):
+def run_study(study, folder, *, quick=False, timeout=None, resume=False):
     """Run one study.
 
     Parameters
@@ -65,16 +45,19 @@ def run_study(study, folder, *, quick=False, timeout=None):
         Run with the small parameters that the study's module calls QUICK.
     timeout : float, optional
         Seconds after which the study is stopped; without it, never.
+    resume : bool
+        Do nothing where the study ended with today's code and parameters.
 
     Returns
     -------
     Outcome
         Also written as ``outcome.json`` beside the results.
     """
-    import nbformat
-
     target = Path(folder).resolve() / study.stem
     outcome = Outcome(study.stem, quick, _code(study, quick))
+    done = read_outcome(target)
+    if resume and done is not None and done.ok and done.code == outcome.code:
+        return done
     _write(outcome, target)
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
@@ -92,28 +75,10 @@ def run_study(study, folder, *, quick=False, timeout=None):
     return outcome
 
 
-def read_outcome(folder):
-    """Return the outcome that a run left in a study's folder, or None."""
-    file = Path(folder) / OUTCOME
-    return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
-
-
-def finished(study, folder, *, quick=False):
-    """Return the outcome of a study that ended with today's code and parameters, or None."""
-    outcome = read_outcome(Path(folder) / study.stem)
-    same = outcome is not None and outcome.code == _code(study, quick)
-    return outcome if same and outcome.ok else None
-
-
 def inject(notebook, parameters):
     """Put a cell with other parameters behind the notebook's cell tagged ``parameters``."""
-    import nbformat
-
-    place = next(
-        number
-        for number, cell in enumerate(notebook.cells)
-        if "parameters" in cell.metadata.get("tags", [])
-    )
+    tags = [cell.metadata.get("tags", []) for cell in notebook.cells]
+    place = next(number for number, found in enumerate(tags) if "parameters" in found)
     lines = [f"{name} = {value!r}" for name, value in parameters.items()]
     cell = nbformat.v4.new_code_cell("\n".join(["# small parameters, for a first look", *lines]))
     notebook.cells.insert(place + 1, cell)
@@ -183,3 +148,128 @@ def _code(study, quick):
 def _write(outcome, folder):
     """Write the outcome beside the results."""
     write_text(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
+
+
+def student_cell(source):
+    """Return an answer's cell as a student gets it: the names to work out, and the checks.
+
+    Parameters
+    ----------
+    source : str
+        Code of a cell tagged ``solution``; its first line is a comment that begins with the
+        exercise's number.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        If nothing in it is checked, or nothing that is checked comes from the answer.
+
+    Examples
+    --------
+    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 2 * 2\\nassert area_m2 == 4"))
+    # 1: your work
+    area_m2 = ...  # m2
+    <BLANKLINE>
+    assert area_m2 is not ..., "1: give area_m2 a value."
+    assert area_m2 == 4, "1: not right yet. Check the formula, and the unit of area_m2."
+    """
+    body = ast.parse(source).body
+    checks = [node for node in body if isinstance(node, ast.Assert)]
+    read = {name for check in checks for name in _names(check, ast.Load)}
+    read -= {name for check in checks for name in _names(check, ast.Store)}
+    answers = [name for name in _names(ast.Module(body, []), ast.Store) if name in read]
+    if not answers:
+        raise ValueError(
+            f"Invalid answer {source.splitlines()[0]!r}. Must be checked by an assert."
+        )
+    number = source.split(":")[0].lstrip("# ")
+    answers = list(dict.fromkeys(answers))
+    listed = ", ".join(answers)
+    said = f'"{number}: not right yet. Check the formula, and the unit of {listed}."'
+    work = [f"# {number}: your work", *map(_blank, answers)]
+    asked = [f'assert {name} is not ..., "{number}: give {name} a value."' for name in answers]
+    kept = [ast.get_source_segment(source, check) for check in checks]
+    told = [
+        text if check.msg else f"{text}, {said}" for text, check in zip(kept, checks, strict=True)
+    ]
+    return "\n".join([*work, "", *asked, *told])
+
+
+def _blank(name):
+    """The line in which a student gives a name its value, with the unit that the name ends with."""
+    unit = split_unit(name)[1]
+    return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
+
+
+def _exercise(number, source):
+    """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
+        grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
+        grading |= {"solution": part == "work", "grade": part == "check"}
+        grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
+        cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
+        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check"]
+        yield cell
+
+
+def _student_notebook(notebook):
+    """Return a copy of a notebook without answers, outputs and the teacher's cells."""
+    cells = []
+    for number, cell in enumerate(notebook.cells):
+        tags = cell.metadata.get("tags", [])
+        if "solution" in tags:
+            cells += _exercise(number, cell.source)
+        elif cell.cell_type == "code":
+            cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
+        elif "lesson" not in tags:
+            cells.append(cell)
+    return nbformat.from_dict({**notebook, "cells": cells})
+
+
+def write_student_notebooks(studies, folder):
+    """Write students' copies of studies' notebooks into a folder.
+
+    Parameters
+    ----------
+    studies : list of mmqa_lab.studies.catalogue.Study
+    folder : path
+        Made where missing.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ValueError
+        If a notebook of that name is there already: it may be a student's work.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
+    ['05_mimic.ipynb']
+    """
+    targets = [Path(folder) / study.path.name for study in studies]
+    there = [path for path in targets if path.exists()]
+    if there:
+        raise ValueError(
+            f"Invalid folder {folder}: it contains {there[0].name}, which may be a student's work. "
+            "Must be a folder without notebooks of these names."
+        )
+    for study, target in zip(studies, targets, strict=True):
+        copy = _student_notebook(nbformat.read(study.path, as_version=4))
+        write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
+    return targets
+
+
+def _names(node, context):
+    """Names that a piece of code reads or sets, in the order of their places."""
+    found = [n for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, context)]
+    return [n.id for n in sorted(found, key=lambda n: (n.lineno, n.col_offset))]

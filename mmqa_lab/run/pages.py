@@ -1,22 +1,74 @@
 """The pages of a run: an index of all studies, the ledger, and each notebook as it was executed.
 
 A page is one file with relative links and needs nothing from the network. The texts around the
-results are in ``templates/``.
+results are in ``templates/``. In the README a program writes what stands between ``<!-- NAME -->``
+and ``<!-- end NAME -->``; nothing there is typed.
 """
 
+import base64
+import io
+import json
 import re
+import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from mmqa_lab.run.results import FORMATS, read_record, write_text
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run import FORMATS, read_record, write_text
+
+OUTCOME = "outcome.json"
 
 TEMPLATES = Path(__file__).parent / "templates"
+
+KEY_FIGURE = "anisotropy/patterns.png"
+"""Of a run's results: what the README shows first."""
+
+LEDGER_FIGURE = "![Verdicts on the printed results of each source](notebooks/ledger.png)\n\n"
+
+HEAD = "| study | question | answer | source |\n|---|---|---|---|\n"
+
+VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 
-def write_pages(folder, studies, outcomes):
+@dataclass(frozen=True)
+class Outcome:
+    """How one run of a study ended; without its end, how far it came."""
+
+    study: str
+    quick: bool
+    code: str
+    seconds: float = 0.0
+    failure: str = "stopped before its end"
+    checks: int = 0
+    passed: int = 0
+
+    @property
+    def ok(self):
+        """Whether every cell ran."""
+        return not self.failure
+
+    @property
+    def true(self):
+        """Whether all checks passed."""
+        return self.passed == self.checks
+
+    @property
+    def verdict(self):
+        """How many checks passed, or what stopped the run."""
+        return self.failure or f"{self.passed} of {self.checks} checks passed"
+
+
+def read_outcome(folder):
+    """Return the outcome that a run left in a study's folder, or None."""
+    file = Path(folder) / OUTCOME
+    return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+
+
+def write_pages(folder, studies):
     """Write ``index.html`` and, where a study left a ledger, ``ledger.html``.
 
     Parameters
@@ -24,15 +76,11 @@ def write_pages(folder, studies, outcomes):
     folder : path
         Of all results.
     studies : list of mmqa_lab.studies.catalogue.Study
-    outcomes : list of Outcome or None
-        One for each study; None for one that was never run.
+        Those that were never run are left out.
     """
     folder = Path(folder)
-    cards = [
-        _card(study, outcome, folder / study.stem)
-        for study, outcome in zip(studies, outcomes, strict=True)
-        if outcome is not None
-    ]
+    cards = [_card(study, folder / study.stem) for study in studies]
+    cards = [card for card in cards if card["outcome"] is not None]
     ledger = _ledger(folder)
     if ledger is not None:
         write_text(folder / "ledger.html", _filled("ledger.html", ledger=ledger))
@@ -65,6 +113,43 @@ def notebook_page(notebook, title, *, figures):
     return _filled("notebook.html", title=title, body=body, style=style)
 
 
+def report_page(picture, *, title, table, inputs, record):
+    """Return a report with a figure, given as PNG, and a table as one HTML page."""
+    return _filled(
+        "report.html",
+        title=title,
+        picture=base64.b64encode(picture).decode(),
+        table=table.to_html(index=False, border=0, na_rep="", float_format="{:.4g}".format),
+        inputs=inputs,
+        record=record,
+    )
+
+
+def report_sheet(picture, *, title, table, inputs, record):
+    """Return the same report as a matplotlib figure of the size A4."""
+    from matplotlib.figure import Figure
+    from matplotlib.image import imread
+
+    sheet = Figure(figsize=(8.27, 11.69), layout="none")
+    sheet.text(0.08, 0.95, title, fontsize=14)
+    places = (0.08, 0.5, 0.84, 0.42), (0.08, 0.28, 0.84, 0.2)
+    above, below = (sheet.add_axes(place, frame_on=False, xticks=[], yticks=[]) for place in places)
+    above.imshow(imread(io.BytesIO(picture)))
+    texts = table.map(lambda one: f"{one:.4g}" if isinstance(one, float) else str(one))
+    cells = below.table(texts.to_numpy(), colLabels=list(texts), loc="upper center")
+    cells.auto_set_font_size(False)
+    cells.set_fontsize(8)
+    versions = {"mmqa_lab": f"{record['version']} {record['commit']}", **record["versions"]}
+    parts = {"Input": inputs, "Parameters": record["parameters"], "Versions": versions}
+    lines = [
+        f"{kind}: " + ", ".join(f"{name} {one}" for name, one in part.items())
+        for kind, part in parts.items()
+    ]
+    said = "\n".join(textwrap.fill(line, 110, subsequent_indent="  ") for line in lines)
+    sheet.text(0.08, 0.26, said, fontsize=7, va="top", linespacing=1.3)
+    return sheet
+
+
 def _filled(name, **values):
     """A template with its values."""
     from jinja2 import Environment, FileSystemLoader
@@ -75,28 +160,24 @@ def _filled(name, **values):
     return environment.get_template(name).render(**values)
 
 
-def _card(study, outcome, folder):
+def _card(study, folder):
     """What the index shows of one study, from what its run left on the disk."""
     record = read_record(folder)
     files = record.get("files", [])
-    figure = record.get("answer", {}).get("figure") or _last_figure(files)
+    figures = [name.removesuffix(".png") for name in files if name.endswith(".png")]
+    answer = record.get("answer", {"sentence": "", "figure": ""})
+    shown = answer["figure"] or (figures or [""])[-1]  # the last one where no answer was reached
     return {
         "study": study,
-        "outcome": outcome,
+        "outcome": read_outcome(folder),
         "record": record,
-        "answer": record.get("answer", {}).get("sentence", ""),
-        "figure": figure,
-        "seen": record.get("figures", {}).get(figure, {}),
-        "figures": [name.removesuffix(".png") for name in files if name.endswith(".png")],
+        "answer": answer["sentence"],
+        "figure": shown,
+        "seen": record.get("figures", {}).get(shown, {}),
+        "figures": figures,
         "tables": [name for name in files if name.endswith(".csv")],
         "checks": _checks(folder),
     }
-
-
-def _last_figure(files):
-    """The last figure that a run made, for a run that did not come to its answer."""
-    figures = [name.removesuffix(".png") for name in files if name.endswith(".png")]
-    return figures[-1] if figures else ""
 
 
 def _checks(folder):
@@ -105,24 +186,15 @@ def _checks(folder):
     return pd.read_csv(file, keep_default_na=False).to_dict("records") if file.is_file() else []
 
 
-def read_ledger(folder):
-    """Return the ledger of the studies' results in a folder; None before one was written."""
-    folder = Path(folder)
+def _ledger(folder):
+    """The ledger of the studies' results; None before one was written."""
     if not any(folder.glob("*/ledger.csv")):
         return None
     from mmqa_lab.published import ledger
 
-    return ledger.collect(folder)
-
-
-def _ledger(folder):
-    """What the pages show of the ledger: counts and rows, numbers with four digits."""
-    rows = read_ledger(folder)
-    if rows is None:
-        return None
-    from mmqa_lab.published.ledger import summary
-
-    return {"counts": summary(rows), "rows": [_shown(row) for row in rows.to_dict("records")]}
+    rows = ledger.collect(folder)
+    shown = [_shown(row) for row in rows.to_dict("records")]
+    return {"counts": ledger.summary(rows), "rows": shown, "table": rows}
 
 
 def _shown(row):
@@ -135,3 +207,111 @@ def _shown(row):
         "printed": f"{row['printed']} {row['unit']}",
         "ours": "" if ours == "nan" else ours + interval,
     }
+
+
+def update_readme(notebooks, folder, studies, *, write=True):
+    """Write the answers, the ledger's counts and the key figures of full runs into the README.
+
+    Parameters
+    ----------
+    notebooks : path
+        Folder of the notebooks, where the figures go; the README is beside it.
+    folder : path
+        Of the results.
+    studies : list of mmqa_lab.studies.catalogue.Study
+    write : bool
+        Without it nothing is written.
+
+    Returns
+    -------
+    bool
+        Whether the README said it all before.
+    """
+    folder, path = Path(folder), Path(notebooks).parent / "README.md"
+    text = path.read_text(encoding="utf-8")
+    new = replaced(text, "studies", studies_table(folder, studies))
+    ledger = _ledger(folder)
+    if ledger is not None:
+        new = replaced(new, "ledger", ledger_table(ledger["table"]))
+    if write:
+        write_text(path, new)
+        picture = (folder / KEY_FIGURE).read_bytes()
+        write_atomically(notebooks / "key_figure.png", lambda file: file.write_bytes(picture))
+    if write and ledger is not None:
+        figure = ledger_figure(ledger["table"])
+        write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=150))
+    return new == text
+
+
+def studies_table(folder, studies):
+    """Return the table of the studies with the answers of their last full runs as Markdown.
+
+    Raises
+    ------
+    ValueError
+        If a study has no full run that came to its end with all checks passed.
+    """
+    return HEAD + "\n".join(_row(study, Path(folder) / study.stem) for study in studies)
+
+
+def ledger_table(ledger):
+    """Return the ledger's figure and its counts by source and verdict as Markdown."""
+    from mmqa_lab.published.ledger import summary
+
+    counts = summary(ledger)
+    lines = [["source", *counts.columns], ["---"] * (1 + len(counts.columns))]
+    lines += [[source, *map(str, row)] for source, *row in counts.itertuples()]
+    return LEDGER_FIGURE + "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def ledger_figure(ledger):
+    """Return a figure of the verdicts on each source's results, as stacked bars."""
+    from mmqa_lab import plots
+    from mmqa_lab.published.ledger import summary
+
+    counts = summary(ledger).drop(index="all")[::-1]
+    with plots.style():
+        figure, ax = plots.subplots(width="double", height_mm=60)
+        counts.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
+        ax.set(xlabel="printed numbers", ylabel="")
+        ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return figure
+
+
+def replaced(text, name, content):
+    """Return a text with another content between the marks of a name.
+
+    Raises
+    ------
+    ValueError
+        If the marks are missing.
+
+    Examples
+    --------
+    >>> print(replaced("a\\n<!-- x -->\\nold\\n<!-- end x -->\\nb", "x", "new"))
+    a
+    <!-- x -->
+    new
+    <!-- end x -->
+    b
+    """
+    start, end = f"<!-- {name} -->", f"<!-- end {name} -->"
+    if not 0 <= text.find(start) < text.find(end):
+        raise ValueError(f"Invalid README: no marks {start} and {end}. Must have both, in order.")
+    head, rest = text.split(start, 1)
+    return f"{head}{start}\n{content}\n{end}{rest.split(end, 1)[1]}"
+
+
+def _row(study, folder):
+    """One study's row."""
+    outcome = read_outcome(folder)
+    if outcome is None or outcome.quick or not (outcome.ok and outcome.true):
+        raise ValueError(
+            f"Invalid results of {study.stem} in {folder.parent}. Must be of a full run that came "
+            "to its end with all checks passed."
+        )
+    answer = read_record(folder)["answer"]["sentence"]
+    name = f"[{study.number:02d} {study.title}](notebooks/{study.notebook}.ipynb)"
+    source = re.sub(r"doi:(\S+\w)", r"[doi:\1](https://doi.org/\1)", study.source)
+    source = re.sub(r"(hal-\d+)", r"[\1](https://hal.science/\1)", source)
+    return f"| {name} | {study.question} | {answer} | {source} |"

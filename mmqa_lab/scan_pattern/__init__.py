@@ -26,23 +26,14 @@ profiles with time.
 """
 
 from mmqa_lab.scan_pattern import mimic
-from mmqa_lab.scan_pattern.lattice import QUANTITIES, Lattice, scan_lattice
-from mmqa_lab.scan_pattern.measure import (
-    PatternMeasurement,
-    ScanPlanes,
-    fit_scan_planes,
-    measure_pattern,
-)
-from mmqa_lab.scan_pattern.numbering import mirror_frequency, revolutions_from_time
+from mmqa_lab.scan_pattern.lattice import QUANTITIES, Patch, ScanSetup, Target, scan_lattice
+from mmqa_lab.scan_pattern.measure import fit_scan_planes, measure_pattern
+from mmqa_lab.scan_pattern.numbering import revolutions_from_time
 from mmqa_lab.scan_pattern.planning import explain_error, largest_speed, propagate, sensitivities
-from mmqa_lab.scan_pattern.setups import Patch, ScanSetup, Target
 
 __all__ = [
     "QUANTITIES",
-    "Lattice",
     "Patch",
-    "PatternMeasurement",
-    "ScanPlanes",
     "ScanSetup",
     "Target",
     "explain_error",
@@ -50,7 +41,6 @@ __all__ = [
     "largest_speed",
     "measure_pattern",
     "mimic",
-    "mirror_frequency",
     "propagate",
     "revolutions_from_time",
     "scan_lattice",

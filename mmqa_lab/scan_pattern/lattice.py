@@ -1,18 +1,18 @@
-"""The scan lattice: the two steps that lay a surface out with points, and what follows from them.
+"""The scan lattice: scanner, motion and surface, and the two steps that lay the surface out.
 
 Around a spot of a plane, two successive pulses and two successive revolutions are solved exactly,
 with the motion of the vehicle in between. In the equations of Cahalane et al. 2014
 (doi 10.3390/s140609471) the scan plane stands still during a revolution.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.scan_pattern.setups import ScanSetup
 
 QUANTITIES = (
     *("profile_spacing_perpendicular_m", "profile_spacing_horizontal_m"),
@@ -21,8 +21,320 @@ QUANTITIES = (
 )
 """What a lattice predicts, in the order of its table."""
 
+# A surface closer to level than 0.1 degree has no horizontal line of its own.
 LEVEL = np.sin(np.radians(0.1))
-"""A surface closer to level than 0.1 degree has no horizontal line of its own."""
+TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
+POSITIVE = ("pulse_rate_hz", "mirror_frequency_hz", "speed_m_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSetup:
+    """A profile scanner on a vehicle that drives along Y.
+
+    Every number may be an array; arrays broadcast, so that a sweep or a Monte-Carlo draw is one
+    set-up.
+
+    Parameters
+    ----------
+    pulse_rate_hz : float
+        Pulses per second (PRR).
+    mirror_frequency_hz : float
+        Revolutions per second, one profile each (Mf).
+    speed_m_s : float
+        Speed along Y (v).
+    scanner_heading_deg, scanner_tilt_deg : float
+        Mounting (MIMIC's alpha_scan and gamma_scan), counter-clockwise positive about Z and X;
+        tilt first.
+    boresight_roll_deg, boresight_pitch_deg, boresight_heading_deg : float
+        What the mounting differs from that: signs as for the attitude.
+    roll_deg, pitch_deg, heading_deg : float
+        Attitude at the moment of the pulse, as navigation reports it: right side down, nose up and
+        clockwise seen from above positive. The vehicle travels along Y all the same.
+    roll_rate_deg_s, pitch_rate_deg_s, heading_rate_deg_s : float
+        Their change per second.
+    lever_arm_m : tuple of 3
+        Scanner from the point about which the vehicle turns, in the vehicle's frame.
+    spin : {1, -1}
+        1: pulses run upwards on the +X side; -1: downwards.
+
+    Raises
+    ------
+    ValueError
+        If a rate or the speed is not above zero, a number is not finite, the arrays do not
+        broadcast, or the scan plane contains the direction of travel.
+
+    Examples
+    --------
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> setup.plane_normal.round(4).tolist(), setup.pulse_step_deg.round(4).item()
+    ([-0.5, 0.5, 0.7071], 0.12)
+    """
+
+    pulse_rate_hz: float
+    mirror_frequency_hz: float
+    speed_m_s: float
+    scanner_heading_deg: float = 0.0
+    scanner_tilt_deg: float = 0.0
+    boresight_roll_deg: float = 0.0
+    boresight_pitch_deg: float = 0.0
+    boresight_heading_deg: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    heading_deg: float = 0.0
+    roll_rate_deg_s: float = 0.0
+    pitch_rate_deg_s: float = 0.0
+    heading_rate_deg_s: float = 0.0
+    lever_arm_m: tuple = (0.0, 0.0, 0.0)
+    spin: int = 1
+
+    def __post_init__(self):
+        for name in NUMBERS:
+            check_values(getattr(self, name), name, positive=name in POSITIVE)
+        check_points([self.lever_arm_m], name="lever_arm_m")
+        check_choice(self.spin, "spin", (1, -1))
+        self._check_shapes()
+        if (np.abs(self.plane_normal[..., 1]) < 1e-9).any():
+            raise ValueError(
+                f"Invalid scanner_heading_deg {self.scanner_heading_deg} with scanner_tilt_deg "
+                f"{self.scanner_tilt_deg}. Must turn the scan plane off the direction of travel."
+            )
+
+    def _check_shapes(self):
+        """Refuse arrays that do not broadcast."""
+        shapes = {name: np.shape(getattr(self, name)) for name in NUMBERS}
+        try:
+            np.broadcast_shapes(*shapes.values())
+        except ValueError:
+            arrays = {name: shape for name, shape in shapes.items() if shape}
+            raise ValueError(f"Invalid shapes {arrays}. Must broadcast.") from None
+
+    @classmethod
+    def of_scanner(cls, scanner, *, speed_m_s):
+        """Return the set-up of a simulated profile scanner, driven at a speed.
+
+        Parameters
+        ----------
+        scanner : object
+            Has ``pulse_rate_hz``, ``mirror_frequency_hz``, ``heading_deg``, ``tilt_deg``,
+            ``boresight_deg`` and ``lever_arm_m``, as ``simulate.ProfileScanner`` does.
+        speed_m_s : float
+        """
+        roll, pitch, heading = scanner.boresight_deg
+        return cls(
+            pulse_rate_hz=scanner.pulse_rate_hz,
+            mirror_frequency_hz=scanner.mirror_frequency_hz,
+            speed_m_s=speed_m_s,
+            scanner_heading_deg=scanner.heading_deg,
+            scanner_tilt_deg=scanner.tilt_deg,
+            boresight_roll_deg=roll,
+            boresight_pitch_deg=pitch,
+            boresight_heading_deg=heading,
+            lever_arm_m=scanner.lever_arm_m,
+        )
+
+    @property
+    def shape(self):
+        """Shape to which the numbers broadcast; () for plain numbers."""
+        return np.broadcast_shapes(*(np.shape(getattr(self, name)) for name in NUMBERS))
+
+    @property
+    def pulse_step_deg(self):
+        """Turn of the mirror from pulse to pulse (theta_A)."""
+        return 360 * np.divide(self.mirror_frequency_hz, self.pulse_rate_hz)
+
+    @property
+    def plane_normal(self):
+        """Normal of the scan plane at the moment of the pulse (n_s), (..., 3)."""
+        return self.rotation()[..., :, 1]
+
+    def vehicle_rotation(self, seconds=0.0):
+        """Rotation (..., 3, 3) from the vehicle's frame to the track's, some time after."""
+        return turned(
+            y=self.roll_deg + np.multiply(self.roll_rate_deg_s, seconds),
+            x=self.pitch_deg + np.multiply(self.pitch_rate_deg_s, seconds),
+            z=-(self.heading_deg + np.multiply(self.heading_rate_deg_s, seconds)),
+        )
+
+    def rotation(self, seconds=0.0):
+        """Rotation (..., 3, 3) from the scanner's frame to the track's, some time after."""
+        boresight = turned(
+            y=self.boresight_roll_deg,
+            x=self.boresight_pitch_deg,
+            z=np.negative(self.boresight_heading_deg),
+        )
+        mounting = boresight @ turned(z=self.scanner_heading_deg, x=self.scanner_tilt_deg)
+        return self.vehicle_rotation(seconds) @ mounting
+
+    def origin(self, seconds):
+        """Where the scanner is some time after the pulse, (..., 3), m."""
+        shift = np.multiply.outer(np.multiply(self.speed_m_s, seconds), TRAVEL)
+        turn = self.vehicle_rotation(seconds) - self.vehicle_rotation()
+        return shift + turn @ np.asarray(self.lever_arm_m, dtype=np.float64)
+
+    def turn_rate(self):
+        """Angular velocity of the vehicle in the track's frame, (..., 3), rad/s."""
+        level, pitched = (
+            turned(z=np.negative(self.heading_deg), x=x) for x in (0.0, self.pitch_deg)
+        )
+        rates = self.pitch_rate_deg_s, self.roll_rate_deg_s, self.heading_rate_deg_s
+        pitch, roll, heading = np.radians(np.broadcast_arrays(*rates))[..., None]
+        return pitch * level[..., :, 0] + roll * pitched[..., :, 1] - heading * [0.0, 0.0, 1.0]
+
+
+NUMBERS = tuple(
+    field.name for field in fields(ScanSetup) if field.name not in ("lever_arm_m", "spin")
+)
+"""The fields of a set-up that are numbers and may be arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Small pieces of any surface, each by its place and its normal.
+
+    Parameters
+    ----------
+    points : array_like, shape (..., 3)
+        X and Z from the scanner in metres; Y is free, for the scan comes past every Y.
+    normals : array_like, shape (..., 3)
+        Of any length, outwards where the surface has an inside.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, a number is not finite or a normal has no length.
+
+    Examples
+    --------
+    >>> road = Patch([3.0, 0.0, -2.5], [0, 0, 1])
+    >>> road.normals.tolist()
+    [0.0, 0.0, 1.0]
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+
+    def __post_init__(self):
+        points = check_values(self.points, "points")
+        normals = check_values(self.normals, "normals")
+        if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,):
+            raise ValueError(
+                f"Invalid patch of points {points.shape} and normals {normals.shape}. "
+                "Must have shapes (..., 3)."
+            )
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        if not length.all():
+            raise ValueError("Invalid normals: one is zero. Must be > 0 long.")
+        points, normals = np.broadcast_arrays(points, normals / length)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "normals", normals)
+
+    @classmethod
+    def cylinder(cls, axis_point, radius, *, azimuths_deg, heights_m):
+        """Return the surface of an upright post as patches.
+
+        Parameters
+        ----------
+        axis_point : array_like, shape (2,)
+            X and Y of the axis, metres from the scanner.
+        radius : float
+            Metres.
+        azimuths_deg : array_like, shape (n,)
+            Directions from the axis, counter-clockwise from X.
+        heights_m : array_like, shape (m,)
+            Above the scanner.
+
+        Returns
+        -------
+        Patch
+            Of shape (m, n, 3), normals outwards.
+
+        Raises
+        ------
+        ValueError
+            If the radius is not above zero or a place is not finite.
+
+        Examples
+        --------
+        >>> post = Patch.cylinder([5, 0], 0.15, azimuths_deg=[180], heights_m=[0])
+        >>> post.points.round(9).tolist(), post.normals.round(9).tolist()
+        ([[[4.85, 0.0, 0.0]]], [[[-1.0, 0.0, 0.0]]])
+        """
+        radius = check_positive(radius, "radius", unit="m")
+        axis = check_points([axis_point], name="axis_point", columns=2)[0]
+        azimuth, height = np.meshgrid(
+            np.radians(check_values(azimuths_deg, "azimuths_deg")),
+            check_values(heights_m, "heights_m"),
+        )
+        normals = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
+        places = np.stack(np.broadcast_arrays(axis[0], axis[1], height), axis=-1)
+        return cls(places + radius * normals, normals)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """MIMIC's target: a plane at a distance, tilted, then turned.
+
+    Parameters
+    ----------
+    heading_deg : float
+        alpha_targ: positive turns the wall towards the vehicle, negative away.
+    tilt_deg : float
+        beta_targ: positive leans its top away from the vehicle.
+    range_m : float
+        Horizontal range (Hr): X of the plane where the horizontal pulse of the level vehicle
+        strikes it. That pulse is ``range_m / cos(scanner heading)`` long.
+    height_difference_m : float
+        Height of the evaluated spot above the scanner (h_targ - h_scan).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or the range is not above zero.
+
+    Examples
+    --------
+    >>> Target(heading_deg=15, tilt_deg=30, range_m=5).normal.round(4).tolist()
+    [0.8365, 0.2241, -0.5]
+    """
+
+    heading_deg: float = 0.0
+    tilt_deg: float = 0.0
+    range_m: float
+    height_difference_m: float = 0.0
+
+    def __post_init__(self):
+        for name in ("heading_deg", "tilt_deg", "height_difference_m"):
+            check_values(getattr(self, name), f"target {name}")
+        check_values(self.range_m, "range_m", positive=True)
+
+    @property
+    def normal(self):
+        """Normal of the plane, away from the vehicle (n_t), (..., 3)."""
+        return target_normal(self.heading_deg, self.tilt_deg)
+
+    def patch(self, setup):
+        """Return the spot of the plane that is evaluated.
+
+        Raises
+        ------
+        ValueError
+            If the horizontal pulse does not meet the plane's front.
+        """
+        rotation = turned(z=setup.scanner_heading_deg, x=setup.scanner_tilt_deg)
+        level, upward = rotation[..., :, 0], rotation[..., :, 2]
+        normal = self.normal
+        facing = np.sum(normal * level, axis=-1)
+        if (np.minimum(facing, level[..., 0]) < 1e-9).any():
+            raise ValueError(
+                f"Invalid target heading {self.heading_deg} and tilt {self.tilt_deg} for a scanner "
+                f"heading of {setup.scanner_heading_deg}. Must let the horizontal pulse strike the "
+                "front: headings less than 90 degrees apart, tilt less than 90."
+            )
+        lift = self.height_difference_m / upward[..., 2]
+        along = self.range_m / level[..., 0] - lift * np.sum(normal * upward, axis=-1) / facing
+        points = along[..., None] * level + lift[..., None] * upward
+        return Patch(points, -normal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +447,8 @@ class Lattice(Shown):
         """
         setup = self.setup
         lever = setup.vehicle_rotation() @ np.asarray(setup.lever_arm_m, dtype=np.float64)
-        sweep = setup.velocity + np.cross(setup.turn_rate(), self.beam + lever)
+        velocity = np.multiply.outer(setup.speed_m_s, TRAVEL)
+        sweep = velocity + np.cross(setup.turn_rate(), self.beam + lever)
         cosine = np.abs(_dot(self.beam, self.normal)) / self.range_m
         gain = 2 * np.pi * self.range_m * np.abs(_dot(sweep, setup.plane_normal))
         with np.errstate(divide="ignore"):
@@ -151,22 +464,6 @@ class Lattice(Shown):
     def f(self):
         """Inhomogeneity d4 / d1."""
         return self.distances_m[..., 3] / self.distances_m[..., 0]
-
-    def crossing_angle(self, other):
-        """Angle between these profiles and another lattice's at the same places, 0 to 90 degrees.
-
-        Examples
-        --------
-        >>> from dataclasses import replace
-        >>> from mmqa_lab.scan_pattern import ScanSetup, Target
-        >>> slow = ScanSetup(pulse_rate_hz=1e8, mirror_frequency_hz=200, speed_m_s=0.1)
-        >>> heads = (replace(slow, scanner_tilt_deg=tilt) for tilt in (-30, 30))
-        >>> left, right = (scan_lattice(head, Target(range_m=5).patch(head)) for head in heads)
-        >>> round(float(left.crossing_angle(right)), 2)
-        60.0
-        """
-        lengths = self.point_spacing_m * other.point_spacing_m
-        return np.degrees(np.arccos(np.minimum(np.abs(_dot(self.a, other.a)) / lengths, 1)))
 
     def to_frame(self):
         """Return a DataFrame of ``QUANTITIES``, a row per spot."""
@@ -256,12 +553,11 @@ def scan_lattice(setup, patch):
     shape = (*np.broadcast_shapes(setup.shape, patch.points.shape[:-1]), 3)
     beam = np.broadcast_to(_meet(setup, patch.points), shape)
     normal = np.broadcast_to(patch.normals, shape)
-    rates = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
-    pulse_rate, mirror = (np.asarray(rate, dtype=np.float64) for rate in rates)
+    pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
     whole = np.round(pulse_rate / mirror)
     steps = (
         _step(setup, beam, normal, 1 / pulse_rate, mirror / pulse_rate),
-        _step(setup, beam, normal, 1 / mirror, np.zeros_like(mirror)),
+        _step(setup, beam, normal, 1 / mirror, 0.0 * mirror),
         _step(setup, beam, normal, whole / pulse_rate, whole * mirror / pulse_rate - 1),
     )
     return Lattice(setup, beam, normal, *(np.broadcast_to(step, shape) for step in steps))
@@ -285,11 +581,6 @@ def lattice_distances(a, b):
         In the unit of the steps; NaN where a step is not finite or the two are parallel. d1 = d2
         and d3 = d4, for a lattice looks the same from behind.
 
-    Raises
-    ------
-    ValueError
-        If the last axis of a step is not two long.
-
     References
     ----------
     Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
@@ -299,7 +590,7 @@ def lattice_distances(a, b):
     >>> lattice_distances([0.004, 0], [0.001, 0.047]).round(6).tolist()
     [0.004, 0.004, 0.047096, 0.047096]
     """
-    a, b = np.broadcast_arrays(check_shape(a), check_shape(b))
+    a, b = np.broadcast_arrays(*(np.asarray(step, dtype=np.float64) for step in (a, b)))
     area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
     with np.errstate(invalid="ignore"):
         spans = area > 1e-12 * np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
@@ -310,19 +601,11 @@ def lattice_distances(a, b):
     return np.stack([near[0], near[0], near[1], near[1]], axis=-1)
 
 
-def check_shape(step):
-    """A step as float64 (..., 2)."""
-    values = np.asarray(step, dtype=np.float64)
-    if values.shape[-1:] != (2,):
-        raise ValueError(f"Invalid step of shape {values.shape}. Must be (..., 2).")
-    return values
-
-
 def _meet(setup, points):
     """Beams from where the scanner is when its plane comes past the points."""
     normal = setup.plane_normal
     wait = _dot(points, normal) / normal[..., 1]
-    return points - wait[..., None] * np.array([0.0, 1.0, 0.0])
+    return points - wait[..., None] * TRAVEL
 
 
 def _step(setup, beam, normal, seconds, turns):
@@ -367,23 +650,62 @@ def _nearest(short, long, side):
     A quadrant contains a disc of the covering radius, at most |long| / sqrt(2), within 1.71 |long|
     of the origin; rows are |long| sin(60) or more apart, so that the second row is out of reach.
     """
-    best = np.full(short.shape[:-1], np.inf)
-    mirror = np.array([side, 1.0])
-    u, v = short * mirror, long * mirror
-    for row in (-1, 0, 1):
-        start = row * v
-        foot = -_dot(start, u) / _dot(u, u)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bound = -start / u
-        low = np.max(np.where(u > 0, bound, -np.inf), axis=-1)
-        high = np.min(np.where(u < 0, bound, np.inf), axis=-1)
-        base = np.floor(np.clip(foot, low, np.maximum(low, high)))
-        for k in (-1, 0, 1, 2):
-            point = start + (base + k)[..., None] * u
-            length = np.linalg.norm(point, axis=-1)
-            x, y = np.moveaxis(point, -1, 0)
-            tiny = 1e-9 * length
-            x, y = np.where(np.abs(x) <= tiny, 0, x), np.where(np.abs(y) <= tiny, 0, y)
-            inside = (x > 0) & (y >= 0) if side == 1 else (x >= 0) & (y > 0)
-            best = np.where(inside & (length > 0) & (length < best), length, best)
-    return best
+    u, v = (step[..., None, :] * [side, 1.0] for step in (short, long))
+    start = np.array([[-1.0], [0.0], [1.0]]) * v
+    foot = -_dot(start, u) / _dot(u, u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enters = -start / u
+    places = np.stack([foot, enters[..., 0], enters[..., 1]], axis=-1)
+    places = np.where(np.isfinite(places), places, foot[..., None])
+    k = np.floor(places)[..., None] + np.arange(-1, 3)
+    point = start[..., None, None, :] + k[..., None] * u[..., None, None, :]
+    length = np.linalg.norm(point, axis=-1)
+    x, y = np.moveaxis(np.where(np.abs(point) <= 1e-9 * length[..., None], 0, point), -1, 0)
+    inside = (x > 0) & (y >= 0) if side == 1 else (x >= 0) & (y > 0)
+    return np.where(inside, length, np.inf).min(axis=(-3, -2, -1))
+
+
+def rotations(roll, pitch, heading):
+    """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
+
+    Examples
+    --------
+    >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
+    [1.0, 0.0, 0.0]
+    """
+    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
+    (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
+    rows = [
+        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
+        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
+        [-cp * sr, sp, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def turned(*, z=0.0, x=0.0, y=0.0):
+    """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
+
+    Examples
+    --------
+    >>> (turned(z=90) @ [1, 0, 0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    return rotations(np.radians(y), np.radians(x), -np.radians(z))
+
+
+def target_normal(heading, tilt):
+    """Normal Rz(heading) Ry(tilt) X of a target plane, (..., 3), of angles in degrees."""
+    return turned(z=heading, y=tilt)[..., :, 0]
+
+
+def check_values(values, name, *, positive=False):
+    """Return finite float64 numbers of any shape, above zero if they must be."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")
+    bad = ~np.isfinite(array) | (positive & (array <= 0))
+    if bad.any():
+        must = "> 0 and finite" if positive else "finite"
+        raise ValueError(f"Invalid {name} {array[bad].flat[0]}. Must be {must}.")
+    return array.astype(np.float64)

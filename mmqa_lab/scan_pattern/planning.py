@@ -1,6 +1,6 @@
 """Planning: the largest speed that will do, how sure a prediction is, what explains an error."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -8,38 +8,28 @@ import pandas as pd
 from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.scan_pattern.lattice import QUANTITIES, scan_lattice
-from mmqa_lab.scan_pattern.setups import NUMBERS, Patch, Target, target_normal
+from mmqa_lab.scan_pattern.lattice import NUMBERS, QUANTITIES, Patch, scan_lattice, target_normal
 
-SLOWEST, FASTEST = 0.01, 100.0
-"""Speeds that are searched, m/s."""
+SLOWEST, FASTEST = 0.01, 100.0  # speeds that are searched, m/s
+SPEEDS = 4001  # speeds tried before the last one that will do is refined: a step of 0.23 %
+TWO_SIDED_95 = 1.959963984540054  # quantile of the normal distribution that leaves 2.5 % above it
+TARGET_NAMES = {
+    **{"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"},
+    **{"range_m": "range_m", "height_difference_m": "height_difference_m"},
+}
+"""Inputs that are fields of the target."""
 
-SPEEDS = 4001
-"""Speeds tried before the last one that will do is refined: a step of 0.23 %."""
-
-ANGLE = "profile_angle_deg"
-
-TWO_SIDED_95 = 1.959963984540054
-"""Quantile of the normal distribution that leaves 2.5 % above it."""
-
-TARGET_NAMES = {f"target_{field.name}": field.name for field in fields(Target)}
-TARGET_NAMES["range_m"] = TARGET_NAMES.pop("target_range_m")
-TARGET_NAMES["height_difference_m"] = TARGET_NAMES.pop("target_height_difference_m")
-
+# Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point.
 SMOOTH = QUANTITIES[:6]
-"""Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point."""
-
-INPUTS = (*NUMBERS, *TARGET_NAMES)
-"""Names of what may be in error."""
-
+INPUTS = (*NUMBERS, *TARGET_NAMES)  # names of what may be in error
 EXPLAINED = (
     *("scanner_heading_deg", "scanner_tilt_deg", "target_heading_deg", "target_tilt_deg"),
     *("mirror_frequency_hz", "speed_m_s"),
 )
 """The inputs of Table 6."""
 
+# Half steps of the central differences where 1e-4 (degree, degree/s, metre) is not apt.
 STEPS = {"pulse_rate_hz": 1.0, "mirror_frequency_hz": 1e-3, "speed_m_s": 1e-4}
-"""Half steps of the central differences where 1e-4 (degree, degree/s, metre) is not apt."""
 
 
 def largest_speed(setup, target, *, quantity, limit):
@@ -85,22 +75,21 @@ def largest_speed(setup, target, *, quantity, limit):
     >>> round(3.6 * speed)
     54
     """
-    choices = tuple(name for name in QUANTITIES if name != ANGLE)
-    check_choice(quantity, "quantity", choices)
+    check_choice(quantity, "quantity", [q for q in QUANTITIES if q != "profile_angle_deg"])
     limit = check_positive(limit, "limit")
     patch = target.patch(setup) if hasattr(target, "patch") else target
     if patch.points.ndim != 1:
         raise ValueError(f"Invalid patch of shape {patch.points.shape}. Must be a single spot.")
     speeds = np.geomspace(SLOWEST, FASTEST, SPEEDS)
-    margin = _margin(setup, patch, quantity, limit, speeds)
-    kept = np.flatnonzero(margin >= 0)
+    margin = partial(_margin, setup, patch, quantity, limit)
+    kept = np.flatnonzero(margin(speeds) >= 0)
     if not len(kept) or kept[-1] == SPEEDS - 1:
         fails, value = ("fails", SLOWEST) if not len(kept) else ("is kept", FASTEST)
         raise ValueError(
             f"Invalid limit {limit} for {quantity}: it {fails} at every speed tried, {value} m/s "
             f"included. Must be reached between {SLOWEST} and {FASTEST} m/s."
         )
-    return _refined(setup, patch, quantity, limit, speeds[kept[-1]], speeds[kept[-1] + 1])
+    return float(brentq(margin, *speeds[kept[-1] : kept[-1] + 2], xtol=1e-9))
 
 
 def _margin(setup, patch, quantity, limit, speeds):
@@ -108,18 +97,6 @@ def _margin(setup, patch, quantity, limit, speeds):
     values = scan_lattice(replace(setup, speed_m_s=speeds), patch).quantity(quantity)
     share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
     return np.where(np.isnan(share), -1.0, share)
-
-
-def _refined(setup, patch, quantity, limit, low, high):
-    """The speed between two at which the limit is met, by cutting the interval in 64, six times."""
-    while high - low > 1e-9:
-        speeds = np.linspace(low, high, 65)
-        last = np.flatnonzero(_margin(setup, patch, quantity, limit, speeds) >= 0)
-        last = last[-1] if len(last) else 0
-        if last == len(speeds) - 1:
-            return float(high)
-        low, high = speeds[last], speeds[last + 1]
-    return float(low)
 
 
 def sensitivities(setup, target, *, inputs=INPUTS):

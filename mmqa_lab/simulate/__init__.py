@@ -20,17 +20,28 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
 Real scanners are in ``presets``; ``dataclasses.replace(presets.ROAMER, lever_arm_m=(0, 0, 2.5))``
-mounts one.
+mounts one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
 from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.objects import chart, chart_corners, kerb, wall
 from mmqa_lab.simulate.scan import scan, scan_all
-from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner, Scanner
-from mmqa_lab.simulate.scenes import Hits, Scene
-from mmqa_lab.simulate.solids import box, cylinder, ellipsoid, foliage
-from mmqa_lab.simulate.surfaces import Surface, board, disc, ground, group, polygon, rectangle
+from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.surfaces import (
+    board,
+    box,
+    chart,
+    chart_corners,
+    cylinder,
+    ellipsoid,
+    foliage,
+    ground,
+    polygon,
+    rectangle,
+    wall,
+)
+from mmqa_lab.simulate.systems import System, system
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
     Trajectory,
@@ -40,26 +51,21 @@ from mmqa_lab.simulate.trajectories import (
 )
 
 __all__ = [
-    "Hits",
     "MatchingCamera",
     "MultiBeamScanner",
     "NavigationErrors",
     "ProfileScanner",
-    "Scanner",
     "Scene",
-    "Surface",
+    "System",
     "Trajectory",
     "board",
     "box",
     "chart",
     "chart_corners",
     "cylinder",
-    "disc",
     "ellipsoid",
     "foliage",
     "ground",
-    "group",
-    "kerb",
     "match",
     "measured",
     "polygon",
@@ -68,6 +74,7 @@ __all__ = [
     "scan",
     "scan_all",
     "straight",
+    "system",
     "wall",
     "with_speed_variation",
 ]

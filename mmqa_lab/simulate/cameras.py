@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.chart_image.light import GAMMAS, encode
-from mmqa_lab.chart_image.mapping import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.charts import reflectance
+from mmqa_lab.io.images import GAMMAS, encode
 
 __all__ = [
     "ChartMap",
@@ -235,12 +235,7 @@ def photograph(
 
 def _window(layout, chart_map, margin):
     """First column and row, and columns and rows, of the chart's surroundings."""
-    edge = np.linspace(0, 1, 9)[:, None]
-    corners = layout.corners()
-    outline = np.concatenate(
-        [a + edge * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-    )
-    pixels = chart_map.pixels(outline)
+    pixels = chart_map.outline(layout.corners())
     if not np.isfinite(pixels).all():
         raise ValueError("Invalid view: the chart lies behind the camera. Must be in view.")
     low = np.floor(pixels.min(axis=0)).astype(int) - margin

@@ -3,15 +3,17 @@
 It stands in for the unpublished edges of Poreba & Goulette 2013 (hal-00846334): facades along
 three streets give straight edges; each course sees a part of them, displaced by its positioning
 error, turned, cut short, split and mixed with clutter. Which segments belong together is known,
-and so is every displacement. :mod:`~mmqa_lab.simulate.canyon_cloud` covers the facades with points.
+and so is every displacement. ``canyon_cloud`` covers the faces of the houses with points.
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_number
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines import Segments
 
 COMPARISONS = {
@@ -28,8 +30,9 @@ STREETS = pd.DataFrame(
     columns=["axis", "x_m", "y_m", "length_m", "width_m"],
 )
 SETBACKS_M = (0.0, 0.25, 0.4, 0.7, 1.2)
-EDGE_SHARE = {"base": 0.33, "roof": 0.33, "cornice": 0.15, "corner": 0.57}
-"""Share of the buildings where this edge is a straight line that a detector can find."""
+EDGE_SHARES = (0.33, 0.33, 0.15, 0.57, 0.57)
+"""Share of the buildings where foot, eave, cornice and both corners are straight lines that a
+detector can find."""
 
 PAIR_OVERLAP = 0.2
 """Segments of one edge are a true pair when they share more than this part of the shorter one."""
@@ -43,6 +46,12 @@ DRIFT_STEP_M = 5.0
 YAW_DEG = 0.05
 POSITION_NOISE_M = {"C1": 0.04, "C2": 0.04, "C3": 0.04, "TLS": 0.03}
 ANGLE_FROM_POSITION_M = 0.02
+
+EAVE_M = 0.6
+"""Width of the soffit under each eave; a facade meets it along a level edge."""
+
+GABLE_M = 3.0
+"""Depth of the wall that closes a row of houses at either end."""
 
 
 @dataclass(frozen=True)
@@ -248,6 +257,93 @@ def canyon(seed, *, conditions=None):
     return Canyon(buildings, Segments(ends), street, surveys, conditions)
 
 
+def canyon_faces(scene):
+    """The plane faces of a canyon.
+
+    Parameters
+    ----------
+    scene : Canyon
+
+    Returns
+    -------
+    DataFrame
+        ``kind`` (front, pavement, eave, side), ``street``, ``corner``, ``along``, ``up``: a corner
+        and both sides of each rectangle as arrays (3,), m.
+    """
+    rows = []
+    for _, row in scene.buildings.groupby(["street", "side"]):
+        houses = list(row.itertuples())
+        for house in houses:
+            rows += _house_faces(house)
+        rows += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
+    return pd.DataFrame(rows, columns=["kind", "street", "corner", "along", "up"])
+
+
+def canyon_edges(scene):
+    """The edges where two faces of the canyon meet: feet, eaves and corners of the facades.
+
+    Returns
+    -------
+    Segments
+        In the order of the buildings, four each: foot, eave, corner at the start, corner at the
+        end.
+    """
+    houses = scene.buildings.itertuples()
+    lines = [_on_facade(house, line) for house in houses for line in _outline(house)]
+    return Segments(np.array(lines), name="canyon")
+
+
+def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
+    """Cover the canyon with points as one survey places them.
+
+    Parameters
+    ----------
+    scene : Canyon
+    survey : {"C1", "C2", "C3", "TLS"}
+        Whose positioning error moves the points.
+    density : float
+        Points per square metre on every face, at random.
+    noise : float
+        Standard deviation per axis, m.
+    seed : int
+
+    Returns
+    -------
+    Cloud
+        With ``face`` (row of :func:`canyon_faces`) and ``street``.
+
+    Raises
+    ------
+    ValueError
+        If the survey is unknown, the density is not positive, or the noise is negative.
+
+    Notes
+    -----
+    No occlusion and no scan pattern: for those, scan a scene of the faces with
+    :mod:`mmqa_lab.simulate`.
+
+    Examples
+    --------
+    >>> cloud = canyon_cloud(canyon(1), "C1", density=1)
+    >>> 10_000 < len(cloud) < 30_000
+    True
+    """
+    check_choice(survey, "survey", SURVEYS)
+    density = check_positive(density, "density", unit="per m2")
+    noise = check_number(noise, "noise", low=0, unit="m")
+    rng = np.random.default_rng(check_count(seed, "seed", low=0))
+    faces = canyon_faces(scene)
+    corner, along, up = (np.stack(faces[name].to_numpy()) for name in ("corner", "along", "up"))
+    area = np.linalg.norm(np.cross(along, up), axis=1)
+    face = np.repeat(np.arange(len(faces)), rng.poisson(density * area))
+    a, b = rng.random((2, len(face), 1))
+    points = corner[face] + a * along[face] + b * up[face]
+    street = faces["street"].to_numpy()[face]
+    points += scene.surveys[survey].positioning.at(points, street)
+    points += rng.normal(0, noise, points.shape)
+    return Cloud(points, {"face": face, "street": street}, f"canyon {survey}")
+
+
 def _buildings(rng):
     """Facades side by side along both sides of each street, no two neighbours flush."""
     rows = []
@@ -266,45 +362,48 @@ def _buildings(rng):
 def _edges(buildings, conditions, rng):
     """End points (n, 2, 3) of the true edges and the street of each."""
     ends, streets = [], []
-    for row in buildings.itertuples():
-        lines = _building_edges(row, conditions, rng)
-        ends += [_placed(row, line) for line in lines]
-        streets += [row.street] * len(lines)
+    for house in buildings.itertuples():
+        lines = _building_edges(house, conditions, rng)
+        ends += [_on_facade(house, line) for line in lines]
+        streets += [house.street] * len(lines)
     ends, streets = np.array(ends), np.array(streets)
     twin = rng.random(len(ends)) < conditions.twins
     return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
 
 
-def _building_edges(row, conditions, rng):
-    """The edges of one facade as (station, height) pairs of ends."""
-    left, right, top = row.start_m, row.start_m + row.width_m, row.height_m
+def _building_edges(house, conditions, rng):
+    """The edges of a facade that a detector can find, as (station, height) of both ends."""
+    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
     level = rng.uniform(3.5, 4.5)
-    candidates = [
-        ("base", ((left, 0.0), (right, 0.0))),
-        ("roof", ((left, top), (right, top))),
-        ("cornice", ((left, level), (right, level))),
-        ("corner", ((left, 0.0), (left, top))),
-        ("corner", ((right, 0.0), (right, top))),
-    ]
-    lines = [line for kind, line in candidates if rng.random() < EDGE_SHARE[kind]]
+    foot, eave, *corners = _outline(house)
+    candidates = [foot, eave, ((left, level), (right, level)), *corners]
+    pairs = zip(candidates, EDGE_SHARES, strict=True)
+    lines = [line for line, share in pairs if rng.random() < share]
     for _ in range(rng.poisson(conditions.jambs)):
         station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
         lines.append(((station, sill), (station, sill + rng.uniform(1.5, 2.5))))
     return lines
 
 
-def _placed(row, line):
-    """Scene coordinates (2, 3) of a line on a building's facade."""
+def _outline(house):
+    """Foot, eave and both corners of a facade, as (station, height) of both ends."""
+    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
+    low, high = ((left, 0.0), (right, 0.0)), ((left, top), (right, top))
+    return [low, high, *zip(low, high, strict=True)]
+
+
+def _on_facade(house, line):
+    """Scene coordinates (2, 3) of a line on a house's facade."""
     station, height = np.array(line).T
-    return located(row.street, station, np.full(2, facade_offset(row)), height)
+    return _located(house.street, station, np.full(2, _offset(house)), height)
 
 
-def facade_offset(house):
+def _offset(house):
     """Distance of a facade from the axis of its street, signed, m."""
     return house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
 
 
-def located(street, station, offset, height):
+def _located(street, station, offset, height):
     """Point(s) (..., 3) from station along a street, offset from its axis and height, m."""
     frame = STREETS.loc[street]
     if frame["axis"] == "x":
@@ -428,3 +527,35 @@ def _noisy(ends, angle_deg, position, end, rng):
     half = np.maximum(half, 0.25)
     middle = ends.mean(axis=1) + rng.normal(0, position, unit.shape)
     return np.stack([middle - half[:, :1] * turned, middle + half[:, 1:] * turned], axis=1)
+
+
+def _house_faces(house):
+    """Front, pavement and eave of a house."""
+    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
+    offset = _offset(house)
+    eave = offset - house.side * EAVE_M
+    return [
+        _face("front", house.street, (left, offset, 0), (right, offset, 0), (left, offset, top)),
+        _face("pavement", house.street, (left, 0, 0), (right, 0, 0), (left, offset, 0)),
+        _face("eave", house.street, (left, offset, top), (right, offset, top), (left, eave, top)),
+    ]
+
+
+def _side_face(a, b):
+    """The wall between neighbours of different setback, or the gable at the end of a row."""
+    if a is None or b is None:
+        house = b if a is None else a
+        station = house.start_m if a is None else house.start_m + house.width_m
+        near, top = _offset(house), house.height_m
+        far = near + house.side * GABLE_M
+    else:
+        house, station = b, b.start_m
+        near, far = sorted((_offset(a), _offset(b)), key=abs)
+        top = a.height_m if near == _offset(a) else b.height_m
+    return _face("side", house.street, (station, near, 0), (station, far, 0), (station, near, top))
+
+
+def _face(kind, street, corner, along, up):
+    """A rectangle from a corner and the ends of both sides, each (station, offset, height)."""
+    corner, along, up = (_located(street, *place) for place in (corner, along, up))
+    return kind, street, corner, along - corner, up - corner

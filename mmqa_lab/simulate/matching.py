@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.simulate.point_patterns import hard_core_points, matern, older_within
 from mmqa_lab.simulate.scan import FULL_SCALE
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import Trajectory
@@ -142,13 +144,9 @@ def match(
     for image, time in enumerate(np.asarray(times, dtype=np.float64)):
         rng = np.random.default_rng([seed, image])
         origin = positions[image] + attitudes[image] @ np.asarray(camera.lever_arm_m)
-        pixels = hard_core_points(
-            camera.width_px,
-            camera.height_px,
-            density=camera.points_per_px,
-            hard_core=0.0 if camera.resampled_per_m2 else camera.hard_core,
-            rng=rng,
-        ) - [camera.width_px / 2, camera.height_px / 2]
+        size = np.array([camera.width_px, camera.height_px])
+        core = 0.0 if camera.resampled_per_m2 else camera.hard_core
+        pixels = hard_core_points(size, camera.points_per_px, core, rng) - size / 2
         rays = camera.rays(pixels) @ attitudes[image].T
         hits = scene.cast(origin, rays)
         scale = np.linalg.norm(rays, axis=1)
@@ -157,7 +155,7 @@ def match(
         seen = np.isfinite(depth) & (depth > 0) & (hits.incidence_deg <= camera.max_incidence_deg)
         if camera.resampled_per_m2:
             seen[seen] = _resampled(camera, rays[seen], scale[seen], hits, seen, rng)
-        cosine = np.cos(np.radians(hits.incidence_deg[seen]))
+        bright, cosine = FULL_SCALE * hits.reflectance[seen], np.cos(np.radians(hits.incidence_deg))
         yield Cloud(
             origin + depth[seen, None] * rays[seen],
             {
@@ -168,78 +166,9 @@ def match(
                 "incidence_deg": hits.incidence_deg[seen],
                 "range_noise_m": (depth * scale - hits.range_m)[seen],
                 "ghost": ghost[seen].astype(np.uint8),
-                "intensity": np.round(FULL_SCALE * hits.reflectance[seen] * cosine).astype(
-                    np.uint16
-                ),
+                "intensity": np.round(bright * cosine[seen]).astype(np.uint16),
             },
         )
-
-
-def thin(points: ArrayLike, least: float) -> np.ndarray:
-    """Say which points remain when none may be nearer to another one than a least distance.
-
-    A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in
-    object space so make the density independent of the distance.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 2) or (n, 3)
-        Metres, in the order in which they are taken.
-    least : float
-        Metres.
-
-    Returns
-    -------
-    array of bool, shape (n,)
-
-    Examples
-    --------
-    >>> thin([[0, 0], [0.6, 0], [1.2, 0]], least=1.0).tolist()
-    [True, False, True]
-    """
-    from scipy.spatial import cKDTree
-
-    points = np.asarray(points, dtype=np.float64)
-    keep = np.ones(len(points), dtype=bool)
-    near = cKDTree(points).query_pairs(check_positive(least, "least"), output_type="ndarray")
-    first, later = np.sort(near, axis=1).T
-    while len(first):
-        waits, gone = np.zeros((2, len(points)), dtype=bool)
-        waits[later] = True
-        gone[later[~waits[first]]] = True  # the one before it stays for sure
-        keep &= ~gone
-        open_pairs = waits[first] & ~gone[first] & ~gone[later]
-        first, later = first[open_pairs], later[open_pairs]
-    return keep
-
-
-def hard_core_points(
-    width: float, height: float, *, density: float, hard_core: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Return points of a Matern hard-core process of the second kind, (n, 2).
-
-    Poisson points get random ages; those with an older one within the core go. The Poisson density
-    is chosen so that ``density`` remains.
-
-    Parameters
-    ----------
-    width, height : float
-    density : float
-        Points per unit area.
-    hard_core : float
-        Core radius as a share of 1 / sqrt(density), 0 to 0.56.
-    rng : numpy.random.Generator
-
-    References
-    ----------
-    Illian, Penttinen, Stoyan & Stoyan 2008, Statistical Analysis and Modelling of Spatial Point
-    Patterns, section 6.5.2.
-    """
-    core, needed = _matern(density, hard_core)
-    low, high = np.array([-core, -core]), np.array([width + core, height + core])
-    points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
-    points = points[~_younger(points, core)]
-    return points[((points >= 0) & (points < [width, height])).all(axis=1)]
 
 
 def _resampled(camera, rays, scale, hits, seen, rng):
@@ -247,28 +176,10 @@ def _resampled(camera, rays, scale, hits, seen, rng):
     range_m, incidence = hits.range_m[seen], np.radians(hits.incidence_deg[seen])
     depth = range_m / scale
     matched = camera.points_per_px * (camera.focal_px / depth) ** 2 * np.cos(incidence) * scale
-    core, needed = _matern(camera.resampled_per_m2, camera.hard_core)
+    core, needed = matern(camera.resampled_per_m2, camera.hard_core)
     stays = rng.random(len(rays)) * matched < needed
-    stays[stays] = ~_younger((depth[:, None] * rays)[stays], core)
+    stays[stays] = ~older_within((depth[:, None] * rays)[stays], core)
     return stays
-
-
-def _matern(density, hard_core):
-    """Core radius, and Poisson density of which ``density`` remains after thinning."""
-    core = hard_core / np.sqrt(density)
-    disc = np.pi * core**2
-    return core, density if core == 0 else -np.log(1 - density * disc) / disc
-
-
-def _younger(points, core):
-    """Which points have an older one, that is an earlier one, within the core."""
-    from scipy.spatial import cKDTree
-
-    younger = np.zeros(len(points), dtype=bool)
-    if core:
-        pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
-        younger[pairs.max(axis=1)] = True
-    return younger
 
 
 def _ghosts(scene, camera, origin, attitude, pixels, hits, rng):
@@ -287,8 +198,6 @@ def _ghosts(scene, camera, origin, attitude, pixels, hits, rng):
 
 def _depth_noise(camera, pixels, depth, rng):
     """Depth errors, partly shared by neighbours in the image."""
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
     step = camera.correlation_px / 2
     shape = np.ceil([camera.height_px / step + 1, camera.width_px / step + 1]).astype(int)
     field = gaussian_filter(rng.standard_normal(shape + 16), 2.0)[8:-8, 8:-8] * 4 * np.sqrt(np.pi)

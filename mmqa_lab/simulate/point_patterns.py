@@ -6,8 +6,11 @@ its density stays, and the *ratio* across / along is known.
 """
 
 from functools import partial
+from math import comb
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.spacing import poisson_spacing
@@ -173,7 +176,8 @@ def aligned_lines_f() -> int:
     The neighbours along the line then lie above or below by chance, and fill the quadrants above
     and below. A point whose height has the rank u on its line finds its k next ones on one side all
     above or all below with probability (1 - u)^k + u^k. So d4 is at most k points away with the
-    probability of the mean of (1 - (1 - u)^k - u^k)^2 over u, which passes one half at k = 5.
+    probability of the mean of (1 - (1 - u)^k - u^k)^2 over u: 1 - 4 / (k + 1) + 2 / (2k + 1)
+    + 2 k!^2 / (2k + 1)!, which passes one half at k = 5.
 
     Notes
     -----
@@ -184,12 +188,93 @@ def aligned_lines_f() -> int:
     >>> aligned_lines_f()
     5
     """
-    from scipy.integrate import quad
-
     k = 1
-    while quad(lambda u: (1 - (1 - u) ** k - u**k) ** 2, 0, 1)[0] < 0.5:  # noqa: B023
+    while 1 - 4 / (k + 1) + 2 / (2 * k + 1) * (1 + 1 / comb(2 * k, k)) < 0.5:
         k += 1
     return k
+
+
+def thin(points: ArrayLike, least: float, *, period: ArrayLike | None = None) -> np.ndarray:
+    """Say which points remain when none may be nearer to another one than a least distance.
+
+    A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in
+    object space so make the density independent of the distance.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2) or (n, 3)
+        Metres, in the order in which they are taken.
+    least : float
+        Metres.
+    period : array_like, optional
+        Size of a window whose opposite sides are one; coordinates then run from 0.
+
+    Returns
+    -------
+    array of bool, shape (n,)
+
+    Examples
+    --------
+    >>> thin([[0, 0], [0.6, 0], [1.2, 0]], least=1.0).tolist()
+    [True, False, True]
+    """
+    points = np.asarray(points, dtype=np.float64)
+    keep = np.ones(len(points), dtype=bool)
+    tree = cKDTree(points, boxsize=period)
+    near = tree.query_pairs(check_positive(least, "least"), output_type="ndarray")
+    first, later = np.sort(near, axis=1).T
+    while len(first):
+        waits, gone = np.zeros((2, len(points)), dtype=bool)
+        waits[later] = True
+        gone[later[~waits[first]]] = True  # the one before it stays for sure
+        keep &= ~gone
+        open_pairs = waits[first] & ~gone[first] & ~gone[later]
+        first, later = first[open_pairs], later[open_pairs]
+    return keep
+
+
+def hard_core_points(size, density, hard_core, rng):
+    """Return points of a Matern hard-core process of the second kind, (n, 2).
+
+    Poisson points get random ages; those with an older one within the core go. The Poisson density
+    is chosen so that ``density`` remains.
+
+    Parameters
+    ----------
+    size : array, shape (2,)
+        Width and height of the window.
+    density : float
+        Points per unit area.
+    hard_core : float
+        Core radius as a share of 1 / sqrt(density), 0 to 0.56.
+    rng : numpy.random.Generator
+
+    References
+    ----------
+    Illian, Penttinen, Stoyan & Stoyan 2008, Statistical Analysis and Modelling of Spatial Point
+    Patterns, section 6.5.2.
+    """
+    core, needed = matern(density, hard_core)
+    low, high = np.array([-core, -core]), size + core
+    points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
+    points = points[~older_within(points, core)]
+    return points[((points >= 0) & (points < size)).all(axis=1)]
+
+
+def matern(density, hard_core):
+    """Core radius, and Poisson density of which ``density`` remains after thinning."""
+    core = hard_core / np.sqrt(density)
+    disc = np.pi * core**2
+    return core, density if core == 0 else -np.log(1 - density * disc) / disc
+
+
+def older_within(points, core):
+    """Which points have an older one, that is an earlier one, within the core."""
+    younger = np.zeros(len(points), dtype=bool)
+    if core:
+        pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
+        younger[pairs.max(axis=1)] = True
+    return younger
 
 
 def _closed_form(kind, ratio, *, lines, poisson):
@@ -255,22 +340,8 @@ def _poisson(rng, density, half):
 
 def _hard_core(rng, density, half):
     """Random sequential packing: points arrive one by one and stay where there is room."""
-    from scipy.spatial import cKDTree
-
-    limit = CORE / np.sqrt(density)
     candidates = rng.uniform(0, 2 * half, (round(8 * density * 4 * half[0] * half[1]), 2))
-    torus = cKDTree(candidates, boxsize=2 * half)
-    left, right = torus.query_pairs(limit, output_type="ndarray").T
-    kept, waiting = np.zeros(len(candidates), bool), np.ones(len(candidates), bool)
-    while waiting.any():
-        # a candidate stays when no earlier one that may still stay is too near
-        pairs = waiting[left] & waiting[right]
-        left, right = left[pairs], right[pairs]
-        stays = waiting.copy()
-        stays[right] = False
-        kept |= stays
-        waiting &= ~stays
-        waiting[right[stays[left]]] = False
+    kept = thin(candidates, CORE / np.sqrt(density), period=2 * half)
     return candidates[kept][: len(candidates) // 8] - half
 
 
@@ -291,13 +362,9 @@ def _gradient(rng, density, half):
 
 def _holes(rng, density, half):
     """Random points outside of random discs."""
-    from scipy.spatial import cKDTree
-
     radius = HOLE_RADIUS / np.sqrt(density)
     centres = _poisson(rng, -np.log1p(-HOLE_SHARE) / (np.pi * radius**2), half + radius)
     xy = _poisson(rng, density / (1 - HOLE_SHARE), half)
-    if not len(centres):
-        return xy
     return xy[cKDTree(centres).query(xy)[0] > radius]
 
 

@@ -3,12 +3,14 @@
 from itertools import pairwise
 
 import numpy as np
+from numba import njit, prange
 
 from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab._threads import enough_threads
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.beams import beam_rays, echoes
-from mmqa_lab.simulate.draws import draws
-from mmqa_lab.simulate.scanners import Scanner
+from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.simulate.scanners import Scanner, beam_rays, echoes
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD
 
 FULL_SCALE = 65_535
 """Intensity of a surface of reflectance 1 hit square."""
@@ -150,6 +152,11 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
     jitter = scanner.angle_noise_deg * normal[:, 0]
     origin, direction = _rays(trajectory, scanner, firing, scanner.true_mounting, jitter)
     radius, growth = scanner.beam_radius
+    axis = None
+    if scanner.widening:
+        along = np.asarray(scanner.AXIS) @ scanner.true_mounting.T
+        rotation = rotations(*trajectory.states(firing.since_start)[:, 3:].T)
+        axis = scanner.widening * (rotation @ along)
     echo = echoes(
         scene.tree,
         origin + (trajectory.origin - scene.origin),
@@ -158,6 +165,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
         growth=growth,
         turn=uniform[:, 0],
         separation=scanner.echo_separation_m,
+        axis=axis,
     )
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = firing.select(kept), echo.select(kept), noise[kept]
@@ -207,3 +215,43 @@ def _detected(scanner, echo, normal, uniform):
     spread = np.hypot(scanner.range_noise_m, np.where(np.isfinite(weak), weak, 0.0))
     kept = heard & (echo.range_m >= scanner.min_range_m)
     return spread * normal[:, 1], kept & (uniform[:, 1] >= scanner.dropout_share)
+
+
+def draws(seed, pulse):
+    """Standard normal numbers (n, 3) and uniform ones (n, 2) that depend on a pulse's number alone.
+
+    NumPy's generators yield streams: a drive that is cut into blocks and fields of view would have
+    to draw for every pulse that it leaves out. SplitMix64 is a counter through a mixing function
+    and can be asked for any place of its stream (Steele, Lea & Flood 2014,
+    doi:10.1145/2660193.2660195).
+    """
+    key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+    with enough_threads(len(pulse), RAYS_A_THREAD):
+        u = _uniform(key, pulse.astype(np.uint64))
+        return _normal(u), u[:, 4:]
+
+
+@njit(cache=True, parallel=True)
+def _uniform(key, pulse):
+    """Six numbers between 0 (exclusive) and 1 for each pulse."""
+    made = np.empty((len(pulse), 6))
+    for k in prange(len(pulse)):
+        for j in range(6):
+            z = key + (pulse[k] * np.uint64(6) + np.uint64(j + 1)) * np.uint64(0x9E3779B97F4A7C15)
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            z = z ^ (z >> np.uint64(31))
+            made[k, j] = (np.float64(z >> np.uint64(11)) + 0.5) * 2.0**-53
+    return made
+
+
+@njit(cache=True, parallel=True)
+def _normal(uniform):
+    """Three normal numbers by Box and Muller from the first four uniform ones of each row."""
+    normal = np.empty((len(uniform), 3))
+    for k in prange(len(uniform)):
+        u = uniform[k]
+        radius, turn = np.sqrt(-2 * np.log(u[0])), 2 * np.pi * u[1]
+        normal[k, 0], normal[k, 1] = radius * np.cos(turn), radius * np.sin(turn)
+        normal[k, 2] = np.sqrt(-2 * np.log(u[2])) * np.cos(2 * np.pi * u[3])
+    return normal

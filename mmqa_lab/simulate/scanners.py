@@ -1,4 +1,4 @@
-"""Scanners by their data-sheet: 2-D profile scanners and rotating multi-beam scanners.
+"""Scanners by their data-sheet, and the echoes that their pulses bring.
 
 Mounting: the scanner's frame lies in the vehicle's (x right, y travel, z up) by Rz(heading)
 Rx(tilt), tilt about the lateral axis first, both counter-clockwise positive as in MIMIC (Cahalane
@@ -7,25 +7,40 @@ tilt 0 is the vertical plane across the track; a multi-beam scanner spins about 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit, prange
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.scan_pattern.setups import rotations
+from mmqa_lab._threads import enough_threads
+from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, TASK, describe, mapped, nearest
+
+FOOTPRINT = 7
+"""Rays a beam: its axis and a ring."""
+
+RING = 0.651
+"""Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
+
+NOT_NEGATIVE = [
+    "range_noise_m",
+    "range_noise_weak_m",
+    "angle_noise_deg",
+    "exit_diameter_m",
+    "divergence_mrad",
+    "divergence_axial_mrad",
+    "echo_separation_m",
+    "min_range_m",
+    "fading",
+]
+"""Fields of a scanner."""
 
 
-@dataclass(frozen=True)
-class Firing:
+class Firing(NamedTuple):
     """When and where to pulses leave, in the scanner's frame: one entry a pulse.
 
-    Parameters
-    ----------
-    since_start : array, shape (n,)
-        Seconds.
-    scan_angle, elevation : array, shape (n,)
-        Degrees; see the scanner's class.
-    scan_line : array of int, shape (n,)
-    ring : array of int, shape (n,), or None
+    Seconds; degrees, see the scanner's class; numbers of the scan line and of the beam.
     """
 
     since_start: np.ndarray
@@ -36,9 +51,7 @@ class Firing:
 
     def select(self, which):
         """Return the pulses of a mask."""
-        ring = None if self.ring is None else self.ring[which]
-        arrays = (self.since_start, self.scan_angle, self.elevation, self.scan_line)
-        return Firing(*(values[which] for values in arrays), ring)
+        return Firing(*(None if values is None else values[which] for values in self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +81,8 @@ class Scanner:
     exit_diameter_m, divergence_mrad : float
         Beam at the exit and full angle, both at 1/e2 of the intensity. With both 0 a pulse is a
         line and no pixel is mixed.
+    divergence_axial_mrad : float
+        Full angle towards the axis of rotation, where the beam is not round; 0 where it is.
     echo_separation_m : float
         Echoes of one pulse closer than that fall into one, which is a mixed pixel where they come
         from two surfaces; of farther ones the strongest is kept.
@@ -104,6 +119,7 @@ class Scanner:
     angle_noise_deg: float = 0.0
     exit_diameter_m: float = 0.0
     divergence_mrad: float = 0.0
+    divergence_axial_mrad: float = 0.0
     echo_separation_m: float = 0.6
     min_range_m: float = 0.0
     max_range_m: float = np.inf
@@ -121,7 +137,7 @@ class Scanner:
         check_number(high, "field_of_view_deg", low=low, high=180)
         check_number(self.dropout_share, "dropout_share", low=0, high=1)
         check_number(self.max_range_reflectance, "max_range_reflectance", low=0.01, high=1)
-        for name in _NOT_NEGATIVE:
+        for name in NOT_NEGATIVE:
             check_number(getattr(self, name), name, low=0)
         for name in ("lever_arm_m", "boresight_deg"):
             check_points([getattr(self, name)], name=name)
@@ -151,17 +167,12 @@ class Scanner:
         """Radius of the beam at the exit (m) and its growth with range (m/m)."""
         return self.exit_diameter_m / 2, np.tan(self.divergence_mrad / 2000)
 
-
-_NOT_NEGATIVE = (
-    "range_noise_m",
-    "range_noise_weak_m",
-    "angle_noise_deg",
-    "exit_diameter_m",
-    "divergence_mrad",
-    "echo_separation_m",
-    "min_range_m",
-    "fading",
-)
+    @property
+    def widening(self):
+        """What the beam is wider by towards the axis of rotation, as a share of its growth."""
+        if not self.divergence_axial_mrad:
+            return 0.0
+        return self.divergence_axial_mrad / self.divergence_mrad - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,6 +202,9 @@ class ProfileScanner(Scanner):
     """
 
     mirror_frequency_hz: float
+
+    AXIS = (0.0, 1.0, 0.0)
+    """Of rotation, in the scanner's frame."""
 
     def __post_init__(self):
         super().__post_init__()
@@ -257,6 +271,9 @@ class MultiBeamScanner(Scanner):
     spin_hz: float
     elevations_deg: tuple
 
+    AXIS = (0.0, 0.0, 1.0)
+    """Of rotation, in the scanner's frame."""
+
     def __post_init__(self):
         super().__post_init__()
         check_positive(self.spin_hz, "spin_hz", unit="Hz")
@@ -283,3 +300,185 @@ class MultiBeamScanner(Scanner):
         """Scan angle and elevation above the plane of rotation, degrees, of vectors, (..., 3)."""
         x, y, z = np.moveaxis(vectors, -1, 0)
         return np.degrees(np.arctan2(x, y)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+@njit(cache=True)
+def _turned(state, x, y, z):
+    """Rz(-heading) Rx(pitch) Ry(roll), the angles at the end of ``state``, applied to a vector."""
+    s, c = np.sin(state[3]), np.cos(state[3])
+    x, z = c * x + s * z, c * z - s * x
+    s, c = np.sin(state[4]), np.cos(state[4])
+    y, z = c * y - s * z, s * y + c * z
+    s, c = np.sin(state[5]), np.cos(state[5])
+    return c * x + s * y, c * y - s * x, z
+
+
+def beam_rays(states, lever_arm, mounting, beams):
+    """Origins and directions of beams in a mounted scanner's frame on a vehicle in given states.
+
+    ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
+    """
+    with enough_threads(len(beams), RAYS_A_THREAD):
+        return _beam_rays(states, lever_arm, mounting, beams)
+
+
+@njit(cache=True, parallel=True)
+def _beam_rays(states, lever_arm, mounting, beams):
+    """The arrays of ``beam_rays``."""
+    n = len(beams)
+    origins, directions = np.empty((n, 3)), np.empty((n, 3))
+    matrix = np.ascontiguousarray(mounting).ravel()
+    for k in prange(n):
+        x, y, z = _turned(states[k], lever_arm[0], lever_arm[1], lever_arm[2])
+        origins[k, 0], origins[k, 1] = states[k, 0] + x, states[k, 1] + y
+        origins[k, 2] = states[k, 2] + z
+        x, y, z = mapped(matrix, beams[k, 0], beams[k, 1], beams[k, 2])
+        x, y, z = _turned(states[k], x, y, z)
+        directions[k, 0], directions[k, 1], directions[k, 2] = x, y, z
+    return origins, directions
+
+
+@njit(cache=True, error_model="numpy")
+def _perpendicular(dx, dy, dz, turn):
+    """Unit vector square to a unit vector, at a turn about it in radians."""
+    if abs(dx) < 0.6:
+        ax, ay, az = 0.0, dz, -dy
+    else:
+        ax, ay, az = -dz, 0.0, dx
+    length = np.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / length, ay / length, az / length
+    bx, by, bz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+    c, s = np.cos(turn), np.sin(turn)
+    return c * ax + s * bx, c * ay + s * by, c * az + s * bz
+
+
+@njit(cache=True, error_model="numpy")
+def _hit(tree, stack, ray, echo):
+    """Write range, signal, cosine and surface of a unit ray into ``echo``; False where none."""
+    t, i = nearest(tree, stack, ray[0], ray[1], ray[2], ray[3], ray[4], ray[5])
+    if i < 0:
+        return False
+    c = tree.centre[i]
+    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
+    nx, ny, nz, reflectance = describe(tree, i, x, y, z)
+    cosine = abs(nx * ray[3] + ny * ray[4] + nz * ray[5])
+    echo[0], echo[1] = t, reflectance * cosine / (t * t)
+    echo[2], echo[3] = cosine, tree.surface[i]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _strongest(hits, n, separation):
+    """First and last of the sorted hits that make the strongest echo."""
+    best, first, last = -1.0, 0, 0
+    start = 0
+    while start < n:
+        stop, signal = start, 0.0
+        while stop < n and (stop == start or hits[stop, 0] - hits[stop - 1, 0] <= separation):
+            signal += hits[stop, 1]
+            stop += 1
+        if signal > best:
+            best, first, last = signal, start, stop
+        start = stop
+    return first, last
+
+
+@njit(cache=True, error_model="numpy")
+def _footprint(tree, stack, ray, part, hits, radius, growth, axis, turn):
+    """Hits of the rays that stand for equal shares of a Gaussian beam, nearest first.
+
+    ``axis`` is a vector across the beam: along it the beam grows by its length as much again.
+    """
+    n = 1 if _hit(tree, stack, ray, hits[0]) else 0
+    for k in range(FOOTPRINT - 1):
+        ex, ey, ez = _perpendicular(ray[3], ray[4], ray[5], turn + 2 * np.pi * k / (FOOTPRINT - 1))
+        g = RING * growth
+        more = axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]
+        if more > 0.0:
+            along = (ex * axis[0] + ey * axis[1] + ez * axis[2]) / np.sqrt(more)
+            ex, ey, ez = ex + along * axis[0], ey + along * axis[1], ez + along * axis[2]
+        length = np.sqrt(1 + g * g)
+        part[0] = ray[0] + RING * radius * ex
+        part[1] = ray[1] + RING * radius * ey
+        part[2] = ray[2] + RING * radius * ez
+        part[3] = (ray[3] + g * ex) / length
+        part[4] = (ray[4] + g * ey) / length
+        part[5] = (ray[5] + g * ez) / length
+        if _hit(tree, stack, part, hits[n]):
+            j = n
+            while j > 0 and hits[j, 0] < hits[j - 1, 0]:
+                for m in range(4):
+                    hits[j, m], hits[j - 1, m] = hits[j - 1, m], hits[j, m]
+                j -= 1
+            n += 1
+    return n
+
+
+class Echoes(NamedTuple):
+    """The strongest echo of each pulse, NaN and surface -1 where there is none.
+
+    ``signal`` is reflectance x cosine(incidence) / range2, summed over the parts of the beam.
+    """
+
+    range_m: np.ndarray
+    surface: np.ndarray
+    cosine: np.ndarray
+    signal: np.ndarray
+    mixed: np.ndarray
+
+    def select(self, which):
+        """Return the echoes of a mask."""
+        return Echoes(*(values[which] for values in self))
+
+
+def echoes(tree, origins, directions, *, radius, growth, turn, separation, axis=None):
+    """Return the ``Echoes`` of pulses along unit directions.
+
+    A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a
+    ring of six rays, each an equal share of its energy, turned by ``turn`` (0 to 1) at random. Hits
+    closer than ``separation`` in range fall into one echo: its range is their mean weighted by the
+    signal, its signal their sum, its surface and cosine those of its strongest part; it is mixed
+    where they belong to several surfaces. A beam that is not round is wider along ``axis`` (n, 3),
+    by the length of that vector as much again.
+    """
+    axis = np.zeros((1, 3)) if axis is None else axis
+    with enough_threads(len(directions), RAYS_A_THREAD):
+        return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation, axis))
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _echoes(tree, origins, directions, radius, growth, turn, separation, axis):
+    """The arrays of ``Echoes``."""
+    n = len(origins)
+    wide = radius > 0.0 or growth > 0.0
+    ranges, surface = np.full(n, np.nan), np.full(n, -1, np.int32)
+    cosine, signal = np.full(n, np.nan), np.zeros(n)
+    mixed = np.zeros(n, np.bool_)
+    for task in prange((n + TASK - 1) // TASK):
+        stack = np.empty(STACK, np.int64)
+        ray, part, hits = np.empty(6), np.empty(6), np.empty((FOOTPRINT, 4))
+        for k in range(task * TASK, min((task + 1) * TASK, n)):
+            ray[:3], ray[3:] = origins[k], directions[k]
+            found, share = 0, 1.0
+            if wide:
+                share = 1.0 / FOOTPRINT
+                wider = axis[k % len(axis)]
+                found = _footprint(
+                    tree, stack, ray, part, hits, radius, growth, wider, 2 * np.pi * turn[k]
+                )
+            elif _hit(tree, stack, ray, hits[0]):
+                found = 1
+            if found == 0:
+                continue
+            first, last = _strongest(hits, found, separation)
+            top, weighted = first, 0.0
+            for j in range(first, last):
+                signal[k] += hits[j, 1]
+                weighted += hits[j, 1] * (hits[j, 0] - hits[first, 0])
+                mixed[k] |= hits[j, 3] != hits[first, 3]
+                if hits[j, 1] > hits[top, 1]:
+                    top = j
+            ranges[k] = hits[first, 0] + (weighted / signal[k] if signal[k] > 0.0 else 0.0)
+            surface[k], cosine[k] = hits[top, 3], hits[top, 2]
+            signal[k] *= share
+    return ranges, surface, cosine, signal, mixed

@@ -1,7 +1,8 @@
 """Streets with poles whose truth is known: what stands there, how often, and what hides it.
 
 ``street`` builds a street from a ``Plan`` and a seed, ``drive`` scans it, ``visible_targets`` says
-which of its poles a cloud shows. The vehicle drives along +y at x = 0.
+which of its poles a cloud shows. The vehicle drives along +y at x = 0. What varies is drawn from a
+random generator in a fixed order, so that two streets that differ in one setting share all else.
 """
 
 import zlib
@@ -11,38 +12,23 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab.simulate import presets, street_parts
+from mmqa_lab.simulate import surfaces
+from mmqa_lab.simulate.presets import PRESETS
 from mmqa_lab.simulate.scan import scan_all
-from mmqa_lab.simulate.scanners import ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import rectangle
+from mmqa_lab.simulate.surfaces import box, cylinder, foliage, group, rectangle
 from mmqa_lab.simulate.trajectories import straight
 
-MAST_M = (0.0, 0.0, 2.5)
 FAR_M = 12.5
+LEAF_RADIUS_M = 0.07
+LEAVES_PER_M = 0.8
+"""Leaves that a ray meets on a metre of its way through foliage of density 1, on average."""
 
 SCANNERS = {
-    "roamer": replace(presets.ROAMER, lever_arm_m=MAST_M),
-    "dense-profiler": replace(
-        presets.ROAMER,
-        name="ROAMER mounting, 976 kHz, 95 Hz",
-        pulse_rate_hz=976_000,
-        mirror_frequency_hz=95,
-        lever_arm_m=MAST_M,
-        source="976 kHz as in the ROAMER of 2011 (EuroSDR 2013, Table 3-2); 95 Hz assumed, the "
-        "rest as ROAMER",
-    ),
-    "vq-450": replace(presets.VQ_450, lever_arm_m=MAST_M),
-    "push-broom": ProfileScanner(
-        name="side-looking push-broom profiler",
-        pulse_rate_hz=54_000,
-        mirror_frequency_hz=75,
-        range_noise_m=0.01,
-        max_range_m=40,
-        lever_arm_m=(0.0, 0.0, 2.0),
-        field_of_view_deg=(0.0, 180.0),
-        source="an older industrial profiler: steps of half a degree, 75 Hz, one side; assumed",
-    ),
+    "roamer": replace(PRESETS["roamer"], lever_arm_m=(0.0, 0.0, 2.5)),
+    "dense-profiler": replace(PRESETS["roamer-dense"], lever_arm_m=(0.0, 0.0, 2.5)),
+    "vq-450": replace(PRESETS["vq-450"], lever_arm_m=(0.0, 0.0, 2.5)),
+    "push-broom": replace(PRESETS["push-broom"], lever_arm_m=(0.0, 0.0, 2.0)),
 }
 """Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
 
@@ -218,17 +204,15 @@ def street(plan, *, length, seed):
         plan = PLANS[check_choice(plan, "plan", tuple(PLANS))]
     length = check_positive(length, "length", unit="m")
     blocks = _buildings(plan, length, seed)
-    surfaces = [_ground(plan, length)]
-    rows = []
+    things, rows = [_ground(plan, length)], []
     for parts, truth in _poles(plan, length, seed, blocks):
-        rows.append(truth | {"surface": len(surfaces)})
-        surfaces += parts
-    surfaces += _clutter(plan, length, seed)
+        rows.append(truth | {"surface": len(things)})
+        things += parts
+    things += _clutter(plan, length, seed)
     for number, (side, setback, start, size) in enumerate(blocks):
-        at = np.array([side * setback, start, _height(plan, side * setback, start) - 0.2])
-        rng = _stream(seed, f"building {number}")
-        surfaces += street_parts.building(rng, at, size, plan, side)
-    return Street(Scene(surfaces), pd.DataFrame(rows), length, plan)
+        at = _place(plan, side * setback, start) - [0, 0, 0.2]
+        things += _building(_stream(seed, f"building {number}"), at, size, plan, side)
+    return Street(Scene(things), pd.DataFrame(rows), length, plan)
 
 
 def drive(made, scanner, *, seed, speed=30 / 3.6, **options):
@@ -299,17 +283,16 @@ def _stream(seed, kind):
     return np.random.default_rng([int(seed), zlib.crc32(kind.encode())])
 
 
-def _height(plan, x, y):
-    """Height of the ground."""
-    return plan.cross_slope * x + plan.slope * y
+def _place(plan, x, y):
+    """A place on the ground."""
+    return np.array([x, y, plan.cross_slope * x + plan.slope * y])
 
 
 def _ground(plan, length):
     """The ground 60 m around the street."""
-    low = np.array([-80.0, -60.0, _height(plan, -80.0, -60.0)])
     across, along = 160.0, length + 120.0
     sides = (across, 0, plan.cross_slope * across), (0, along, plan.slope * along)
-    return rectangle(low, *sides, label="ground", reflectance=0.2)
+    return rectangle(_place(plan, -80.0, -60.0), *sides, label="ground", reflectance=0.2)
 
 
 def _buildings(plan, length, seed):
@@ -328,37 +311,29 @@ def _buildings(plan, length, seed):
 
 
 def _poles(plan, length, seed, blocks):
-    """Surfaces and truth of every pole that stands outside buildings and 1 m from the others."""
+    """Surfaces, the shaft first, and truth of poles outside buildings and 1 m from each other."""
     taken = np.empty((0, 2))
     dressing = _stream(seed, "dressing")
-    for kind in ("lamp", "sign", "other", "tree"):
+    for kind, make in {"lamp": _lamp, "sign": _sign, "other": _other, "tree": _tree}.items():
         rng = _stream(seed, kind)
-        rate = getattr(plan, f"{kind}s_per_100m")
-        for _ in range(rng.poisson(rate * length / 100)):
+        for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             side = int(rng.choice([-1, 1]))
             shrubby, hidden = dressing.random(2) < (plan.shrub_share, plan.thicket_share)
-            at = _spot(own, kind, side, length, plan)
+            at = _foot(own, kind, side, length, plan)
             crowded = (np.hypot(*(taken - at[:2]).T) < 1.0).any()
             if crowded or any(_inside(at, block) for block in blocks):
                 continue
             taken = np.vstack([taken, at[:2]])
-            parts, truth = _made(own, kind, at, side, plan)
+            parts, truth = make(own, at, side, plan)
             if shrubby:
-                parts.append(street_parts.shrub(own, at))
+                parts.append(_shrub(own, at))
             if hidden and abs(at[0]) >= FAR_M:
-                parts.append(street_parts.thicket(own, at, plan))
+                parts.append(_thicket(own, at, plan))
             yield parts, truth
 
 
-def _made(rng, kind, at, side, plan):
-    """Surfaces, the shaft first, and truth of a pole."""
-    if kind == "tree":
-        return street_parts.tree(rng, at, plan)
-    return getattr(street_parts, kind)(rng, at, side)
-
-
-def _spot(rng, kind, side, length, plan):
+def _foot(rng, kind, side, length, plan):
     """Foot of a pole: at the road, or among the yards."""
     near, far = rng.uniform(4.0, 12.0), rng.uniform(FAR_M, 29.0)
     beside, back = rng.uniform(4.0, 7.0), rng.random()
@@ -366,8 +341,7 @@ def _spot(rng, kind, side, length, plan):
         across = beside if back > 0.3 * plan.far_share else far
     else:
         across = far if back < plan.far_share else near
-    y = rng.uniform(0.0, length)
-    return np.array([side * across, y, _height(plan, side * across, y)])
+    return _place(plan, side * across, rng.uniform(0.0, length))
 
 
 def _inside(at, block):
@@ -376,16 +350,225 @@ def _inside(at, block):
     return side * at[0] > setback - 0.8 and start - 0.8 < at[1] < start + size + 0.8
 
 
+def _shaft(rng, at, kind, radius, top_radius, height, lean_deg=1.0):
+    """Surface of a tapered shaft that leans at random, and its truth; sizes in metres."""
+    lean = np.tan(np.radians(rng.normal(0, lean_deg, 2)))
+    way = height * np.array([*lean, 1.0])
+    surface = cylinder(at, at + way, radius, top_radius=top_radius, label=kind, reflectance=0.35)
+    truth = {
+        "class": kind,
+        "x_m": at[0] + height / 2 * lean[0],
+        "y_m": at[1] + height / 2 * lean[1],
+        "z_base_m": at[2],
+        "height_m": height,
+        "clear_height_m": height,
+        "lean_x": lean[0],
+        "lean_y": lean[1],
+        "diameter_base_m": 2 * radius,
+        "diameter_top_m": 2 * top_radius,
+    }
+    return surface, truth
+
+
+def _lamp(rng, at, side, plan):
+    """A lamp post with an arm and a head over the road; ``side`` is +1 right of it, -1 left."""
+    radius, end = rng.uniform(0.055, 0.1), rng.uniform(0.03, 0.045)
+    height, arm = rng.uniform(4.5, 9.0), rng.uniform(0.3, 2.0)
+    post, truth = _shaft(rng, at, "lamp", radius, end, height)
+    middle = np.array([truth["x_m"], truth["y_m"], at[2] + height / 2])
+    top = at + 2 * (middle - at)
+    tip = top - np.array([side * arm, 0, -0.2])
+    parts = [cylinder(top, tip, 0.03), box(tip - [0, 0, 0.1], (0.6, 0.25, 0.15))]
+    return [post, group(parts, label="lamp head")], truth
+
+
+def _sign(rng, at, side, plan):
+    """A sign: a thin post with one or two boards that face along the road."""
+    radius, height = rng.choice([0.03, 0.038, 0.045]), rng.uniform(2.2, 3.4)
+    post, truth = _shaft(rng, at, "sign", radius, radius, height)
+    heading = rng.choice([0.0, 180.0]) + rng.normal(0, 8)
+    size, round_, second = rng.uniform(0.45, 0.8), rng.random() < 0.5, rng.random() < 0.35
+    h = np.radians(heading)
+    front = np.array([np.sin(h), np.cos(h), 0])
+    middle = at + [0, 0, height - size / 2] + (radius + 0.02) * front
+    middle[:2] += [truth["lean_x"] * height, truth["lean_y"] * height]
+    if round_:
+        plates = [surfaces.disc(middle, front, size / 2)]
+    else:
+        plates = [surfaces.board(middle, size, size, heading=heading)]
+    if second:
+        below = middle - [0, 0, size / 2 + 0.15]
+        plates.append(surfaces.board(below, size, 0.25, heading=heading))
+    return [post, group(plates, label="board")], truth
+
+
+def _tree(rng, at, side, plan):
+    """A tree: trunk and crown, low or with branches as often as the plan says."""
+    radius, taper = rng.uniform(*plan.trunk_radius_m), rng.uniform(0.6, 0.9)
+    crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(*plan.crown_height_m)
+    base = rng.uniform(0.7, 1.5) if rng.random() < plan.low_crown_share else rng.uniform(2.0, 3.5)
+    height = base + 0.5 * crown_height
+    trunk, truth = _shaft(rng, at, "tree", radius, radius * taper, height, plan.trunk_lean_deg)
+    seeds = rng.integers(2**31, size=8)
+    centre = at + np.array([0, 0, base + crown_height / 2])
+    radii = (crown_radius, crown_radius, crown_height / 2)
+    leaves = [_crown(centre, radii, plan.crown_density, seeds[0])]
+    branched = rng.random() < plan.low_branch_share
+    spots = rng.uniform([0.15, 0, 0.6], [0.6, 2 * np.pi, max(base, 1.6)], (5, 3))
+    sizes = rng.uniform(0.15, 0.4, (5, 1)) * [1, 1, 0.6]
+    if branched:
+        for (r, turn, z), size, seed in zip(spots, sizes, seeds[1:6], strict=True):
+            spot = at + [r * np.cos(turn), r * np.sin(turn), z]
+            leaves.append(_crown(spot, size, 1.5 * plan.crown_density, seed))
+    return [trunk, group(leaves, label="crown")], truth | {"clear_height_m": base}
+
+
+def _other(rng, at, side, plan):
+    """A traffic light, utility pole, bollard, parking meter or flagpole."""
+    which = rng.choice(5, p=[0.25, 0.2, 0.25, 0.15, 0.15])
+    low = [(0.05, 3.0), (0.1, 6.5), (0.04, 1.1), (0.025, 1.2), (0.04, 6.0)][which]
+    high = [(0.075, 3.8), (0.15, 9.0), (0.09, 1.4), (0.04, 1.5), (0.06, 8.0)][which]
+    radius, height = rng.uniform(low, high)
+    taper = rng.uniform(0.6, 1.0) if which in (1, 4) else 1.0
+    post, truth = _shaft(rng, at, "other", radius, radius * taper, height)
+    if which == 0:
+        return [post, box(at + [0, 0.15, height - 1.0], (0.25, 0.2, 0.85), label="signal")], truth
+    if which == 3:
+        return [post, box(at + [0, 0, height], (0.2, 0.15, 0.3), label="meter")], truth
+    return [post], truth
+
+
+def _crown(centre, radii, density, seed, label="crown"):
+    """Foliage of a density that counts leaves met along the way, not leaves."""
+    volume = 4 / 3 * np.pi * np.prod(radii)
+    per_m3 = density * LEAVES_PER_M * 2 / (np.pi * LEAF_RADIUS_M**2)
+    n = max(int(volume * per_m3), 1)
+    return foliage(centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label)
+
+
+def _shrub(rng, at):
+    """A shrub around a foot: 0.3-0.7 m in radius, 0.5-1.5 m high."""
+    radius, height = rng.uniform(0.3, 0.7), rng.uniform(0.5, 1.5)
+    shift = np.array([*rng.normal(0, 0.15, 2), height / 2])
+    density = rng.uniform(1.5, 4.0)
+    radii = (radius, radius, height / 2)
+    return _crown(at + shift, radii, density, int(rng.integers(2**31)), "shrub")
+
+
+def _thicket(rng, at, plan):
+    """Undergrowth around a foot, 1-2 m in radius, as high and as dense as the plan says."""
+    radius, height = rng.uniform(1.0, 2.0), rng.uniform(*plan.thicket_height_m)
+    shift = np.array([*rng.normal(0, 0.3, 2), 0.45 * height])
+    density = rng.uniform(*plan.thicket_density)
+    radii = (radius, radius, 0.55 * height)
+    return _crown(at + shift, radii, density, int(rng.integers(2**31)), "thicket")
+
+
 def _clutter(plan, length, seed):
-    """Cars, people, billboards and hedges."""
-    across = {"car": (2.6, 3.2), "pedestrian": (4, 9), "billboard": (5, 12), "hedge": (7.5, 13)}
-    surfaces = []
-    for kind, (low, high) in across.items():
+    """Cars, people, billboards and hedges, at distances from the path in metres."""
+    kinds = {
+        "car": (_car, 2.6, 3.2),
+        "pedestrian": (_pedestrian, 4, 9),
+        "billboard": (_billboard, 5, 12),
+        "hedge": (_hedge, 7.5, 13),
+    }
+    for kind, (make, low, high) in kinds.items():
         rng = _stream(seed, kind)
         for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             x, y = own.choice([-1, 1]) * own.uniform(low, high), own.uniform(0, length)
-            at = np.array([x, y, _height(plan, x, y)])
-            size = (own.uniform(6, 18),) if kind == "hedge" else ()
-            surfaces.append(getattr(street_parts, kind)(own, at, *size))
-    return surfaces
+            yield make(own, _place(plan, x, y))
+
+
+def _hedge(rng, at):
+    """A dense hedge along the street, 6-18 m long."""
+    length, height, depth = rng.uniform(6, 18), rng.uniform(1.2, 2.4), rng.uniform(0.5, 0.9)
+    seeds = rng.integers(2**31, size=max(int(length / 1.5), 1))
+    radii = (depth / 2, 1.1, height / 2)
+    parts = [
+        _crown(at + [0, 1.5 * k + 0.75, height / 2], radii, 5.0, seed)
+        for k, seed in enumerate(seeds)
+    ]
+    return group(parts, label="hedge")
+
+
+def _car(rng, at):
+    """A parked car, or one time in four a van."""
+    van, length = rng.random() < 0.25, rng.uniform(4.0, 5.2)
+    if van:
+        return box(at + [0, 0, 0.25], (2.0, length + 0.8, rng.uniform(1.9, 2.5)), label="car")
+    body = box(at + [0, 0, 0.3], (1.8, length, 0.6))
+    cabin = box(at + [0, -0.2, 0.9], (1.6, 0.5 * length, 0.55))
+    return group([body, cabin], label="car")
+
+
+def _pedestrian(rng, at):
+    """A person: a body and a head."""
+    height, width, turn = rng.uniform(1.55, 1.9), rng.uniform(0.2, 0.27), rng.random() < 0.5
+    radii = (width, 0.16, 0.43 * height) if turn else (0.16, width, 0.43 * height)
+    body = surfaces.ellipsoid(at + [0, 0, 0.43 * height], radii)
+    head = surfaces.ellipsoid(at + [0, 0, height - 0.12], (0.1, 0.1, 0.13))
+    return group([body, head], label="pedestrian")
+
+
+def _billboard(rng, at):
+    """A board on the ground, square to the street or along it."""
+    width, height = rng.uniform(1.2, 3.0), rng.uniform(1.8, 3.0)
+    size = (width, 0.15, height) if rng.random() < 0.6 else (0.15, width, height)
+    return box(at, size, label="billboard")
+
+
+def _building(rng, at, length, plan, side):
+    """A facade along +y from ``at``, with windows, balconies, columns and pipes; its two ends."""
+    floors, rise = int(rng.integers(1, 5)), 3.0
+    height = floors * rise + 0.8
+    pitch, reveal = rng.uniform(1.5, 3.2), rng.uniform(0.05, 0.3)
+    window = pitch * rng.uniform(0.4, 0.85)
+    places = np.arange(pitch / 2, length - pitch / 2, pitch)
+    openings = [(place - window / 2, 0.9, window, 1.5) for place in places]
+    # seen from the street a wall runs to the left
+    first, along = (length, -length) if side > 0 else (0, length)
+    made = []
+    for floor in range(floors):
+        low = np.array([at[0], at[1], at[2] + floor * rise]) + [0, first, 0]
+        size = rise + 0.8 * (floor == floors - 1)
+        look = {"openings": openings, "reveal": reveal, "label": "facade"}
+        made += surfaces.wall(low, (0, along, 0), size, **look)
+    deep = np.array([side * 10.0, 0, 0])
+    for end in (at, at + [0, length, 0]):
+        made.append(rectangle(end, deep, (0, 0, height), label="facade"))
+    made += _balconies(rng, at, places, floors, plan.balcony_share, side)
+    return made + _uprights(rng, at, length, height, plan, side)
+
+
+def _balconies(rng, at, places, floors, share, side):
+    """Slab, parapet and separating walls of each balcony."""
+    depth, made = rng.uniform(1.1, 1.8), []
+    taken = rng.random((5, 60)) < share
+    separated = rng.random((5, 60)) < 0.7
+    for floor in range(1, floors):
+        for k in np.flatnonzero(taken[floor, np.arange(len(places[1::2])) % 60]):
+            place = places[1::2][k]
+            middle = at + [-side * depth / 2, place, 3.0 * floor - 0.15]
+            front = at + [-side * depth, place, 3.0 * floor]
+            parts = [box(middle, (depth, 2.6, 0.15)), box(front, (0.05, 2.6, 1.0))]
+            if separated[floor, k % 60]:
+                ends = (middle + [0, end, 0.15] for end in (-1.3, 1.3))
+                parts += [box(end, (depth, 0.12, 2.7)) for end in ends]
+            made.append(group(parts, label="balcony"))
+    return made
+
+
+def _uprights(rng, at, length, height, plan, side):
+    """Columns in front of the facade and rain pipes on it."""
+    made = []
+    n_columns = rng.poisson(plan.columns_per_100m * length / 100)
+    n_pipes = rng.poisson(plan.pipes_per_100m * length / 100)
+    for y in rng.uniform(0.5, length - 0.5, n_columns):
+        foot = at + [-side * rng.uniform(0.2, 1.2), y, 0]
+        radius = rng.uniform(0.1, 0.2)
+        made.append(cylinder(foot, foot + [0, 0, 2.8], radius, label="column"))
+    for y in rng.uniform(0.2, length - 0.2, n_pipes):
+        foot = at + [-side * 0.09, y, 0]
+        made.append(cylinder(foot, foot + [0, 0, height], 0.05, label="pipe"))
+    return made

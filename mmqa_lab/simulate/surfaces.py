@@ -1,30 +1,38 @@
 """Surfaces with known geometry, reflectance, label and id.
 
 A surface is one thing with one id; it may consist of many primitives (a box of six faces, a crown
-of a thousand leaves). ``Scene`` holds surfaces and casts rays.
+of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Lengths are metres.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.simulate import tree
+from mmqa_lab import charts
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+
+PARALLELOGRAM, ELLIPSE, POLYGON, FRUSTUM, ELLIPSOID = range(5)
+"""Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
+
+CELL_MM = 10.0
+"""Cells of the printed chart; a scanner sees their mean reflectance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Primitives that share an id, a label and a way of reflecting.
 
-    Made by the functions of this room (``rectangle``, ``cylinder``, ...), not by hand.
+    Made by the functions of this module (``rectangle``, ``cylinder``, ...), not by hand.
 
     Parameters
     ----------
     label : str
         What it is, in words of your choice: ``"wall"``, ``"lamp"``.
     kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
-        Kind of each primitive, its centre in metres, its shape numbers (``tree.Tree``), the
-        half extents of its box.
+        Kind of each primitive, its centre, its shape numbers (``scenes.Tree``), the half
+        extents of its box.
     outline, cells : arrays of int, shapes (n, 2), (n, 3)
         Where each primitive's edges begin and end in ``edges``; where its cells begin in
         ``reflectance``, and how many rows and columns of them there are.
@@ -35,7 +43,6 @@ class Surface:
 
     Examples
     --------
-    >>> from mmqa_lab.simulate import box
     >>> car = box((0, 0, 0), (1.8, 4.2, 1.5))
     >>> len(car), car.label, car.centre[:, 2].max().item()  # six faces
     (6, 'car', 1.5)
@@ -53,6 +60,28 @@ class Surface:
 
     def __len__(self):
         return len(self.kind)
+
+
+def group(surfaces, *, label):
+    """Return one surface, with one id, of several.
+
+    Parameters
+    ----------
+    surfaces : iterable of Surface
+        Lists of them may stand in it.
+    label : str
+
+    Returns
+    -------
+    Surface
+
+    Examples
+    --------
+    >>> lamp = group([cylinder((0, 0, 0), (0, 0, 5), 0.1), ellipsoid((0, 0, 5), 0.3)], label="lamp")
+    >>> len(lamp), lamp.label
+    (2, 'lamp')
+    """
+    return Surface(label=label, **merged(list(flattened(surfaces))))
 
 
 def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
@@ -82,21 +111,14 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     >>> halves.cast([[0.5, 0, 0.5], [1.5, 0, 0.5]], [[0, 1, 0]] * 2).reflectance.tolist()
     [0.1, 0.9]
     """
-    corner, along, up = (
-        vector(v, n) for v, n in ((corner, "corner"), (along, "along"), (up, "up"))
-    )
-    u, v = along / 2, up / 2
-    shape = _planar_shape(u, v)
-    half = np.abs(u) + np.abs(v)
-    return primitives(
-        label, tree.PARALLELOGRAM, corner + u + v, shape, half, reflectance=reflectance
-    )
+    u, v = _vector(along, "along") / 2, _vector(up, "up") / 2
+    centre = _vector(corner, "corner") + u + v
+    shape, half = _planar_shape(u, v), np.abs(u) + np.abs(v)
+    return _surface(label, PARALLELOGRAM, centre, shape, half, reflectance)
 
 
-def ground(
-    height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), label="ground", reflectance=0.2
-):
-    """Return a level rectangle: ``height``, ``centre`` (x, y) and ``size`` (x, y) in metres.
+def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), reflectance=0.2):
+    """Return a level rectangle called ``"ground"``.
 
     Parameters
     ----------
@@ -104,7 +126,6 @@ def ground(
         Metres.
     centre, size : (float, float)
         Along x and y, metres.
-    label : str
     reflectance : float
 
     Returns
@@ -123,91 +144,9 @@ def ground(
     >>> float(flat.cast([0, 0, 2], [[0, 0, -1]]).range_m[0])
     2.5
     """
-    height = check_number(height, "height", unit="m")
-    a, b = check_positive(size[0], "size", unit="m"), check_positive(size[1], "size", unit="m")
-    corner = (centre[0] - a / 2, centre[1] - b / 2, height)
-    return rectangle(corner, (a, 0, 0), (0, b, 0), label=label, reflectance=reflectance)
-
-
-def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
-    """Return a flat polygon with holes.
-
-    Parameters
-    ----------
-    vertices : array_like, shape (n, 3)
-        The outline in order, metres, closed by itself; convex or not.
-    holes : list of array_like, shape (m, 3)
-        Outlines of holes in the same plane.
-    label : str
-    reflectance : float
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
-
-    Examples
-    --------
-    >>> from mmqa_lab.simulate import Scene
-    >>> square, hole = np.array([[0, 5, 0], [4, 5, 0], [4, 5, 4], [0, 5, 4.0]]), [1, 0, 1]
-    >>> front = Scene([polygon(square, holes=[square / [2, 1, 2] + hole])])
-    >>> front.cast([[2, 0, 2], [0.5, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
-    [-1, 0]
-    """
-    rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
-    middle = rings[0].mean(axis=0)
-    u, v, normal = _plane_axes(rings[0] - middle)
-    off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
-    if off > 1e-6:
-        raise ValueError(f"Invalid vertices, {off:.2g} m off one plane. Must be flat to 1e-6 m.")
-    flat = [(ring - middle) @ np.array([u, v]).T for ring in rings]
-    edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
-    reach = np.abs(flat[0]).max(axis=0)
-    half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
-    shape = np.concatenate([u, v, normal])
-    made = primitives(label, tree.POLYGON, middle, shape, half, reflectance=reflectance)
-    return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
-
-
-def disc(centre, normal, radius, *, label="board", reflectance=0.5):
-    """Return a flat disc from its centre, its normal (any length) and its radius in metres.
-
-    Parameters
-    ----------
-    centre, normal : array_like, shape (3,)
-        Metres; the normal of any length.
-    radius : float
-        Metres.
-    label : str
-    reflectance : float
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError
-        If the radius or the normal's length is not above zero.
-
-    Examples
-    --------
-    >>> from mmqa_lab.simulate import Scene
-    >>> sign = Scene([disc((0, 5, 2), (0, -1, 0), 0.3)])
-    >>> sign.cast([[0.29, 0, 2], [0.31, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
-    [0, -1]
-    """
-    centre, normal = vector(centre, "centre"), _unit(normal, "normal")
-    radius = check_positive(radius, "radius", unit="m")
-    u, v = radius * perpendicular(normal[None])[0]
-    half = radius * np.sqrt(1 - normal**2)
-    return primitives(
-        label, tree.ELLIPSE, centre, _planar_shape(u, v), half, reflectance=reflectance
-    )
+    a, b = (check_positive(side, "size", unit="m") for side in size)
+    low = (centre[0] - a / 2, centre[1] - b / 2, check_number(height, "height", unit="m"))
+    return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=reflectance)
 
 
 def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflectance=0.8):
@@ -243,65 +182,434 @@ def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflec
     >>> float(sign.cast([0, 0, 2], [[0, 1, 0]]).range_m[0])
     5.0
     """
-    centre = vector(centre, "centre")
-    h, t = np.radians([check_number(heading, "heading"), check_number(lean, "lean")])
-    along = check_positive(width, "width", unit="m") * np.array([-np.cos(h), np.sin(h), 0])
-    rise = np.array([-np.sin(h) * np.sin(t), -np.cos(h) * np.sin(t), np.cos(t)])
-    up = check_positive(height, "height", unit="m") * rise
-    corner = centre - along / 2 - up / 2
-    return rectangle(corner, along, up, label=label, reflectance=reflectance)
+    sides = _board_sides(centre, width, height, heading, lean)
+    return rectangle(*sides, label=label, reflectance=reflectance)
 
 
-def group(surfaces, *, label):
-    """Return one surface, with one id, of several.
-
-    Parameters
-    ----------
-    surfaces : iterable of Surface
-        May hold lists of them.
-    label : str
+def disc(centre, normal, radius, *, label="board", reflectance=0.5):
+    """Return a flat disc from its centre, its normal (of any length) and its radius in metres.
 
     Returns
     -------
     Surface
 
+    Raises
+    ------
+    ValueError
+        If the radius or the normal's length is not above zero.
+
     Examples
     --------
-    >>> from mmqa_lab.simulate import cylinder, ellipsoid
-    >>> lamp = group([cylinder((0, 0, 0), (0, 0, 5), 0.1), ellipsoid((0, 0, 5), 0.3)], label="lamp")
-    >>> len(lamp), lamp.label
-    (2, 'lamp')
+    >>> from mmqa_lab.simulate import Scene
+    >>> sign = Scene([disc((0, 5, 2), (0, -1, 0), 0.3)])
+    >>> sign.cast([[0.29, 0, 2], [0.31, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
+    [0, -1]
     """
-    surfaces = list(flattened(surfaces))
-    return Surface(label=label, **merged(surfaces))
+    normal = _vector(normal, "normal")
+    if not normal.any():
+        raise ValueError(f"Invalid normal {normal.tolist()}. Must be > 0 m long.")
+    normal = normal / np.linalg.norm(normal)
+    radius = check_positive(radius, "radius", unit="m")
+    shape = _planar_shape(*radius * _perpendicular(normal[None])[0])
+    half = radius * np.sqrt(1 - normal**2)
+    return _surface(label, ELLIPSE, _vector(centre, "centre"), shape, half, reflectance)
 
 
-def primitives(label, kind, centre, shape, half, *, reflectance):
+def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
+    """Return a flat polygon with holes.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (n, 3)
+        The outline in order, metres, closed by itself; convex or not.
+    holes : list of array_like, shape (m, 3)
+        Outlines of holes in the same plane.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> square, hole = np.array([[0, 5, 0], [4, 5, 0], [4, 5, 4], [0, 5, 4.0]]), [1, 0, 1]
+    >>> front = Scene([polygon(square, holes=[square / [2, 1, 2] + hole])])
+    >>> front.cast([[2, 0, 2], [0.5, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
+    [-1, 0]
+    """
+    rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
+    middle = rings[0].mean(axis=0)
+    normal = _plane_normal(rings[0] - middle)
+    u, v = _perpendicular(normal[None])[0]
+    off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
+    if off > 1e-6:
+        raise ValueError(f"Invalid vertices, {off:.2g} m off one plane. Must be flat to 1e-6 m.")
+    flat = [(ring - middle) @ np.array([u, v]).T for ring in rings]
+    edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
+    reach = np.abs(flat[0]).max(axis=0)
+    half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
+    shape = np.concatenate([u, v, normal])
+    made = _surface(label, POLYGON, middle, shape, half, reflectance)
+    return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
+
+
+def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", reflectance=0.5):
+    """Return a round post, lamp or trunk, upright or tilted, tapering where ``top_radius`` says so.
+
+    Parameters
+    ----------
+    base, top : array_like, shape (3,)
+        Ends of the axis, metres.
+    radius, top_radius : float
+        At the base and at the top, metres; ``top_radius`` may be 0 (a cone).
+    capped : bool
+        Whether discs close the ends.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If the radius is not above zero, ``top_radius`` is negative or the ends are one.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> cone = Scene([cylinder((0, 5, 0), (0, 5, 2), 1.0, top_radius=0.0)])
+    >>> round(float(cone.cast([0, 0, 1], [[0, 1, 0]]).range_m[0]), 9)  # half way up
+    4.5
+    """
+    base, top = _vector(base, "base"), _vector(top, "top")
+    radius = check_positive(radius, "radius", unit="m")
+    end = radius if top_radius is None else check_number(top_radius, "top_radius", low=0, unit="m")
+    length = np.linalg.norm(top - base)
+    if length == 0:
+        raise ValueError(f"Invalid top {top.tolist()}. Must differ from the base.")
+    axis = (top - base) / length
+    shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
+    half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
+    return _surface(label, FRUSTUM, (base + top) / 2, shape, half, reflectance)
+
+
+def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
+    """Return a box from the middle of its bottom.
+
+    Parameters
+    ----------
+    base : array_like, shape (3,)
+        Metres.
+    size : array_like, shape (3,)
+        Across, along its heading, and up, metres.
+    heading : float
+        Degrees clockwise from +y.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If a size is not above zero or the heading is not finite.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> car = Scene([box((0, 10, 0), (2, 4, 1.5))])
+    >>> float(car.cast([0, 0, 1], [[0, 1, 0]]).range_m[0])
+    8.0
+    """
+    base = _vector(base, "base")
+    width, length, height = (check_positive(s, "size", unit="m") for s in size)
+    h = np.radians(check_number(heading, "heading", unit="degrees"))
+    a = width * np.array([np.cos(h), -np.sin(h), 0])
+    b = length * np.array([np.sin(h), np.cos(h), 0])
+    c = np.array([0, 0, height])
+    low, high = base - a / 2 - b / 2, base + a / 2 + b / 2 + c
+    faces = [(low, a, b), (low, b, c), (low, a, c), (high, -a, -b), (high, -b, -c), (high, -a, -c)]
+    return group([rectangle(*face, reflectance=reflectance) for face in faces], label=label)
+
+
+def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
+    """Return a solid ellipsoid with axes along x, y, z.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    radii : float or array_like, shape (3,)
+        Half axes, metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If a half axis is not above zero.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> ball = Scene([ellipsoid((0, 5, 0), (1, 2, 1))])
+    >>> round(float(ball.cast([0, 0, 0], [[0, 1, 0]]).range_m[0]), 9)
+    3.0
+    """
+    centre, radii = _vector(centre, "centre"), _radii(radii)
+    shape = np.diag(1 / radii).ravel()
+    return _surface(label, ELLIPSOID, centre, shape, radii, reflectance)
+
+
+def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflectance=0.4):
+    """Return a crown or shrub: flat round leaves, at random in an ellipsoid, turned at random.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    radii : float or array_like, shape (3,)
+        Half axes along x, y, z, metres.
+    leaves : int
+        Number of leaves. A ray through the middle meets ``leaves * leaf_radius**2 * pi / 2 * 3 /
+        (4 pi rx ry rz) * length`` of them on average.
+    leaf_radius : float
+        Metres.
+    seed : int
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    Surface
+
+    Raises
+    ------
+    ValueError
+        If there are no leaves or a size is not above zero.
+
+    Examples
+    --------
+    >>> crown = foliage((0, 0, 5), 2.0, leaves=500, leaf_radius=0.1, seed=1)
+    >>> len(crown), bool((abs(crown.centre - [0, 0, 5]) <= 2).all())
+    (500, True)
+    """
+    rng = np.random.default_rng(seed)
+    n = check_count(leaves, "leaves")
+    radius = check_positive(leaf_radius, "leaf_radius", unit="m")
+    ball = _unit_rows(rng.standard_normal((n, 3))) * rng.random((n, 1)) ** (1 / 3)
+    normal = _unit_rows(rng.standard_normal((n, 3)))
+    dual = _perpendicular(normal) / radius
+    shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
+    half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
+    points = _vector(centre, "centre") + ball * _radii(radii)
+    return _surface(label, ELLIPSE, points, shape, half, reflectance)
+
+
+def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflectance=0.5):
+    """Return a wall with openings, their reveals and the panes behind them.
+
+    Parameters
+    ----------
+    corner : array_like, shape (3,)
+        A lower corner, metres.
+    along : array_like, shape (3,)
+        The lower edge from there, level, metres; it runs to the left as one looks at the front.
+    height : float
+        Metres.
+    openings : list of (float, float, float, float)
+        Distance along, height above the lower edge, width and height of each, metres.
+    reveal : float
+        Depth from the wall to the panes, metres; 0 for a flat front.
+    label : str
+        Of the wall; the others are called ``"reveal"`` and ``"pane"``.
+    reflectance : float
+        Of wall and reveals; panes have 0.1.
+
+    Returns
+    -------
+    list of Surface
+        The wall; then, opening by opening, its four reveals as one surface, and its pane.
+
+    Raises
+    ------
+    ValueError
+        If an opening does not lie within the wall.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> front = Scene(wall((5, 0, 0), (0, 9, 0), 6, openings=[(4, 1, 1, 2)]))
+    >>> hits = front.cast([[0, 4.5, 2], [0, 7, 2]], [[1, 0, 0]] * 2)
+    >>> [front.surfaces[k].label for k in hits.surface], hits.range_m.round(6).tolist()
+    (['pane', 'wall'], [5.2, 5.0])
+    """
+    corner, along = _vector(corner, "corner"), _vector(along, "along")
+    up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
+    length = np.linalg.norm(along)
+    inward = check_number(reveal, "reveal", low=0, unit="m") * np.cross(along / length, [0, 0, 1])
+    holes, parts = [], []
+    for opening in openings:
+        s, z, w, h = opening
+        if min(s, z) <= 0 or min(w, h) <= 0 or s + w >= length or z + h >= height:
+            raise ValueError(
+                f"Invalid opening {opening}. Must lie within {length:.3f} m x {height} m of wall."
+            )
+        low = corner + s / length * along + [0, 0, z]
+        side, rise = w / length * along, np.array([0.0, 0.0, h])
+        holes.append([low, low + side, low + side + rise, low + rise])
+        if reveal:
+            starts = [(low, side), (low + rise, side), (low, rise), (low + side, rise)]
+            faces = [rectangle(p, edge, inward, reflectance=reflectance) for p, edge in starts]
+            parts.append(group(faces, label="reveal"))
+        parts.append(rectangle(low + inward, side, rise, label="pane", reflectance=0.1))
+    outline = [corner, corner + along, corner + along + up, corner + up]
+    return [polygon(outline, holes=holes, label=label, reflectance=reflectance), *parts]
+
+
+def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
+    """Return the upright faces of a kerb along a line: a surface for each of its stretches.
+
+    Parameters
+    ----------
+    line : array_like, shape (n, 3)
+        Points at the foot of the kerb, two or more, metres.
+    height : float
+        Metres.
+    label : str
+    reflectance : float
+
+    Returns
+    -------
+    list of Surface
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, two in a row are the same, or the height is not > 0.
+
+    Examples
+    --------
+    >>> len(kerb([(4, 0, 0), (4, 20, 0), (3, 22, 0)]))
+    2
+    """
+    line = check_points(line, name="line", minimum=2)
+    up = (0, 0, check_positive(height, "height", unit="m"))
+    look = {"label": label, "reflectance": reflectance}
+    return [rectangle(start, end - start, up, **look) for start, end in pairwise(line)]
+
+
+def chart(
+    centre: ArrayLike,
+    *,
+    heading: float,
+    layout: charts.Layout | None = None,
+    bright: float = 0.8,
+    dark: float = 0.1,
+) -> Surface:
+    """Return the point chart as it is printed, as a surface that scanners and cameras see.
+
+    Parameters
+    ----------
+    centre : array_like, shape (3,)
+        Metres.
+    heading : float
+        Where its front looks to, degrees clockwise from +y.
+    layout : Layout, optional
+        What is printed; by default :func:`mmqa_lab.charts.point_chart`.
+    bright, dark : float
+        Reflectances of white and of black.
+
+    Returns
+    -------
+    Surface
+        With the mean reflectance of each cell of 10 mm.
+
+    Raises
+    ------
+    ValueError
+        If a reflectance lies outside 0 to 1.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3 (doi:10.3390/rs13020237); the random cells are this package's.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scene
+    >>> there = Scene([chart((5, 0, 1), heading=-90)])
+    >>> corners = [[0, 0.35, 0.65], [0, -0.35, 0.65]]  # the plain squares below, left and right
+    >>> there.cast(corners, [[1, 0, 0]] * 2).reflectance.round(6).tolist()
+    [0.1, 0.8]
+    """
+    layout = charts.point_chart() if layout is None else layout
+    tones = charts.reflectance(layout, cell=CELL_MM).astype(np.float64)
+    size = layout.width / 1000, layout.height / 1000
+    pattern = dark + (bright - dark) * tones
+    return board(centre, *size, heading=heading, label="chart", reflectance=pattern)
+
+
+def chart_corners(centre: ArrayLike, *, heading: float, size: float = 1.0) -> np.ndarray:
+    """Return the corners of a chart, (4, 3), from the lower left around, as one looks at its front.
+
+    Parameters
+    ----------
+    centre, heading, size
+        See :func:`chart`; the size in metres.
+
+    Returns
+    -------
+    array, shape (4, 3)
+        Metres.
+
+    Raises
+    ------
+    ValueError
+        If the size is not above zero or the heading is not finite.
+
+    Examples
+    --------
+    >>> chart_corners((5, 0, 1), heading=-90)[0].round(9).tolist()
+    [5.0, 0.5, 0.5]
+    """
+    low, along, up = _board_sides(centre, size, size, heading, 0.0)
+    return np.array([low, low + along, low + along + up, low + up])
+
+
+def _surface(label, kind, centre, shape, half, reflectance):
     """A surface of primitives of one kind that share their cells."""
     centre, shape, half = (np.atleast_2d(np.asarray(a, np.float64)) for a in (centre, shape, half))
     cells = np.atleast_2d(np.asarray(reflectance, dtype=np.float64))
     if not ((cells >= 0) & (cells <= 1)).all():
         raise ValueError(f"Invalid reflectance {reflectance}. Must be between 0 and 1.")
     n = len(centre)
-    return Surface(
-        label=label,
-        kind=np.full(n, kind, np.int8),
-        centre=centre,
-        shape=shape,
-        half=half,
-        outline=np.zeros((n, 2), np.int64),
-        cells=np.tile([0, *cells.shape], (n, 1)),
-        edges=np.zeros((0, 4)),
-        reflectance=cells.ravel(),
-    )
+    kinds, outline = np.full(n, kind, np.int8), np.zeros((n, 2), np.int64)
+    places = np.tile([0, *cells.shape], (n, 1))
+    no_edges = np.zeros((0, 4))
+    return Surface(label, kinds, centre, shape, half, outline, places, no_edges, cells.ravel())
 
 
 def merged(surfaces):
     """The arrays of several surfaces as one, with their places in the shared ones shifted."""
-    edge = np.cumsum([0, *(len(s.edges) for s in surfaces)])
-    cell = np.cumsum([0, *(len(s.reflectance) for s in surfaces)])
     names = ("kind", "centre", "shape", "half", "edges", "reflectance")
     arrays = {name: np.concatenate([getattr(s, name) for s in surfaces]) for name in names}
+    edge = np.cumsum([0, *(len(s.edges) for s in surfaces)])
+    cell = np.cumsum([0, *(len(s.reflectance) for s in surfaces)])
     outline = [s.outline + first for s, first in zip(surfaces, edge, strict=False)]
     cells = [s.cells + [first, 0, 0] for s, first in zip(surfaces, cell, strict=False)]
     return arrays | {"outline": np.concatenate(outline), "cells": np.concatenate(cells)}
@@ -318,23 +626,36 @@ def flattened(surfaces):
             yield from flattened(item)
 
 
-def vector(values, name):
+def _vector(values, name):
     """Three finite numbers as float64."""
     return check_points(np.atleast_2d(values), name=name)[0]
 
 
-def _unit(values, name):
-    """A vector of length one."""
-    direction = vector(values, name)
-    length = np.linalg.norm(direction)
-    if length == 0:
-        raise ValueError(f"Invalid {name} {direction.tolist()}. Must be > 0 m long.")
-    return direction / length
+def _radii(values):
+    """Three half axes above zero."""
+    values = np.broadcast_to(values, 3).astype(float)
+    return np.array([check_positive(radius, "radii", unit="m") for radius in values.tolist()])
 
 
-def unit_rows(vectors):
+def _board_sides(centre, width, height, heading, lean):
+    """Lower left corner of a board as one looks at its front, and the sides from there."""
+    h, t = np.radians([check_number(heading, "heading"), check_number(lean, "lean")])
+    along = check_positive(width, "width", unit="m") * np.array([-np.cos(h), np.sin(h), 0])
+    rise = np.array([-np.sin(h) * np.sin(t), -np.cos(h) * np.sin(t), np.cos(t)])
+    up = check_positive(height, "height", unit="m") * rise
+    return _vector(centre, "centre") - along / 2 - up / 2, along, up
+
+
+def _unit_rows(vectors):
     """Rows of length one."""
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _perpendicular(normal):
+    """Two unit vectors, shape (n, 2, 3), square to unit normals and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    u = _unit_rows(np.cross(normal, helper))
+    return np.stack([u, np.cross(normal, u)], axis=1)
 
 
 def _planar_shape(u, v):
@@ -347,18 +668,9 @@ def _planar_shape(u, v):
     return np.concatenate([np.cross(v, normal) / area, np.cross(normal, u) / area, normal])
 
 
-def perpendicular(normal):
-    """Two unit vectors, shape (n, 2, 3), square to unit normals and to each other."""
-    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
-    u = unit_rows(np.cross(normal, helper))
-    return np.stack([u, np.cross(normal, u)], axis=1)
-
-
-def _plane_axes(ring):
-    """In-plane unit axes and the normal (Newell) of a closed outline."""
+def _plane_normal(ring):
+    """Unit normal (Newell) of a closed outline."""
     normal = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
     if np.linalg.norm(normal) <= 1e-12 * np.abs(ring).max() ** 2:
         raise ValueError("Invalid vertices on one line. Must span a plane.")
-    normal = normal / np.linalg.norm(normal)
-    u, v = perpendicular(normal[None])[0]
-    return u, v, normal
+    return normal / np.linalg.norm(normal)

@@ -1,22 +1,216 @@
-"""The three systems of Pfeifer et al. 2021 and their drive past a chart.
+"""Mobile mapping systems by name, and the drive of three of them past a chart.
 
-Remote Sensing 13(2), 237, doi:10.3390/rs13020237: a chart of 1 m x 1 m, parallel to the path, is
-passed at 5 m and at 10 m by A (Z+F Profiler 9012), B (Velodyne HDL-32E) and C (dense matching).
+The five systems of EuroSDR 2013, mobile laser scanning (section 3.1.3, Table 3-2) and two of
+Cahalane et al. 2014 (doi:10.3390/s140609471) are had with :func:`system`. The three systems of
+Pfeifer et al. 2021 (Remote Sensing 13(2), 237, doi:10.3390/rs13020237) pass a chart of 1 m x 1 m,
+parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL-32E) and C (dense
+matching).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import presets
 from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.objects import chart, chart_corners
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.trajectories import straight
+from mmqa_lab.simulate.surfaces import chart, chart_corners
+from mmqa_lab.simulate.trajectories import NavigationErrors, straight
+
+
+@dataclass(frozen=True)
+class System:
+    """A mobile mapping system: scan heads and navigation.
+
+    Parameters
+    ----------
+    name : str
+    heads : tuple of Scanner
+        With the lever arms and boresight errors that they truly have.
+    navigation : NavigationErrors
+    lever_arm_error_m : tuple of tuple of 3, optional
+        Assumed minus true lever arm of each head.
+    source : str
+        Where the numbers come from, and what is assumed.
+
+    Examples
+    --------
+    >>> System("one head", (presets.VQ_250,)).assumed_lever_arms.tolist()
+    [[0.0, 0.0, 0.0]]
+    """
+
+    name: str
+    heads: tuple
+    navigation: NavigationErrors = field(default_factory=NavigationErrors)
+    lever_arm_error_m: tuple = ()
+    source: str = ""
+
+    @property
+    def assumed_lever_arms(self):
+        """Lever arms that the evaluation uses, (heads, 3)."""
+        true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
+        return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
+
+
+def _two_heads(base, height, **numbers):
+    """Two heads of one kind, turned by 45 degrees to either side, 0.8 m apart."""
+    return tuple(
+        replace(
+            base,
+            heading_deg=-45 * side,
+            tilt_deg=45,
+            lever_arm_m=(0.4 * side, -0.6, height),
+            **numbers,
+        )
+        for side in (-1, 1)
+    )
+
+
+def _drift(plan_m, height_m, level_deg, heading_deg):
+    """Navigation whose errors change over a minute."""
+    errors = {"drift_m": (plan_m, plan_m, height_m)}
+    return NavigationErrors(**errors, drift_deg=(level_deg, level_deg, heading_deg))
+
+
+RIEGL_HEADS = _two_heads(
+    presets.VQ_250,
+    0.3,
+    name="RIEGL VQ-250",
+    range_noise_m=0.010,
+    exit_diameter_m=0.007,
+    divergence_mrad=0.3,
+    max_range_m=500,
+    source="Table 3-2: 300 kHz, 100 profiles a second, 500 m, 0.3 mrad, 7 mm, 10 mm at 150 m",
+)
+
+LYNX_HEADS = _two_heads(
+    presets.LYNX_M1,
+    0.5,
+    name="Optech Lynx",
+    pulse_rate_hz=200_000,
+    mirror_frequency_hz=200,
+    range_noise_m=0.008,
+    max_range_m=200,
+    source="Table 3-2: 200 kHz, 200 profiles a second, 200 m, 8 mm; beam N/A, so a line",
+)
+
+IBEO_LUX = MultiBeamScanner(
+    name="Ibeo Lux",
+    pulse_rate_hz=38_000 * 360 / 110,
+    spin_hz=50,
+    elevations_deg=(-1.2, -0.4, 0.4, 1.2),
+    field_of_view_deg=(35.0, 145.0),
+    tilt_deg=90.0,
+    lever_arm_m=(0.4, -0.5, 0.3),
+    range_noise_m=0.1,
+    divergence_mrad=1.4,
+    divergence_axial_mrad=14.0,
+    min_range_m=0.3,
+    max_range_m=50.0,
+    max_range_reflectance=0.1,
+    source="Table 3-2, section 3.1.3.4: 38 kHz, 50 scans a second, four layers, 1.4 x 14 mrad, "
+    "100 mm, 0.3 to 200 m, 50 m at 10 %; the body upright on one side, so that the 14 mrad lie "
+    "along the track; layers 0.8 degrees apart and 110 degrees of view assumed",
+)
+
+MOUNTED = "Mounting of 45/45 degrees, lever arms and correlation of 60 s assumed."
+SHEET = "as usually quoted from the maker's sheet, which was not seen"
+
+SYSTEMS = {
+    "roamer": System(
+        "ROAMER",
+        (replace(presets.ROAMER, lever_arm_m=(0.0, -0.5, 0.4)),),
+        _drift(0.02, 0.04, 0.013, 0.027),
+        source="EuroSDR 2013, section 3.1.3.2, Table 3-2. Navigation SPAN with HG1700: positions "
+        "by VRS, 2 cm and 4 cm (section 3.1.2.2); heading 0.027 degrees (3.1.2.1); roll and pitch "
+        f"0.013 degrees {SHEET}. Lever arm and correlation of 60 s assumed.",
+    ),
+    "vmx-250": System(
+        "RIEGL VMX-250",
+        RIEGL_HEADS,
+        _drift(0.02, 0.02, 0.005, 0.015),
+        source="EuroSDR 2013, section 3.1.3.3, Table 3-2. Navigation: 20 mm, 0.005 and 0.015 "
+        f"degrees {SHEET}. {MOUNTED}",
+    ),
+    "streetmapper-360": System(
+        "Streetmapper 360",
+        RIEGL_HEADS,
+        _drift(0.017, 0.017, 0.004, 0.010),
+        source="EuroSDR 2013, section 3.1.3.5, Table 3-2. Navigation AEROcontrol: 30 mm of points "
+        "(3D) with good GNSS (Haala et al. 2008 in section 2.2), 17 mm an axis; 0.004 and 0.010 "
+        f"degrees {SHEET}. {MOUNTED}",
+    ),
+    "lynx": System(
+        "Optech Lynx",
+        LYNX_HEADS,
+        _drift(0.02, 0.05, 0.015, 0.02),
+        source="EuroSDR 2013, section 3.1.3.6, Table 3-2, heads 2.7 m up. Navigation POS LV 420: "
+        f"20 mm, 50 mm, 0.015 and 0.020 degrees {SHEET}. {MOUNTED}",
+    ),
+    "sensei": System(
+        "Sensei",
+        (IBEO_LUX,),
+        _drift(0.02, 0.04, 0.015, 0.03),
+        source="EuroSDR 2013, section 3.1.3.4, Table 3-2. Navigation SPAN-CPT: positions by VRS, "
+        f"2 cm and 4 cm (section 3.1.2.2); 0.015 and 0.030 degrees {SHEET}. Lever arm and "
+        "correlation of 60 s assumed.",
+    ),
+    "xp1": System("XP1", (presets.VQ_250,), source=presets.VQ_250.source),
+    "lynx-m1": System(
+        "Lynx M1", (presets.LYNX_M1, presets.LYNX_M1_SECOND), source=presets.LYNX_M1.source
+    ),
+}
+"""Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the
+others."""
+
+WITHOUT_GNSS = 1.0 / 0.03
+"""Position errors with bad GNSS over those with good: up to 1 m beside 30 mm (Haala et al. 2008,
+quoted in EuroSDR 2013, section 2.2)."""
+
+SECTIONS = {"A": 1.0, "B": 1.0, "C": WITHOUT_GNSS, "D": 1.0}
+"""Of the field of Espoonlahti: in C trees hide the satellites (section 3.1.1)."""
+
+
+def system(name, *, section="A"):
+    """Return a mobile mapping system by its name.
+
+    Parameters
+    ----------
+    name : {"roamer", "vmx-250", "streetmapper-360", "lynx", "sensei", "xp1", "lynx-m1"}
+    section : {"A", "B", "C", "D"}
+        Of the field of Espoonlahti: with good GNSS but for C, where position errors are 33 times as
+        large.
+
+    Returns
+    -------
+    System
+        Its ``source`` says where each number comes from and what is assumed.
+
+    Raises
+    ------
+    ValueError
+        If there is no such system or section.
+
+    References
+    ----------
+    EuroSDR 2013, mobile laser scanning, section 3.1.3 and Table 3-2; Cahalane et al. 2014.
+
+    Examples
+    --------
+    >>> [head.heading_deg for head in system("vmx-250").heads]
+    [45, -45]
+    """
+    found = SYSTEMS[check_choice(name, "system", SYSTEMS)]
+    factor = SECTIONS[check_choice(section, "section", SECTIONS)]
+    if factor == 1:
+        return found
+    drift = tuple(factor * value for value in np.broadcast_to(found.navigation.drift_m, 3).tolist())
+    return replace(found, navigation=replace(found.navigation, drift_m=drift))
+
 
 SPEED = 40 / 3.6
 """Metres per second: the least that section 4.1 asks for; the speed driven is not printed."""

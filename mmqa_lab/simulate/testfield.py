@@ -2,23 +2,21 @@
 
 After the field of EuroSDR 2013, mobile laser scanning, chapter 3: a street with curbs, lamps and
 signs, houses close on one side and open ground with distant houses on the other, passed in both
-directions. The true place of everything is known; the reference gets the errors of a survey.
+directions. Heights are known up to 35 m from the left path, targets in plan up to 45 m. The true
+place of everything is known; the reference gets the errors of a survey.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate import presets
-from mmqa_lab.simulate.objects import kerb
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.solids import box, cylinder
-from mmqa_lab.simulate.surfaces import polygon, rectangle
-from mmqa_lab.simulate.trajectories import NavigationErrors, measured, straight
+from mmqa_lab.simulate.surfaces import box, cylinder, kerb, polygon, rectangle
+from mmqa_lab.simulate.trajectories import measured, straight
 
 ROAD_HALF_M = 5.0
 PAVEMENT_M = 4.0
@@ -36,10 +34,15 @@ REFERENCE_REACH_M = 35.0
 """Surveyed ground lies up to this far from the left path: the range of the published bound."""
 
 REFERENCE_STD_M = 0.011
-"""Standard deviation of a surveyed coordinate: the 11 mm that section 3.1.2.1 prints for the
-position (3D) of the static scans. The report gives about 2 cm for the reference in plan (section
-3.3.2) and a mean of 20 mm for heights of control points (3.1.2.2). In height at most 1.2 cm are
-random, because Table 3-3 prints that standard deviation for the best system."""
+"""Standard deviation of a surveyed height: the 11 mm that section 3.1.2.1 prints for the position
+(3D) of the static scans. At most 1.2 cm are random, because Table 3-3 prints that for the best
+system; the 20 mm of the control points (3.1.2.2) must be common to the field."""
+
+PLAN_STD_M = 0.02 / np.sqrt(2)
+"""Of a surveyed coordinate in plan: about 2 cm in both together (section 3.3.2)."""
+
+SNOW_M = 4.0
+"""Side of the squares in which snow lies or does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +55,24 @@ class SimulatedField:
     origin : array, shape (3,)
         Of the street's south end, on its axis, at road level.
     length_m : float
-    poles, corners : DataFrame
-        As surveyed: ``pole``, ``x_m``, ``y_m``, ``z_m``, ``diameter_m``; ``corner``, ``kind``,
-        ``x_m``, ``y_m``, ``z_m``.
-    reference_std_m : float
-        Of the survey's coordinates.
+    targets : DataFrame
+        As surveyed: ``name``, ``kind`` (pole, building, curb), ``x_m``, ``y_m``, ``z_m`` of the
+        foot, ``diameter_m`` of poles.
+    reference_std_m, plan_std_m : float
+        Of the survey's heights, and of its coordinates in plan.
     """
 
     scene: Scene
     origin: np.ndarray
     length_m: float
-    poles: pd.DataFrame
-    corners: pd.DataFrame
+    targets: pd.DataFrame
     reference_std_m: float = REFERENCE_STD_M
+    plan_std_m: float = PLAN_STD_M
+
+    @property
+    def poles(self):
+        """The targets that are poles."""
+        return self.targets[self.targets["kind"] == "pole"]
 
     def height(self, xy):
         """True height of the ground at places in plan (n, 2), NaN next to curbs and in houses."""
@@ -79,16 +87,19 @@ class SimulatedField:
         height[near_bay & (np.abs(aside - ROAD_HALF_M + 1) < 1.5)] = np.nan
         return height + self.origin[2]
 
-    def ground(self, *, spacing_m=1.0, seed):
-        """Return surveyed ground points on a grid: array, shape (n, 3)."""
+    def ground(self, *, spacing_m=1.0, seed, snow_share=0.0):
+        """Return surveyed ground points on a grid, (n, 3); none on squares covered by snow."""
         step = check_positive(spacing_m, "spacing_m", unit="m")
         left, right = -LANE_M - REFERENCE_REACH_M, ROAD_HALF_M + PAVEMENT_M
         x, y = np.meshgrid(np.arange(left, right, step), np.arange(1, self.length_m - 1, step))
         xy = np.stack([x.ravel(), y.ravel()], axis=1) + step / 2 + self.origin[:2]
         z = self.height(xy)
         points = np.column_stack([xy, z])[np.isfinite(z)]
-        error = np.random.default_rng(seed).normal(0, self.reference_std_m, len(points))
-        return points + np.outer(error, [0, 0, 1])
+        rng = np.random.default_rng(seed)
+        points[:, 2] += rng.normal(0, self.reference_std_m, len(points))
+        squares = ((points[:, :2] - points[:, :2].min(axis=0)) // SNOW_M).astype(int)
+        covered = rng.random(squares.max(axis=0) + 1) < snow_share
+        return points[~covered[tuple(squares.T)]]
 
     def drives(self, speed=10.0):
         """Return the two true paths, south to north on the right lane, and back."""
@@ -99,67 +110,12 @@ class SimulatedField:
         return [there, back]
 
 
-@dataclass(frozen=True)
-class System:
-    """A mobile mapping system: scan heads and navigation.
-
-    Parameters
-    ----------
-    name : str
-    heads : tuple of Scanner
-        With the lever arms and boresight errors that they truly have.
-    navigation : NavigationErrors
-    lever_arm_error_m : tuple of tuple of 3, optional
-        Assumed minus true lever arm of each head.
-    """
-
-    name: str
-    heads: tuple
-    navigation: NavigationErrors = field(default_factory=NavigationErrors)
-    lever_arm_error_m: tuple = ()
-
-    @property
-    def assumed_lever_arms(self):
-        """Lever arms that the evaluation uses, (heads, 3)."""
-        true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
-        return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
-
-
-GOOD_NAVIGATION = NavigationErrors(
-    drift_m=(0.008, 0.008, 0.012), drift_deg=(0.004, 0.004, 0.012), correlation_s=60
-)
-LOW_COST_NAVIGATION = NavigationErrors(
-    drift_m=(0.03, 0.03, 0.04), drift_deg=(0.05, 0.05, 0.15), correlation_s=30
-)
-"""Assumed of post-processed positioning with good satellites: tactical-grade and low-cost units."""
-
-
-def systems():
-    """Return the simulated systems by name.
-
-    They stand for kinds of systems, not for products. Two stand for ROAMER I and II: a research
-    system with one phase-based profiler, with an assumed error of its boresight and without. Two
-    pulsed profilers (VQ-450) and a multi-beam scanner with low-cost navigation were not on the
-    field of the report.
-    """
-    roamer = replace(presets.ROAMER, lever_arm_m=(0.0, -0.5, 0.4))
-    left = replace(presets.VQ_450, lever_arm_m=(-0.4, -0.6, 0.3), heading_deg=45)
-    right = replace(presets.VQ_450, lever_arm_m=(0.4, -0.6, 0.3), heading_deg=-45)
-    velodyne = replace(presets.HDL_32E, lever_arm_m=(0.0, 0.0, 0.4))
-    off = replace(roamer, boresight_deg=(0.15, -0.2, 0.35))
-    return {
-        "profiler, not calibrated": System("profiler, not calibrated", (off,), GOOD_NAVIGATION),
-        "profiler": System("profiler", (roamer,), GOOD_NAVIGATION),
-        "two pulsed profilers": System("two pulsed profilers", (left, right), GOOD_NAVIGATION),
-        "low-cost multi-beam": System("low-cost multi-beam", (velodyne,), LOW_COST_NAVIGATION),
-    }
-
-
 def make_testfield(
     *,
     length_m=120.0,
     origin=(380_000.0, 6_672_000.0, 20.0),
     reference_std_m=REFERENCE_STD_M,
+    plan_std_m=None,
     seed=1,
 ):
     """Return a street with everything that is measured on the test field.
@@ -171,7 +127,9 @@ def make_testfield(
     origin : array_like, shape (3,)
         Its south end in projected coordinates.
     reference_std_m : float
-        Standard deviation of each surveyed coordinate, m.
+        Standard deviation of each surveyed height, m.
+    plan_std_m : float, optional
+        That of each surveyed coordinate in plan, m; ``reference_std_m`` by default.
     seed : int
         Of the places of poles and houses and of the survey's errors.
 
@@ -192,6 +150,7 @@ def make_testfield(
     34.5
     """
     survey = check_number(reference_std_m, "reference_std_m", low=0, unit="m")
+    plan = survey if plan_std_m is None else check_number(plan_std_m, "plan_std_m", low=0, unit="m")
     length = check_positive(length_m, "length_m", unit="m")
     if length < 40:
         raise ValueError(f"Invalid length_m {length_m}. Must be >= 40 m.")
@@ -208,11 +167,13 @@ def make_testfield(
         for sign in (-1, 1)
     ]
     corners = pd.DataFrame(house_corners + curb_corners, columns=["x_m", "y_m", "z_m", "kind"])
-    corners["corner"] = [f"{kind} {k}" for k, kind in enumerate(corners["kind"])]
+    corners["name"] = [f"{kind} {k}" for k, kind in enumerate(corners["kind"])]
     for table in (poles, corners):
         table[["x_m", "y_m", "z_m"]] += origin
-        table[["x_m", "y_m"]] += rng.normal(0, survey, (len(table), 2))
-    return SimulatedField(Scene(_moved(surfaces, origin)), origin, length, poles, corners, survey)
+        table[["x_m", "y_m"]] += rng.normal(0, plan, (len(table), 2))
+    targets = pd.concat([poles.assign(kind="pole"), corners], ignore_index=True)
+    scene = Scene(_moved(surfaces, origin))
+    return SimulatedField(scene, origin, length, targets, survey, plan)
 
 
 def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, progress=False):
@@ -330,7 +291,7 @@ def _poles(length, rng):
             shaft = cylinder(place, place + up, diameter / 2, label=label, reflectance=0.4)
             shafts.append(shaft)
             rows.append((f"{label} {len(rows)}", *place, diameter))
-    return pd.DataFrame(rows, columns=["pole", "x_m", "y_m", "z_m", "diameter_m"]), shafts
+    return pd.DataFrame(rows, columns=["name", "x_m", "y_m", "z_m", "diameter_m"]), shafts
 
 
 def _moved(surfaces, shift):

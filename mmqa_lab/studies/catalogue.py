@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from mmqa_lab import _shipped
 from mmqa_lab._checks import check_choice
 
 
@@ -101,18 +102,36 @@ STUDIES = (
 )
 
 
+TOOLS = (
+    Study(
+        number=0,
+        stem="your_own_cloud",
+        title="Your own cloud",
+        question="How good are the points of a surface in a cloud of yours?",
+        source="Pfeifer et al. 2021, doi:10.3390/rs13020237, sections 3.3 and 4.2",
+    ),
+)
+"""Notebooks that are tools: they have no answer, no checks and no module."""
+
+
 def notebooks_folder():
     """Return the folder of the notebooks.
 
     Raises
     ------
     FileNotFoundError
-        If the package runs without its repository.
+        If the package was installed without them.
     """
-    folder = Path(__file__).resolve().parents[2] / "notebooks"
+    folder = _shipped("notebooks")
     if not folder.is_dir():
-        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be the repository.")
+        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be installed.")
     return folder
+
+
+def results_folder(notebooks):
+    """Return where full runs go: beside the notebooks, or here where these are installed."""
+    own = (notebooks.parent / "pyproject.toml").is_file()
+    return (notebooks if own else Path.cwd()) / "results"
 
 
 def chosen(names=()):

@@ -4,7 +4,7 @@ The methods stand in the notebook. Here is what is too long to read there: the l
 by rendering, the search for point spreads, the photographs of the bench and the ledger.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,9 +12,14 @@ import pandas as pd
 import xarray as xr
 
 from mmqa_lab import bench, chart_image, charts, plots, published
-from mmqa_lab.chart_image.light import decode
-from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
+from mmqa_lab.chart_image.reading import (
+    SMALLEST_GAP,
+    SMALLEST_PAIR_PX,
+    expected_contrast,
+    find_tones,
+)
 from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.io.images import decode
 from mmqa_lab.published import ledger
 from mmqa_lab.run import Check
 from mmqa_lab.simulate import cameras
@@ -127,7 +132,7 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
 
     Patterns in steps of 4 % around the limit of the noise-free contrast are photographed at one
     pixel per millimetre, with 1 % noise, a roll of up to a degree and a map wrong by 0.1 pixels,
-    and read by the rule of :func:`mmqa_lab.chart_image.read_pattern`.
+    and read by the rule of :func:`mmqa_lab.chart_image.reading.read_pattern`.
 
     Parameters
     ----------
@@ -156,7 +161,7 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     optics = cameras.Optics(sigma_px, travel=(blur_px * c, blur_px * s, 0.0))
     photo = cameras.photograph(layout, there, optics=optics, margin=3, seed=seed)
     place = photo.chart_map.within(*rng.normal(0, MAP_ERROR_PX, 2))
-    levels = chart_image.tones(photo.image, layout, place)
+    levels = find_tones(photo.image, layout, place)
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
@@ -269,24 +274,6 @@ def spread_trials(cells, limits, sigmas_px, blurs_mm=(0.0,)):
     return pd.DataFrame(rows).assign(kind="fitted")
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A simulated photograph as methods get it.
-
-    Parameters
-    ----------
-    image : array, shape (rows, columns)
-        Linear light.
-    layout : Layout
-    quality : mmqa_lab.chart_image.ImageQuality
-        The chart's place, tones, bars and patterns as the package reads them.
-    """
-
-    image: np.ndarray
-    layout: Layout
-    quality: chart_image.ImageQuality
-
-
 @lru_cache(maxsize=64)
 def take(system, distance_m, view, *, exposure_ms=0.0, seed=0, sigma_px=FITTED_PX, layout=None):
     """Photograph the chart as a row of Table 1 saw it.
@@ -308,7 +295,8 @@ def take(system, distance_m, view, *, exposure_ms=0.0, seed=0, sigma_px=FITTED_P
 
     Returns
     -------
-    seen : Seen
+    seen : ImageQuality
+        Of :func:`mmqa_lab.chart_image.evaluate_image`.
     truth : dict
         ``pixel_h_mm``, ``pixel_v_mm`` (true, along the bars), ``published`` (the row) and
         ``patterns``: the readings with ``there``, whether the optics carry the pattern at all: two
@@ -333,31 +321,25 @@ def take(system, distance_m, view, *, exposure_ms=0.0, seed=0, sigma_px=FITTED_P
     photo = cameras.photograph(layout, there, optics=optics, sensor=SENSOR, seed=seed)
     image = decode(photo.image.astype(np.float32) / 255, "srgb")
     corners = photo.chart_map.pixels(layout.corners())
-    place = chart_image.locate_corners(corners, layout, camera=there.camera, offset=photo.origin)
-    seen = Seen(image, layout, chart_image.evaluate_image(image, layout, place))
+    bent = {"camera": there.camera, "offset": photo.origin}
+    place = chart_image.locate(None, layout, corners=corners, **bent)
+    seen = chart_image.evaluate_image(image, layout, place)
     middle = {"h": [[500.0, 50.0]], "v": [[154.0, 500.0], [856.0, 500.0]]}
     truth = {
         f"pixel_{direction}_mm": photo.chart_map.pixel_sizes_mm(places)[:, axis].mean()
         for axis, (direction, places) in enumerate(middle.items())
     }
-    patterns = seen.quality.pairs
+    patterns = seen.pairs
     blurs = [_blur_px(photo.chart_map, travel, layout[name]) for name in patterns["name"]]
-    contrast = chart_image.expected_contrast(patterns["width_px"].to_numpy(), sigma_px, blurs)
+    contrast = expected_contrast(patterns["width_px"].to_numpy(), sigma_px, blurs)
     carried = (contrast >= SMALLEST_GAP) & (patterns["width_px"] >= 2)
     return seen, truth | {"published": row.iloc[0], "patterns": patterns.assign(there=carried)}
 
 
 def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, seed=0):
     """Return the photograph of a case of the bench and its truth: ``make`` of :func:`bench.run`."""
-    return take(
-        system,
-        distance_m,
-        view,
-        exposure_ms=exposure_ms,
-        seed=seed,
-        sigma_px=spread_px,
-        layout=None,
-    )
+    choices = {"exposure_ms": exposure_ms, "seed": seed, "sigma_px": spread_px}
+    return take(system, distance_m, view, **choices, layout=None)
 
 
 def photo_cases(systems="ABC", spreads_px=(FITTED_PX,), exposures_ms=(0.0,)):
@@ -390,7 +372,7 @@ def score_rule(resolved, truth):
     Parameters
     ----------
     resolved : array_like of bool
-        For each pattern, in the order of ``seen.quality.pairs``.
+        For each pattern, in the order of ``seen.pairs``.
     truth : dict
         Of :func:`take`.
 
@@ -415,16 +397,16 @@ def score_rule(resolved, truth):
 
 def every_gap(seen):
     """Accept a pattern when every gap stands out and number and place of the bars are right."""
-    return seen.quality.pairs["resolved"]
+    return seen.pairs["resolved"]
 
 
 def contrast_alone(seen):
     """Accept a pattern when its bars differ by a tenth of the contrast, whichever is darker."""
-    return seen.quality.pairs["contrast"].abs() >= SMALLEST_GAP
+    return seen.pairs["contrast"].abs() >= SMALLEST_GAP
 
 
 RULES = {"every gap": every_gap, "contrast alone": contrast_alone}
-"""Rules for resolved: a truth value for each pattern of ``seen.quality.pairs``."""
+"""Rules for resolved: a truth value for each pattern of ``seen.pairs``."""
 
 
 def comparison(quick=False):
@@ -634,7 +616,7 @@ def _rung(width, direction):
 def _steps_chart(sigma_px, blur_px):
     """A chart of line pairs around the limit, a millimetre for each pixel."""
     widths = np.geomspace(60, SMALLEST_PAIR_PX, 2000)
-    poor = chart_image.expected_contrast(widths, sigma_px, blur_px) < SMALLEST_GAP
+    poor = expected_contrast(widths, sigma_px, blur_px) < SMALLEST_GAP
     closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else SMALLEST_PAIR_PX
     start = max(closed / LIMIT_STEP, SMALLEST_PAIR_PX)
     pairs, low = [], 10.0
@@ -657,7 +639,7 @@ def _blur_px(chart_map, travel, pairs):
     """By how many pixels motion blurs a pattern across its bars."""
     moved = chart_map.matrix.copy()
     moved[:, 2] -= travel
-    middle = np.array([[pairs.x + pairs.width / 2, pairs.y + pairs.height / 2]])
+    middle = pairs.corners().mean(axis=0)[None]
     step = replace(chart_map, matrix=moved).pixels(middle) - chart_map.pixels(middle)
     across = chart_map.scale(middle)[0, "hv".index(pairs.direction)]
     return float(abs(step[0] @ across) / np.linalg.norm(across))

@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 import pandas as pd
+from scipy.special import stdtrit
 
 from mmqa_lab import bench, plots, published
 from mmqa_lab._checks import check_count
@@ -22,7 +23,6 @@ from mmqa_lab.published import ledger
 from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import chart_corners, systems
-from mmqa_lab.stats import student_t
 
 QUICK = {"candidates": 4, "repeats": 2, "tilts": (25, 32, 45, 53)}
 """For the tests: parameters of the notebook."""
@@ -415,7 +415,7 @@ def compare(cells: pd.DataFrame, passes: pd.DataFrame) -> pd.DataFrame:
     }
     table = pd.concat({name: part.stack() for name, part in columns.items()}, axis=1)
     n = best["seed"].nunique()
-    reach = student_t(n - 1) * np.sqrt(1 + 1 / n) * table.pop("fitted_sd")
+    reach = stdtrit(n - 1, 0.975) * np.sqrt(1 + 1 / n) * table.pop("fitted_sd")
     table.insert(5, "fitted_low", table["fitted"] - reach)
     table.insert(6, "fitted_high", table["fitted"] + reach)
     return table.rename_axis([*keys, "figure"]).reset_index()

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import bench, io, plots, samples
-from mmqa_lab.mtf import edge_response, fit_edge
+from mmqa_lab.mtf import fit_edge
 from mmqa_lab.published import ledger, table
-from mmqa_lab.radiometry import fit_sensor, patch_statistics, reflectance_errors, relative_exposure
+from mmqa_lab.radiometry import fit_sensor, patch_statistics, relative_exposure
 from mmqa_lab.run import Check
 from mmqa_lab.simulate.targets import (
     ATMOSPHERES,
@@ -117,21 +117,16 @@ def edge_errors(found, truth):
     return {f"{name}_error_percent": 100 * (named[name] / truth[name] - 1) for name in known}
 
 
-def sigmoid(shape):
-    """Return an estimator: MTF50 and FWHM of a sigmoid that is fitted to a patch."""
-
-    def measured(patch):
-        fit = fit_edge(patch, shape=shape)
-        return {"mtf50": fit.mtf50, "fwhm_px": fit.fwhm_px}
-
-    return measured
+def estimator(method, figures=("mtf50",)):
+    """Return a function that measures these figures of a patch with one edge."""
+    return lambda patch: {name: getattr(fit_edge(patch, method=method), name) for name in figures}
 
 
 METHODS = {
-    "Gaussian sigmoid": sigmoid("gaussian"),
-    "logistic sigmoid": sigmoid("logistic"),
-    "edge method, fitted": lambda patch: edge_response(patch).mtf50,
-    "edge method, binned": lambda patch: edge_response(patch).mtf50_binned,
+    "Gaussian sigmoid": estimator("sigmoid", ("mtf50", "fwhm_px")),
+    "logistic sigmoid": estimator("logistic", ("mtf50", "fwhm_px")),
+    "edge method, fitted": estimator("isogaussian"),
+    "edge method, binned": lambda patch: fit_edge(patch).mtf50_binned,
 }
 """Estimators of resolution: functions of an image patch that shows one edge."""
 
@@ -171,7 +166,10 @@ def error_table(results):
     for name in bench.figure_names(results):
         of_name = groups[name]
         rows |= {f"{name}_median": of_name.median(), f"{name}_p05": of_name.quantile(0.05)}
-        rows |= {f"{name}_p95": of_name.quantile(0.95), f"{name}_missing": of_name.apply(_missing)}
+        rows |= {
+            f"{name}_p95": of_name.quantile(0.95),
+            f"{name}_missing": of_name.apply(lambda values: values.isna().sum()),
+        }
     return pd.DataFrame(rows).reset_index()
 
 
@@ -326,16 +324,10 @@ def field(air, band, reference_std, seed):
 
 def class_errors(found, truth):
     """RMSE of reflectance in percent (equation 8) by class of target."""
-    errors = truth["surfaces"].assign(reflectance=found)
-    rows = reflectance_errors(errors, by=["target_class"]).set_index("target_class")
-    return {
-        f"{name.replace(' ', '_')}_percent": rmse for name, rmse in rows["rmse_percent"].items()
-    }
-
-
-def _missing(values):
-    """Number of values that could not be measured."""
-    return values.isna().sum()
+    surfaces = truth["surfaces"]
+    square = (100 * (found / surfaces["reference"] - 1)) ** 2
+    rmse = np.sqrt(square.groupby(surfaces["target_class"]).mean())
+    return rmse.rename(lambda name: f"{name.replace(' ', '_')}_percent").to_dict()
 
 
 def mosaic(block, adjustment=None):

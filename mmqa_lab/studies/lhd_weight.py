@@ -12,8 +12,7 @@ from scipy.stats import chi2, t
 from mmqa_lab import bench, io, lines, plots, samples
 from mmqa_lab.published import ledger, table
 from mmqa_lab.run import Check
-from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_edges
+from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
 
 QUICK = {
     "weights": (0, 1, 10, 100),
@@ -323,16 +322,14 @@ def ledger_entries(results):
 def _of_text(results):
     """Entries for the results that the text prints."""
     lhd = np.fmax(results["left_olhd_m"], results["right_olhd_m"])
-    wrong = sum(results[f"left_false_{kind}"] for kind in ("negative", "positive"))
-    rate = 100 * (1 - wrong / (results["p"] * results["q"]))
-    near, far = lhd.sel(comparison="C1-C3"), lhd.sel(comparison=["C1-TLS", "C3-TLS"])
-    return [
-        _of_scenes("numbers", "precision_abstract", near.values, "fitted"),
-        _of_scenes("numbers", "precision_text", near.values, "fitted"),
-        _of_scenes("numbers", "absolute_abstract", far.mean("comparison").values, "fitted"),
-        _of_scenes("numbers", "absolute_text", far.mean("comparison").values, "fitted"),
-        _of_scenes("numbers", "pairing_confidence", rate.mean("comparison").values, "predicted"),
-    ]
+    wrong = results["left_false_negative"] + results["left_false_positive"]
+    rate = 100 * (1 - wrong / (results["p"] * results["q"])).mean("comparison")
+    near = lhd.sel(comparison="C1-C3")
+    far = lhd.sel(comparison=["C1-TLS", "C3-TLS"]).mean("comparison")
+    values = {"precision_abstract": near, "precision_text": near}
+    values |= {"absolute_abstract": far, "absolute_text": far}
+    entries = [_of_scenes("numbers", name, one.values, "fitted") for name, one in values.items()]
+    return [*entries, _of_scenes("numbers", "pairing_confidence", rate.values, "predicted")]
 
 
 def _of_scenes(name, cell, values, kind):

@@ -131,24 +131,12 @@ def parts(case):
 def make(*, seed, size_m=1.0, range_noise_m=0.005, **case):
     """Return a case's simulated scan and its true spacings, those of rays cast on the wall."""
     setup, target = parts(case)
-    cloud, lattice = simulate_patch(
-        setup, target, size=size_m, seed=seed, range_noise_m=range_noise_m
-    )
-    scan = Scan(lattice.setup, target, lattice.beam, cloud)
-    return scan, cast(lattice.setup, target)
+    noise = {"range_noise_m": range_noise_m}
+    cloud, lattice = simulate_patch(setup, target, size=size_m, seed=seed, **noise)
+    return Scan(lattice.setup, target, lattice.beam, cloud), cast(lattice.setup, target)
 
 
-def simulate_patch(
-    setup,
-    target,
-    *,
-    size,
-    seed,
-    range_noise_m=0.005,
-    angle_noise_deg=0.005,
-    speed_share=0.01,
-    dropout_share=0.05,
-):
+def simulate_patch(setup, target, *, size, seed, range_noise_m=0.005, speed_share=0.01, **noise):
     """Scan a square patch of a target, from a vehicle whose speed wanders.
 
     Parameters
@@ -158,9 +146,11 @@ def simulate_patch(
     size : float
         Width of the patch, metres.
     seed : int
-    range_noise_m, angle_noise_deg, speed_share, dropout_share : float
-        Standard deviations of ranges, recorded mirror angles and speed (correlated over 0.5 s), and
-        share of pulses without an echo.
+    range_noise_m, speed_share : float
+        Standard deviations of ranges and of speed (correlated over 0.5 s).
+    **noise
+        ``angle_noise_deg`` (0.005 where left out) of recorded mirror angles, ``dropout_share``
+        (0.05) of pulses without an echo.
 
     Returns
     -------
@@ -181,8 +171,7 @@ def simulate_patch(
         tilt_deg=setup.scanner_tilt_deg,
         field_of_view_deg=_view(setup, spot, corners),
         range_noise_m=range_noise_m,
-        angle_noise_deg=angle_noise_deg,
-        dropout_share=dropout_share,
+        **{"angle_noise_deg": 0.005, "dropout_share": 0.05, **noise},
     )
     wall = simulate.rectangle(corners[0], corners[1] - corners[0], corners[2] - corners[0])
     cloud = simulate.scan_all(simulate.Scene([wall]), scanner, drive, seed=seed)
@@ -397,19 +386,17 @@ def _figures_of(found, ending=""):
     return _figures(*(float(getattr(found, f"{name}{unit}{ending}")) for name, unit in parts))
 
 
-def table_4(*, gamma_scan, through_m, height_m=0.0, upwards=True):
+def table_4(*, gamma_scan, through_m, height_m=0.0):
     """Return Table 4 beside what one reading of its set-up gives.
 
     Parameters
     ----------
-    gamma_scan : callable or float
-        Tilt of the scanner, or what it is for a wall's tilt, degrees. The heading is 45.
+    gamma_scan : float
+        Tilt of the scanner, degrees. Its heading is 45.
     through_m : tuple of 3
         Where the walls' axes of turning meet, from the scanner, metres.
     height_m : float
         Of the point at which spacing is read, above the scanner.
-    upwards : bool
-        To the pulse above or below.
 
     Returns
     -------
@@ -421,11 +408,10 @@ def table_4(*, gamma_scan, through_m, height_m=0.0, upwards=True):
     step = number(SOURCE, "cad_point_step")["value"]
     rows = []
     for alpha, beta in found[["alpha_targ_deg", "beta_targ_deg"]].to_numpy(dtype=float):
-        tilt = gamma_scan(beta) if callable(gamma_scan) else gamma_scan
         normal = mimic.target_normal(alpha, beta)
         reach = (normal @ np.asarray(through_m)) / (normal @ [1.0, 1.0, 0.0])
-        given = {"h_r": reach, "height_difference": height_m, "theta_a": step, "upwards": upwards}
-        chain = mimic.point_spacing((45.0, tilt), (alpha, beta), **given)
+        given = {"h_r": reach, "height_difference": height_m, "theta_a": step}
+        chain = mimic.point_spacing((45.0, gamma_scan), (alpha, beta), **given)
         rows.append(1000 * chain.d_ps if reach > 0 and chain.theta_o > 0 else np.nan)
     found["fitted_mm"] = rows
     found["agrees"] = (found["fitted_mm"] - found["published_mm"]).abs() <= 0.5
@@ -495,57 +481,58 @@ def checks(*, table_3, benches, still, readings, counted):
 
 
 def ledger_entries(*, table_3, still, readings, field, table_6):
-    """Return what this run says of the printed numbers, arguments as for ``checks``.
+    """Yield what this run says of the printed numbers, arguments as for ``checks``.
 
     ``table_6`` has ``output``, ``name``, ``change_fitted`` and ``error_fitted``.
     """
     entry = partial(ledger.entry, SOURCE)
-    rows = []
     printed = table(SOURCE, "table_2").set_index("result")
     for profile in (1, 2):
         both = printed.loc[["Measured (Average)", "MIMIC"], f"profile_{profile}_m"]
         difference, note = abs(both.diff().iloc[-1]), "The difference of the two values above it."
-        rows += [
-            entry("table_2", f"Error profile {profile}", difference, kind="predicted", note=note)
-        ]
+        yield entry("table_2", f"Error profile {profile}", difference, kind="predicted", note=note)
+    note = f"Equations 2 and 3 at {MIRROR_HZ:.0f} Hz, which row 2 needs and is not printed."
     for row in table_3.itertuples():
-        kind = "fitted" if row.no == 2 else "predicted"
-        note = f"Equations 2 and 3 at {MIRROR_HZ:.0f} Hz, which row 2 needs and is not printed."
-        wall = f"wall {row.no}"
-        rows += [entry("table_3", f"{wall} mimic", row.predicted_m, kind=kind, note=note)]
+        kind, wall = "fitted" if row.no == 2 else "predicted", f"wall {row.no}"
+        yield entry("table_3", f"{wall} mimic", row.predicted_m, kind=kind, note=note)
         error = abs(row.ray_cast_m - row.predicted_m)
         for what, value in (("cad", row.ray_cast_m), ("error", error)):
-            rows += [entry("table_3", f"{wall} {what}", value, kind="measured", note=CAST_NOTE)]
+            yield entry("table_3", f"{wall} {what}", value, kind="measured", note=CAST_NOTE)
     for reading, note in zip(readings[::-1], READINGS[::-1], strict=True):
         for row in reading.dropna(subset="fitted_mm").itertuples():
-            value = row.fitted_mm / 1000
-            rows += [
-                entry("table_4", f"wall {row.no} {what}", value, kind="fitted", note=note)
-                for what in ("mimic", "cad")
-            ]
+            for what in ("mimic", "cad"):
+                value, cell = row.fitted_mm / 1000, f"wall {row.no} {what}"
+                yield entry("table_4", cell, value, kind="fitted", note=note)
     for place, error in enumerate(still["point_mm"].abs().iloc[-9:] / 1000, start=1):
-        rows += [entry("table_4", f"wall {place} error", error, kind="measured", note=CAST_NOTE)]
+        yield entry("table_4", f"wall {place} error", error, kind="measured", note=CAST_NOTE)
+    yield from _entries_of_table_5(still, field)
+    for row in table_6.dropna(subset=["change_fitted"]).itertuples():
+        cell, change = f"{row.output} {row.name}", abs(row.change_fitted)
+        yield entry("table_6", cell, change, kind="fitted", note=TABLE_6_NOTE[row.output])
+    for output, error in table_6.groupby("output")["error_fitted"].first().items():
+        note = TABLE_6_NOTE[output]
+        yield entry("table_6", f"{output} error", error, kind="fitted", note=note)
+    yield from _entries_of_text(field)
+
+
+def _entries_of_table_5(still, field):
+    """Entries for the errors of three outputs in constructed models and in the field."""
     outputs = {"d_PrSH": "horizontal_mm", "d_PrSV": "vertical_mm", "d_PS": "point_mm"}
     for output, name in outputs.items():
         part = np.abs(still[name]) / 1000
         clicks = np.abs(_clicked_less_predicted(field, name)) / 1000
         for what in ("min", "mean", "max"):
-            rows += [
-                entry("table_5", f"Constructed {output} {what}", getattr(part, what)(),
-                      kind="measured", note=CAST_NOTE)
-            ]  # fmt: skip
+            cell, value = f"Constructed {output} {what}", getattr(part, what)()
+            yield _measured_entry("table_5", cell, [value], CAST_NOTE)
             values = getattr(clicks, what)("case").values
-            rows += [
-                entry("table_5", f"Real World {output} {what}", float(np.median(values)),
-                      low=values.min(), high=values.max(), kind="measured", note=FIELD_NOTE)
-            ]  # fmt: skip
-    for row in table_6.dropna(subset=["change_fitted"]).itertuples():
-        cell, change = f"{row.output} {row.name}", abs(row.change_fitted)
-        rows += [entry("table_6", cell, change, kind="fitted", note=TABLE_6_NOTE[row.output])]
-    for output, error in table_6.groupby("output")["error_fitted"].first().items():
-        note = TABLE_6_NOTE[output]
-        rows += [entry("table_6", f"{output} error", error, kind="fitted", note=note)]
-    return [*rows, *_entries_of_text(field)]
+            yield _measured_entry("table_5", f"Real World {output} {what}", values, FIELD_NOTE)
+
+
+def _measured_entry(name, cell, values, note):
+    """The entry of a cell: the median of measured values, and between which they lie."""
+    ends = {"low": np.nanmin(values), "high": np.nanmax(values)} if len(values) > 1 else {}
+    middle = float(np.nanmedian(values))
+    return ledger.entry(SOURCE, name, cell, middle, kind="measured", note=note, **ends)
 
 
 def _clicked_less_predicted(field, name):
@@ -573,12 +560,8 @@ def _entries_of_text(field):
         "largest_error": np.maximum(lines.max("case"), points.max("case")),
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),
     }
-    rows = []
     for key, found in values.items():
-        ends = {"low": float(found.min()), "high": float(found.max()), "note": FIELD_NOTE}
-        middle = float(found.median())
-        rows += [ledger.entry(SOURCE, "numbers", key, middle, kind="measured", **ends)]
-    return rows
+        yield _measured_entry("numbers", key, found.values, FIELD_NOTE)
 
 
 def answer(*, counted, speed):

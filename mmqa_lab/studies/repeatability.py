@@ -5,17 +5,14 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from mmqa_lab import bench, io, plots, published, samples
 from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon, evaluate_cloud
-from mmqa_lab.planes import fit_plane
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.published import ledger
-from mmqa_lab.repeatability import (
-    contaminated_sigma_mad,
-    operator_polygons,
-    repeatability,
-    with_strays,
-)
+from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.run import Check
 from mmqa_lab.simulate import chart_corners, systems
 from mmqa_lab.simulate.point_patterns import point_pattern
@@ -72,10 +69,7 @@ REMARKS = {
 }
 """Numbers of section 4.4 about five selections, and the column of ranges that each is about."""
 
-BOARDS = {
-    "board, VLP-16": "boards/vlp16_pose02.laz",
-    "board, 64 rings": "boards/os64_pose02.laz",
-}
+BOARDS = {"board, VLP-16": "boards/vlp16_pose02.laz", "board, 64 rings": "boards/os64_pose02.laz"}
 
 WALL = "hdl32e_pair/sweep_a.laz"
 
@@ -339,6 +333,33 @@ def upright_pattern(area, density, click, repeats, seed, kind="poisson", **choic
     return np.column_stack([xy[:, 0], depth, xy[:, 1]]), polygons
 
 
+def with_strays(points, *, share, depths, seed):
+    """Points of a surface and copies of some, moved between two distances (m) behind it.
+
+    ``share`` is that of the copies among all points afterwards.
+    """
+    rng = np.random.default_rng(seed)
+    count = round(len(points) * share / (1 - share))
+    depth = rng.uniform(*depths, count)[:, None]
+    strays = points[rng.integers(len(points), size=count)] + depth * fit_plane(points).normal
+    return np.concatenate([points, strays])
+
+
+def contaminated_sigma_mad(share):
+    """sigma_MAD of normal residuals over their standard deviation, with strays far to one side.
+
+    The median moves to m, Phi(m) (1 - share) = 1/2, and d, half of the points about it, solves
+    (1 - share) (Phi(m + d) - Phi(m - d)) = 1/2; for shares below 0.5.
+
+    >>> [round(contaminated_sigma_mad(share), 3) for share in (0, 0.05, 0.1)]
+    [1.0, 1.065, 1.145]
+    """
+    half = 0.5 / (1 - share)
+    median = norm.ppf(half)
+    d = brentq(lambda d: norm.cdf(median + d) - norm.cdf(median - d) - half, 0, 20)
+    return float(CONSISTENT_SCALE * d)
+
+
 def stray_sweep(surface, *, shares, depths, seeds):
     """Catch points behind a surface by mistake, and evaluate with std and sigma_MAD.
 
@@ -356,7 +377,7 @@ def stray_sweep(surface, *, shares, depths, seeds):
     DataFrame
         ``share``, ``seed``, ``std_mm``, ``sigma_mad_mm``; ``std_predicted_mm`` of the mixture,
         ``sigma_mad_predicted_mm`` by
-        :func:`mmqa_lab.repeatability.contaminated_sigma_mad`.
+        :func:`contaminated_sigma_mad`.
     """
     clean = evaluate_cloud(surface.points, polygon=surface.corners)
     mean, variance = np.mean(depths), (depths[1] - depths[0]) ** 2 / 12

@@ -25,20 +25,8 @@ FEW_TICKS = 4
 SIZE_INCHES = (9.0, 4.6)
 
 
-class View:
-    """A cloud as seen at right angles to its plane, upright where it stands.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 3)
-        Metres, three or more, not on a line.
-
-    Examples
-    --------
-    >>> view = View([[5, 0, 0], [5, 2, 0], [5, 2, 1], [5, 0, 1]])
-    >>> view.to_space([[0.5, 0.25]]).round(3).tolist()
-    [[5.0, 1.5, 0.75]]
-    """
+class _View:
+    """A cloud as seen at right angles to its plane, upright where it stands."""
 
     def __init__(self, points):
         plane = fit_plane(points, robust=True)
@@ -96,14 +84,14 @@ def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radi
     choices = {"thickness": thickness, "axes": axes, "radius": radius}
     if not is_headless():
         return SelectionTool(points, polygon=polygon, **choices)
-    view = View(points)
+    view = _View(points)
     polygon = view.middle_polygon(points) if polygon is None else polygon
     figure, panels = _panels(Figure(figsize=SIZE_INCHES), view.to_plane(points))
     outline = view.to_plane(np.concatenate([polygon, polygon[:1]]))
     panels[0].plot(*outline.T, color=plots.COLOURS["vermilion"])
     quality = evaluate_cloud(points, polygon=polygon, **choices)
     _draw_histograms(panels, quality)
-    panels[0].set_title(summary(quality), fontsize=7)
+    panels[0].set_title(_summary(quality), fontsize=7)
     return figure
 
 
@@ -145,7 +133,7 @@ class SelectionTool:
         Canvas, FigureManager = _ipympl()
         self.points = check_points(points, minimum=3)
         self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
-        self.view = View(self.points)
+        self.view = _View(self.points)
         middle = self.view.middle_polygon(self.points)
         self.vertices = middle if polygon is None else polygon_vertices(polygon)
         self.quality = None
@@ -184,7 +172,7 @@ class SelectionTool:
         except ValueError as error:
             self.quality, self.text.value = None, f"<b>{error}</b>"
             return
-        self.text.value = f"<b>{summary(self.quality)}</b>"
+        self.text.value = f"<b>{_summary(self.quality)}</b>"
         _draw_histograms(self._panels, self.quality)
         self.canvas.draw_idle()
 
@@ -205,23 +193,8 @@ class SelectionTool:
         return ipywidgets.HBox([name, button, said])
 
 
-def summary(quality):
-    """Return the quality in one line.
-
-    Parameters
-    ----------
-    quality : CloudQuality
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
-    >>> summary(evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)))
-    '200 points, sigma_MAD 0.00 mm, std 0.00 mm, d1 20.0 mm, d4 40.0 mm, f 2.00'
-    """
+def _summary(quality):
+    """The quality in one line."""
     density = f", {quality.density_polygon_per_m2:.0f} points/m²"
     return (
         f"{quality.n} points{density if np.isfinite(quality.area_polygon_m2) else ''}, "

@@ -21,11 +21,11 @@ from pathlib import Path
 os.environ |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 import numpy as np
-from mmqa_lab.readme import replaced
 
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
 from mmqa_lab.maps import METRICS
+from mmqa_lab.run.readme import replaced
 
 PER_FILE = 1_000_000
 
@@ -43,7 +43,7 @@ for path in sys.argv[1:]:
 
 READ_OURS = """
 import sys
-from mmqa_lab.io import iterate_cloud
+from mmqa_lab.io.clouds import iterate_cloud
 for path in sys.argv[1:]:
     for cloud in iterate_cloud(path, columns=()):
         pass

@@ -20,8 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from photographed import RealPairs, real_edges
 from rendered import grey, pattern_case, slanted_edge, true_mtf50
 
-from mmqa_lab import chart_image, charts
-from mmqa_lab.chart_image.line_pairs import SMALLEST_GAP, SMALLEST_PAIR_PX
+from mmqa_lab import chart_image, charts, mtf
+from mmqa_lab.chart_image import reading
+from mmqa_lab.chart_image.evaluation import align
+from mmqa_lab.chart_image.reading import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.simulate import cameras
 
 CAMERA_CHAINS = {
@@ -113,14 +115,14 @@ def steps(count):
             except ValueError:
                 missing += 1
                 continue
-            levels = chart_image.tones(grey(plain.image, gamma), layout, plain.chart_map)
+            levels = reading.find_tones(grey(plain.image, gamma), layout, plain.chart_map)
             seen = chart_image.read_pairs(levels, layout, plain.chart_map)
             for direction in "hv":
                 readings = seen[seen["direction"] == direction]
                 widths = list(readings["width_mm"])
                 found = quality.resolution(direction).width_mm
                 place = -1 if np.isnan(found) else widths.index(found)
-                optics = chart_image.expected_contrast(readings["width_px"], sigma)
+                optics = reading.expected_contrast(readings["width_px"], sigma)
                 for name, contrast in (("optics", optics), ("chain", readings["contrast"])):
                     good = (contrast >= SMALLEST_GAP) & (readings["width_px"] >= SMALLEST_PAIR_PX)
                     limit = len(widths) if good.all() else int(np.argmin(good))
@@ -158,7 +160,7 @@ def _whole_chart(layout, rng, seed, settings):
         for noise in (0.02, 0.0)
     )
     corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
-    there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
+    there = chart_image.locate(None, layout, corners=corners, camera=camera, offset=photo.origin)
     return photo, plain, there, sigma
 
 
@@ -175,7 +177,7 @@ def edges(count):
             for _ in range(count if noise else 10):
                 angle = np.radians(rng.uniform(3, 11.5))
                 image = slanted_edge(sigma, angle, rng.uniform(-0.5, 0.5), noise=noise, rng=rng)
-                found, truth = chart_image.edge_response(image), true_mtf50(sigma, angle)
+                found, truth = mtf.fit_edge(image), true_mtf50(sigma, angle)
                 errors.append(found.mtf50 / truth - 1)
                 binned.append(found.mtf50_binned / truth - 1)
                 scores.append((found.mtf50 - truth) / max(found.mtf50_sigma, 1e-9))
@@ -235,11 +237,13 @@ def _sizes_of(layout, bar, pixel, heading, noise, count):
             supersampling=4,
         )
         corners = photo.chart_map.pixels(layout.corners()) + rng.normal(0, 0.7, (4, 2))
-        there = chart_image.locate_corners(corners, layout, camera=camera, offset=photo.origin)
-        there = chart_image.align(photo.image, layout, there)
-        levels = chart_image.tones(photo.image, layout, there)
-        found = chart_image.pixel_sizes(levels, layout, there)
-        truth = chart_image.pixel_sizes(levels, layout, photo.chart_map)["expected_mm"]
+        there = chart_image.locate(
+            None, layout, corners=corners, camera=camera, offset=photo.origin
+        )
+        there = align(photo.image, layout, there)
+        levels = reading.find_tones(photo.image, layout, there)
+        found = reading.pixel_sizes(levels, layout, there)
+        truth = reading.pixel_sizes(levels, layout, photo.chart_map)["expected_mm"]
         for row, expected in zip(found.itertuples(), truth, strict=True):
             errors[row.direction].append(row.length_px - row.length_mm / expected)
             sigmas[row.direction].append(row.length_sigma_px)
@@ -275,7 +279,7 @@ def panorama():
         del whole
         for name, corners in (("corners", view.pixels(layout.corners())), ("targets", None)):
             began = time.perf_counter(), time.process_time()
-            quality, _ = chart_image.evaluate_file(file, layout, corners=corners, camera="panorama")
+            quality = chart_image.evaluate_file(file, layout, corners=corners, camera="panorama")
             wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             size = quality.to_frame()["pixel_h_mm"].iloc[0]
@@ -298,7 +302,7 @@ def real():
             f"resolved, contrast {min(contrast):.2f} to {max(contrast):.2f}"
         )
     for name, image, published in real_edges():
-        edge = chart_image.edge_response(image)
+        edge = mtf.fit_edge(image)
         print(
             f"{name}: MTF50 {edge.mtf50:.4f} +- {edge.mtf50_sigma:.4f}, binned "
             f"{edge.mtf50_binned:.4f}, published {published} ({edge.mtf50 / published - 1:+.1%})"

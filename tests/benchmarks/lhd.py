@@ -11,10 +11,8 @@ import tracemalloc
 import numpy as np
 
 from mmqa_lab import lines
-from mmqa_lab.lines import intersect_patches
-from mmqa_lab.planes import detect_planes
-from mmqa_lab.simulate.canyon import canyon
-from mmqa_lab.simulate.canyon_cloud import canyon_cloud
+from mmqa_lab.lines.pairing import MATCHERS
+from mmqa_lab.simulate.canyon import canyon, canyon_cloud
 
 
 def broadcast(test, model, weight=10.0):
@@ -74,7 +72,7 @@ def matchers():
     """The whole distance by matcher on one comparison of the canyon."""
     surveys = canyon(1).surveys
     test, model = surveys["C1"].segments, surveys["TLS"].segments
-    for matcher in (*lines.MATCHERS, "displaced"):
+    for matcher in (*MATCHERS, "displaced"):
         once = seconds(lambda m=matcher: lines.lhd(test, model, matcher=m), repeats=5)
         print(f"lhd, {len(test)} x {len(model)}, matcher {matcher:<10}{1e3 * once:>8.1f} ms")
 
@@ -84,14 +82,9 @@ def edges(points):
     scene = canyon(1)
     cloud = canyon_cloud(scene, "TLS", density=points / 14_770)
     began = time.perf_counter()
-    patches = detect_planes(cloud.points, tolerance=0.04, minimum=150)
-    middle = time.perf_counter()
-    found = intersect_patches(cloud.points, patches)
+    found = lines.extract_edges(cloud.points, tolerance=0.04)
     end = time.perf_counter()
-    print(
-        f"{len(cloud)} points: {len(patches)} planes in {middle - began:.1f} s, "
-        f"{len(found)} edges in {end - middle:.1f} s"
-    )
+    print(f"{len(cloud)} points: {len(found)} edges in {end - began:.1f} s")
 
 
 def main():

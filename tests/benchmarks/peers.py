@@ -29,12 +29,12 @@ from pathlib import Path
 os.environ |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 import numpy as np
-from mmqa_lab.readme import replaced
 
-from mmqa_lab.chart_cloud import evaluate_cloud, hull_area
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE
+from mmqa_lab.run.readme import replaced
 from mmqa_lab.spacing import quadrant_distances
 
 CHART_POINTS = 30_000
@@ -173,14 +173,10 @@ def chart_scipy(points, folder, repeats):
         area = ConvexHull(q @ vectors[:, 1:]).volume
         return PAPER_SCALE * np.median(np.abs(d - np.median(d))), len(q) / area
 
-    np.testing.assert_allclose(len(points) / evaluate()[1], hull_area_of(points), rtol=1e-9)
+    np.testing.assert_allclose(
+        len(points) / evaluate()[1], evaluate_cloud(points).area_hull_m2, rtol=1e-9
+    )
     return version("scipy"), seconds(evaluate, repeats)
-
-
-def hull_area_of(points):
-    """The hull's area by this package."""
-    quality = evaluate_cloud(points)
-    return hull_area(quality.plane.project(points))
 
 
 def near_ours(points, folder, repeats):

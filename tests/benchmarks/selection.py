@@ -47,8 +47,8 @@ def main():
     parser.add_argument("--points", type=int, default=30_000)
     parser.add_argument("--repeats", type=int, default=20)
     options = parser.parse_args()
-    plots.use_style()
-    seconds = updates(options.points, options.repeats)[1:]
+    with plots.style():
+        seconds = updates(options.points, options.repeats)[1:]
     total = seconds[:, :2].sum(axis=1)
     evaluated, drawn, busy = np.median(seconds, axis=0)
     print(

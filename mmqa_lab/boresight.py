@@ -1,0 +1,736 @@
+"""Boresight and lever arm of scan heads, estimated from drives in both directions.
+
+What a mounting error does changes its sign with the direction of travel: a wall seen on the way
+there and on the way back lies in two places. Planes and poles that several drives or heads have
+seen are fitted, and the mounting is sought with which they are thinnest. EuroSDR 2013, mobile laser
+scanning, section 3.3.3, names the objects that show each error (ground for roll, poles and corners
+for pitch and heading); the least-squares adjustment is our own. Start here::
+
+    from mmqa_lab.boresight import calibrate
+
+    found = calibrate(drives, lever_arms_m=assumed, poles=poles, control=levelled_points)
+    found.table                                        # estimates with standard errors
+    [found.correct(cloud, path) for cloud, path in drives]
+
+Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresight rolls about y,
+pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import fit_plane, sigma_mad
+from mmqa_lab.scan_pattern.lattice import rotations
+
+__all__ = ["Calibration", "calibrate", "corrected"]
+
+PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
+"""Of each head: boresight, then what is to be added to the assumed lever arm."""
+
+UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
+"""From radians and metres to the units of the parameters."""
+
+AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""About which roll, pitch and heading turn."""
+
+FARTHEST_DEG, FARTHEST_M = 10.0, 1.0
+"""A mounting farther from the assumed one is an adjustment that ran away, no estimate."""
+
+OWN_PARAMETERS = {"plane": 3, "pole": 5, "control": 2}
+"""Of a feature itself; they are eliminated from the adjustment."""
+
+PATCH_GAP_M = 0.3
+"""Planes of one cube that lie farther apart, or turned by 5 degrees, are different things."""
+
+OUTLIER = 3.5
+"""Points so many sigma_MAD from their own group's plane or circle are left out."""
+
+BAD_FEATURE = 3.0
+"""Features whose points lie so many times farther off than is usual for their kind are left out."""
+
+STEADY = 0.001
+"""Share of points left out below which the adjustment ends."""
+
+WEAK = 1e-4
+"""Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
+
+SAMPLE = 2_000_000
+"""Points of a cloud looked at in the search for planes; of larger clouds, so many at random."""
+
+BLOCK = 200_000
+"""Points placed at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The mounting of the heads as estimated.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 of a parameter
+        that was kept).
+    covariance : array, shape (6 h, 6 h)
+        In the order of the table, degrees and metres; from the scatter of what the features say
+        (cluster-robust), so that planes that are not quite flat count in.
+    sigma0_m : float
+        Standard deviation of a point's distance from its plane or pole.
+    n, planes, poles, control : int
+        Points, and the planes, poles and control points they lie on.
+    lever_arms_m : array, shape (h, 3)
+        As assumed.
+
+    Examples
+    --------
+    >>> rows = [(0, name, 0.0, 0.01) for name in PARAMETERS]
+    >>> table = pd.DataFrame(rows, columns=["head", "parameter", "value", "std"])
+    >>> found = Calibration(table, np.eye(6) * 1e-4, 0.005, 90_000, 300, 6, 0, np.zeros((1, 3)))
+    >>> found.values.shape, found.correlation[0, :2].tolist()
+    ((1, 6), [1.0, 0.0])
+    """
+
+    table: pd.DataFrame
+    covariance: np.ndarray
+    sigma0_m: float
+    n: int
+    planes: int
+    poles: int
+    control: int
+    lever_arms_m: np.ndarray
+
+    @property
+    def values(self):
+        """Array (heads, 6) of the estimates, degrees and metres."""
+        return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
+
+    @property
+    def correlation(self):
+        """Correlation matrix of the estimates."""
+        std = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return self.covariance / np.outer(std, std)
+
+    def correct(self, cloud, trajectory):
+        """Return a drive's cloud as the estimated mounting makes it.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            With ``gps_time`` and, for several heads, ``head``; computed with the assumed mounting.
+        trajectory
+            The path it was computed from.
+        """
+        return corrected(cloud, trajectory, lever_arms_m=self.lever_arms_m, values=self.values)
+
+
+def corrected(cloud, trajectory, *, lever_arms_m, values):
+    """Return a cloud as another mounting of its heads makes it.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With ``gps_time`` and, for several heads, ``head``; computed with the assumed mounting.
+    trajectory
+        The path it was computed from.
+    lever_arms_m : array_like, shape (h, 3)
+        As assumed.
+    values : array_like, shape (h, 6)
+        Of each head: boresight in degrees, and metres to add to the assumed lever arm.
+
+    Returns
+    -------
+    Cloud
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import straight
+    >>> cloud = Cloud(np.array([[3.0, 5.0, 0.0]]), {"gps_time": np.array([0.5])})
+    >>> raised = {"lever_arms_m": [[0, 0, 2]], "values": [[0, 0, 0, 0, 0, 0.1]]}
+    >>> corrected(cloud, straight(20, 10), **raised).points.round(6).tolist()
+    [[3.0, 5.0, 0.1]]
+    """
+    origin = cloud.points[0].round() if len(cloud) else np.zeros(3)
+    lever = np.asarray(lever_arms_m, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64) / UNIT
+    placed = _placed(cloud, trajectory, lever, values, origin)
+    return Cloud(origin + placed, cloud.columns, cloud.name)
+
+
+def calibrate(
+    drives,
+    *,
+    lever_arms_m,
+    poles=None,
+    control=None,
+    keep=(),
+    cell=1.0,
+    patches=500,
+    roughness=0.03,
+    seed=0,
+    rounds=2,
+):
+    """Estimate boresight and lever arm of every head from planes and poles seen several times.
+
+    The clouds are cut into cubes; where two drives or heads each show a plane in one, it becomes a
+    patch. The mounting is found by least squares (scipy): distances of all points from the plane of
+    their patch, from the cylinder of their pole, and heights over control points, where the
+    patches' and poles' own parameters are eliminated. Patches are cut anew with each mounting
+    found.
+
+    Parameters
+    ----------
+    drives : sequence of (Cloud, trajectory)
+        Clouds with ``gps_time`` and, for several heads, ``head``; each with the path it was
+        computed from, which has ``at(times)`` as of ``simulate.Trajectory``.
+    lever_arms_m : array_like, shape (h, 3)
+        Of the heads, as assumed in the computation of the clouds.
+    poles : DataFrame, optional
+        ``x_m``, ``y_m``, ``z_m`` of feet, roughly.
+    control : array_like, shape (m, 3), optional
+        Points of the ground whose heights are known. Without them the heights of all heads
+        together cannot be told from the ground's, and the mean of z_m is kept at 0.
+    keep : sequence of str
+        Parameters (``roll_deg``, ``pitch_deg``, ``heading_deg``, ``x_m``, ``y_m``, ``z_m``) that
+        stay as assumed, of all heads: those that the drives do not determine.
+    cell : float
+        Side of the cubes, m.
+    patches : int
+        Patches used at most, shared out over directions of their normals.
+    roughness : float
+        Largest rms deviation of a drive's points from their own plane, m.
+    seed : int
+        Of the choice of points.
+    rounds : int
+        How often patches are cut.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        If there are no common planes, or they do not determine the mounting: the sentence names
+        the parameters that stay open.
+
+    Notes
+    -----
+    The trajectory is taken as true. An error of it that lasts a whole drive is the same as a
+    lever-arm error of opposite sign in the other direction: two drives along one street cannot
+    tell them apart, and the standard errors do not contain it.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import ProfileScanner, System
+    >>> from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+    >>> tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
+    >>> head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
+    >>> street = make_testfield(length_m=40, seed=1)
+    >>> system = System("one head", (head,))
+    >>> drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
+    >>> known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
+    >>> found = calibrate(drives, **known, patches=100, rounds=1)
+    >>> heading = found.table["parameter"] == "heading_deg"
+    >>> found.table.loc[heading, "value"].round(2).tolist()
+    [0.3]
+    """
+    lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
+    check_positive(cell, "cell", unit="m")
+    check_positive(roughness, "roughness", unit="m")
+    if not drives:
+        raise ValueError("Invalid drives: none given. Must be one or more.")
+    free = ~np.isin(PARAMETERS, [check_choice(name, "keep", PARAMETERS) for name in keep])
+    free = np.tile(free, len(lever))
+    origin = drives[0][0].points.mean(axis=0).round()
+    rng = np.random.default_rng(seed)
+    values = np.zeros((len(lever), len(PARAMETERS)))
+    for _ in range(check_count(rounds, "rounds")):
+        chosen, placed, groups = _sampled(drives, lever, origin, values, rng)
+        features = _shared_planes(placed, groups, cell, patches, roughness, rng)
+        features += _shared_poles(placed, groups, poles, origin)
+        features += _known_heights(placed, control, origin)
+        if not any(feature.kind == "plane" for feature in features):
+            raise ValueError(
+                f"Invalid drives: no planes in common within cubes of {cell} m. Must overlap."
+            )
+        shots = _Shots.of(drives, chosen, features, lever, origin)
+        adjustment = _Adjustment(shots, features, control is not None, free)
+        found, values = adjustment.solved(values)
+    return _calibration(adjustment, found, values)
+
+
+def _calibration(adjustment, found, values):
+    """The result with its covariance."""
+    angle, arm = np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()
+    if angle > np.radians(FARTHEST_DEG) or arm > FARTHEST_M:
+        raise ValueError(
+            f"Invalid drives: the adjustment moves a head by {arm:.1f} m and "
+            f"{np.degrees(angle):.1f} degrees. Must determine the mounting: give poles and control."
+        )
+    _refuse_open(found.jac, adjustment.free)
+    features, free = adjustment.features, adjustment.free
+    own = sum(OWN_PARAMETERS[feature.kind] for feature in features)
+    freedom = max(len(found.fun) - len(found.x) - own, 1)
+    covariance = np.zeros((values.size, values.size))
+    covariance[np.ix_(free, free)] = _clustered_covariance(features, found)
+    unit = np.tile(UNIT, len(values))
+    covariance *= np.outer(unit, unit)
+    table = pd.DataFrame(
+        {
+            "head": np.repeat(np.arange(len(values)), len(PARAMETERS)),
+            "parameter": np.tile(PARAMETERS, len(values)),
+            "value": values.ravel() * unit,
+            "std": np.sqrt(np.diag(covariance)),
+        }
+    )
+    kinds = [feature.kind for feature in features]
+    counts = (kinds.count(kind) for kind in OWN_PARAMETERS)
+    sigma0, n = np.sqrt(2 * found.cost / freedom), sum(map(len, features))
+    return Calibration(table, covariance, float(sigma0), n, *counts, adjustment.shots.lever)
+
+
+def _refuse_open(jacobian, free):
+    """Name the parameters that can change together without any effect."""
+    lengths = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
+    _, size, ways = np.linalg.svd(jacobian / lengths, full_matrices=False)
+    if size[-1] >= WEAK:
+        return
+    numbers = np.flatnonzero(free)[np.abs(ways[-1]) > 0.1]
+    names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in numbers]
+    raise ValueError(
+        f"Invalid drives: they do not determine the mounting ({' with '.join(names)} stays open). "
+        "Must run in both directions past walls and poles; or keep one of these as assumed."
+    )
+
+
+@dataclass(eq=False)
+class _Feature:
+    """What some points lie on: its kind, their numbers, and where its own search begins."""
+
+    kind: str
+    index: np.ndarray
+    start: np.ndarray = None
+
+    def __len__(self):
+        return len(self.index)
+
+
+@dataclass(eq=False)
+class _Shots:
+    """Points by what places them: head, pose of the vehicle, vector from the head."""
+
+    lever: np.ndarray
+    head: np.ndarray
+    offset: np.ndarray
+    rotation: np.ndarray
+    vector: np.ndarray
+
+    @classmethod
+    def of(cls, drives, chosen, features, lever, origin):
+        """Those of all features, one feature after the other."""
+        index = np.concatenate([feature.index for feature in features])
+        ends = np.cumsum([len(numbers) for numbers in chosen])
+        drive = np.searchsorted(ends, index, side="right")
+        n = len(index)
+        whole = cls(
+            lever, np.empty(n, int), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+        )
+        for number, (cloud, trajectory) in enumerate(drives):
+            mine = drive == number
+            rows = chosen[number][index[mine] - (ends[number] - len(chosen[number]))]
+            part = cls.located(cloud, rows, trajectory, lever, origin)
+            for name in ("head", "offset", "rotation", "vector"):
+                getattr(whole, name)[mine] = getattr(part, name)
+        return whole
+
+    @classmethod
+    def located(cls, cloud, rows, trajectory, lever, origin):
+        """Those of some rows of a cloud."""
+        head = _heads(cloud)[rows]
+        position, rotation = trajectory.at(np.asarray(cloud["gps_time"][rows], dtype=np.float64))
+        offset = position - origin
+        from_vehicle = (cloud.points[rows] - origin) - offset
+        vector = np.einsum("nij,ni->nj", rotation, from_vehicle) - lever[head]
+        return cls(lever, head, offset, rotation, vector)
+
+    def select(self, which):
+        """Some of them."""
+        arrays = (self.head, self.offset, self.rotation, self.vector)
+        return _Shots(self.lever, *(values[which] for values in arrays))
+
+    def turned(self, values):
+        """Vectors under a boresight, (n, 3); ``values`` (heads, 6) in radians and metres."""
+        return np.einsum("nij,nj->ni", rotations(*values[:, :3].T)[self.head], self.vector)
+
+    def placed(self, values):
+        """Points from the origin under a mounting, (n, 3)."""
+        inside = self.turned(values) + (self.lever + values[:, 3:])[self.head]
+        return self.offset + np.einsum("nij,nj->ni", self.rotation, inside)
+
+    def derivatives(self, values, normal):
+        """Change of each point along ``normal`` (n, 3) by its own head's parameters, (n, 6)."""
+        across = np.einsum("nij,ni->nj", self.rotation, normal)
+        return np.hstack([np.cross(self.turned(values), across) @ AXES.T, across])
+
+
+def _sampled(drives, lever, origin, values, rng):
+    """Rows taken of each drive, their points under a mounting, and the group of each."""
+    chosen, placed, groups = [], [], []
+    for number, (cloud, trajectory) in enumerate(drives):
+        count = min(len(cloud), SAMPLE)
+        rows = np.sort(rng.choice(len(cloud), count, replace=False))
+        part = Cloud(cloud.points[rows], {"gps_time": cloud["gps_time"][rows]})
+        part.columns["head"] = _heads(cloud)[rows]
+        moved = part.points - origin
+        if values.any():
+            moved = _placed(part, trajectory, lever, values, origin)
+        chosen.append(rows)
+        placed.append(moved)
+        groups.append(number * len(lever) + part["head"])
+    return chosen, np.concatenate(placed), np.concatenate(groups)
+
+
+def _placed(cloud, trajectory, lever, values, origin):
+    """Points of a cloud (n, 3) from the origin, under a mounting whose angles are in radians."""
+    placed = np.empty_like(cloud.points)
+    for first in range(0, len(cloud), BLOCK):
+        rows = slice(first, first + BLOCK)
+        placed[rows] = _Shots.located(cloud, rows, trajectory, lever, origin).placed(values)
+    return placed
+
+
+def _heads(cloud):
+    """Head of each point; all the first where the cloud does not say."""
+    return cloud["head"].astype(int) if "head" in cloud else np.zeros(len(cloud), dtype=int)
+
+
+@dataclass(eq=False)
+class _Adjustment:
+    """The points of all features, one feature after the other, and the least-squares problem."""
+
+    shots: _Shots
+    features: list
+    absolute: bool
+    free: np.ndarray
+    last: tuple = None
+
+    @property
+    def counts(self):
+        """Points of each feature."""
+        return np.array([len(feature) for feature in self.features])
+
+    def system(self, parameters):
+        """Misfit of all points and its derivatives, the features' own parameters eliminated."""
+        if self.last is not None and np.array_equal(self.last[0], parameters):
+            return self.last[1:]
+        values = self.values(parameters)
+        misfit, normal, basis = _measured(self.features, self.shots.placed(values))
+        jacobian = np.zeros((len(misfit), values.size))
+        columns = self.shots.head[:, None] * len(PARAMETERS) + np.arange(len(PARAMETERS))
+        derivatives = self.shots.derivatives(values, normal)
+        np.put_along_axis(jacobian, columns, derivatives, axis=1)
+        planes = sum(feature.kind == "plane" for feature in self.features)
+        for number, column in enumerate(basis.T):
+            # the first columns are all that planes, which come first, have
+            self._eliminate(jacobian, column, first=0 if number < 3 else planes)
+        if not self.absolute:
+            level = np.zeros((1, values.size))
+            level[0, 5 :: len(PARAMETERS)] = np.sqrt(len(misfit))
+            misfit = np.append(misfit, level @ values.ravel())
+            jacobian = np.vstack([jacobian, level])
+        self.last = (parameters.copy(), misfit, jacobian[:, self.free])
+        return self.last[1:]
+
+    def values(self, parameters):
+        """Array (heads, 6), 0 where a parameter is kept."""
+        values = np.zeros(len(self.free))
+        values[self.free] = parameters
+        return values.reshape(-1, len(PARAMETERS))
+
+    def _eliminate(self, jacobian, column, first):
+        """Take a column of unit length in each feature out of the rows from a feature on."""
+        counts = self.counts[first:]
+        rows = slice(self.counts[:first].sum(), None)
+        column = column[rows, None]
+        if len(counts):
+            share = np.add.reduceat(column * jacobian[rows], np.cumsum(counts) - counts)
+            jacobian[rows] -= column * np.repeat(share, counts, axis=0)
+
+    def solved(self, values):
+        """The scipy result, and the estimates (heads, 6); bad features leave on the way."""
+        from scipy.optimize import least_squares
+
+        parameters = values.ravel()[self.free]
+        limits = {"x_scale": "jac", "xtol": 1e-7, "ftol": 1e-7, "max_nfev": 20}
+        while True:
+            self.last = None
+            found = least_squares(
+                lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
+            )
+            parameters = found.x
+            by_feature = np.split(found.fun[: self.counts.sum()], np.cumsum(self.counts)[:-1])
+            good = self._usual(by_feature)
+            near = [_near(part) & keep for part, keep in zip(by_feature, good, strict=True)]
+            if good.all() and np.concatenate(near).mean() > 1 - STEADY:
+                return found, self.values(parameters)
+            self._keep(near)
+
+    def _usual(self, by_feature):
+        """Which features lie no farther off than is usual for their kind."""
+        rms = [np.sqrt(np.mean(part**2)) for part in by_feature]
+        table = pd.DataFrame({"kind": [f.kind for f in self.features], "rms": rms})
+        usual = table.groupby("kind")["rms"].transform("median")
+        return (table["rms"] <= BAD_FEATURE * np.maximum(usual, 1e-6)).to_numpy()
+
+    def _keep(self, near):
+        """Leave out points, and features of which none is left."""
+        self.shots = self.shots.select(np.concatenate(near))
+        self.features = [
+            _Feature(feature.kind, feature.index[inside], feature.start)
+            for feature, inside in zip(self.features, near, strict=True)
+            if inside.any()
+        ]
+
+
+def _near(misfit):
+    """Which points lie near their own feature."""
+    return np.abs(misfit) <= OUTLIER * max(sigma_mad(misfit), 1e-6)
+
+
+def _clustered_covariance(features, found):
+    """Covariance from what each feature pulls at the estimates (cluster-robust sandwich)."""
+    ends = np.cumsum([len(feature) for feature in features])
+    pulls = np.add.reduceat((found.jac * found.fun[:, None])[: ends[-1]], np.append(0, ends[:-1]))
+    inverse = np.linalg.inv(found.jac.T @ found.jac)
+    share = len(features) / max(len(features) - found.x.size, 1)
+    return share * inverse @ (pulls.T @ pulls) @ inverse
+
+
+def _measured(features, points):
+    """Distances of points from the features fitted to them, planes first.
+
+    Also their directions (n, 3), and an orthonormal basis (n, 5) of what the feature's own
+    parameters change in them; columns that a feature does not need are 0.
+    """
+    counts = np.array([len(feature) for feature in features])
+    planes = np.array([feature.kind == "plane" for feature in features])
+    misfit, normal = np.empty(len(points)), np.empty((len(points), 3))
+    basis = np.zeros((len(points), max(OWN_PARAMETERS.values())))
+    flat = counts[planes].sum()
+    misfit[:flat], normal[:flat], basis[:flat, :3] = _plane_misfits(points[:flat], counts[planes])
+    first = flat
+    for feature in np.array(features, dtype=object)[~planes]:
+        part = slice(first, first + len(feature))
+        distances = _pole_misfit if feature.kind == "pole" else _control_misfit
+        misfit[part], normal[part], derivative = distances(points[part], feature.start)
+        basis[part, : derivative.shape[1]] = np.linalg.qr(derivative)[0]
+        first += len(feature)
+    return misfit, normal, basis
+
+
+def _group_planes(points, counts):
+    """Centres (k, 3), variances (k, 3) and axes (columns) of groups of points, and points off them.
+
+    Variances rise along the axes: the first is the normal.
+    """
+    starts = np.cumsum(counts) - counts
+    centre = np.add.reduceat(points, starts) / counts[:, None]
+    off = points - np.repeat(centre, counts, axis=0)
+    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / counts[:, None, None]
+    variance, axes = np.linalg.eigh(scatter)
+    return centre, np.maximum(variance, 0), axes, off
+
+
+def _plane_misfits(points, counts):
+    """Distances from the regression plane of each group, normals, basis of offset and two tilts."""
+    _, variance, axes, off = _group_planes(points, counts)
+    axes = np.repeat(axes, counts, axis=0)
+    along = np.einsum("ni,nij->nj", off, axes)
+    # principal axes from the centre are orthogonal to each other and to the constant
+    size = np.sqrt(counts[:, None] * np.maximum(variance[:, 1:], 1e-12))
+    basis = np.column_stack([np.ones(len(points)), along[:, 1:]])
+    basis /= np.repeat(np.column_stack([np.sqrt(counts), size]), counts, axis=0)
+    return along[:, 0], axes[:, :, 0], basis
+
+
+def _pole_misfit(points, start, steps=12):
+    """Distances from the best cylinder, outward normals, derivatives by its five parameters."""
+    axis = np.array(start, dtype=np.float64)
+    height = points[:, 2] - points[:, 2].mean()
+    for _ in range(steps):
+        misfit, way, derivative = _from_axis(points, height, axis)
+        change = np.linalg.lstsq(derivative, -misfit, rcond=1e-8)[0]
+        axis = axis + np.clip(change, -0.1, 0.1)
+        axis[4] = np.clip(axis[4], 0.01, 0.5)
+        if np.abs(change).max() < 1e-8:
+            break
+    misfit, way, derivative = _from_axis(points, height, axis)
+    tilt = np.column_stack([way, -(way * axis[2:4]).sum(axis=1)])
+    return misfit, tilt, derivative
+
+
+def _from_axis(points, height, axis):
+    """Distances from a cylinder, unit vectors from its axis in plan, derivatives."""
+    off = points[:, :2] - axis[:2] - height[:, None] * axis[2:4]
+    distance = np.maximum(np.hypot(*off.T), 1e-9)
+    way = off / distance[:, None]
+    derivative = -np.column_stack([way, height[:, None] * way, np.ones(len(points))])
+    return distance - axis[4], way, derivative
+
+
+def _control_misfit(points, known):
+    """Heights over a control point, less a tilted surface through it; two tilts eliminated."""
+    off = points - known
+    tilts = off[:, :2]
+    slope = np.linalg.lstsq(tilts, off[:, 2], rcond=None)[0]
+    normal = np.broadcast_to([-slope[0], -slope[1], 1.0], points.shape)
+    return off[:, 2] - tilts @ slope, normal, tilts
+
+
+def _shared_planes(placed, groups, cell, most, roughness, rng):
+    """Planes that two or more groups show around one place.
+
+    Cubes only say where to look: a plane along the side of a cube is cut by it according to the
+    noise, so points are taken from a ball around the middle.
+    """
+    from scipy.spatial import cKDTree
+
+    seeds = _seeds(placed, groups, cell, roughness)
+    seeds = seeds.iloc[rng.permutation(len(seeds))]
+    side = np.abs(seeds[["nx", "ny", "nz"]].to_numpy()).argmax(axis=1)
+    turn = pd.Series(side).groupby(side).cumcount().to_numpy()
+    centres = seeds[["x", "y", "z"]].to_numpy()
+    taken = np.empty((0, 3))
+    found = []
+    tree = cKDTree(placed)
+    for k in np.lexsort((side, turn)):  # sides by turns
+        if len(found) == most:
+            break
+        if len(taken) and np.abs(taken - centres[k]).max(axis=1).min() < 0.7 * cell:
+            continue
+        near = np.array(tree.query_ball_point(centres[k], cell / 2), dtype=int)
+        index = _common_plane(placed, near, groups[near], roughness, rng)
+        if index is not None:
+            found.append(_Feature("plane", index))
+            taken = np.vstack([taken, centres[k]])
+    return found
+
+
+def _shared_poles(placed, groups, poles, origin, search=0.5, low=0.4, high=6.0, fewest=12):
+    """Poles that two or more groups show."""
+    if poles is None:
+        return []
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(placed[:, :2])
+    found = []
+    for pole in poles.to_dict("records"):
+        foot = np.array([pole["x_m"], pole["y_m"], pole["z_m"]]) - origin
+        index = np.array(tree.query_ball_point(foot[:2], search), dtype=int)
+        above = placed[index, 2] - foot[2]
+        index = index[(above > low) & (above < high)]
+        members = [
+            _round(placed, index[groups[index] == g], fewest) for g in np.unique(groups[index])
+        ]
+        members = [m for m in members if m is not None]
+        if len(members) > 1:
+            joined = np.concatenate(members)
+            start = _first_axis(placed[joined])
+            found.append(_Feature("pole", joined, start))
+    return found
+
+
+def _known_heights(placed, control, origin, radius=0.3, fewest=12):
+    """Heights of the ground at points where it is known."""
+    if control is None:
+        return []
+    from scipy.spatial import cKDTree
+
+    known = check_points(control, name="control") - origin
+    near = cKDTree(known[:, :2])
+    gap, which = near.query(placed[:, :2], distance_upper_bound=radius)
+    close = np.isfinite(gap)
+    close[close] = np.abs(placed[close, 2] - known[which[close], 2]) < 0.3
+    order = np.flatnonzero(close)[np.argsort(which[close], kind="stable")]
+    found = []
+    for run in np.split(order, np.flatnonzero(np.diff(which[order])) + 1):
+        if len(run) >= fewest:
+            found.append(_Feature("control", run, known[which[run[0]]]))
+    return found
+
+
+def _seeds(placed, groups, cell, roughness):
+    """Cubes in which two or more groups each show a plane: a row of the first group of each."""
+    planes = _planes_by_cube(placed, groups, cell)
+    flat = (planes["rms"] <= roughness) & (planes["narrow"] >= 5 * planes["rms"])
+    planes = planes[flat & (planes["narrow"] >= 0.1)]
+    shared = planes.groupby("cube")["n"].transform("size") > 1
+    return planes[shared].drop_duplicates("cube")
+
+
+def _common_plane(placed, near, group, roughness, rng, fewest=15):
+    """Points of the groups that show one plane there; None where fewer than two do."""
+    members, planes = [], []
+    for name in np.unique(group):
+        run = near[group == name]
+        if len(run) < fewest:
+            continue
+        plane = fit_plane(placed[run])
+        if plane.rms <= roughness:
+            members.append(run)
+            planes.append(plane)
+    if len(members) < 2:
+        return None
+    best = max(range(len(members)), key=lambda k: len(members[k]))
+    alike = [
+        _some(run[_near(plane.residuals)], rng)
+        for run, plane in zip(members, planes, strict=True)
+        if abs(plane.normal @ planes[best].normal) > np.cos(np.radians(5))
+        and abs(planes[best].distances(plane.centre[None])[0]) < PATCH_GAP_M
+    ]
+    return np.concatenate(alike) if len(alike) > 1 else None
+
+
+def _planes_by_cube(placed, groups, cell, fewest=20):
+    """Table of the regression planes of the points of each cube and group."""
+    cube = np.floor(placed / cell).astype(np.int64)
+    cube -= cube.min(axis=0)
+    size = cube.max(axis=0) + 1
+    number = (cube[:, 0] * size[1] + cube[:, 1]) * size[2] + cube[:, 2]
+    order = np.lexsort((groups, number))
+    key = number[order] * (groups.max() + 1) + groups[order]
+    starts = np.append(0, np.flatnonzero(np.diff(key)) + 1)
+    n = np.diff(np.append(starts, len(order)))
+    centre, variance, axes, _ = _group_planes(placed[order], n)
+    table = pd.DataFrame(centre, columns=["x", "y", "z"])
+    table[["nx", "ny", "nz"]] = axes[:, :, 0]
+    table["rms"], table["narrow"] = np.sqrt(variance[:, :2]).T
+    table["cube"], table["n"] = number[order][starts], n
+    return table[table["n"] >= fewest]
+
+
+def _some(run, rng, share=100):
+    """Some of the points of a group, at random."""
+    return rng.choice(run, min(len(run), share), replace=False)
+
+
+def _round(placed, index, fewest):
+    """Those of a group's points that lie on one pole; None where too few."""
+    if len(index) < fewest:
+        return None
+    axis = _first_axis(placed[index])
+    misfit = _pole_misfit(placed[index], axis)[0]
+    if sigma_mad(misfit) > 0.02:
+        return None
+    return index[_near(misfit)]
+
+
+def _first_axis(points):
+    """Upright axis to begin with: x, y, tilt x, tilt y, radius at the mean height."""
+    middle = np.median(points[:, :2], axis=0)
+    spread = np.median(np.hypot(*(points[:, :2] - middle).T))
+    return np.array([*middle, 0.0, 0.0, max(spread, 0.03)])

@@ -1,0 +1,883 @@
+"""What is read in the image of a chart: black and white, line pairs, pixel size, MTF.
+
+The image is read in units of print: 0 where the black of the chart is, 1 where its white is. Pixels
+are taken as they are, at the places on the chart where the map puts them; nothing is resampled.
+
+A pattern of line pairs counts as resolved when *every* gap between its bars stands out, in most of
+the strips across it, and when the bars have the number, the frequency and the place that are
+printed. Contrast alone is no evidence: aliases, bars doubled by motion and those reversed by
+defocus have plenty of it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab.charts import Bar, LinePairs, reflectance
+from mmqa_lab.io.images import check_image
+from mmqa_lab.mtf.edges import fit_pixels, spread_edge
+
+CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
+"""A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
+
+TYPICAL_SIGMA_PX = 0.65
+"""Point spread, pixel included, that tells how much white spills into black where bars are thin."""
+
+PLAIN_PIXELS = 30
+"""So many black and white pixels each are enough for a level."""
+
+SMALLEST_CONTRAST = 3.0
+"""Multiples of the noise by which white must differ from black."""
+
+SMALLEST_GAP = 0.10
+"""Share of the chart's contrast by which each gap must stand out from both its bars."""
+
+GAP_SIGMAS = 3.0
+"""Multiples of the noise by which it must, too."""
+
+SMALLEST_PAIR_PX = 2.3
+"""Narrower pairs are refused: below 2 pixels they alias; up to 2.3 the beat between pairs and
+pixels is shorter than eight pairs, so that some of them vanish at every phase."""
+
+LARGEST_PHASE_DEG = 50.0
+"""Between the bars seen and printed; a reversal is 180 degrees."""
+
+LARGEST_MISCOUNT = 0.6
+"""Bars by which the number seen may differ from the number printed."""
+
+STRIPS, STRIP_PX = 8, 2.0
+"""Strips along the bars read on their own, and their smallest height."""
+
+STRIP_SHARE = 0.75
+"""Share of the strips in which all gaps must stand out."""
+
+END_PX = 1.5
+"""Left out at both ends of the bars."""
+
+FREQUENCY_PIXELS = 4000
+"""The frequency is found on as many pixels at most."""
+
+SLENDERNESS = 5.0
+"""A bar is long when it is so many times longer than wide."""
+
+REACH_PX = 7.0
+"""Pixels beyond a bar's end that take part."""
+
+INWARD_PX = 30.0
+"""Pixels of the bar before its end that take part: they tell levels, spread and place across."""
+
+BESIDE_PX = 2.0
+"""Pixels beside a bar that take part."""
+
+CLEAR_PX = 2.0
+"""Kept clear of the next element and of the chart's edge."""
+
+OFFSET_PX = 4.0
+"""Largest distance of a bar's end from where the map puts it."""
+
+SPREADS_PX = (0.25, 3.0)
+"""Limits of the point spread's standard deviation along and across the bar."""
+
+SMALLEST_STEP = 0.1
+"""Share of the chart's contrast that a bar must show."""
+
+FEWEST_PIXELS = 12
+"""Around each end."""
+
+SIZE_COLUMNS = (
+    *("name", "direction", "length_mm", "length_px", "length_sigma_px", "repeats_std_px", "n"),
+    *("pixel_mm", "pixel_sigma_mm", "expected_mm", "offset_px"),
+)
+
+SINGLE_EDGE_PX = 16.0
+"""Bars wider than this show two edges on their own, narrower ones are fitted as bars."""
+
+EDGE_REACH_PX = 12.0
+"""Pixels to either side of an edge that take part, as far as the ground is plain."""
+
+NEIGHBOUR_PX = 1.5
+"""Kept clear of the next element."""
+
+SHORTEST_REACH_PX = 2.0
+
+FREE_REACH_PX = 4.0
+"""With less plain ground the fit is one Gaussian: more could not be told from the neighbours."""
+
+EDGE_COLUMNS = (
+    *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
+    *("n", "remark"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Tones:
+    """The image of a chart in units of print.
+
+    Parameters
+    ----------
+    values : array, shape (rows, columns)
+        0 at black, 1 at white; NaN outside of the chart.
+    noise : float
+        Standard deviation of a pixel, in the same unit: the larger one of black and white.
+    black, white : float
+        Levels in the middle of the chart, in the image's unit.
+    clipped_share : float
+        Share of the plain pixels at zero or full scale.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> levels = find_tones(0.1 + 0.6 * image, layout, there)
+    >>> round(levels.black, 6), round(levels.white, 6), levels.values.max().round(6).item()
+    (0.1, 0.7, 1.0)
+    """
+
+    values: np.ndarray
+    noise: float
+    black: float = 0.0
+    white: float = 1.0
+    clipped_share: float = 0.0
+
+    def near(self, chart_map, outline, margin=0.0):
+        """Return the places on the chart, mm, and values of the known pixels around an outline."""
+        corners, size = chart_map.pixels(outline), np.array(self.values.shape[::-1])
+        first = np.clip(np.floor(corners.min(axis=0) - margin).astype(int), 0, size)
+        last = np.clip(np.ceil(corners.max(axis=0) + margin).astype(int) + 1, 0, size)
+        columns, rows = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]))
+        pixels = np.column_stack([columns.ravel(), rows.ravel()])
+        values = self.values[rows.ravel(), columns.ravel()]
+        known = np.isfinite(values)
+        return chart_map.chart(pixels[known]), values[known], pixels[known].astype(float)
+
+
+def find_tones(image, layout, chart_map):
+    """Bring an image into units of print by the plain areas of the chart.
+
+    White is a plane over the image, because light falls off across a chart; black is one level.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Linear light, full scale 1.
+    layout : Layout
+    chart_map : ChartMap
+
+    Returns
+    -------
+    Tones
+
+    Raises
+    ------
+    ValueError
+        If the image is no grey image, or black and white cannot be told apart at these places.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> found = find_tones(0.05 + 0.5 * image, layout, there)
+    >>> bool(np.allclose(found.values, image, atol=1e-6))
+    True
+    """
+    image = check_image(image)
+    inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)
+    white, black = _plainest(to_white), _plainest(to_black)
+    if min(white.sum(), black.sum()) < 3:
+        raise ValueError(
+            f"Invalid chart of {int(inside.sum())} pixels: too small for a plain black and a plain "
+            "white area. Must be imaged larger."
+        )
+    field = _plane(image, white)
+    spill = spilt[black].mean()
+    dark = float((image[black].mean() - spill * field[black].mean()) / (1 - spill))
+    printed = dark + (field - dark) * spilt
+    noise = max(_spread((image - printed)[mask]) for mask in (white, black))
+    light = float(field[white].mean())
+    # rounding alone makes a contrast of a plain image without noise
+    least = SMALLEST_CONTRAST * noise + 1e-9 * abs(light)
+    if not light - dark > least or not (field > dark)[inside].all():
+        raise ValueError(
+            f"Invalid chart: white exceeds black by {light - dark:.3g} at a noise of {noise:.3g}. "
+            f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
+        )
+    plain = image[white | black]
+    return Tones(
+        values=np.where(inside, (image - dark) / np.where(inside, field - dark, 1), np.nan),
+        noise=noise / (light - dark),
+        black=dark,
+        white=light,
+        clipped_share=float(((plain >= 1) | (plain <= 0)).mean()),
+    )
+
+
+@dataclass(frozen=True)
+class PairReading:
+    """What was seen of one pattern of line pairs.
+
+    Parameters
+    ----------
+    name, direction, width_mm
+        Of the pattern; ``"h"`` is read in horizontal direction.
+    width_px : float
+        Width of a pair in the image, at the pattern's narrowest place.
+    contrast : float
+        Mean difference of the middles of white and black bars as share of that of plain areas;
+        negative when reversed. The contrast transfer function at this width.
+    modulation : float
+        Amplitude of the printed wave in the image as share of that on paper; negative when
+        reversed. An estimate of the MTF at one cycle per w.
+    worst_gap : float
+        Smallest difference between a gap and the brighter of its bars, median over the strips.
+    phase_deg : float
+        Of the bars seen against those printed.
+    bars : float
+        Bars counted by their frequency.
+    strip_share : float
+        Share of the strips in which all gaps stand out: how many of as many readers agree.
+    resolved : bool
+    reason : str
+        Why not; empty when resolved.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> reading = read_pattern(find_tones(image, layout, there), layout["pairs_h_40"], there)
+    >>> reading.resolved, round(reading.width_px, 6), round(reading.contrast, 2)
+    (True, 10.0, 1.0)
+    """
+
+    name: str
+    direction: str
+    width_mm: float
+    width_px: float
+    contrast: float = np.nan
+    modulation: float = np.nan
+    worst_gap: float = np.nan
+    phase_deg: float = np.nan
+    bars: float = np.nan
+    strip_share: float = 0.0
+    resolved: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """The width of the finest line pairs that are resolved, with all coarser ones.
+
+    In Pfeifer et al. 2021, section 3.2, people decide instead: w is the smallest width whose bars
+    can definitely be told apart.
+
+    Parameters
+    ----------
+    width_mm : float
+        w; NaN when not even the coarsest pattern is resolved.
+    next_mm : float
+        The next finer pattern, which is not: the limit lies in (next, w]. NaN at the end of the
+        ladder.
+    limit_mm : float
+        Width at which the contrast falls to the threshold, interpolated between patterns; NaN
+        where the ladder does not enclose it.
+    n : int
+        Patterns read.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = [("h", 20, True, 0.9, 8.0), ("h", 10, True, 0.5, 4.0), ("h", 5, False, 0.0, 2.0)]
+    >>> names = ["direction", "width_mm", "resolved", "contrast", "width_px"]
+    >>> found = resolution(pd.DataFrame(rows, columns=names), "h")
+    >>> found.width_mm, found.next_mm, found.n
+    (10.0, 5.0, 3)
+    """
+
+    width_mm: float
+    next_mm: float
+    limit_mm: float
+    n: int
+
+
+def read_pairs(tones, layout, chart_map):
+    """Read every pattern of line pairs on a chart.
+
+    Parameters
+    ----------
+    tones : Tones
+        From :func:`find_tones`.
+    layout : Layout
+    chart_map : ChartMap
+        Right to about a fifth of a pixel.
+
+    Returns
+    -------
+    DataFrame
+        A row per pattern with the fields of :class:`PairReading`, by direction from coarse to fine.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> pairs = read_pairs(find_tones(image, layout, there), layout, there)
+    >>> resolution(pairs, "v").width_mm  # 2.5 pixels; 8 mm are 2
+    10.0
+    """
+    readings = [read_pattern(tones, pairs, chart_map) for pairs in layout.of_kind(LinePairs)]
+    table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
+    order = ["direction", "width_mm"]
+    return table.sort_values(order, ascending=[True, False], ignore_index=True)
+
+
+def read_pattern(tones, pairs, chart_map):
+    """Read one pattern of line pairs.
+
+    Parameters
+    ----------
+    tones : Tones
+    pairs : LinePairs
+    chart_map : ChartMap
+
+    Returns
+    -------
+    PairReading
+
+    Notes
+    -----
+    Pixels are taken as they are, at the places on the chart where the map puts them; nothing is
+    resampled. A shift of up to an eighth of a pair or 0.6 pixels counts as error of the map.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.2 (definitely told apart). doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> reading = read_pattern(find_tones(image, layout, there), layout["pairs_v_30"], there)
+    >>> round(reading.bars), reading.resolved
+    (8, True)
+    """
+    across, along, values, width_px, length_px = _pixels(tones, pairs, chart_map)
+    known = pairs.name, pairs.direction, pairs.pair, width_px
+    if len(values) < 4 * pairs.repeats:
+        return PairReading(*known, reason="too few pixels")
+    modulation, phase, bars = _wave(across, values, pairs, width_px)
+    shift = np.clip(phase / 360, -1 / 8, 1 / 8) * pairs.pair
+    limit = 0.6 / width_px * pairs.pair
+    shifted = across - np.clip(shift, -limit, limit)
+    strips = int(np.clip(length_px / STRIP_PX, 1, STRIPS))
+    gaps, limits, contrast = _gaps(shifted, along, values, pairs, strips, tones.noise)
+    passed = (gaps >= limits).all(axis=1)
+    worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
+    reason = _refusal(width_px, phase, bars, pairs.repeats, share)
+    seen = contrast, modulation, worst, phase, bars, share
+    return PairReading(*known, *seen, resolved=not reason, reason=reason)
+
+
+def resolution(readings, direction):
+    """Return the resolved width in one direction from a table of readings.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        From :func:`read_pairs`.
+    direction : {"h", "v"}
+
+    Returns
+    -------
+    Resolution
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = [("v", 20, True, 0.9, 8.0), ("v", 10, False, 0.1, 4.0), ("v", 5, True, 0.2, 2.0)]
+    >>> names = ["direction", "width_mm", "resolved", "contrast", "width_px"]
+    >>> resolution(pd.DataFrame(rows, columns=names), "v").width_mm  # 5 mm does not count
+    20.0
+    """
+    ladder = readings[readings["direction"] == direction].sort_values("width_mm", ascending=False)
+    widths, resolved = ladder["width_mm"].to_numpy(), ladder["resolved"].to_numpy(dtype=bool)
+    good = int(np.argmin(resolved)) if not resolved.all() else len(widths)
+    return Resolution(
+        width_mm=float(widths[good - 1]) if good else np.nan,
+        next_mm=float(widths[good]) if good < len(widths) else np.nan,
+        limit_mm=_limit(widths, ladder["contrast"].to_numpy(), ladder["width_px"].to_numpy()),
+        n=len(widths),
+    )
+
+
+def expected_contrast(width_px, sigma_px, blur_px=0.0):
+    """Return the contrast that :func:`read_pattern` finds without noise, closed form.
+
+    A square wave behind a Gaussian, a square pixel and a motion blur, averaged over the phases of
+    the pixels and over the middles of the bars; its first four harmonics.
+
+    Parameters
+    ----------
+    width_px : float or array_like
+        Width of a pair, pixels.
+    sigma_px : float
+        Standard deviation of the point spread, pixels, without the pixel itself.
+    blur_px : float
+        Length of the motion blur, pixels.
+
+    Returns
+    -------
+    float or array
+
+    Examples
+    --------
+    >>> round(float(expected_contrast(100.0, 0.5)), 2), round(float(expected_contrast(2.5, 0.5)), 2)
+    (1.0, 0.37)
+    """
+    total = 0.0
+    for order in (1, 3, 5, 7):
+        rate = order / np.asarray(width_px, dtype=float)
+        transfer = np.exp(-2 * (np.pi * rate * sigma_px) ** 2) * np.sinc(rate)
+        # mean of the harmonic over a bar's middle, weighted by the same raised cosine
+        ends = np.sin(np.pi / 2 * np.array([order, order + 2, order - 2]))
+        parts = ends / (np.pi * np.array([order, order + 2, order - 2]))
+        middle = 2 * parts[0] + parts[1] + parts[2]
+        sign = 1 if order % 4 == 1 else -1
+        total = total + sign * 4 / (np.pi * order) * middle * transfer * np.sinc(rate * blur_px)
+    return total
+
+
+def pixel_sizes(tones, layout, chart_map):
+    """Measure the pixel size along every long bar.
+
+    Both ends of a bar are found to a part of a pixel by fitting what pixels see of it: they share
+    levels and point spread, which the long sides tell. Every pixel row or column along the bar is
+    a repeat of its own.
+
+    Parameters
+    ----------
+    tones : Tones
+    layout : Layout
+        Bars five times longer than wide count.
+    chart_map : ChartMap
+        Right to a few pixels: it tells where to look, and what geometry expects.
+
+    Returns
+    -------
+    DataFrame
+        A row per bar: ``name``, ``direction`` (h: along x, v: along y), ``length_mm`` as printed,
+        ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
+        ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
+        ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, ``expected_mm``, what
+        ``chart_map`` says, and ``offset_px``, how far along the bar its ends lie from there (root
+        mean square). NaN where an end is not seen.
+
+    Notes
+    -----
+    Noise limits what any method can find: an end w pixels wide, with a step of c times the noise
+    behind a spread of s pixels, is known to about (2 sqrt(pi) s / (w - 1.1 s))^(1/2) / c pixels. At
+    13 mm and 10 % noise the length of a black bar is uncertain by 0.15 px, that of the grey one,
+    with half the contrast, by 0.3 px. The paper measures between two corners of a bar, by hand.
+
+    References
+    ----------
+    Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> sizes = pixel_sizes(find_tones(image, layout, there), layout, there)
+    >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
+    [800.0, 200.0, 4.0]
+    """
+    rows = [_measured(tones, layout, bar, chart_map) for bar in _long_bars(layout)]
+    return pd.DataFrame(rows, columns=SIZE_COLUMNS)
+
+
+def bar_edges(levels, layout, chart_map):
+    """Measure the MTF across the long bars.
+
+    Parameters
+    ----------
+    levels : Tones
+    layout : Layout
+    chart_map : ChartMap
+
+    Returns
+    -------
+    DataFrame
+        A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
+        standing bars), and the fields of :class:`mmqa_lab.mtf.EdgeResponse`; NaN and a
+        ``remark`` where the edge could not be measured.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> edges = bar_edges(find_tones(image, layout, there), layout, there)
+    >>> sorted(set(edges["name"])), sorted(set(edges["direction"]))
+    (['bar_horizontal', 'bar_left', 'bar_right'], ['h', 'v'])
+    """
+    rows = []
+    for bar in _long_bars(layout):
+        rows += _bar_rows(levels, layout, bar, chart_map)
+    return pd.DataFrame(rows, columns=EDGE_COLUMNS)
+
+
+def _printed(layout, chart_map, shape):
+    """Per pixel: whether it lies on the chart, the tone it would see there, and how many pixels
+    deep it lies in white and in black."""
+    import cv2
+
+    rows, columns = np.indices(shape)
+    places = chart_map.chart(np.column_stack([columns.ravel(), rows.ravel()]))
+    sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
+    cell = max(sizes.min() / 4, layout.width / 4000)
+    printed = reflectance(layout, cell=cell)
+    seen = cv2.GaussianBlur(printed, (0, 0), TYPICAL_SIGMA_PX * sizes.max() / cell)
+    depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
+    places = (places / cell - 0.5).astype(np.float32).reshape(*shape, 2)
+    constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
+    at_pixels = [
+        cv2.remap(one, places, None, **constant, borderValue=-1.0) for one in (seen, *depths)
+    ]
+    return (at_pixels[0] >= 0, *at_pixels)
+
+
+def _depth(mask):
+    """Distance of each cell from the nearest one outside of the mask or of the chart, cells."""
+    import cv2
+
+    framed = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
+
+
+def _plainest(depth):
+    """The pixels that lie deepest in a tone, enough of them if possible."""
+    for clearance in CLEARANCES_PX:
+        plain = depth >= clearance
+        if plain.sum() >= PLAIN_PIXELS:
+            break
+    return plain
+
+
+def _plane(image, white):
+    """The level of white at every pixel: a plane where there is enough of it, else one level."""
+    rows, columns = np.nonzero(white)
+    middle = rows.mean(), columns.mean()
+    design = np.column_stack([rows - middle[0], columns - middle[1], np.ones(len(rows))])
+    if len(rows) < 100:
+        return np.full(image.shape, image[white].mean())
+    fit = np.linalg.lstsq(design, image[white], rcond=None)[0]
+    all_rows, all_columns = np.indices(image.shape)
+    return fit[0] * (all_rows - middle[0]) + fit[1] * (all_columns - middle[1]) + fit[2]
+
+
+def _spread(residuals):
+    """Standard deviation by the median absolute deviation."""
+    return float(1.4826 * np.median(np.abs(residuals - np.median(residuals))))
+
+
+def _pixels(tones, pairs, chart_map):
+    """Place across and along the bars in mm and value of the pixels inside a pattern."""
+    outline = pairs.corners()
+    places, values, _ = tones.near(chart_map, outline)
+    places = places - outline[0]
+    axis = 0 if pairs.direction == "h" else 1
+    scales = 1 / chart_map.pixel_sizes_mm(np.vstack([outline, outline.mean(axis=0)]))
+    across, along = places[:, axis], places[:, 1 - axis]
+    end = END_PX / scales[:, 1 - axis].min()
+    # the last white bar has no edge of its own
+    inside = (across >= 0) & (across <= pairs.extent - pairs.pair / 2)
+    inside &= (along >= end) & (along <= pairs.length - end)
+    length_px = (pairs.length - 2 * end) * scales[:, 1 - axis].min()
+    width_px = pairs.pair * scales[:, axis].min()
+    return across[inside], along[inside], values[inside], float(width_px), length_px
+
+
+def _wave(across, values, pairs, width_px):
+    """Modulation and phase of the printed wave, and the bars of the strongest one."""
+    turns = across / pairs.pair - 0.25
+    level, slope = np.ones_like(turns), turns - turns.mean()
+    design = np.column_stack([level, slope, np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)])
+    fit = np.linalg.lstsq(design, values, rcond=None)[0]
+    in_phase, quadrature = -fit[2], -fit[3]
+    phase = float(np.degrees(np.arctan2(quadrature, in_phase)))
+    step = len(values) // FREQUENCY_PIXELS + 1
+    rest = (values - design[:, :2] @ fit[:2])[::step]
+    # up to the Nyquist frequency, where all waves look alike
+    highest = min(2.5, 0.499 * width_px)
+    rates = np.arange(0.3, max(highest, 0.4), 0.01)
+    waves = np.exp(-2j * np.pi * rates[:, None] * turns[::step])
+    power = np.abs(waves @ rest) ** 2
+    # printed bars from 0 to 1 have a first harmonic of 2/pi
+    return float(in_phase * np.pi / 2), phase, float(rates[power.argmax()] * pairs.repeats)
+
+
+def _gaps(across, along, values, pairs, strips, noise):
+    """How far each gap stands out in each strip, how far it must, and the mean contrast."""
+    strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
+    half = across / (pairs.pair / 2) - 0.5
+    centre = np.round(half).astype(int)
+    weight = 1 + np.cos(2 * np.pi * (half - centre))
+    bars = 2 * pairs.repeats - 1
+    used = (centre >= 0) & (centre < bars)
+    slot = (strip * bars + centre)[used]
+    total, square, mean = (
+        np.bincount(slot, weights=part[used], minlength=strips * bars).reshape(strips, bars)
+        for part in (weight, weight**2, weight * values)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean, variance = mean / total, noise**2 * square / total**2
+    black, white = mean[:, ::2], mean[:, 1::2]
+    gaps = white - np.maximum(black[:, :-1], black[:, 1:])
+    around = np.maximum(variance[:, 0:-1:2], variance[:, 2::2])
+    limits = np.maximum(SMALLEST_GAP, GAP_SIGMAS * np.sqrt(variance[:, 1::2] + around))
+    known = np.isfinite(black).any() and np.isfinite(white).any()
+    contrast = float(np.nanmean(white) - np.nanmean(black)) if known else np.nan
+    return np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf), contrast
+
+
+def _refusal(width_px, phase, bars, repeats, share):
+    """Why a pattern does not count as resolved."""
+    if width_px < 2:
+        return "below the Nyquist width"
+    if width_px < SMALLEST_PAIR_PX:
+        return "beats with the pixels"
+    if abs(bars - repeats) > LARGEST_MISCOUNT:
+        return "wrong number of bars"
+    if abs(phase) > LARGEST_PHASE_DEG:
+        return "bars not where they are printed"
+    if share < STRIP_SHARE:
+        return "gaps do not stand out"
+    return ""
+
+
+def _limit(widths, contrast, width_px):
+    """Width at which the contrast falls to the threshold, or at which beats begin."""
+    below = contrast < SMALLEST_GAP
+    if below.all() or not below.any():
+        return np.nan
+    k = int(np.argmax(below))
+    if k == 0:
+        return np.nan
+    part = (contrast[k - 1] - SMALLEST_GAP) / (contrast[k - 1] - contrast[k])
+    between = widths[k - 1] + part * (widths[k] - widths[k - 1])
+    return float(max(between, SMALLEST_PAIR_PX * widths[k - 1] / width_px[k - 1]))
+
+
+def _long_bars(layout):
+    """The bars that pixel size and MTF come from."""
+    for bar in layout.of_kind(Bar):
+        if max(bar.width, bar.height) >= SLENDERNESS * min(bar.width, bar.height):
+            yield bar
+
+
+def _measured(tones, layout, bar, chart_map):
+    """One row of the table."""
+    axis = 0 if bar.width > bar.height else 1
+    low, size = np.array([bar.x, bar.y]), np.array([bar.width, bar.height])
+    ends = np.array([low, low + size], dtype=float)
+    ends[:, 1 - axis] = low[1 - axis] + size[1 - axis] / 2
+    expected = chart_map.pixels(ends)
+    row = {
+        "name": bar.name,
+        "direction": "hv"[axis],
+        "length_mm": float(size[axis]),
+        "n": 0,
+        "expected_mm": float(size[axis] / np.linalg.norm(expected[1] - expected[0])),
+    }
+    around = [_End(tones, layout, bar, chart_map, ends[side], axis, side) for side in (0, 1)]
+    if any(len(end.values) < FEWEST_PIXELS for end in around):
+        return row
+    found = _fit_ends(around)
+    if found is None:
+        return row
+    offsets, sigma_px, repeats = found
+    row["offset_px"] = float(np.sqrt(np.mean(offsets**2)))
+    ends[:, axis] += offsets / [end.scale for end in around]
+    pixels = chart_map.pixels(ends)
+    length_px = float(np.linalg.norm(pixels[1] - pixels[0]))
+    row["n"] = len(repeats)
+    row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
+    row["length_px"], row["length_sigma_px"] = length_px, float(sigma_px)
+    row["pixel_mm"] = row["length_mm"] / length_px
+    row["pixel_sigma_mm"] = row["pixel_mm"] * sigma_px / length_px
+    return row
+
+
+class _End:
+    """The pixels around one end of a bar, in pixels along and across the bar from its middle."""
+
+    def __init__(self, tones, layout, bar, chart_map, middle, axis, side):
+        vectors = chart_map.scale(middle[None])[0]
+        scales = np.linalg.norm(vectors, axis=1)
+        self.scale, self.side = scales[axis], side
+        self.angles = [np.arctan2(*np.sort(np.abs(vectors[k]))) for k in (axis, 1 - axis)]
+        length, self.width = (
+            np.array([bar.width, bar.height])[[axis, 1 - axis]] * scales[[axis, 1 - axis]]
+        )
+        inward = min(INWARD_PX, length / 2)
+        places, values, _ = tones.near(chart_map, middle[None], inward + self.width)
+        places = places - middle
+        along, across = places[:, axis] * scales[axis], places[:, 1 - axis] * scales[1 - axis]
+        outward = along if side else -along
+        used = (outward <= REACH_PX) & (outward >= -inward)
+        used &= np.abs(across) <= self.width / 2 + BESIDE_PX
+        inside = (outward <= 0) & (np.abs(across) <= self.width / 2)
+        used &= inside | _clear(places + middle, layout, bar, CLEAR_PX / scales)
+        self.along, self.across, self.values = along[used], across[used], values[used]
+
+    def shape(self, offset, aside, spreads):
+        """What the pixels see of the bar: 1 inside, 0 outside."""
+        low, high = (
+            spread_edge(self.across - aside + place, spreads[1], self.angles[1])
+            for place in (self.width / 2, -self.width / 2)
+        )
+        sign = -1 if self.side else 1
+        return (low - high) * spread_edge(sign * (self.along - offset), spreads[0], self.angles[0])
+
+
+def _clear(places, layout, bar, margin):
+    """Whether places, mm, keep a margin from the chart's edge and from all elements but the bar.
+
+    What lies on the bar, or under it, does not count.
+    """
+    clear = ((places >= margin) & (places <= [layout.width, layout.height] - margin)).all(axis=1)
+    box = np.array([bar.x, bar.y, bar.x + bar.width, bar.y + bar.height])
+    for other in layout.elements:
+        low = np.array([other.x, other.y])
+        high = low + [other.width, other.height]
+        if (low < box[2:]).all() and (high > box[:2]).all():
+            continue
+        clear &= ~((places > low - margin) & (places < high + margin)).all(axis=1)
+    return clear
+
+
+def _fit_ends(ends):
+    """Offsets of both ends, the length's sigma and the repeats, all in pixels.
+
+    Both ends share levels and point spread; offsets along and across are their own.
+    """
+    from scipy.optimize import least_squares
+
+    values = np.concatenate([end.values for end in ends])
+
+    def levels(parameters):
+        """Ground and contrast that fit best at these parameters, and residuals."""
+        spreads = np.exp(parameters[4:])
+        shapes = [
+            end.shape(offset, aside, spreads)
+            for end, offset, aside in zip(ends, parameters[:2], parameters[2:4], strict=True)
+        ]
+        design = np.column_stack([np.ones_like(values), np.concatenate(shapes)])
+        fit = np.linalg.lstsq(design, values, rcond=None)[0]
+        return fit, values - design @ fit
+
+    limits = np.log(SPREADS_PX)
+    bounds = tuple(
+        [sign * OFFSET_PX] * 4 + [limit] * 2 for sign, limit in zip((-1, 1), limits, strict=True)
+    )
+    start = [0.0] * 4 + [np.log(0.6)] * 2
+    found = least_squares(lambda p: levels(p)[1], start, bounds=bounds, diff_step=1e-4)
+    fit, residuals = levels(found.x)
+    if abs(fit[1]) < SMALLEST_STEP or np.abs(found.x[:4]).max() > 0.99 * OFFSET_PX:
+        return None
+    variance = residuals @ residuals / max(len(values) - len(start) - 2, 1)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
+    sigma = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])
+    split = [len(ends[0].values)]
+    lanes = [
+        _lanes(end, rest, -jacobian[:, k], found.x[k])
+        for k, (end, rest, jacobian) in enumerate(
+            zip(ends, np.split(residuals, split), np.split(found.jac, split), strict=True)
+        )
+    ]
+    common = sorted(lanes[0].keys() & lanes[1].keys())
+    repeats = np.array([lanes[1][one] - lanes[0][one] for one in common])
+    return found.x[:2], sigma, repeats
+
+
+def _lanes(end, residuals, slope, offset):
+    """Offsets of an end as the single lanes of pixels inside the bar see it."""
+    lane = np.round(end.across).astype(int)
+    inside = np.unique(lane[np.abs(end.across) <= max(end.width / 2 - 0.5, 0.5)])
+    return {
+        int(one): float(offset + (residuals * slope)[lane == one].sum() / weight)
+        for one in inside
+        if (weight := (slope[lane == one] ** 2).sum()) > 0
+    }
+
+
+def _bar_rows(levels, layout, bar, chart_map):
+    """The rows of one bar: its two edges, or both in one fit."""
+    axis = 0 if bar.width < bar.height else 1
+    middle = np.array([[bar.x + bar.width / 2, bar.y + bar.height / 2]])
+    width_px = min(bar.width, bar.height) / chart_map.pixel_sizes_mm(middle)[0, axis]
+    sides = (0, 1) if width_px >= SINGLE_EDGE_PX else (None,)
+    rows = []
+    for side in sides:
+        name = bar.name if side is None else f"{bar.name}, {('low', 'high')[side]} edge"
+        row = {"name": name, "direction": "hv"[axis]}
+        try:
+            found = _across(levels, layout, bar, chart_map, axis, side)
+        except ValueError as error:
+            row |= {"n": 0, "remark": str(error)}
+        else:
+            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:]}
+        rows.append(row)
+    return rows
+
+
+def _across(levels, layout, bar, chart_map, axis, side):
+    """The MTF from the pixels along one edge of a bar, or along both."""
+    corners = bar.corners()
+    low, size = corners[0], corners[2] - corners[0]
+    pixel_mm = chart_map.pixel_sizes_mm(corners.mean(axis=0)[None])[0]
+    clear = layout.clearance(bar, (0.0, 0.0))[axis] / pixel_mm[axis] - NEIGHBOUR_PX
+    clear = np.minimum(clear, EDGE_REACH_PX)
+    outer = clear.min() if side is None else clear[side]
+    if outer < SHORTEST_REACH_PX:
+        raise ValueError(f"Invalid edge: {outer:.1f} px of plain ground. Must be 2 px or more.")
+    places, values, pixels = levels.near(chart_map, corners, 2 * EDGE_REACH_PX)
+    places, end = places - low, 3 * pixel_mm[1 - axis]
+    # depth grows from the edge towards the bar's inside
+    edge, inward = (size[axis], -1.0) if side else (0.0, 1.0)
+    depth = inward * (places[:, axis] - edge) / pixel_mm[axis]
+    width_px = size[axis] / pixel_mm[axis]
+    inner = width_px + outer if side is None else min(EDGE_REACH_PX, width_px / 2)
+    used = (places[:, 1 - axis] > end) & (places[:, 1 - axis] < size[1 - axis] - end)
+    used &= (depth > -outer) & (depth < inner)
+    feet, opposite = places[used], places[used]
+    feet[:, axis], opposite[:, axis] = edge, size[axis] - edge
+    start, tangent = chart_map.pixels(feet + low), chart_map.scale(feet + low)[:, 1 - axis]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    gap = ((chart_map.pixels(opposite + low) - start) * normal).sum(axis=1)
+    distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
+    angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
+    along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
+    choices = {"method": "isogaussian" if outer >= FREE_REACH_PX else "sigmoid", "order": 2}
+    if side is None:
+        choices["gap"] = np.abs(gap)
+    return fit_pixels(distance, along, 1 - values[used], angle, **choices)

@@ -1,0 +1,455 @@
+"""The rules of the test: where charts stand, which images count, how well texts can be read.
+
+Pfeifer et al. 2021, section 4.1: three pairs of boards stand along one line, one pair parallel to
+it, two pairs across it. The vehicle passes on straight lines 5 m and 10 m beside them, at 40 km/h
+or faster. Forward and backward views are of boards across the path. Here the first pair faces the
+vehicle as it comes and the last as it leaves, which the paper does not print. The control points of
+the paper's site are left out.
+
+The jury's marks are the reference for legibility. Pixels per capital and the quality index of line
+pairs stand in for them; they have columns of their own and are never merged with the marks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.chart_image.geometry import four_corners, rectangle_frame
+from mmqa_lab.charts import Text
+
+ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
+
+PLACE = ["easting_m", "northing_m", "height_m"]
+
+REACH_M = 12.0
+"""A drive counts so far before and after a board."""
+
+MARKS = ("a", "b", "c")
+"""a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
+et al. 2021, section 4.2, where a symbol counts like a letter)."""
+
+X_HEIGHT_SHARE = 0.75
+"""Height of lower-case letters in capitals of the chart's font."""
+
+CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
+"""Margins of a line, in heights of its capitals: its own tails fit, its neighbours' do not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """One line of text as the image shows it.
+
+    Parameters
+    ----------
+    name, text : str
+        Of the chart's element.
+    image : array, shape (rows, columns)
+        Original pixels, linear light.
+    cap_px : float
+        Height of the capitals, pixels.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> crop = text_crops(image, layout, there)[0]
+    >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
+    ('Linienomnibusse', 50, 2)
+    """
+
+    name: str
+    text: str
+    image: np.ndarray
+    cap_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement(Shown):
+    """What a jury decided, and how well its members agree.
+
+    Parameters
+    ----------
+    verdict : DataFrame
+        Per element: ``element``, ``mark`` of the majority (None for a tie), ``n`` jurors,
+        ``unanimous``.
+    fleiss_kappa : float
+        Over the elements that all jurors marked; NaN when all of them got one and the same mark,
+        where kappa is not defined, and for a single juror.
+    unanimous_share : float
+        Share of the elements with one mark only.
+    """
+
+    verdict: pd.DataFrame
+    fleiss_kappa: float
+    unanimous_share: float
+
+    def to_frame(self):
+        """Return the verdict."""
+        return self.verdict
+
+
+def text_crops(image, layout, chart_map):
+    """Cut every line of text out of an image.
+
+    Parameters
+    ----------
+    image : array, shape (rows, columns)
+    layout : Layout
+    chart_map : ChartMap
+
+    Returns
+    -------
+    list of Crop
+        In the layout's order; without the lines that reach over the image's edge.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> [crop.text for crop in text_crops(image, layout, there)][:2]
+    ['Linienomnibusse', 'Aus-ᵤ. Einsteigen']
+    """
+    crops = []
+    for element in layout.of_kind(Text):
+        low, size = np.array([element.x, element.y]), np.array([element.width, element.cap])
+        high = low + size + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
+        low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])
+        outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        pixels = chart_map.pixels(outline)
+        first = np.floor(pixels.min(axis=0)).astype(int)
+        last = np.ceil(pixels.max(axis=0)).astype(int) + 1
+        if (first < 0).any() or (last > image.shape[1::-1]).any():
+            continue
+        middle = (low + high)[None] / 2
+        cap_px = element.cap / chart_map.pixel_sizes_mm(middle)[0, 1]
+        part = image[first[1] : last[1], first[0] : last[0]]
+        crops.append(Crop(element.name, element.text, part, float(cap_px)))
+    return crops
+
+
+def chart_site(*, spacing=10.0, height=1.5, size=1.0):
+    """Return the test site: three pairs of boards on a line that runs north at easting 0.
+
+    The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
+    second stands along the line and faces west; the third faces north, to be seen behind. The paper
+    does not say how far apart the pairs are, how high they stand and which way they face.
+
+    Parameters
+    ----------
+    spacing : float
+        Between the pairs, metres; the two boards of a pair are one size apart.
+    height : float
+        Of the boards' middle above the ground, metres.
+    size : float
+        Side of a board, metres.
+
+    Returns
+    -------
+    DataFrame
+        A row for each of six boards: ``chart``, ``kind`` (image or point), ``view`` and ``corners``
+        (array (4, 3) from the lower left as one looks at it: easting, northing, height, metres).
+
+    Raises
+    ------
+    ValueError
+        If a length is not above zero.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> chart_site()["chart"].tolist()[:3]
+    ['image forward', 'point forward', 'image orthogonal']
+    """
+    for name, value in (("spacing", spacing), ("height", height), ("size", size)):
+        check_positive(value, name, unit="m")
+    # to the right as one looks at the board
+    rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
+    rows = []
+    for number, (view, right) in enumerate(rightward.items()):
+        step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
+        for place, kind in enumerate(("image", "point")):
+            middle = np.array([0.0, number * spacing, height]) + 2 * size * place * step
+            aside, up = np.array(right) * size / 2, np.array([0.0, 0.0, size / 2])
+            corners = middle + [-aside - up, aside - up, aside + up, up - aside]
+            rows.append((f"{kind} {view}", kind, view, corners))
+    return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
+
+
+def choose_images(stations, corners, *, distance):
+    """Choose the image of a board by the paper's rules.
+
+    For a board across the path it is the closest image at the required distance or farther (section
+    3.2). For a board along the path it is the image that the vehicle takes as it passes, which may
+    be somewhat nearer or farther (section 4.1).
+
+    Parameters
+    ----------
+    stations : DataFrame
+        Places of the images, ``easting_m``, ``northing_m``, ``height_m``, in the order of a
+        straight drive; two or more.
+    corners : array_like, shape (4, 3)
+        Of the board, from the lower left counterclockwise, metres.
+    distance : float
+        Required distance between camera and middle of the board, metres.
+
+    Returns
+    -------
+    DataFrame
+        One row: ``view`` (orthogonal, forward or backward, as the board stands to the drive),
+        ``station`` (row of ``stations``; None where no image qualifies), ``distance_m`` and
+        ``off_normal_deg``, the level angle between the line of sight and the board's normal.
+
+    Raises
+    ------
+    ValueError
+        If the distance is not above zero, or there are fewer than two stations.
+
+    References
+    ----------
+    Pfeifer et al. 2021, sections 3.2 and 4.1. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> north = [-24.0, -16.0, -8.0, 0.0, 8.0, 16.0]
+    >>> stations = pd.DataFrame({"easting_m": -5.0, "northing_m": north, "height_m": 1.5})
+    >>> boards = chart_site().set_index("chart")["corners"]
+    >>> found = choose_images(stations, boards["image forward"], distance=10)
+    >>> found[["view", "station"]].to_numpy().tolist(), found["distance_m"].round(1).item()
+    ([['forward', 1]], 16.8)
+    >>> found = choose_images(stations, boards["image orthogonal"], distance=10)
+    >>> found["distance_m"].round(1).item()
+    5.4
+    """
+    distance = check_positive(distance, "distance", unit="m")
+    middle, right, normal = _frame(corners)
+    away = _places(stations) - middle
+    view = _view(right, normal, away)
+    seen = pd.DataFrame(
+        {
+            "distance_m": np.linalg.norm(away, axis=1),
+            "off_normal_deg": np.degrees(np.arctan2(np.abs(away @ right), away @ normal)),
+        },
+        index=stations.index,
+    )
+    seen = seen[away @ normal > 0]
+    if view != ALONG:
+        seen = seen[seen["distance_m"] >= distance]
+    if seen.empty:
+        return pd.DataFrame([{"view": view, "station": None, **dict.fromkeys(seen, np.nan)}])
+    station = seen["off_normal_deg" if view == ALONG else "distance_m"].idxmin()
+    return pd.DataFrame([{"view": view, "station": station, **seen.loc[station]}])
+
+
+def check_drive(
+    trajectory,
+    corners,
+    *,
+    distance,
+    tolerance=0.5,
+    speed_kmh=40.0,
+    roll_deg=3.0,
+    pitch_deg=3.0,
+    heading_deg=5.0,
+):
+    """Check a drive past a board that stands along it: distance, speed and attitude.
+
+    The paper gives distance and smallest speed; the tolerances are this package's own.
+
+    Parameters
+    ----------
+    trajectory : DataFrame
+        As :func:`mmqa_lab.io.read_trajectory` gives it; angles are checked where present. Headings
+        count clockwise from north.
+    corners : array_like, shape (4, 3)
+        Of a board along the path, from the lower left counterclockwise, metres.
+    distance, tolerance : float
+        Between the path and the line of charts, metres.
+    speed_kmh : float
+        At least.
+    roll_deg, pitch_deg : float
+        Largest values to either side.
+    heading_deg : float
+        Largest angle between heading and the line of charts.
+
+    Returns
+    -------
+    DataFrame
+        Per quantity: ``quantity``, ``low``, ``high`` (extremes within 12 m of the board),
+        ``at_least``, ``at_most``, ``n`` values, ``passed``. Angles that the trajectory lacks are
+        left out.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not above zero, fewer than two poses lie near the board, or it stands across
+        the path.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> north = np.linspace(-10, 30, 41)
+    >>> drive = {"time_s": north / 12, "easting_m": -5.0, "northing_m": north, "height_m": 1.5}
+    >>> corners = chart_site().set_index("chart")["corners"]["image orthogonal"]
+    >>> found = check_drive(pd.DataFrame(drive), corners, distance=5)
+    >>> found["low"].round(6).tolist(), found["passed"].tolist()
+    ([5.0, 43.2], [True, True])
+    """
+    limits = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}
+    lengths = {"distance": distance, "tolerance": tolerance, "speed_kmh": speed_kmh}
+    for name, value in (limits | lengths).items():
+        check_positive(value, name)
+    middle, right, normal = _frame(corners)
+    places = _places(trajectory) - middle
+    if _view(right, normal, places) != ALONG:
+        raise ValueError("Invalid board: stands across the path. Must stand along it.")
+    near = np.abs(places @ right) <= REACH_M
+    if near.sum() < 2:
+        raise ValueError(f"Invalid trajectory: {near.sum()} poses near the board. Must be two.")
+    steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
+    speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
+    away = (places @ normal)[near]
+    rows = [("distance_m", away, distance - tolerance, distance + tolerance)]
+    rows.append(("speed_kmh", speed, speed_kmh, np.inf))
+    for name, limit in limits.items():
+        if name in trajectory:
+            # the board's line has no direction
+            heading = name == "heading_deg"
+            reference, turn = (np.degrees(np.arctan2(*right[:2])), 180) if heading else (0, 360)
+            angles = trajectory[name].to_numpy(dtype=float)[near] - reference
+            name = "heading_from_line_deg" if heading else name
+            rows.append((name, (angles + turn / 2) % turn - turn / 2, -limit, limit))
+    rows = [(name, v.min(), v.max(), least, most, len(v)) for name, v, least, most in rows]
+    table = pd.DataFrame(rows, columns=["quantity", "low", "high", "at_least", "at_most", "n"])
+    passed = (table["low"] >= table["at_least"]) & (table["high"] <= table["at_most"])
+    return table.assign(passed=passed)
+
+
+def agreement(marks):
+    """Return the jury's verdict per element and how well its members agree.
+
+    Parameters
+    ----------
+    marks : DataFrame
+        ``juror``, ``element`` and ``mark`` (a, b or c), one row per juror and element.
+
+    Returns
+    -------
+    Agreement
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a mark is another, or a juror marked an element twice.
+
+    References
+    ----------
+    Fleiss 1971, doi:10.1037/h0031619.
+
+    Examples
+    --------
+    >>> rows = [(j, e, m) for j in "123" for e, m in (("x", "a"), ("y", "c"))]
+    >>> found = agreement(pd.DataFrame(rows, columns=["juror", "element", "mark"]))
+    >>> found.verdict["mark"].tolist(), round(found.fleiss_kappa, 6)
+    (['a', 'c'], 1.0)
+    """
+    from statsmodels.stats.inter_rater import fleiss_kappa
+
+    marks = check_marks(marks)
+    counts = pd.crosstab(marks["element"], marks["mark"]).reindex(columns=list(MARKS), fill_value=0)
+    counts = counts.loc[marks["element"].drop_duplicates()]
+    best, total = counts.max(axis=1), counts.sum(axis=1)
+    winner = counts.idxmax(axis=1).astype(object)
+    winner[counts.eq(best, axis=0).sum(axis=1) > 1] = None
+    verdict = pd.DataFrame({"mark": winner, "n": total, "unanimous": best == total}).reset_index()
+    complete = counts[total == marks["juror"].nunique()].to_numpy()
+    several = marks["juror"].nunique() > 1 and (complete.sum(axis=0) > 0).sum() > 1
+    kappa = float(fleiss_kappa(complete)) if several else np.nan
+    return Agreement(verdict, kappa, float(verdict["unanimous"].mean()))
+
+
+def check_marks(marks):
+    """Return a jury's marks as a DataFrame, checked."""
+    missing = {"juror", "element", "mark"} - set(marks.columns)
+    if missing:
+        raise ValueError(f"Invalid marks: no column {sorted(missing)[0]!r}. Must have one.")
+    for mark in marks["mark"].unique():
+        check_choice(mark, "mark", MARKS)
+    if marks.duplicated(["juror", "element"]).any():
+        first = marks[marks.duplicated(["juror", "element"])].iloc[0]
+        raise ValueError(
+            f"Invalid marks: juror {first['juror']} marked {first['element']} twice. Must be once."
+        )
+    return marks
+
+
+def quality_index(cap_mm, width_mm):
+    """Return the quality index QI: height of lower-case letters over the resolved pair width.
+
+    Parameters
+    ----------
+    cap_mm : float
+        Height of the capitals.
+    width_mm : float or array_like
+        Resolved width w, mm; the geometric mean of both directions is usual.
+
+    Returns
+    -------
+    float or array
+        About 3 barely legible, 3.6 marginal, 5 good, 8 excellent in the reading of documents.
+
+    Raises
+    ------
+    ValueError
+        If ``cap_mm`` is not above zero.
+
+    References
+    ----------
+    ANSI/AIIM MS23; Kenney and Chapman 1996, Digital Resolution Requirements, Cornell University.
+
+    Examples
+    --------
+    >>> quality_index(40, 10)
+    3.0
+    """
+    return X_HEIGHT_SHARE * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
+
+
+def _frame(corners):
+    """Middle of a board, its level direction to the right and its outward normal."""
+    corners = four_corners(corners, columns=3)
+    _, right, up = rectangle_frame(corners, np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]))
+    return corners.mean(axis=0), right, np.cross(right, up)
+
+
+def _places(stations):
+    """Eastings, northings and heights of two or more stations."""
+    missing = set(PLACE) - set(stations.columns)
+    if missing:
+        raise ValueError(f"Invalid stations: no column {sorted(missing)[0]!r}. Must have one.")
+    if len(stations) < 2:
+        raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
+    return stations[PLACE].to_numpy(dtype=float)
+
+
+def _view(right, normal, places):
+    """How a straight drive sees a board: as it passes, ahead, or behind."""
+    travel = places[-1] - places[0]
+    facing = travel @ normal
+    if abs(facing) <= abs(travel @ right):
+        return ALONG
+    return AHEAD if facing < 0 else BEHIND

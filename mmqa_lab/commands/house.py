@@ -1,0 +1,286 @@
+"""The small commands that keep house: notebooks, studies, tests, names, README, completion."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+from mmqa_lab.commands._output import add_output_arguments, print_rows
+
+NO_LIBRARY = ("__main__", "commands", "studies")
+"""Modules of the package that make no names public."""
+
+
+def completion(options):
+    """Print a script that lets the shell complete mmqa's commands, options and files.
+
+    Put its output where the shell looks for completions, or evaluate it from the shell's start
+    file.
+    """
+    import shtab
+
+    from mmqa_lab.__main__ import parser
+
+    whole = parser()
+    for command in whole._subparsers._group_actions[0].choices.values():
+        for action in command._actions:
+            if action.type is Path or action.metavar in ("FILE", "CLOUD", "IMAGE"):
+                action.complete = shtab.FILE
+    print(shtab.complete(whole, shell=options.shell))
+
+
+def _completion_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), metavar="SHELL")
+
+
+def lab(options):
+    """Open JupyterLab with the notebooks.
+
+    It shows the folder of the repository. From an installed package the notebooks are copied to the
+    folder notebooks of the current directory; those that are there already stay as they are.
+    """
+    import shutil
+    import subprocess
+    import sys
+
+    from mmqa_lab.studies.catalogue import notebooks_folder
+
+    folder = notebooks_folder()
+    root, place = folder.parent, "notebooks"
+    if not (root / "pyproject.toml").is_file():
+        root = Path.cwd()
+        (root / place).mkdir(exist_ok=True)
+        for notebook in folder.glob("*.ipynb"):
+            if not (root / place / notebook.name).exists():
+                shutil.copyfile(notebook, root / place / notebook.name)
+    command = [sys.executable, "-m", "jupyterlab", f"--LabApp.default_url=/lab/tree/{place}"]
+    return subprocess.call([*command, *options.jupyter], cwd=root)
+
+
+def _lab_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("jupyter", nargs="*", metavar="OPTION", help="handed to jupyter lab")
+
+
+def names(options):
+    """List the public names of the library: room, name, and what it is for in a line.
+
+    With WORD only those in which it occurs. What a name takes and gives back, its units, errors and
+    source: help(mmqa_lab.ROOM.NAME) in Python, or NAME? in a notebook.
+    """
+    print_rows(name_table(options.word), options)
+
+
+def _names_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("word", nargs="?", default="", metavar="WORD", help="all names if none")
+    add_output_arguments(parser)
+
+
+def name_table(word=""):
+    """Return every public function and class: room, name and the first line of its docstring."""
+    import importlib
+    import inspect
+
+    import pandas as pd
+
+    rows = [
+        (room, name, inspect.getdoc(member).splitlines()[0])
+        for room in _rooms()
+        for name, member in _members(importlib.import_module(f"mmqa_lab.{room}"))
+    ]
+    rows = [row for row in rows if word.lower() in " ".join(row).lower()]
+    if not rows:
+        raise ValueError(f"Invalid word {word!r}. Must occur in a room, a name or its summary.")
+    return pd.DataFrame(rows, columns=["room", "name", "summary"])
+
+
+def _rooms():
+    """Dotted names of the modules that make names public.
+
+    A room that is a package makes public what is in its ``__all__``; one that only gathers modules
+    what those make public; a module its functions and classes, or its ``__all__``.
+    """
+    import importlib
+    import pkgutil
+
+    import mmqa_lab
+
+    for found in pkgutil.iter_modules(mmqa_lab.__path__):
+        if found.name.startswith("_") or found.name in NO_LIBRARY:
+            continue
+        yield found.name
+        room = importlib.import_module(f"mmqa_lab.{found.name}")
+        if found.ispkg and not hasattr(room, "__all__"):
+            inner = pkgutil.iter_modules(room.__path__)
+            yield from (f"{found.name}.{one.name}" for one in inner if one.name[0] != "_")
+
+
+def _members(module):
+    """Names and objects that a module makes public."""
+    import inspect
+
+    given = getattr(module, "__all__", None)
+    for name in vars(module) if given is None else given:
+        member = getattr(module, name)
+        own = getattr(member, "__module__", None) == module.__name__ and not name.startswith("_")
+        if (given is not None or own) and (inspect.isfunction(member) or inspect.isclass(member)):
+            yield name, member
+
+
+def readme(options):
+    """Insert the answers of the last full run of all studies, and its key figure, into the README.
+
+    For those who change a study: nothing in that table is typed. The ledger's counts and figure are
+    inserted too. With --check nothing is written; the exit status is 1 where the README differs.
+    """
+    from mmqa_lab.run import pages
+    from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder, results_folder
+
+    notebooks = notebooks_folder()
+    folder = options.results or results_folder(notebooks)
+    same = pages.update_readme(notebooks, folder, STUDIES, write=not options.check)
+    return 1 if options.check and not same else 0
+
+
+def _readme_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("--results", type=Path, metavar="FOLDER", help="default notebooks/results")
+    parser.add_argument("--check", action="store_true", help="only say whether it is up to date")
+
+
+def student(options):
+    """Write copies of the notebooks for a class: without the answers, with their assertions.
+
+    Each exercise keeps the assertions of its answer; they fail until the work is done. The
+    teacher's lesson plan and stored outputs stay in the original notebook. A folder that already
+    contains such notebooks is refused.
+    """
+    from mmqa_lab.run.notebooks import write_student_notebooks
+    from mmqa_lab.studies.catalogue import chosen
+
+    for path in write_student_notebooks(chosen(options.name), options.out):
+        print(path)
+
+
+def _student_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
+    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
+
+
+def studies(options):
+    """Run the studies: every notebook of the catalogue, without a screen.
+
+    Each study runs in a kernel of its own and leaves its tables, figures, named values and a page
+    under notebooks/results/ (results/ of the current directory where the package is installed), as
+    they arrive; index.html there shows them all. Results of --quick go to results/quick/. A study
+    that fails does not stop the others. The exit status is 1 where a study failed or, with the
+    delivered parameters, a check did not pass.
+    """
+    from tqdm import tqdm
+
+    from mmqa_lab.run import notebooks, pages
+    from mmqa_lab.studies.catalogue import STUDIES, chosen, notebooks_folder, results_folder
+
+    usual = results_folder(notebooks_folder())
+    folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
+    outcomes = []
+    with tqdm(chosen(options.name), unit="study", desc="studies") as bar:
+        for study in bar:
+            bar.set_description(study.stem)
+            how = {"quick": options.quick, "timeout": options.timeout, "resume": options.resume}
+            outcome = notebooks.run_study(study, folder, **how)
+            pages.write_pages(folder, STUDIES)
+            outcomes.append(outcome)
+            bar.write(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}")
+    print(f"Results: {folder / 'index.html'}")
+    return 0 if all(outcome.ok and (outcome.quick or outcome.true) for outcome in outcomes) else 1
+
+
+def _studies_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
+    parser.add_argument("--quick", action="store_true", help="small parameters, for a first look")
+    parser.add_argument(
+        "--resume", action="store_true", help="skip studies that ended with the same code"
+    )
+    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="of a study; default none")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default notebooks/results")
+
+
+def test(options):
+    """Run the whole test suite: style checks by ruff, then every test by pytest.
+
+    Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
+    missing and say so. What stands after -- goes to pytest.
+    """
+    import subprocess
+    import sys
+
+    root = Path(__file__).resolve().parents[2]
+    if not (root / "tests").is_dir():
+        raise FileNotFoundError(f"Invalid folder {root}: no tests. Must be the repository.")
+    steps = (
+        ["ruff", "check", "."],
+        ["ruff", "format", "--check", "."],
+        ["pytest", "-q", "-ra", "--durations=15", *options.pytest],
+    )
+    statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
+    return next((status for status in statuses if status), 0)
+
+
+def _test_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("pytest", nargs="*", metavar="OPTION", help="handed to pytest")
+
+
+def _command(run, arguments, summary, *calls):
+    """A command in the form that a module of its own has."""
+    example = "\n".join(["example:", *(f"  mmqa {run.__name__} {call}".rstrip() for call in calls)])
+    return SimpleNamespace(
+        run=run, add_arguments=arguments, SUMMARY=summary, EPILOG=example, __doc__=run.__doc__
+    )
+
+
+COMMANDS = {
+    "completion": _command(
+        completion,
+        _completion_arguments,
+        "print shell completion for bash, zsh or tcsh",
+        "bash > ~/.local/share/bash-completion/completions/mmqa",
+        "zsh > ~/.zfunc/_mmqa",
+    ),
+    "lab": _command(
+        lab, _lab_arguments, "open the notebooks in JupyterLab", "", "-- --no-browser --port 8890"
+    ),
+    "names": _command(
+        names, _names_arguments, "list the public names of the library", "", "density --json"
+    ),
+    "readme": _command(
+        readme, _readme_arguments, "insert the studies' answers into the README", "", "--check"
+    ),
+    "student": _command(
+        student,
+        _student_arguments,
+        "write notebooks without the answers, for students",
+        "course",
+        "course anisotropy mimic",
+    ),
+    "studies": _command(
+        studies,
+        _studies_arguments,
+        "run the studies and write their tables, figures and pages",
+        "",
+        "chart_tables anisotropy --quick",
+        "--resume",
+    ),
+    "test": _command(
+        test,
+        _test_arguments,
+        "run the test suite",
+        "",
+        "-- -k planes",
+        "-- --cov --cov-report term-missing",
+    ),
+}
+"""What a module of its own would say of each."""

@@ -1,0 +1,366 @@
+"""Text tables, and the paths of vehicles and polygons.
+
+The layout of a text file is found out from its first lines, its columns from their names.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice, check_points, coordinate_columns
+from mmqa_lab._polygons import polygon_parts
+from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+    from shapely import MultiPolygon, Polygon
+
+SAMPLED_LINES = 8
+"""Lines of data that are looked at to find out the layout."""
+
+TRAJECTORY_COLUMNS = {
+    "time_s": ("time_s", "time", "gps_time", "gpstime", "t"),
+    "easting_m": ("easting_m", "easting", "east", "x_m", "x"),
+    "northing_m": ("northing_m", "northing", "north", "y_m", "y"),
+    "height_m": ("height_m", "height", "altitude", "up", "z_m", "z"),
+    "roll_deg": ("roll_deg", "roll"),
+    "pitch_deg": ("pitch_deg", "pitch"),
+    "heading_deg": ("heading_deg", "heading", "yaw"),
+}
+
+IN_DEGREES = ("CRS84", "4326", "4979")
+"""Parts of the names of coordinate systems in degrees that GeoJSON files state most often."""
+
+
+def read_trajectory(
+    path: str | os.PathLike, *, time_unit: str = "s", angle_unit: str = "degrees"
+) -> pd.DataFrame:
+    """Read a vehicle's path from a CSV file with a header.
+
+    Parameters
+    ----------
+    path : path
+        Needs time, easting, northing and height under any usual name; roll, pitch and heading
+        are read when present.
+    time_unit : {"s", "ms", "us"}
+    angle_unit : {"degrees", "radians"}
+
+    Returns
+    -------
+    DataFrame
+        ``time_s``, ``easting_m``, ``northing_m``, ``height_m`` and, where present,
+        ``roll_deg``, ``pitch_deg``, ``heading_deg``; in the order of time.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a needed column is missing, a value is no finite number, or a time repeats.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "path.csv").write_text("time,x,y,z,heading\\n500,0,0,2,90\\n")
+    ...     path = read_trajectory(Path(folder) / "path.csv", time_unit="ms")
+    >>> path[["time_s", "height_m", "heading_deg"]].to_numpy().tolist()
+    [[0.5, 2.0, 90.0]]
+    """
+    path = Path(path)
+    seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+    check_choice(time_unit, "time_unit", tuple(seconds))
+    check_choice(angle_unit, "angle_unit", ("degrees", "radians"))
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid trajectory {path}: no such file. Must exist.")
+    raw = _read_csv(path, sep=",", skipinitialspace=True)
+    lower = {str(name).strip().lower(): name for name in raw.columns}
+    found = {}
+    for column, names in TRAJECTORY_COLUMNS.items():
+        present = next((lower[name] for name in names if name in lower), None)
+        if present is not None:
+            found[column] = pd.to_numeric(raw[present], errors="coerce").astype(float)
+        elif column in ("time_s", "easting_m", "northing_m", "height_m"):
+            raise ValueError(f"Invalid trajectory {path}: no column {column!r}. Must have one.")
+    table = pd.DataFrame(found)
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            f"Invalid trajectory {path}: no finite number in line {bad.idxmax() + 2}. "
+            "Must be numbers throughout."
+        )
+    table["time_s"] *= seconds[time_unit]
+    if angle_unit == "radians":
+        angles = [column for column in table if column.endswith("_deg")]
+        table[angles] = np.degrees(table[angles])
+    table = table.sort_values("time_s", ignore_index=True)
+    if (table["time_s"].diff() <= 0).any():
+        raise ValueError(f"Invalid trajectory {path}: a time repeats. Must be distinct times.")
+    return table
+
+
+def read_polygon(source: str | os.PathLike) -> np.ndarray | Polygon | MultiPolygon:
+    """Read a polygon: its vertices, or a geometry where it has holes or several parts.
+
+    Parameters
+    ----------
+    source : path or str
+        A CSV file with a vertex in a line (x, y, z; header optional); a GeoJSON file, all of whose
+        polygons count; or the vertices themselves: ``"x,y,z; x,y,z; x,y,z"``.
+
+    Returns
+    -------
+    array, shape (m, 3) or (m, 2), or shapely geometry
+        Metres, m >= 3, in order, the first vertex not repeated at the end; two columns where a
+        GeoJSON file has no heights. A Polygon with holes or a MultiPolygon where there are.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If there is no polygon, or its coordinate system is in degrees.
+
+    Warns
+    -----
+    UserWarning
+        If a GeoJSON file states a coordinate system: clouds are not compared with it.
+
+    Examples
+    --------
+    >>> read_polygon("0,0,0; 1,0,0; 1,1,0").shape
+    (3, 3)
+    """
+    text = str(source)
+    if ";" in text:
+        vertices = _inline(text)
+    elif not Path(source).is_file():
+        raise FileNotFoundError(f"Invalid polygon {text}: no such file. Must exist.")
+    elif Path(source).suffix.lower() in (".json", ".geojson"):
+        return _from_geojson(Path(source))
+    else:
+        vertices, _ = next(text_tables(Path(source), 1_000_000))
+    vertices = check_points(vertices, name=f"polygon {text}")
+    return polygon_parts(vertices, name=f"polygon {text}")[0][0]
+
+
+def write_polygon(path: str | os.PathLike, vertices: ArrayLike | Polygon | MultiPolygon) -> None:
+    """Write a polygon as GeoJSON that :func:`read_polygon` reads back to the bit.
+
+    Parameters
+    ----------
+    path : path
+        An existing file is replaced.
+    vertices : array_like of shape (n, 3), or geometry
+        Metres, n >= 3; or a shapely or GeoPandas geometry.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three vertices or one is not finite.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_polygon(Path(folder) / "p.geojson", [[0, 0, 0], [1, 0, 0], [1, 0, 0.1]])
+    ...     read_polygon(Path(folder) / "p.geojson")[2].tolist()
+    [1.0, 0.0, 0.1]
+    """
+    parts = [
+        [[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in polygon_parts(vertices)
+    ]
+    node = {"type": "Polygon", "coordinates": parts[0]}
+    if len(parts) > 1:
+        node = {"type": "MultiPolygon", "coordinates": parts}
+    text = json.dumps(node)
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+class _Geometry:
+    """A GeoJSON object as something that has ``__geo_interface__``."""
+
+    def __init__(self, node):
+        self.__geo_interface__ = node
+
+
+def _inline(text):
+    """Vertices written as x,y,z; x,y,z; ..."""
+    rows = [vertex.split(",") for vertex in text.split(";") if vertex.strip()]
+    try:
+        return np.array([[float(word) for word in row] for row in rows])
+    except ValueError as error:
+        raise ValueError(f"Invalid polygon {text}. Must be vertices x,y,z; x,y,z; ...") from error
+
+
+def _from_geojson(path):
+    """The vertices of a GeoJSON file's polygon, or the geometry of all its polygons."""
+    import shapely
+
+    try:
+        node = json.loads(path.read_text(encoding="utf-8"))
+        _remark_on_crs(path, node.get("crs"))
+        parts = polygon_parts(_Geometry(node), name=f"polygon {path}")
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(
+            f"Invalid polygon {path}. Must be GeoJSON with a polygon of 3-D vertices."
+        ) from error
+    if len(parts) == 1 and len(parts[0]) == 1:
+        return parts[0][0]
+    polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in parts]
+    return polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+
+
+def _remark_on_crs(path, crs):
+    """Say that a stated coordinate system is not looked at, or refuse one in degrees."""
+    if crs is None:
+        return
+    stated = str(crs.get("properties", {}).get("name", crs))
+    if any(part in stated for part in IN_DEGREES):
+        raise ValueError(f"Invalid polygon {path} in {stated}. Must be projected, in metres.")
+    warnings.warn(
+        f"{path} states the coordinate system {stated}; it is taken for that of the cloud.",
+        stacklevel=4,
+    )
+
+
+def text_tables(path, chunk):
+    """Yield points (n, 3) and attributes of a text file, at most ``chunk`` points at a time."""
+    choices, coordinates = _layout_of(path)
+    same = {"header": None, "comment": "#", "skipinitialspace": True, "index_col": False}
+    frames = _read_csv(path, chunksize=chunk, **same, **choices)
+    with damage_named(path, "rows of numbers, x y z first or named in a header"):
+        for frame in frames:
+            points = frame[coordinates].apply(pd.to_numeric, errors="raise")
+            rest = frame.columns.drop(coordinates)
+            yield points.to_numpy(dtype="float64"), {name: frame[name].to_numpy() for name in rest}
+
+
+def _read_csv(path, **choices):
+    """``pandas.read_csv`` with one sentence where the file is no table."""
+    try:
+        return pd.read_csv(path, encoding="utf-8-sig", encoding_errors="replace", **choices)
+    except (pd.errors.EmptyDataError, pd.errors.ParserError, ValueError) as error:
+        reason = first_sentence(error)
+        raise ValueError(f"Invalid table {path}: {reason}. Must be rows of columns.") from error
+
+
+def _layout_of(path):
+    """How pandas is to read a text file, and its columns of x, y and z; from its first lines."""
+    before, lines = _first_lines(path)
+    if len(lines) > 1 and lines[0][1].isdigit() and len(_words(lines[1][1])) > 1:
+        lines = lines[1:]  # the count of points in front of PTS files
+    skip, first = lines[0]
+    separator = _separator(lines[-1][1])
+    header = None
+    if not _is_data(_words(first, separator)):
+        header, skip, lines = _words(first), skip + 1, lines[1:]
+    rows = [_words(line, separator) for _, line in lines]
+    comma = separator == ";" and any("," in word for row in rows for word in row)
+    names = header or _commented_names(before, rows)
+    if names is None:
+        names = _numbered(path, rows)
+        coordinates = names[:3]
+    else:
+        names, coordinates = _named(path, names, rows)
+    choices = {"skiprows": skip, "sep": r"\s+" if separator == " " else separator}
+    return choices | {"decimal": "," if comma else ".", "names": names}, coordinates
+
+
+def _first_lines(path):
+    """The comments before the first other line; the first of the others with their numbers."""
+    before, lines = [], []
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(islice(file, 1000)):
+            if line.startswith("//") and not lines:
+                before.append(line)
+            elif line.split("#")[0].strip():
+                lines.append((number, line.split("#")[0].strip()))
+            elif not lines:
+                before.append(line)
+            if len(lines) > SAMPLED_LINES:
+                break
+    if not lines:
+        raise ValueError(f"Invalid table {path}: no rows. Must be rows of columns.")
+    return before, lines
+
+
+def _separator(line):
+    """What stands between the words of a line."""
+    return next((mark for mark in (";", ",", "\t") if mark in line), " ")
+
+
+def _words(line, separator=None):
+    """The words of a line, between the marks that stand in it where none is given."""
+    separator = separator or _separator(line)
+    words = line.split() if separator == " " else line.split(separator)
+    return [word.strip().strip('"') for word in words]
+
+
+def _is_data(words):
+    """Whether a line has numbers rather than names."""
+    return all(_is_number(word.replace(",", ".")) for word in words if word)
+
+
+def _is_number(word):
+    """Whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _commented_names(before, rows):
+    """The names of the columns from the last comment, where it has names for x, y, z and all."""
+    comments = [line.strip().lstrip("#/").strip() for line in before if line.strip()]
+    if not comments or not rows:
+        return None
+    words = _words(comments[-1])
+    named = len(words) == len(rows[0]) and len(coordinate_columns(words)) == 3
+    return words if named else None
+
+
+def _named(path, names, rows):
+    """The names of the columns, each once, and those of x, y, z."""
+    if rows and len(rows[0]) != len(names):
+        raise ValueError(
+            f"Invalid table {path}: {len(names)} names over {len(rows[0])} columns. "
+            "Must be a name for each column."
+        )
+    unique = [
+        name if name and name not in names[:place] else f"{name or 'column'}_{place + 1}"
+        for place, name in enumerate(names)
+    ]
+    coordinates = coordinate_columns(unique)
+    if len(coordinates) < 3:
+        raise ValueError(
+            f"Invalid table {path} with columns {', '.join(unique)}. "
+            "Must have x, y, z or easting, northing, height."
+        )
+    return unique, coordinates
+
+
+def _numbered(path, rows):
+    """Names for columns without any: x, y, z and the numbers of the others."""
+    count = len(rows[0])
+    if count < 3:
+        raise ValueError(
+            f"Invalid table {path}: {count} columns. Must be rows of numbers, x y z first."
+        )
+    first = [row[0] for row in rows]
+    counted = [[str(k + start) for k in range(len(rows))] for start in (0, 1)]
+    if count > 3 and len(rows) > 2 and first in counted:
+        raise ValueError(
+            f"Invalid table {path}: its first column numbers the rows. "
+            "Must have a header that names x, y, z."
+        )
+    return ["x", "y", "z", *(f"column_{k + 1}" for k in range(3, count))]

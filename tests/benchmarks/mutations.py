@@ -1,0 +1,116 @@
+"""Faults made by hand in the library, one after the other: does the test meant for it fail?
+
+``python tests/benchmarks/mutations.py`` works on a copy of the repository. It lists what was
+caught, what was not, and faults whose text no longer stands in the room. With names of rooms only
+theirs.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+FAULTS = (
+    # room, what stands there, the fault, the tests that must fail
+    ("stats", "(p + w / 2) / (1 + w)", "(p + w) / (1 + w)", "test_stats.py"),
+    ("stats", "NMAD_SCALE = 1.4826", "NMAD_SCALE = 1.4862", "test_stats.py"),
+    ("stats", "known.std(ddof=1)", "known.std(ddof=0)", "test_stats.py"),
+    ("planes", "np.abs(residuals - np.median(residuals))", "np.abs(residuals)", "test_planes.py"),
+    ("planes", "np.std(self.residuals, ddof=1)", "np.std(self.residuals)", "test_planes.py"),
+    ("planes", "[[c, s], [-s, c]]", "[[c, -s], [s, c]]", "test_planes.py test_spacing.py"),
+    ("spacing", "self.d[3] / self.d[0]", "self.d[2] / self.d[0]", "test_spacing.py"),
+    ("spacing", "np.sqrt(1 / check_positive(rho0", "np.sqrt(2 / check_positive(rho0",
+     "test_spacing.py"),
+    ("spacing", "np.sqrt(-4 * np.log1p", "np.sqrt(-2 * np.log1p", "test_spacing.py"),
+    ("spacing", "self.across / self.along", "self.along / self.across",
+     "test_spacing_directional.py"),
+    ("chart_cloud", "self.n / self.area_hull_m2", "self.n / self.area_polygon_m2",
+     "test_chart_cloud.py"),
+    ("chart_cloud", "<= thickness", "<= 2 * thickness", "test_chart_cloud.py"),
+    ("scan_pattern", "z=-(self.heading_deg +", "z=(self.heading_deg +", "test_scan_pattern.py"),
+    ("scan_pattern", "sweep = velocity + np.cross", "sweep = velocity - np.cross",
+     "test_scan_pattern.py"),
+    ("scan_pattern", "whole * mirror / pulse_rate - 1)", "whole * mirror / pulse_rate)",
+     "test_scan_pattern.py"),
+    ("scan_pattern", "(x > 0) & (y >= 0) if side", "(x >= 0) & (y >= 0) if side",
+     "test_scan_pattern.py"),
+    ("scan_pattern", "reach = r1 if literal else r2", "reach = r2 if literal else r1",
+     "test_mimic.py"),
+    ("scan_pattern", "height_difference / np.cos(np.radians(gamma_scan))", "height_difference",
+     "test_mimic.py"),
+    ("scan_pattern", "/ (2 * step)", "/ step", "test_plan.py"),
+    ("scan_pattern", "both - walk @ slope", "both + walk @ slope", "test_scan_pattern_measured.py"),
+    ("scan_pattern", "- by_tilt @ bias", "+ by_tilt @ bias", "test_scan_pattern_measured.py"),
+    ("scan_pattern", "spread[0] + shared**2", "0 * spread[0] + 0 * shared**2",
+     "test_scan_pattern_measured.py"),
+    ("scan_pattern", "if strays[best] < CLEAR", "if strays[best] < 0",
+     "test_scan_pattern_measured.py"),
+    ("lines", "weight * self.angle**2", "weight * self.angle", "test_lines_lhd.py"),
+    ("lines", "float(np.fmax(a, b))", "float(np.fmin(a, b))", "test_lines_lhd.py"),
+    ("tender", "value >= threshold", "value > threshold", "test_tender.py"),
+    ("tender", "COVERAGE = 1.96", "COVERAGE = 1.0", "test_tender.py"),
+    ("testfield", "np.quantile(np.abs(known), 0.9)", "np.quantile(known, 0.9)",
+     "test_testfield.py"),
+    ("mtf", "x / np.sinh(x)", "x / np.tanh(x)", "test_mtf.py"),
+    ("mtf", "frequency = n / (2 * np.pi * rings)", "frequency = n / (np.pi * rings)",
+     "test_mtf.py"),
+    ("radiometry", "(number0 / number) ** 2", "(number / number0) ** 2", "test_radiometry.py"),
+    ("radiometry", "t.sf(np.abs([self.gain, self.offset]) / self.std, self.n - 2)",
+     "t.sf(np.abs([self.gain, self.offset]) / self.std, self.n)", "test_radiometry.py"),
+    ("repeatability", "np.hypot(self.s_r, self.s_l)", "(self.s_r + self.s_l)",
+     "test_repeatability.py"),
+    ("simulate", "np.array([np.sin(h), np.cos(h), 0.0])", "np.array([np.cos(h), np.sin(h), 0.0])",
+     "test_simulate_trajectories.py"),
+    ("simulate", "white[1:] *= np.sqrt(1 - keep**2)", "white[1:] *= 1 - keep**2",
+     "test_simulate_trajectories.py"),
+    ("published", 'bool(high > printed["low"])', 'bool(low > printed["low"])',
+     "test_published.py"),
+)  # fmt: skip
+
+
+def main(rooms, tree):
+    """Plant each fault, run its tests, and put the file right again."""
+    for part in ("mmqa_lab", "tests", "data_samples", "notebooks"):
+        shutil.copytree(ROOT / part, tree / part, ignore=shutil.ignore_patterns("results"))
+    for name in ("pyproject.toml", "README.md", "environment.txt"):
+        shutil.copy2(ROOT / name, tree / name)
+    outcomes = [outcome(tree, *fault) for fault in FAULTS if not rooms or fault[0] in rooms]
+    print({word: outcomes.count(word) for word in sorted(set(outcomes))})
+    return int(set(outcomes) != {"caught"})
+
+
+def outcome(tree, room, old, new, tests):
+    """Whether a fault is ``caught``, ``NOT CAUGHT``, or its text is ``GONE``."""
+    inside = [tree / "mmqa_lab" / f"{room}.py", *(tree / "mmqa_lab" / room).rglob("*.py")]
+    places = [path for path in inside if path.is_file() and old in path.read_text("utf-8")]
+    word = "GONE"
+    if places:
+        text = places[0].read_text("utf-8")
+        places[0].write_text(text.replace(old, new, 1), "utf-8")
+        word = "caught" if fails(tree, tests) else "NOT CAUGHT"
+        places[0].write_text(text, "utf-8")
+    print(f"{word:10}  {room}: {old}  ->  {new}", flush=True)
+    return word
+
+
+def fails(tree, tests):
+    """Whether the tests fail on the copy."""
+    files = [f"tests/{name}" for name in tests.split()]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:randomly", *files]
+    place = {**os.environ, "PYTHONPATH": str(tree)}
+    done = subprocess.run(command, cwd=tree, env=place, capture_output=True, text=True)
+    if done.returncode not in (0, 1):  # no tests, or none that could be collected
+        print(done.stdout[-500:])
+    return done.returncode == 1
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rooms", nargs="*")
+    with tempfile.TemporaryDirectory() as folder:
+        sys.exit(main(parser.parse_args().rooms, Path(folder)))

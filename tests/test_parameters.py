@@ -1,0 +1,156 @@
+"""Each parameter of each notebook reaches a table, and any run with others comes to its end.
+
+The flow of names through the cells is followed without running them. Set MMQA_LONG=1 to change
+each parameter in a run of its own with small parameters (about 80 runs, two hours).
+"""
+
+import ast
+import filecmp
+import json
+import os
+
+import nbformat
+import pytest
+from IPython.core.inputtransformer2 import TransformerManager
+
+from mmqa_lab.run import notebooks, parameter_names, read_record
+from mmqa_lab.studies.catalogue import STUDIES
+
+SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
+
+PARAMETERS = [(study, name) for study in STUDIES for name in parameter_names(study.path)]
+
+WORDS = {"5 m": "10 m", "principal": "horizontal", "Optech Lynx": "Riegl VQ-450"}
+"""What a parameter that is a word becomes."""
+
+
+def statements(path):
+    """The statements of a notebook's code cells after the one with the parameters."""
+    seen = False
+    for cell in nbformat.read(path, as_version=4).cells:
+        tags = cell.metadata.get("tags", [])
+        if seen and cell.cell_type == "code" and "solution" not in tags:
+            yield from ast.parse(TransformerManager().transform_cell(cell.source)).body
+        seen = seen or "parameters" in tags
+
+
+def base(node):
+    """The name that an attribute or item belongs to."""
+    while isinstance(node, ast.Attribute | ast.Subscript | ast.Call):
+        node = node.func if isinstance(node, ast.Call) else node.value
+    return node.id if isinstance(node, ast.Name) else None
+
+
+def names(nodes):
+    """All names in some pieces of code."""
+    inside = [one for node in nodes for one in ast.walk(node)]
+    return {one.id for one in inside if isinstance(one, ast.Name)}
+
+
+def changed_by(statement):
+    """Names that a statement sets or whose object it changes: by an item, or by a method."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
+            if isinstance(node.ctx, ast.Store):
+                yield base(node)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            yield base(node.func)
+
+
+def imported(body):
+    """Names of modules and of what is imported from them, and the run: they carry nothing on."""
+    found = [node for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
+    return {(a.asname or a.name).partition(".")[0] for node in found for a in node.names} | {"run"}
+
+
+def saves(statement, carriers):
+    """Whether a statement saves something that depends on one of the names."""
+    for node in ast.walk(statement):
+        saving = isinstance(node, ast.Call) and getattr(node.func, "attr", "") in SAVES
+        if saving and names([*node.args, *(k.value for k in node.keywords)]) & carriers:
+            return True
+    return False
+
+
+def reaches_a_table(name, body):
+    """Whether something that is saved depends on a name."""
+    carriers, passive = {name}, imported(body)
+    for statement in body:
+        if names([statement]) & carriers:
+            carriers |= set(changed_by(statement)) - passive - {None}
+        if saves(statement, carriers):
+            return True
+    return False
+
+
+@pytest.mark.parametrize(("study", "name"), PARAMETERS, ids=lambda one: getattr(one, "stem", one))
+def test_parameter_reaches_a_table(study, name):
+    assert reaches_a_table(name, list(statements(study.path)))
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ("x = f(p)\nrun.save_table(x, 't')", True),
+        (
+            "def f(v):\n    return p * v\nrows = []\nrows.append(f(2))\nrun.save_table(rows, 't')",
+            True,
+        ),
+        ("for k in p:\n    kept[k] = 1\nrun.save_value('n', len(kept), '1', 'measured')", True),
+        ("print(p)\nx = 2\nrun.save_table(x, 't')", False),
+        ("import a\na.show(p)\nrun.save_table(a.table(), 't')", False),
+        ("run.save_table(x, 't')\nx = p", False),
+    ],
+)
+def test_the_flow_of_names(code, expected):
+    assert reaches_a_table("p", ast.parse(code).body) == expected
+
+
+def other(value):
+    """Another value of the same kind."""
+    if isinstance(value, str):
+        return WORDS.get(value, value)
+    if isinstance(value, int):
+        return value + 1
+    if isinstance(value, float):
+        return 0.9 * value
+    if isinstance(value, dict):
+        return {key: other(one) for key, one in value.items()}
+    return tuple(value[:-1]) if len(value) > 1 else tuple(other(one) for one in value)
+
+
+def run_with(study, parameters, folder, monkeypatch):
+    """The folder of a run with some small parameters changed; every cell must have run."""
+    monkeypatch.setattr(study.module, "QUICK", study.module.QUICK | parameters)
+    outcome = notebooks.run_study(study, folder, quick=True)
+    assert outcome.failure == ""
+    return folder / study.stem
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    """The folders of runs with small parameters, each made once."""
+    folder = tmp_path_factory.mktemp("usual")
+
+    def results(study):
+        if not (folder / study.stem).exists():
+            assert notebooks.run_study(study, folder, quick=True).failure == ""
+        return folder / study.stem
+
+    return results
+
+
+@pytest.mark.timeout(0)
+@pytest.mark.skipif(not os.environ.get("MMQA_LONG"), reason="takes two hours: set MMQA_LONG=1")
+@pytest.mark.parametrize(("study", "name"), PARAMETERS, ids=lambda one: getattr(one, "stem", one))
+def test_a_changed_parameter_changes_a_table(study, name, usual, tmp_path, monkeypatch):
+    before = usual(study)
+    record = read_record(before)
+    value = other(record["parameters"][name])
+    after = run_with(study, {name: value}, tmp_path, monkeypatch)
+    assert read_record(after)["parameters"][name] == json.loads(json.dumps(value))
+    tables = [file for file in record["files"] if file.endswith(".csv") and file != "checks.csv"]
+    _, different, missing = filecmp.cmpfiles(before, after, tables, shallow=False)
+    assert different or missing
