@@ -7,7 +7,6 @@ from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.poles import (
-    axes,
     candidates,
     common,
     features,
@@ -205,7 +204,7 @@ def test_shaft_diameter_is_unbiased_on_the_ray_lattice(rng):
         x = np.arange(rng.uniform(0, 0.008), 0.06, 0.008)
         points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
         line += [k] * len(x)
-    found = axes.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
+    found = common.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
     # the standard error of the mean of 400 coin flips of 8 mm is 0.2 mm
     assert found == pytest.approx(0.06, abs=0.0008)
 
@@ -219,7 +218,7 @@ def test_chords_through_a_board_do_not_count(rng, share):
         x = np.arange(rng.uniform(0, 0.008), width, 0.008) - width / 2
         points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
         line += [k] * len(x)
-    found = axes.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
+    found = common.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
     # sixteen coin flips of 8 mm or more: standard error 1 mm
     assert found == pytest.approx(0.06, abs=0.004)
 
@@ -232,7 +231,7 @@ def test_chords_that_leaves_cut_short_do_not_count(rng):
         x = x[(x >= low) & (x <= high)]
         points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
         line += [k] * len(x)
-    found = axes.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
+    found = common.shaft_diameter(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
     # a few of the short ones are nearly whole
     assert found == pytest.approx(0.30, abs=0.015)
 
@@ -262,7 +261,7 @@ def test_a_box_on_its_post_does_not_widen_the_post():
         points.append(np.column_stack([x, 0 * x, np.full(len(x), 0.1 * k)]))
         line += [k] * len(x)
     given = np.concatenate(points), np.array([0, 0, 1.0]), np.array(line)
-    assert axes.shaft_diameter(*given) == pytest.approx(0.10, abs=0.006)
+    assert common.shaft_diameter(*given) == pytest.approx(0.10, abs=0.006)
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3])
@@ -279,15 +278,15 @@ def test_a_tapering_shaft_has_its_diameter_halfway_up(cut):
     given = np.concatenate(points), np.array([0, 0, 1.0]), np.array(line)
     # sixty coin flips of 8 mm: standard error 0.5 mm; chords cut a little still agree
     halfway = (0.16 + 0.16 - 0.012 * 5.9) / 2
-    assert axes.shaft_diameter(*given) == pytest.approx(halfway, abs=0.002 if cut == 0 else 0.006)
+    assert common.shaft_diameter(*given) == pytest.approx(halfway, abs=0.002 if cut == 0 else 0.006)
     few = given[2] < 2
-    assert np.isnan(axes.shaft_diameter(given[0][few], given[1], given[2][few]))
+    assert np.isnan(common.shaft_diameter(given[0][few], given[1], given[2][few]))
 
 
 def test_circle_diameter_of_a_whole_circle_is_exact():
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), 0.01 * turn])
-    assert axes.circle_diameter(ring, np.array([0, 0, 1.0])) == pytest.approx(0.2, rel=1e-3)
+    assert common.circle_diameter(ring, np.array([0, 0, 1.0])) == pytest.approx(0.2, rel=1e-3)
 
 
 def test_circle_of_a_third_of_a_pole_lies_within_its_standard_deviation(rng):
@@ -343,7 +342,7 @@ def test_near_axis_is_the_brute_force(rng):
     points = rng.uniform(0, 10, (3000, 3))
     found = common.rows(points)
     for x, y, radius in rng.uniform([0, 0, 0.05], [10, 10, 2], (30, 3)):
-        near = common.near_axis(found.points, found.start, common.base(found), x, y, radius)
+        near = common.near_axis(*found[:3], x, y, radius)
         inside = np.hypot(points[:, 0] - x, points[:, 1] - y) <= radius
         assert set(found.order[near]) == set(np.flatnonzero(inside))
 
@@ -510,7 +509,7 @@ def test_a_hollow_cylinder_is_told_from_a_full_one(rng):
     values = []
     for points in (rim, full):
         found = common.rows(points)
-        where = (found.points, found.points[:, 2], found.start, common.base(found))
+        where = (found.points, found.points[:, 2], found.start, found.base)
         axis = np.array([[0.0, 0.0, 0.0, 0.0, 1.5]])
         row = features.describe(*where, np.zeros((1, 2)), axis)[0][0]
         values.append(dict(zip(features.NAMES, row, strict=True)))

@@ -228,6 +228,29 @@ def test_the_check_of_the_gate_fails_when_a_wider_one_finds_more():
     assert [*verdicts(example_rates(), wider=0.2)] == [True] * 4 + [False]
 
 
+def test_bare_shafts_are_all_scanned():
+    cloud, truth = study.bare_shafts(seed=5001)
+    assert len(truth.drop_duplicates(["diameter_m", "height_m"])) == 64
+    surface = np.asarray(cloud["surface"])
+    for number, one in enumerate(truth.itertuples(), start=1):
+        own = cloud.points[surface == number]
+        off = np.hypot(own[:, 0] - one.x_m, own[:, 1] - one.y_m)
+        # noise of 2 mm; tops lie within the circle
+        assert len(own) > 10
+        assert off.max() < one.diameter_m / 2 + 0.02
+        assert own[:, 2].max() == pytest.approx(one.height_m, abs=0.3)
+
+
+def test_reliability_is_the_share_of_right_ones():
+    outcome = ["hit", "hit", "false", "ignored", "duplicate"]
+    table = pd.DataFrame({"score": [0.95, 0.9, 0.85, 0.9, 0.1], "outcome": outcome})
+    made = study.reliability(table)
+    assert made["n"].tolist() == [1, 3]
+    assert made["low"].tolist() == [0, 0.8]
+    assert made["right"].tolist() == pytest.approx([0, 2 / 3])
+    assert made["mean_score"][1] == pytest.approx(0.9)
+
+
 def test_false_alarms_have_a_cause(surveyed):
     cloud, truth = surveyed
     made = {"x_m": [0.0, 0.0], "y_m": [20.0, 40.0], "z_base_m": 0.0, "height_m": 0.5}

@@ -1,4 +1,4 @@
-"""What all detectors share: points near an axis, the height above ground, the table of poles.
+"""What all detectors share: points near an axis, ground, diameters, the table of poles.
 
 Points are sorted by rows of northing and, within a row, by easting; a cylinder looks into the few
 rows that it crosses. Memory grows with the points and the rows, not with the area.
@@ -14,29 +14,31 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mmqa_lab.planes.regression import algebraic_circle
+
 ROW_M = 0.5
 
 
 class Rows(NamedTuple):
     """Sorted points.
 
-    ``points`` (n, 3) from ``origin``; ``start`` (rows + 1,) first point of each row; ``order`` (n,)
-    their numbers in the given array.
+    ``points`` (n, 3); ``start`` (rows + 1,) first point of each row; ``base`` northing where row 0
+    begins; ``order`` (n,) their numbers in the given array.
     """
 
     points: np.ndarray
     start: np.ndarray
+    base: float
     order: np.ndarray
 
 
 def rows(points):
     """Return the ``Rows`` of points (n, 3)."""
     row = np.floor(points[:, 1] / ROW_M).astype(np.int64)
-    row -= row.min() if len(row) else 0
-    width = np.ptp(points[:, 0]) + 1.0 if len(points) else 1.0
-    order = np.argsort(row * width + (points[:, 0] - points[:, 0].min(initial=np.inf)))
-    start = np.searchsorted(row[order], np.arange(row.max(initial=-1) + 2))
-    return Rows(np.ascontiguousarray(points[order]), start, order)
+    first = row.min() if len(row) else 0
+    order = np.lexsort([points[:, 0], row])
+    start = np.searchsorted(row[order], first + np.arange(np.ptp(row) + 2 if len(row) else 1))
+    return Rows(np.ascontiguousarray(points[order]), start, float(first * ROW_M), order)
 
 
 @njit(cache=True)
@@ -102,13 +104,6 @@ def _in_cells(points, grid, low):
         if 0 <= i < grid.shape[0] and 0 <= j < grid.shape[1]:
             inside[k] = grid[i, j]
     return inside
-
-
-def base(found):
-    """Northing where row 0 of sorted points begins."""
-    if not len(found.points):
-        return 0.0
-    return float(np.floor(found.points[found.start[0], 1] / ROW_M) * ROW_M)
 
 
 GROUND_CELL_M = 1.0
@@ -191,6 +186,124 @@ def _filled(values, known):
     return values[tuple(nearest)]
 
 
+LEAST_CHORDS = 5
+"""That agree; fewer tell no diameter of a shaft."""
+
+TAPERS = np.arange(0, 0.031, 0.003)
+"""By how much a shaft may narrow upwards, m/m."""
+
+TAPER_GAIN = 0.01
+"""A taper must win one more chord for each so many m/m."""
+
+
+def shaft_diameter(points, axis_direction, line):
+    """Return the diameter halfway up a shaft, from the chords that scan lines cut.
+
+    A ray every ``s`` metres meets a post of diameter d between floor(d / s) and ceil(d / s) times,
+    d / s times on average, and the chord from the first to the last hit is one spacing less: the
+    diameter is the mean chord plus one ray spacing. A shaft may taper, and what stands in front of
+    it or is mounted on it has chords of its own: a straight line of chord over height is sought on
+    which the most agree within two spacings. Boards and boxes are wider than their post: the
+    narrowest chords that agree, a quarter of all at least, are the shaft's.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        On the shaft, metres.
+    axis_direction : array, shape (3,)
+        Unit vector of the axis.
+    line : array of int, shape (n,)
+        Scan line of each.
+
+    Returns
+    -------
+    float
+        Metres; NaN where fewer than five chords agree.
+
+    Notes
+    -----
+    Lines with a single hit tell no spacing and are left out, which makes thin, far posts too wide;
+    the spacing is the median over lines. A front-facing arc is less wide than the post by less
+    than 1 % unless the scanner is nearer than ten radii.
+
+    References
+    ----------
+    The estimator is ours.
+    """
+    chords, height, spacing = _chords(points, axis_direction, line)
+    best = 0, np.nan
+    for taper in TAPERS if len(chords) >= LEAST_CHORDS else ():
+        upright = chords + taper * (height - (height.min() + height.max()) / 2)
+        ranked = np.sort(upright)
+        last = np.searchsorted(ranked, ranked + 2 * spacing, side="right")
+        agree = last - np.arange(len(ranked))
+        enough = agree >= min(agree.max(), max(2, len(chords) / 4))
+        narrow = ranked <= ranked[np.argmax(enough)] + 2 * spacing
+        first = np.argmax(np.where(enough & narrow, agree, 0))
+        shaft = np.abs(upright - np.median(ranked[first : last[first]])) <= 2 * spacing
+        won = agree[first] - taper / TAPER_GAIN
+        if won > best[0] and shaft.sum() >= LEAST_CHORDS:
+            best = won, upright[shaft].mean() + spacing
+    return float(best[1])
+
+
+def _chords(points, axis_direction, line):
+    """Length and height along the axis of each line's chord, and the median ray spacing.
+
+    A chord is measured in the direction in which it and its two neighbours scatter the most: noise
+    in depth would turn and lengthen a short one.
+    """
+    if not len(points):
+        return np.empty(0), np.empty(0), np.nan
+    centred = points - points.mean(axis=0)
+    flat = centred @ (np.eye(3) - np.outer(axis_direction, axis_direction))
+    order = np.argsort(line, kind="stable")
+    first = np.flatnonzero(np.diff(line[order], prepend=line[order[0]] - 1))
+    parts = [part for part in np.split(order, first[1:]) if len(part) >= 2]
+    if not parts:
+        return np.empty(0), np.empty(0), np.nan
+    offs = [flat[part] - flat[part].mean(axis=0) for part in parts]
+    scatter = np.pad([off.T @ off for off in offs], ((1, 1), (0, 0), (0, 0)))
+    _, axes = np.linalg.eigh(scatter[:-2] + scatter[1:-1] + scatter[2:])
+    chords = np.array([np.ptp(off @ wide) for off, wide in zip(offs, axes[:, :, 2], strict=True)])
+    height = np.array([(centred[part] @ axis_direction).mean() for part in parts])
+    spacing = np.median(chords / [len(part) - 1 for part in parts])
+    return chords, height, spacing
+
+
+def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
+    """Return the median diameter of circles fitted to slices across an axis.
+
+    Each slice gets an algebraic circle (Pratt's normalisation is not needed where noise is small
+    against the radius); slices with fewer than five points or a circle wider than ``largest``
+    metres are left out; scan lines do not matter.
+
+    Returns
+    -------
+    float
+        Metres; NaN where no slice is measurable.
+
+    References
+    ----------
+    Kasa 1976, IEEE Transactions on Instrumentation and Measurement 25, 8-14,
+    doi:10.1109/TIM.1976.6312298.
+    """
+    if len(points) < 5:
+        return np.nan
+    centred = points - points.mean(axis=0)
+    along = centred @ axis_direction
+    u = np.cross(axis_direction, np.eye(3)[np.argmin(np.abs(axis_direction))])
+    u /= np.linalg.norm(u)
+    plan = centred @ np.stack([u, np.cross(axis_direction, u)], axis=1)
+    found = []
+    for number in np.unique(np.floor(along / slice_length)):
+        part = plan[np.floor(along / slice_length) == number]
+        if len(part) >= 5:
+            found.append(2 * algebraic_circle(part)[2])
+    found = np.array([d for d in found if np.isfinite(d) and d <= largest])
+    return float(np.median(found)) if len(found) else np.nan
+
+
 COLUMNS = (
     *("x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"),
     *("lean_x", "lean_y"),
@@ -223,6 +336,21 @@ def pole_table(rows, method, *, explain=False):
     return frame.sort_values(["y_m", "x_m"], ignore_index=True)[columns]
 
 
+def axis_rows(low, lean, height, score, reason):
+    """Return the rows of straight axes: ``low`` (k, 3) lower ends, ``lean`` (k, 2), m/m."""
+    middle = low[:, :2] + lean * height[:, None] / 2
+    return {
+        "x_m": middle[:, 0],
+        "y_m": middle[:, 1],
+        "z_base_m": low[:, 2],
+        "height_m": height,
+        "lean_x": lean[:, 0],
+        "lean_y": lean[:, 1],
+        "score": score,
+        "rejected_by": reason,
+    }
+
+
 def first_reason(n, **failed):
     """Name, for each of ``n`` candidates, the first test it failed; empty where none.
 
@@ -253,6 +381,14 @@ def drop_duplicates(rows, distance):
         if not gone[k]:
             gone[[other for other in near[k] if other != k]] = True
     rows["rejected_by"][kept[gone]] = "duplicate"
+
+
+def cells(points, size):
+    """Number of the occupied cell of each point, and the cells' indices, (k, 3)."""
+    index = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    shape = index.max(axis=0) + 1
+    keys, cell = np.unique(np.ravel_multi_index(index.T, shape), return_inverse=True)
+    return cell, np.stack(np.unravel_index(keys, shape), axis=1)
 
 
 def joined(a, b, n):

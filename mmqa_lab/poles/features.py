@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.common import base, near_axis, rows
+from mmqa_lab.poles.common import near_axis, rows
 
 RADII_M = np.array([0.06, 0.10, 0.15, 0.20, 0.30, 0.40])
 SHELL_M = 0.25
@@ -394,7 +394,7 @@ def describe_facades(points, height, axes):
     """
     found = rows(tall_cells(points, height))
     out = np.zeros((len(axes), len(FACADE_NAMES)))
-    _facades(found.points, found.start, base(found), axes[:, :2], out)
+    _facades(found.points, found.start, found.base, axes[:, :2], out)
     return out
 
 

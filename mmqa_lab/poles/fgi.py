@@ -18,15 +18,16 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.axes import circle_diameter, shaft_diameter
 from mmqa_lab.poles.common import (
-    base,
+    axis_rows,
+    circle_diameter,
     drop_duplicates,
     first_reason,
     joined,
     near_axis,
     pole_table,
     rows,
+    shaft_diameter,
 )
 from mmqa_lab.poles.profiles import pulse_numbers
 
@@ -184,6 +185,14 @@ def _moments(points, member):
     return count, centre, covariance
 
 
+def _ends(values, member):
+    """Least and largest value of each member."""
+    low, high = np.full((2, member.max() + 1), [[np.inf], [-np.inf]])
+    np.minimum.at(low, member, values)
+    np.maximum.at(high, member, values)
+    return low, high
+
+
 def _features(points, line, member):
     """Axis, length, eigenvalue ratio and sweeps of each cluster, and its radius about the axis."""
     if not len(points):
@@ -196,14 +205,10 @@ def _features(points, line, member):
     direction = vectors[:, :, 2] * np.where(vectors[:, 2, 2] < 0, -1.0, 1.0)[:, None]
     off = points - centre[member]
     along = np.einsum("ij,ij->i", off, direction[member])
-    low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
-    np.minimum.at(low, member, along)
-    np.maximum.at(high, member, along)
+    low, high = _ends(along, member)
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
     spread = np.bincount(member, across) / count
-    usual = across <= 3 * spread[member]
-    radius = np.zeros(len(count))
-    np.maximum.at(radius, member[usual], across[usual])
+    _, radius = _ends(np.where(across <= 3 * spread[member], across, 0), member)
     seen = np.unique(np.stack([member, line]), axis=1)[0]
     return {
         "centre": centre,
@@ -222,9 +227,7 @@ def _merged(points, member, settings):
     if not len(kept):
         return member
     count, centre, covariance = _moments(points[kept], member[kept])
-    low, high = np.full(len(count), np.inf), np.full(len(count), -np.inf)
-    np.minimum.at(low, member[kept], points[kept, 2])
-    np.maximum.at(high, member[kept], points[kept, 2])
+    low, high = _ends(points[kept, 2], member[kept])
     direction = np.linalg.eigh(covariance)[1][:, :, 2]
     direction *= np.where(direction[:, 2] < 0, -1.0, 1.0)[:, None]
     tall = np.flatnonzero(high - low >= 2 * BIN_M)
@@ -278,9 +281,8 @@ def _mask(sorted_points, found, k, settings):
     low, n_bins = found["low"][k], max(int(np.ceil(found["length"][k] / BIN_M)), 1)
     inner, outer = np.zeros(n_bins, np.int64), np.zeros(n_bins, np.int64)
     radius = found["radius"][k] + 0.02
-    where = (sorted_points.points, sorted_points.start, base(sorted_points))
     axis = (found["centre"][k], found["direction"][k], low, radius, settings.shell)
-    _mask_counts(*where, *axis, inner, outer)
+    _mask_counts(*sorted_points[:3], *axis, inner, outer)
     width = max(round(min(settings.mask_length, settings.minimum_length) / BIN_M), 1)
     step = max(round(settings.mask_step / BIN_M), 1)
     accepted = np.zeros(n_bins, dtype=bool)
@@ -317,29 +319,13 @@ def _judged(everything, points, line, member, found, settings, explain):
             reason[k] = "mask"
         else:
             stretch[k] = begin, end
-    table = _rows(found, stretch, share, reason)
+    low, high = (found["centre"] + part[:, None] * found["direction"] for part in stretch.T)
+    lean = found["direction"][:, :2] / np.maximum(found["direction"][:, 2:], 1e-6)
+    table = axis_rows(low, lean, high[:, 2] - low[:, 2], share, reason)
     fit = circle_diameter if settings.circle_fit else shaft_diameter
     table["diameter_m"] = _diameters(points, line, member, found, stretch, reason, fit)
     drop_duplicates(table, 2 * settings.merge_distance)
     return pole_table(table, "fgi", explain=explain)
-
-
-def _rows(found, stretch, share, reason):
-    """Columns of the table but for the diameter."""
-    low = found["centre"] + stretch[:, :1] * found["direction"]
-    high = found["centre"] + stretch[:, 1:] * found["direction"]
-    middle = (low + high) / 2
-    rise = np.maximum(found["direction"][:, 2], 1e-6)
-    return {
-        "x_m": middle[:, 0],
-        "y_m": middle[:, 1],
-        "z_base_m": low[:, 2],
-        "height_m": high[:, 2] - low[:, 2],
-        "lean_x": found["direction"][:, 0] / rise,
-        "lean_y": found["direction"][:, 1] / rise,
-        "score": share,
-        "rejected_by": reason,
-    }
 
 
 def _diameters(points, line, member, found, stretch, reason, fit):

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.common import base, near_axis, rows
+from mmqa_lab.poles.common import near_axis, rows
 from mmqa_lab.poles.features import MAX_LEAN, fit_axis, longest_run
 
 WIDEST_M = 0.8
@@ -98,7 +98,7 @@ def line_groups(lines, height_of):
     kept, height = kept[used], height[used]
     found = rows(middle[kept])
     kept = kept[found.order]
-    where = (found.points, found.start, base(found), height[found.order])
+    where = (found.points, found.start, found.base, height[found.order])
     return Groups(*where, np.hypot(*ends[kept, :2].T), count[kept], free[kept])
 
 

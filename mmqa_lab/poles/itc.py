@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
+from scipy.spatial import cKDTree
 
 from mmqa_lab.poles.common import (
+    cells,
     drop_duplicates,
     first_reason,
     height_above_ground,
@@ -126,7 +128,7 @@ def components(points, chosen, link_distance):
     component = np.full(len(points), -1)
     if chosen.any():
         cell, index = cells(points[chosen], link_distance)
-        component[chosen] = joined(*touching(index), len(index))[cell]
+        component[chosen] = joined(*_touching(index).T, len(index))[cell]
     return component
 
 
@@ -294,7 +296,7 @@ def planar_segments(points, settings):
     count, centre, values, normals = _planes(off, cell, on)
     centre += (index + 0.5) * settings.plane_cell
     flat = _is_flat(count, values, settings)
-    a, b = touching(index)
+    a, b = _touching(index).T
     linked = flat[a] & flat[b] & _agree(centre, normals, a, b, settings)
     part = joined(a[linked], b[linked], len(count))
     largest = np.lexsort([-count, part])
@@ -385,37 +387,6 @@ def _extents(centre, part, n):
     return np.column_stack([np.hypot(size[:, 0], size[:, 1]), size[:, 2]])
 
 
-def cells(points, size):
-    """Number of the occupied cell of each point, and the cells' indices, (k, 3)."""
-    index = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    spans = index.max(axis=0) + 3
-    key = (index[:, 0] * spans[1] + index[:, 1]) * spans[2] + index[:, 2]
-    keys, cell = np.unique(key, return_inverse=True)
-    rest, z = np.divmod(keys, spans[2])
-    x, y = np.divmod(rest, spans[1])
-    return cell, np.stack([x, y, z], axis=1)
-
-
-def touching(index):
-    """Pairs of occupied cells that share a face, an edge or a corner."""
-    spans = index.max(axis=0) + 3
-    key = ((index[:, 0] + 1) * spans[1] + index[:, 1] + 1) * spans[2] + index[:, 2] + 1
-    order = np.argsort(key)
-    sorted_key = key[order]
-    first, second = [], []
-    for step in _HALF:
-        other = key + (step[0] * spans[1] + step[1]) * spans[2] + step[2]
-        at = np.minimum(np.searchsorted(sorted_key, other), len(key) - 1)
-        found = np.flatnonzero(sorted_key[at] == other)
-        first.append(found)
-        second.append(order[at[found]])
-    return np.concatenate(first), np.concatenate(second)
-
-
-_HALF = [
-    (dx, dy, dz)
-    for dx in (-1, 0, 1)
-    for dy in (-1, 0, 1)
-    for dz in (-1, 0, 1)
-    if (dx, dy, dz) > (0, 0, 0)
-]
+def _touching(index):
+    """Pairs (k, 2) of occupied cells that share a face, an edge or a corner."""
+    return cKDTree(index).query_pairs(1.5, p=np.inf, output_type="ndarray")

@@ -19,10 +19,8 @@ from importlib import resources
 import numpy as np
 
 from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.axes import shaft_diameter
 from mmqa_lab.poles.candidates import candidates
 from mmqa_lab.poles.common import (
-    base,
     beside,
     drop_duplicates,
     first_reason,
@@ -30,6 +28,7 @@ from mmqa_lab.poles.common import (
     near_axis,
     pole_table,
     rows,
+    shaft_diameter,
 )
 from mmqa_lab.poles.features import FACADE_NAMES, NAMES, describe, describe_facades
 from mmqa_lab.poles.profiles import in_order
@@ -131,7 +130,7 @@ def described(points, settings, *, lines=None):
         stacks = groups.line_groups(ordered, lambda at: height_above_ground(thin, at=at))
         xy, given = _with_stacks(xy, given, stacks)
     sorted_thin = rows(thin)
-    where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, base(sorted_thin))
+    where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(*where, xy, given)
     ground = _ground_at(thin, height, axes)
     features = np.column_stack([features, describe_facades(thin, height, axes)])
@@ -206,7 +205,7 @@ def _diameters(points, lines, table, radius):
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
         lean = np.array([table["lean_x"][k], table["lean_y"][k]])
-        near = near_axis(found.points, found.start, base(found), x, y, reaches[k])
+        near = near_axis(found.points, found.start, found.base, x, y, reaches[k])
         part = found.points[near]
         inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
         part, number = part[inside], chosen[found.order[near[inside]]]

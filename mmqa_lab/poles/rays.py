@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
-from mmqa_lab.poles.common import base, beside, near_axis, rows
+from mmqa_lab.poles.common import beside, near_axis, rows
 from mmqa_lab.poles.features import longest_run
 
 REACH_M = 0.7
@@ -72,7 +72,7 @@ def describe(lines, axes, ground):
     chosen = beside(lines.points, axes[:, :2], REACH_M)
     found = rows(lines.points[chosen])
     features = np.zeros((len(axes), len(NAMES)))
-    where = (found.points, found.start, base(found), chosen[found.order])
+    where = (found.points, found.start, found.base, chosen[found.order])
     _all(*lines, *where, np.ascontiguousarray(axes[:, :5]), ground, features)
     return features
 

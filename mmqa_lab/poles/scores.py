@@ -265,7 +265,9 @@ def score(
     target = _is_target(references)
     inside = np.ones(len(found), dtype=bool)
     if corridor is not None:
-        path = _path(trajectory)
+        if trajectory is None:
+            raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
+        path = check_plan(trajectory, name="trajectory")
         corridor = check_positive(corridor, "corridor", unit="m")
         target &= path_distance(_plan(references, "references"), path) <= corridor
         inside = path_distance(_plan(found, "detections"), path) <= corridor
@@ -319,13 +321,10 @@ def _in_regions(found, references):
     """Which detections lie within an ignored region."""
     if "radius_m" not in references or not len(found):
         return np.zeros(len(found), dtype=bool)
-    regions = references[references["radius_m"].to_numpy(float) > 0]
-    inside = np.zeros(len(found), dtype=bool)
-    if len(regions):
-        tree = cKDTree(_plan(found, "detections"))
-        for row in regions.itertuples():
-            inside[tree.query_ball_point([row.x_m, row.y_m], row.radius_m)] = True
-    return inside
+    regions = references[references["radius_m"] > 0]
+    places = regions[["x_m", "y_m"]].to_numpy(float)
+    off = _plan(found, "detections")[:, None] - places
+    return (np.hypot(*np.moveaxis(off, -1, 0)) <= regions["radius_m"].to_numpy()).any(axis=1)
 
 
 def curve(detections: pd.DataFrame, references: pd.DataFrame, **choices) -> pd.DataFrame:
@@ -369,10 +368,3 @@ def curve(detections: pd.DataFrame, references: pd.DataFrame, **choices) -> pd.D
     frame["recall"] = frame["hits"] / total if result.recall.n else np.nan
     frame["precision"] = frame["hits"] / (frame["hits"] + frame["false"])
     return frame
-
-
-def _path(trajectory):
-    """Plan coordinates of a trajectory."""
-    if trajectory is None:
-        raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
-    return check_plan(trajectory, name="trajectory")

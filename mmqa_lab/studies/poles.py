@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab import io, poles, samples, stats
+from mmqa_lab import io, poles, samples, simulate, stats
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.published import ledger
@@ -54,6 +54,12 @@ CHANGES = {
     "5 people per 100 m": {"pedestrians_per_100m": 5.0},
 }
 """Changes of the plan by name; all else, the places of all things included, stays."""
+
+SHAFTS_M = {
+    "diameter": (0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.9),
+    "height": (1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0),
+}
+"""Bare shafts of :func:`bare_shafts`, m."""
 
 METHODS = {name: partial(poles.detect, method=name) for name in poles.METHODS}
 """The detectors of the package as functions of a cloud."""
@@ -135,6 +141,62 @@ def _driven_back(made, scanner, seed, speed):
     cloud = scan_all(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
     line = cloud["scan_line"] + 1_000_000
     return Cloud(cloud.points, dict(cloud.columns) | {"scan_line": line})
+
+
+def bare_shafts(scanner="roamer", *, seed):
+    """Return the cloud of 64 bare shafts along an empty road, and their truth.
+
+    Parameters
+    ----------
+    scanner : Scanner or str
+        As for :mod:`mmqa_lab.simulate.streets`.
+    seed : int
+        Of their places.
+
+    Returns
+    -------
+    Cloud, DataFrame
+        ``x_m``, ``y_m``, ``z_base_m``, ``height_m``, ``diameter_m``: eight diameters from 0.06 to
+        0.9 m by eight heights from 1.2 to 10 m, 4 to 9 m beside the path.
+    """
+    rng = np.random.default_rng(seed)
+    truth = pd.DataFrame(grid(diameter_m=SHAFTS_M["diameter"], height_m=SHAFTS_M["height"]))
+    truth = truth.iloc[rng.permutation(len(truth))].reset_index(drop=True)
+    sides = np.where(np.arange(len(truth)) % 2, 1, -1)
+    truth["x_m"] = sides * rng.uniform(4, 9, len(truth))
+    truth["y_m"] = 2 + np.arange(len(truth)) + rng.uniform(-0.2, 0.2, len(truth))
+    truth["z_base_m"] = 0.0
+    surfaces = [simulate.ground()]
+    for one in truth.itertuples():
+        foot = np.array([one.x_m, one.y_m, 0.0])
+        surfaces.append(simulate.cylinder(foot, foot + [0, 0, one.height_m], one.diameter_m / 2))
+    scanner = streets.SCANNERS[scanner] if isinstance(scanner, str) else scanner
+    path = simulate.straight(len(truth) + 2.0, 14.0)
+    return scan_all(simulate.Scene(surfaces), scanner, path, seed=seed), truth
+
+
+def reliability(detections, bins=5):
+    """Return what share of the detections are right, by their score: is it a probability?
+
+    Parameters
+    ----------
+    detections : DataFrame
+        Of :class:`mmqa_lab.poles.Score`, of one or several streets; ignored ones do not count.
+    bins : int
+        Of equal width from 0 to 1.
+
+    Returns
+    -------
+    DataFrame
+        ``low``, ``high`` (of the score), ``n``, ``mean_score``, ``right`` (share).
+    """
+    counted = detections[detections["outcome"].isin(["hit", "false", "duplicate"])]
+    number = np.minimum((counted["score"] * bins).astype(int), bins - 1)
+    right = counted["outcome"] == "hit"
+    made = counted.assign(right=right).groupby(number)
+    table = made.agg(n=("right", "size"), mean_score=("score", "mean"), right=("right", "mean"))
+    ends = {"low": table.index / bins, "high": (table.index + 1) / bins}
+    return pd.DataFrame(ends, index=table.index).join(table).reset_index(drop=True)
 
 
 def counts(found, truth):
