@@ -601,13 +601,12 @@ def _shared_planes(placed, groups, cell, most, roughness, rng):
 
     seeds = _seeds(placed, groups, cell, roughness)
     seeds = seeds.iloc[rng.permutation(len(seeds))]
-    side = np.abs(seeds[["nx", "ny", "nz"]].to_numpy()).argmax(axis=1)
-    turn = pd.Series(side).groupby(side).cumcount().to_numpy()
+    turn = seeds.groupby("side").cumcount()
     centres = seeds[["x", "y", "z"]].to_numpy()
     taken = np.empty((0, 3))
     found = []
     tree = cKDTree(placed)
-    for k in np.lexsort((side, turn)):  # sides by turns
+    for k in np.lexsort((seeds["side"], turn)):  # sides by turns
         if len(found) == most:
             break
         if len(taken) and np.abs(taken - centres[k]).max(axis=1).min() < 0.7 * cell:
@@ -663,13 +662,22 @@ def _known_heights(placed, control, origin, radius=0.3, fewest=12):
     return found
 
 
-def _seeds(placed, groups, cell, roughness):
+def _seeds(placed, groups, cell, roughness, fewest=20):
     """Cubes in which two or more groups each show a plane: a row of the first group of each."""
-    planes = _planes_by_cube(placed, groups, cell)
-    flat = (planes["rms"] <= roughness) & (planes["narrow"] >= 5 * planes["rms"])
-    planes = planes[flat & (planes["narrow"] >= 0.1)]
-    shared = planes.groupby("cube")["n"].transform("size") > 1
-    return planes[shared].drop_duplicates("cube")
+    cube = np.floor(placed / cell).astype(np.int64)
+    number = np.ravel_multi_index((cube - cube.min(axis=0)).T, np.ptp(cube, axis=0) + 1)
+    order = np.lexsort((groups, number))
+    key = number[order] * (groups.max() + 1) + groups[order]
+    starts = np.append(0, np.flatnonzero(np.diff(key)) + 1)
+    n = np.diff(np.append(starts, len(order)))
+    centre, variance, axes, _ = _group_planes(placed[order], n)
+    rms, narrow = np.sqrt(variance[:, :2]).T
+    table = pd.DataFrame(centre, columns=["x", "y", "z"])
+    table["side"] = np.abs(axes[:, :, 0]).argmax(axis=1)
+    table["cube"] = number[order][starts]
+    flat = (rms <= roughness) & (narrow >= np.maximum(5 * rms, 0.1)) & (n >= fewest)
+    table = table[flat]
+    return table[table["cube"].duplicated(keep=False)].drop_duplicates("cube")
 
 
 def _common_plane(placed, near, group, roughness, rng, fewest=15):
@@ -693,24 +701,6 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
         and abs(planes[best].distances(plane.centre[None])[0]) < PATCH_GAP_M
     ]
     return np.concatenate(alike) if len(alike) > 1 else None
-
-
-def _planes_by_cube(placed, groups, cell, fewest=20):
-    """Table of the regression planes of the points of each cube and group."""
-    cube = np.floor(placed / cell).astype(np.int64)
-    cube -= cube.min(axis=0)
-    size = cube.max(axis=0) + 1
-    number = (cube[:, 0] * size[1] + cube[:, 1]) * size[2] + cube[:, 2]
-    order = np.lexsort((groups, number))
-    key = number[order] * (groups.max() + 1) + groups[order]
-    starts = np.append(0, np.flatnonzero(np.diff(key)) + 1)
-    n = np.diff(np.append(starts, len(order)))
-    centre, variance, axes, _ = _group_planes(placed[order], n)
-    table = pd.DataFrame(centre, columns=["x", "y", "z"])
-    table[["nx", "ny", "nz"]] = axes[:, :, 0]
-    table["rms"], table["narrow"] = np.sqrt(variance[:, :2]).T
-    table["cube"], table["n"] = number[order][starts], n
-    return table[table["n"] >= fewest]
 
 
 def _some(run, rng, share=100):

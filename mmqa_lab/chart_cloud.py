@@ -233,20 +233,14 @@ class CloudQuality(Shown):
         place = np.clip(((self.xy - low) / extent).astype(int), 0, BLOCKS - 1)
         counts = np.bincount(place[:, 0] * BLOCKS + place[:, 1], minlength=BLOCKS**2)
         density = self.n / whole.area
-        count = (areas > 0).sum()
-        error = np.sqrt(count / (count - 1) * ((counts - density * areas) ** 2).sum()) / whole.area
-        reach = stdtrit(count - 1, 0.975) * error
+        reach = _reach(counts - density * areas, (areas > 0).sum()) / whole.area
         return density, max(density - reach, 0.0), density + reach
 
     def _std_interval(self, block):
         """Interval of std, from the sums of squares in the blocks."""
         squares = (1000 * self.plane.residuals) ** 2
         sums = np.bincount(block, squares - squares.mean(), minlength=BLOCKS**2)
-        count = len(np.unique(block))
-        if count < 2:
-            return np.nan, np.nan
-        error = np.sqrt(count / (count - 1) * (sums**2).sum()) / self.n
-        reach = stdtrit(count - 1, 0.975) * error
+        reach = _reach(sums, len(np.unique(block))) / self.n
         return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 
 
@@ -323,8 +317,7 @@ def evaluate_cloud(
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     remarks = []
     if polygon is not None:
-        polygon, remarks = _polygon(polygon, points, thickness, cloud.crs)
-        inside = _inside(points, polygon, thickness)
+        polygon, inside, remarks = _selected(points, polygon, thickness, cloud.crs)
         _check_found(points, polygon, inside)
         points = points[inside]
     plane = fit_plane(points)
@@ -395,10 +388,10 @@ def inside_polygon(
     """
     crs = getattr(points, "crs", None)
     points = check_points(points, minimum=0)
-    parts, remarks = _polygon(polygon, points, thickness, crs)
+    _, inside, remarks = _selected(points, polygon, thickness, crs)
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
-    return _inside(points, parts, thickness)
+    return inside
 
 
 def chart_polygon(
@@ -467,6 +460,13 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
+def _reach(sums, count):
+    """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
+    if count < 2:
+        return np.nan
+    return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())
+
+
 def _remarks_on_points(gaps, step_mm, sigma_mm):
     """Sentences on coordinates too coarse for the figures, and on coincident points."""
     d1_mm, remarks = 1000 * gaps.d[0], []
@@ -494,8 +494,10 @@ def _step(points):
     return np.nan
 
 
-def _polygon(polygon, points, thickness, crs):
-    """The parts of a polygon with heights, and what there is to say of it."""
+def _selected(points, polygon, thickness, crs):
+    """The parts of a polygon with heights, the mask of the points in it, and remarks on it."""
+    import shapely
+
     thickness = check_positive(thickness, "thickness", unit="m")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -518,26 +520,18 @@ def _polygon(polygon, points, thickness, crs):
             f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
             f"than {1000 * thickness:.0f} mm from that plane do not count."
         )
-    return parts, remarks
-
-
-def _inside(points, parts, thickness):
-    """Which points the parts of a polygon select."""
-    import shapely
-
-    plane = fit_plane(np.concatenate([ring for rings in parts for ring in rings]))
     near = np.abs(plane.distances(points)) <= thickness
     x, y = plane.project(points[near]).T
     near[near] = shapely.contains_xy(_outline(parts, plane), x, y)
-    return near
+    return parts, near, remarks
 
 
 def _check_found(points, parts, inside):
     """Raise where a polygon has fewer than three points; say where the cloud is."""
     if inside.sum() >= 3:
         return
-    centre = np.concatenate([ring for rings in parts for ring in rings]).mean(axis=0)
-    away = np.linalg.norm(points - centre, axis=1).min()
+    centre = parts[0][0].mean(axis=0)  # in plan where the polygon has no heights
+    away = np.linalg.norm(points[:, : len(centre)] - centre, axis=1).min()
     low, high = points.min(axis=0), points.max(axis=0)
     extent = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))
     raise ValueError(
@@ -553,7 +547,7 @@ def _draped(parts, points):
     parts = [[ring[:, :2] for ring in rings] for rings in parts]
     outline = shapely.union_all([_area(*rings) for rings in parts])
     inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
-    _check_found(points, [[_at_mean(ring, points) for ring in rings] for rings in parts], inside)
+    _check_found(points, parts, inside)
     plane = fit_plane(points[inside], robust=True)
     if abs(plane.normal[2]) < STEEPEST:
         raise ValueError(
@@ -567,11 +561,6 @@ def _draped(parts, points):
         return np.column_stack([ring, plane.centre[2] + (ring - plane.centre[:2]) @ slopes])
 
     return [[lifted(ring) for ring in rings] for rings in parts]
-
-
-def _at_mean(ring, points):
-    """A ring in plan at the mean height of points."""
-    return np.column_stack([ring, np.full(len(ring), points[:, 2].mean())])
 
 
 def _outline(parts, plane):

@@ -245,7 +245,9 @@ def split_drives(gps_time, *, gap_s=3600.0):
     return number
 
 
-def plan_differences(points, targets, *, slices=None, search=0.4, gate=0.5, tolerance=0.03, seed=0):
+def plan_differences(
+    points, targets, *, slices=None, search=0.4, gate=0.5, tolerance=0.03, gross_limit=None, seed=0
+):
     """Measure the plan positions of targets in a cloud.
 
     In each slice of height the points near a pole get a circle, robustly (Cauchy loss of the
@@ -269,6 +271,9 @@ def plan_differences(points, targets, *, slices=None, search=0.4, gate=0.5, tole
         A corner farther from the reference is another one, m.
     tolerance : float
         Points up to this far from a line belong to it, m.
+    gross_limit : float, optional
+        Largest distance in plan of a difference from the median, m. By default five times the
+        standard deviation that the median of these distances stands for, but 1 cm at least.
     seed : int
         Of the pairs of points that lines are tried through.
 
@@ -277,7 +282,7 @@ def plan_differences(points, targets, *, slices=None, search=0.4, gate=0.5, tole
     DataFrame
         One row a target and slice: ``name``, ``kind``, ``x_m``, ``y_m``, ``height_m`` (middle of
         the slice), ``n`` points used, ``dx_m``, ``dy_m`` (cloud minus reference), ``reason`` there
-        are none.
+        are none, or "gross error": a line or circle of something else. Such rows keep their values.
 
     Raises
     ------
@@ -330,7 +335,9 @@ def plan_differences(points, targets, *, slices=None, search=0.4, gate=0.5, tole
             named = {"name": target.get("name", number), "kind": kind}
             named |= {"x_m": target["x_m"], "y_m": target["y_m"], "height_m": (low + high) / 2}
             rows.append(named | dict(zip(("dx_m", "dy_m", "n", "reason"), found, strict=True)))
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    table.loc[_far(table, gross_limit), "reason"] = "gross error"
+    return table
 
 
 def plan_accuracy(table):
@@ -510,7 +517,7 @@ def _summary(values):
     known = values if len(values) else np.array([np.nan])
     return {
         "n": found.n,
-        "mean_mm": found.bias,
+        "mean_mm": round(found.bias, 9) + 0.0,  # never -0
         "median_mm": found.median,
         "min_mm": known.min(),
         "max_mm": known.max(),
@@ -641,6 +648,15 @@ def _slopes(offsets, group, count):
     normal = np.moveaxis(normal, -1, 0) + 1e-12 * np.eye(3)
     plane = np.linalg.solve(normal, right.T[..., None])[..., 0]
     return np.degrees(np.arctan(np.hypot(plane[:, 1], plane[:, 2])))
+
+
+def _far(table, limit):
+    """Which measured differences in plan lie too far from their median."""
+    used = table["reason"] == ""
+    off = np.hypot(*(table[["dx_m", "dy_m"]] - table.loc[used, ["dx_m", "dy_m"]].median()).T.values)
+    if limit is None:  # the median of normal errors in two directions is root(2 ln 2) of one
+        limit = max(GROSS * np.median(off[used]) / np.sqrt(2 * np.log(2)), 0.01) if any(used) else 1
+    return used & (off > check_positive(limit, "gross_limit", unit="m"))
 
 
 def _circle(xy, diameter, search):

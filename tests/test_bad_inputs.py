@@ -23,6 +23,8 @@ SEGMENTS = "0,0,0,5,0,0\n0,1,0,5,1,0\n0,2,0,0,2,3\n"
 
 CASES = [
     # clouds
+    ("info none.laz", "none.laz: no such file. Must exist."),
+    ("info notes.md", "Must be one of .las, .laz"),
     ("evaluate none.laz", "none.laz: no such file. Must exist."),
     ("evaluate notes.md", "Must be one of .las, .laz"),
     ("evaluate cut.laz", "Must be a complete LAS or LAZ file."),
@@ -52,8 +54,8 @@ CASES = [
     ("poles PATCH --reference none.csv", "no such file. Must exist."),
     ("poles PATCH --reference words.csv", "x_m"),
     ("map none.laz --out m.nc", "no such file or folder. Must exist."),
-    ("map nothing --out m.nc", "Must be, or hold, .las or .laz files."),
-    ("map notes.md --out m.nc", "Must be, or hold, .las or .laz files."),
+    ("map nothing --out m.nc", "Must be, or contain, .las or .laz files."),
+    ("map notes.md --out m.nc", "Must be, or contain, .las or .laz files."),
     ("map four_bytes.laz --out m.nc", "Must have a header."),
     ("map PATCH --out m.docx", "'.docx'. Must be one of .nc, .zarr, .tif."),
     ("map PATCH --out m.tif", "no coordinate reference system in the files"),

@@ -73,7 +73,7 @@ def test_frames_and_datasets_there_and_back():
     assert again["ring"].tolist() == [1, 2, 3, 4]
     data = CLOUD.to_xarray()
     assert data["z_m"].attrs["units"] == "m"
-    assert data.attrs == {"name": "c", "resolution_m": 0.001}
+    assert data.attrs == {"name": "c", "resolution_m": 0.001, "crs_wkt": ""}
     assert np.array_equal(data.to_dataframe()["ring"], CLOUD["ring"])
 
 

@@ -1,6 +1,7 @@
 """The command line as its users meet it: one sentence, status 2, nothing half-written."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -97,7 +98,7 @@ def test_every_command_explains_itself_with_an_example(capsys):
             main([name, "--help"])
         assert stop.value.code == 0
         manual = capsys.readouterr().out
-        assert f"mmqa {name}" in manual.split("example:")[1]
+        assert f"mmqa {name}" in re.split("examples?:", manual)[1]
 
 
 def test_unknown_study_is_named(capsys):

@@ -69,6 +69,29 @@ def test_image_prints_a_table_for_people(photo, capsys):
     assert any(line.split()[:2] == ["w_h_mm", "24"] for line in lines)
 
 
+def test_images_that_cannot_be_read_have_their_row(photo, capsys, tmp_path):
+    folder, _ = photo
+    (tmp_path / "words.png").write_text("no image")
+    files = [str(tmp_path / "none.png"), str(folder / "photo.png"), str(tmp_path / "words.png")]
+    assert main(["image", *files, "--chart", str(folder / "own.json"), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["file"] for row in rows] == [files[1], files[0], files[2]]
+    assert rows[0]["w_h_mm"] == 24
+    assert rows[1]["w_h_mm"] is None
+    assert "no such file" in rows[1]["remark"]
+    assert "Must be JPEG" in rows[2]["remark"]
+
+
+def test_a_wrong_layout_is_doubted(photo, capsys, tmp_path):
+    folder, corners = photo
+    other = charts.imaging_chart(widths_h=(33, 27, 21), widths_v=(26, 22), texts=())
+    (tmp_path / "other.json").write_text(other.to_json())
+    call = ["image", str(folder / "photo.png"), "--chart", str(tmp_path / "other.json")]
+    assert main([*call, "--corners", corners, "--json"]) == 0
+    remark = json.loads(capsys.readouterr().out)[0]["remark"]
+    assert "not even the coarsest line pairs are resolved in direction h" in remark
+
+
 IMAGE_FAULTS = {
     "no file": (["none.png"], "no such file"),
     "no image": (["own.json", "--chart", "own.json"], "Must be JPEG, PNG or TIFF"),

@@ -524,6 +524,20 @@ def test_e57_says_what_to_install_or_reads(tmp_path, cloud):
     assert again["intensity"].tolist() == [1.0] * len(cloud)
 
 
+def test_the_coordinate_system_is_read_and_written_again(tmp_path, cloud):
+    placed = Cloud(cloud.points, crs="EPSG:25832")
+    write_cloud(tmp_path / "c.laz", placed)
+    again = read_cloud(tmp_path / "c.laz")
+    assert again.crs == again[:3].crs == placed.crs
+    assert read_cloud(tmp_path / "c.laz", columns=()).to_xarray().attrs["crs_wkt"]
+    both = Cloud.concatenate([again, Cloud(cloud.points)])
+    assert both.crs == placed.crs
+    with pytest.raises(ValueError, match="Must be in one"):
+        Cloud.concatenate([again, Cloud(cloud.points, crs="EPSG:25833")])
+    with pytest.raises(ValueError, match="Invalid crs 'nowhere'"):
+        Cloud(cloud.points, crs="nowhere")
+
+
 def test_a_cloud_knows_the_step_of_its_coordinates(tmp_path, cloud):
     write_cloud(tmp_path / "c.laz", cloud, scale=0.01)
     assert read_cloud(tmp_path / "c.laz").resolution == 0.01

@@ -237,7 +237,62 @@ def test_the_displaced_matcher_knows_the_displacement():
     found = match_displaced(*two(scene))
     true = scene.displacements("C1", "TLS").mean(axis=0)
     assert np.linalg.norm(found.displacement.vector - true) < 0.1
-    assert match_displaced(*two(scene), radius=1.0).pairs.sum() < found.pairs.sum()
+
+
+def test_a_displacement_beyond_the_radius_is_found_or_unknown(scene):
+    test, model = two(scene)
+    here = match_displaced(test, model)
+    away = np.array([6.0, -5.0, 1.0])
+    with pytest.warns(UserWarning, match="beyond the radius of 3 m"):
+        found = match_displaced(test.moved(away), model, radius=3.0)
+    np.testing.assert_array_equal(found.pairs, here.pairs)
+    np.testing.assert_allclose(
+        found.displacement.vector - away, here.displacement.vector, atol=0.02
+    )
+    lost = match_displaced(test.moved([30.0, 25.0, 0]), model, radius=3.0)
+    assert np.isnan(lost.displacement.vector).all()
+    assert not lost.pairs.any()
+
+
+@pytest.mark.parametrize("degrees", [-0.5, 0.1, 0.3])
+def test_a_turn_about_the_vertical_is_estimated(scene, degrees):
+    test, model = two(scene)
+    turn = np.radians(degrees)
+    rotation = [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    centre = test.midpoints.mean(axis=0)
+    turned = test.transformed(rotation, centre - rotation @ centre)
+    before, after = (match_displaced(one, model) for one in (test, turned))
+    assert after.pairs.sum() >= 0.9 * before.pairs.sum()
+    change = after.displacement.turn_deg - before.displacement.turn_deg
+    # the prior of 0.4 degrees and other pairs at the ends of the streets
+    assert change == pytest.approx(degrees, abs=0.06)
+    assert 0.01 < after.displacement.turn_sigma_deg < 0.2
+
+
+def test_displacements_are_covered_in_absolute_and_repeatability_comparisons():
+    inside = []
+    for seed in range(3000, 3008):
+        scene = canyon(seed)
+        for names in (("C1", "TLS"), ("C1", "C3")):
+            found = match_displaced(*two(scene, names)).displacement
+            error = found.vector - scene.displacements(*names).mean(axis=0)
+            inside.append(error @ np.linalg.solve(found.covariance, error) < 7.81)
+    assert np.mean(inside) >= 0.85  # 16 comparisons: 95 % less two standard errors
+
+
+def test_the_parts_of_a_distance_add_up_and_are_known(scene):
+    """Lines displaced, shifted along and with false partners, each by a known amount."""
+    model = scene.edges
+    still = lhd(model, model, pairs=np.eye(len(model), dtype=bool)).split()
+    assert still["value_m"].abs().max() < 1e-3
+    moved = lhd(model.moved([0.4, 0.3, 0]), model, pairs=np.eye(len(model), dtype=bool))
+    parts = moved.split().set_index("part")
+    assert parts.loc["displacement", "value_m"] == pytest.approx(moved.perpendicular_only, abs=0.01)
+    assert parts["value_m"].iloc[:-1].sum() == pytest.approx(moved.value)
+    found = lhd(*two(scene)).split(truth=scene.pairs("C1", "TLS"))
+    assert found["value_m"].iloc[:-1].sum() == pytest.approx(found["value_m"].iloc[-1])
+    assert (found["low_m"] <= found["value_m"] + 1e-9).all()
+    assert (found["value_m"] <= found["high_m"] + 1e-9).all()
 
 
 def test_unrelated_lines_have_no_common_displacement(rng):

@@ -8,6 +8,7 @@ import pytest
 
 from mmqa_lab import samples
 from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 
 PATCH = str(samples.path("road_patch"))
 QUICK = ["--workers", "1", "--radius", "0.2", "--cell", "0.25"]
@@ -66,6 +67,21 @@ def test_rho0_needs_spacing(tmp_path, capsys):
     given = ["map", PATCH, "--out", str(tmp_path / "m.nc"), "--metrics", "density"]
     assert main([*given, "--rho0", "3000"]) == 2
     assert "metric for --rho0" in capsys.readouterr().err
+
+
+def test_gaps_and_coarse_coordinates_are_said(rng):
+    from mmqa_lab import maps
+
+    points = rng.random((6000, 3)) * [4, 4, 0.01]
+    gap = (np.abs(points[:, :2] - 2) < 1.1).all(axis=1)  # 4 x 4 cells of half a metre
+    whole, holed = (maps.map_cloud(p, metrics=("spacing",)) for p in (points, points[~gap]))
+    assert (maps.summarise(whole)["remarks"] == "").all()
+    said = maps.summarise(holed)["remarks"]
+    assert said.str.startswith("16 cells (4 m2) without points lie between others").all()
+    coarse = maps.map_cloud(Cloud(points, resolution=0.02), metrics=("spacing",))
+    table = maps.summarise(coarse).set_index("variable")
+    assert "steps of 20 mm" in table["remarks"]["d1"]
+    assert table["remarks"]["incomplete_share"] == ""
 
 
 def test_geotiff_and_zarr_hold_the_same_numbers_at_the_same_places(tmp_path):

@@ -14,6 +14,7 @@ from mmqa_lab.mtf import (
 )
 from mmqa_lab.simulate.targets import (
     PointSpread,
+    _render,
     blur_over_image,
     render_bars,
     render_edge,
@@ -97,6 +98,33 @@ def test_star_within_two_hundredths(half, sigma, rng):
     assert star.fwhm_px == pytest.approx(spread.fwhm(0), rel=0.05)
     # rendered levels; the middle of the sectors does not reach them under the wider blur
     assert star.levels == pytest.approx((0.1, 0.6), abs=0.002)
+
+
+@pytest.mark.parametrize(("radius", "tilt"), [(70, 0), (70, 15), (110, 30)])
+def test_tilted_stars_and_the_small_star_of_the_report(radius, tilt, rng):
+    spread, n, shrink = PointSpread(0.7), 36, np.cos(np.radians(tilt))
+    centre, (c, s) = np.array([0.3, -0.2]), (np.cos(0.6), np.sin(0.6))
+
+    def distance(x, y):
+        """Into the bright sectors of a star that is foreshortened along a direction."""
+        x, y = x - centre[0], y - centre[1]
+        u, v = (x * c + y * s) / shrink, y * c - x * s
+        phase = n * np.arctan2(v, u) / (2 * np.pi)
+        to_border = 0.25 - np.abs(phase - np.round(phase))
+        r = np.hypot(u, v)
+        return np.minimum(r * np.sin(2 * np.pi * to_border / n), radius - r) * np.sqrt(shrink)
+
+    size = 2 * radius + 16
+    image = _render((size, size), spread, distance, 0.1, 0.6)
+    image = image + 0.005 * rng.standard_normal(image.shape)
+    middle = centre + (size - 1) / 2
+    star = measure_star(image, middle + [0.3, -0.4], cycles=n, radius_px=radius)
+    low = star.frequency <= 0.45
+    error = (star.mtf - spread.mtf_mean(star.frequency))[low]
+    assert np.abs(error).max() < 0.01
+    assert (np.abs(error) < 1.96 * star.std[low]).mean() > 0.85
+    assert star.tilt_deg == pytest.approx(tilt, abs=1.5)
+    assert star.mtf50 == pytest.approx(spread.mtf50(0), abs=3 * star.mtf50_sigma + 0.001)
 
 
 def test_bars_are_resolved_down_to_a_width_and_no_further():

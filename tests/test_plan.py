@@ -103,9 +103,31 @@ def test_plan_takes_presets_and_plans_speed():
     assert answer["density_per_m2"] == pytest.approx(3000)
 
 
+def test_plan_of_a_system_is_that_of_its_heads():
+    status, out = plan("--system", "vmx-250", "--speed", 10, "--range", 8, "--json")
+    rows = {row["quantity"]: row for row in json.loads(out)}
+    assert status == 0
+    for number, heading in ((1, 45), (2, -45)):
+        given = ("--scanner", "vq-250", "--scanner-heading", heading, "--scanner-tilt", 45)
+        alone = json.loads(plan(*given, "--speed", 10, "--range", 8, "--json")[1])
+        found = {name: row[f"head_{number}"] for name, row in rows.items()}
+        assert found == pytest.approx(alone)
+    density = rows["density_per_m2"]
+    assert density["together"] == pytest.approx(density["head_1"] + density["head_2"])
+
+
+def test_plan_of_a_system_leaves_out_heads_that_look_away():
+    drive = ("--system", "vmx-250", "--speed", 10, "--range", 8)
+    _, out = plan(*drive, "--target-heading", -60, "--json")
+    assert set(json.loads(out)[0]) == {"quantity", "head_2", "together"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
+        ("--system sensei --speed 9 --range 5", "Invalid system 'sensei'. Must be one of roamer"),
+        ("--system lynx --range 5", "Invalid plan without --speed. Must have it."),
+        ("--system lynx --speed 9 --range 5 --sigma speed_m_s=1", "Invalid --sigma with --system."),
         ("--range 5", "Invalid plan without --pulse-rate."),
         ("--scanner vq-450 --range 5", "Invalid plan without --speed. Must have it."),
         ("--scanner vq-450 --speed 9 --range -5", "Invalid range_m -5.0. Must be > 0"),

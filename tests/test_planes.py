@@ -118,6 +118,18 @@ def test_paper_factor_is_offered_by_name():
     assert sigma_mad([-1, 0, 1], PAPER_SCALE) == pytest.approx(1.4862)  # Appendix A
 
 
+def test_sigma_mad_counts_from_the_median_and_not_from_zero(rng):
+    residuals = 5 + rng.exponential(2.0, 101)  # skew, so that median and mean differ too
+    expected = stats.median_abs_deviation(residuals, scale="normal")
+    assert sigma_mad(residuals) == pytest.approx(expected, rel=1e-4)
+
+
+def test_dispersion_of_a_saddle_of_four_points():
+    plane = fit_plane([[0, 0, 0.1], [1, 0, -0.1], [1, 1, 0.1], [0, 1, -0.1]])
+    assert plane.rms == pytest.approx(0.1)
+    assert plane.std == pytest.approx(0.1 * np.sqrt(4 / 3))  # n - 1 = 3
+
+
 def test_horizontal_axes(rng):
     plane = fit_plane(dyadic(rng, 100))
     level, slope = plane.horizontal_axes()

@@ -575,6 +575,7 @@ NAN = np.nan
         (("=", 40, np.inf), (40, NAN, NAN), "contradicted"),
         (("=", 40, np.inf), (41, NAN, NAN), "reproduced"),
         (("=", 40, np.inf), (np.inf, NAN, NAN), "reproduced"),
+        (("=", 40, np.inf), (39, 38, 41), "consistent"),
         (("=", NAN, NAN), (NAN, NAN, NAN), "reproduced"),
         (("=", NAN, NAN), (12.0, NAN, NAN), "contradicted"),
         (("<", -np.inf, 0.7), (0.6, NAN, NAN), "consistent"),

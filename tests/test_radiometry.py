@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.optimize import least_squares
+from scipy.stats import linregress
 
 from mmqa_lab.radiometry import (
     adjust_block,
@@ -29,6 +30,13 @@ def test_sensor_fit_is_ordinary_least_squares_where_weights_are_equal(rng):
     assert fit.offset == pytest.approx(offset, rel=1e-9)
     assert np.allclose(fit.radiance(dn), radiance + fit.residuals / fit.gain)
     assert fit.p_values[0] < 1e-10
+
+
+def test_p_values_of_few_targets_are_those_of_student(rng):
+    radiance = np.array([20.0, 60.0, 110.0, 180.0])
+    dn = 60 + 0.2 * radiance + rng.normal(0, 5, 4)
+    expected = linregress(radiance, dn).pvalue
+    assert fit_sensor(radiance, dn).p_values[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_two_standard_errors_hold_95_percent(rng):

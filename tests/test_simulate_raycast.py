@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from mmqa_lab import simulate
 from mmqa_lab.charts import point_chart, reflectance
-from mmqa_lab.simulate import Scene, surfaces
+from mmqa_lab.simulate import Scene
+from mmqa_lab.simulate.surfaces import disc, ellipsoid, foliage, kerb
 
 FAR = np.array([1e7, -4e6, 300.0])
 
@@ -68,7 +69,7 @@ def test_a_street_of_all_kinds_equals_brute_force(rng):
         surfaces.append(simulate.cylinder(place, top, radius, capped=False))
         ranges.append(cylinder_range(place, top, radius, origin, direction))
         radii = rng.uniform(0.1, 2, 3)
-        surfaces.append(simulate.ellipsoid(place, radii))
+        surfaces.append(ellipsoid(place, radii))
         ranges.append(ellipsoid_range(place, radii, origin, direction))
     ranges = np.array(ranges)
     hits = Scene(surfaces).cast(origin, direction)
@@ -137,7 +138,7 @@ def test_box_seen_from_inside_and_outside():
 
 def test_crown_lets_through_what_beer_and_lambert_say(rng):
     leaves, leaf, radius = 3000, 0.04, 2.0
-    crown = simulate.foliage((0, 0, 0), radius, leaves=leaves, leaf_radius=leaf, seed=4)
+    crown = foliage((0, 0, 0), radius, leaves=leaves, leaf_radius=leaf, seed=4)
     direction = unit(rng.standard_normal((20_000, 3)))
     gap = np.isnan(Scene([crown]).cast(-5 * direction, direction).range_m).mean()
     volume = 4 / 3 * np.pi * radius**3
@@ -168,7 +169,7 @@ def test_wall_openings_show_reveals_and_panes():
 
 
 def test_kerb_is_struck_below_its_top_and_passed_above_it():
-    scene = simulate.Scene([simulate.ground(), *surfaces.kerb([(4, -9, 0), (4, 0, 0), (5, 9, 0)])])
+    scene = simulate.Scene([simulate.ground(), *kerb([(4, -9, 0), (4, 0, 0), (5, 9, 0)])])
     directions = np.array([[1.0, 0, 0]] * 2)
     low, high = scene.cast([[0, -5, 0.11], [0, -5, 0.13]], directions).range_m
     assert low == pytest.approx(4, abs=1e-12)
@@ -176,7 +177,7 @@ def test_kerb_is_struck_below_its_top_and_passed_above_it():
     turned = scene.cast([[0, 4.5, 0.05]], directions[:1]).range_m[0]
     assert turned == pytest.approx(4.5, abs=1e-12)  # half way along the second stretch
     with pytest.raises(ValueError, match="Invalid line"):
-        surfaces.kerb([(4, 0, 0)])
+        kerb([(4, 0, 0)])
 
 
 def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
@@ -186,7 +187,7 @@ def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
         surfaces = [
             simulate.ground(-20 + shift[2], centre=shift[:2]),
             simulate.cylinder(shift + [3, 3, -20], shift + [3, 4, 20], 2.0, top_radius=1.0),
-            simulate.ellipsoid(shift + [-8, 0, 0], (1, 2, 3)),
+            ellipsoid(shift + [-8, 0, 0], (1, 2, 3)),
             simulate.box(shift + [0, 9, -20], (3, 5, 30), heading=20),
         ]
         return Scene(surfaces).cast(origin + shift, direction)
@@ -221,7 +222,7 @@ def test_another_ray_caster_agrees(rng):
 
 
 def test_many_equal_boxes_do_not_break_the_tree():
-    stack = [simulate.ellipsoid((0, 0, 0), 1.0) for _ in range(300)]
+    stack = [ellipsoid((0, 0, 0), 1.0) for _ in range(300)]
     hits = Scene(stack).cast([[5, 0, 0]], [[-1, 0, 0]])
     assert hits.range_m[0] == pytest.approx(4, abs=1e-12)
 
@@ -232,8 +233,8 @@ def test_many_equal_boxes_do_not_break_the_tree():
         (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
         (lambda: simulate.cylinder((0, 0, 0), (0, 0, 0), 1), "Must differ from the base"),
         (lambda: simulate.cylinder((0, 0, 0), (0, 0, 1), 0), "Invalid radius 0. Must be > 0 m."),
-        (lambda: surfaces.disc((0, 0, 0), (0, 0, 0), 1), "Invalid normal"),
-        (lambda: simulate.ellipsoid((0, 0, 0), (1, -1, 1)), "Invalid radii -1"),
+        (lambda: disc((0, 0, 0), (0, 0, 0), 1), "Invalid normal"),
+        (lambda: ellipsoid((0, 0, 0), (1, -1, 1)), "Invalid radii -1"),
         (lambda: simulate.board((0, 0, 0), 1, 1, reflectance=2), "Must be between 0 and 1"),
         (lambda: simulate.polygon([(0, 0, 0), (1, 0, 0), (2, 0, 0)]), "one line"),
         (lambda: simulate.polygon([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1)]), "Must be flat"),

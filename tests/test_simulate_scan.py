@@ -10,6 +10,7 @@ from scipy.stats import kstest
 from mmqa_lab import io, simulate
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, Scene, Trajectory
 from mmqa_lab.simulate.scan import draws
+from mmqa_lab.simulate.surfaces import ellipsoid
 
 SPEED = 10.0
 PROFILER = ProfileScanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)
@@ -243,7 +244,7 @@ def test_boresight_error_turns_the_cloud_about_the_scanner():
 
 def test_hdl_32e_fires_its_beams_in_order_all_round():
     scanner = replace(simulate.presets.HDL_32E, range_noise_m=0, lever_arm_m=(0, 0, 2))
-    ball = Scene([simulate.ellipsoid((0, 0, 2), 20.0)])
+    ball = Scene([ellipsoid((0, 0, 2), 20.0)])
     cloud = scan(ball, scanner, Trajectory([0, 0.2], [[0, 0, 0], [0, 0, 0]]))
     ray = cloud.points - [0, 0, 2]
     elevation = np.degrees(np.arcsin(ray[:, 2] / 20))

@@ -66,6 +66,15 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
     assert len(set(ids)) == len(ids) == 2 * len(answers)
 
 
+def test_a_class_can_have_small_parameters(tmp_path):
+    assert main(["student", str(tmp_path), "mimic", "--quick"]) == 0
+    cells = nbformat.read(tmp_path / "05_mimic.ipynb", as_version=4).cells
+    place = next(k for k, c in enumerate(cells) if "parameters" in c.metadata.get("tags", []))
+    small = run(cells[place + 1].source)
+    (study,) = (study for study in STUDIES if study.stem == "mimic")
+    assert {name: small[name] for name in study.module.QUICK} == study.module.QUICK
+
+
 def test_stored_outputs_stay_with_the_teacher(tmp_path):
     """The answer would otherwise be readable below the empty exercise."""
     output = nbformat.v4.new_output("stream", text="the answer is 36")

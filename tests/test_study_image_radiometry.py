@@ -163,7 +163,10 @@ def test_ledger_entries_are_cells_of_the_report_and_say_how_comparable_they_are(
         laboratory=laboratory,
     )
     found = pd.DataFrame(rows).set_index("cell")
-    assert len(found) == 19
+    assert len(found) == 20
+    # half the diagonal of 166 mm x 92 mm behind 120 mm
+    angle = np.degrees(np.arctan(np.hypot(165.888, 92.16) / 240))
+    assert found.loc["brf_view_angles", "value"] == pytest.approx(angle)
     assert (found["note"] != "").all()
     assert found.loc["corner_factor", ["low", "value", "high"]].tolist() == [1.4, 1.5, 1.6]
     assert found.loc["dmc_intercept", "value"] == pytest.approx(0.1)

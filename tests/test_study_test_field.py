@@ -36,9 +36,10 @@ def test_reference_lies_on_the_true_ground_but_where_snow_is(street):
     assert 0.3 < len(snowy) / len(points) < 0.7
 
 
-def test_targets_reach_45_m_from_the_paths(street):
+def test_targets_reach_45_m_from_the_paths():
+    street = make_testfield(length_m=120, seed=1)
     x = street.targets["x_m"] - street.origin[0]
-    assert 40 < (2.5 - x).max() < 48
+    assert 45 < (2.5 - x).max() < 48
     assert set(street.targets["kind"]) == {"pole", "building", "curb"}
 
 
@@ -68,12 +69,14 @@ def test_fit_gives_the_figure_it_is_fitted_to(street, known):
     assert found["height_std_mm"].median() == pytest.approx(39, abs=0.5)
 
 
-def test_places_are_those_within_reach(street):
-    found = study.places(street, {"there": 9.0})
-    assert list(found["ground"]) == ["there"]
+def test_places_are_those_within_reach_and_in_view(street):
+    both = study.places(street, EXACT, {"there": 11.0, "back": 20.0})
     path = street.origin[0] + 2.5
-    assert np.abs(found["ground"]["there"][:, 0] - path).max() <= 9.0
-    assert np.abs(found["targets"]["there"][:, 0] - path).max() <= 45.0
+    assert 9 < np.abs(both["ground"]["there"][:, 0] - path).max() <= 11.0
+    assert 38 < np.abs(both["targets"]["there"][:, 0] - path).max() <= 45.0
+    right = study.places(street, system("sensei"))
+    assert right["ground"]["there"][:, 0].min() > path
+    assert right["ground"]["back"][:, 0].max() < street.origin[0] - 2.5
 
 
 def test_published_rows_are_those_of_the_tables():

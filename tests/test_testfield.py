@@ -161,6 +161,19 @@ def test_corner_of_two_walls_and_of_one(rng):
     assert plan_differences(cloud[:n], corners)["reason"].item() == "one line"
 
 
+def test_gross_errors_in_plan_do_not_count(rng):
+    places = np.column_stack([10.0 * np.arange(12), np.zeros(12)])
+    errors = rng.normal(0, 0.01, (12, 2))
+    errors[5] = [0.2, 0.1]
+    posts = [
+        arc(place + off, 0.1, 0.0, rng, 400) for place, off in zip(places, errors, strict=True)
+    ]
+    poles = pd.DataFrame(places, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.2)
+    found = plan_differences(np.vstack(posts), poles)
+    assert set(found.loc[found["reason"] == "gross error", "name"]) == {5}
+    assert set(plan_differences(np.vstack(posts), poles, gross_limit=1.0)["reason"]) == {""}
+
+
 def test_plan_accuracy_removes_easting_and_northing_separately():
     table = pd.DataFrame({"dx_m": [0.02, 0.04], "dy_m": [0.0, 0.0], "reason": ["", ""]})
     kept, removed = plan_accuracy(table).to_dict("records")
@@ -320,3 +333,8 @@ def test_command_needs_heights_or_targets(surveyed, capsys):
     pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
     assert main(["accuracy", cloud, "--targets", str(file)]) == 2
     assert "no column 'z'" in capsys.readouterr().err
+
+
+def test_le90_counts_differences_of_either_sign():
+    table = pd.DataFrame({"dz_m": np.arange(-10, 1) / 1000, "reason": ""})
+    assert height_accuracy(table)["le90_mm"].tolist() == pytest.approx([9.0, 5.0])

@@ -35,6 +35,12 @@ MARGIN_PX = 16
 
 CAMERAS = ("plain", "panorama")
 
+LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
+"""Beyond these a remark doubts the figures."""
+
+MODEL_SHARE = 0.005
+"""Share of MTF50 that the models of edge and chart err by, from simulated photographs."""
+
 OUTLINES = {True: "C5", False: "C1"}
 """Colours of resolved and refused patterns."""
 
@@ -129,7 +135,11 @@ class ImageQuality(Shown):
         if rows.empty:
             return np.nan, np.nan
         weights = 1 / np.maximum(rows["mtf50_sigma"], 1e-6) ** 2
-        return float((weights * rows["mtf50"]).sum() / weights.sum()), float(weights.sum() ** -0.5)
+        mean = float((weights * rows["mtf50"]).sum() / weights.sum())
+        # edges that differ by more than their deviations widen the interval
+        differ = (weights * (rows["mtf50"] - mean) ** 2).sum() / max(len(rows) - 1, 1)
+        sigma = np.sqrt(max(differ, 1) / weights.sum())
+        return mean, float(np.hypot(sigma, MODEL_SHARE * mean))
 
     def to_frame(self):
         """Return one row with every figure in the field's units; NaN where not measurable."""
@@ -149,7 +159,20 @@ class ImageQuality(Shown):
             row[f"mtf50_{direction}_sigma_per_px"] = mtf50_sigma
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
-        return pd.DataFrame([row])
+        return pd.DataFrame([row | {"remark": self._remark(row)}])
+
+    def _remark(self, row):
+        """What speaks against the figures of a row."""
+        clipped, residual = row["clipped_share"], row["residual_px"]
+        doubts = {
+            f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
+            f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
+        }
+        for direction in "hv":
+            refused = f"not even the coarsest line pairs are resolved in direction {direction}"
+            doubts[refused] = bool(np.isnan(row[f"w_{direction}_mm"]))
+        said = [text for text, true in doubts.items() if true]
+        return "; ".join([*said, *sorted(set(self.edges["remark"]) - {""})])
 
     def plot(self, *, ax):
         """Draw the photograph with its line pairs outlined: resolved or refused.

@@ -70,8 +70,8 @@ INWARD_PX = 30.0
 BESIDE_PX = 2.0
 """Pixels beside a bar that take part."""
 
-CLEAR_PX = 2.0
-"""Kept clear of the next element and of the chart's edge."""
+CLEAR_PX, CLEAR_WIDTHS = 2.0, 2.5
+"""Kept clear of the next element and of the chart's edge: at least so many pixels, or spreads."""
 
 OFFSET_PX = 4.0
 """Largest distance of a bar's end from where the map puts it."""
@@ -96,8 +96,8 @@ SINGLE_EDGE_PX = 16.0
 EDGE_REACH_PX = 12.0
 """Pixels to either side of an edge that take part, as far as the ground is plain."""
 
-NEIGHBOUR_PX = 1.5
-"""Kept clear of the next element."""
+NEIGHBOUR_PX, NEIGHBOUR_WIDTHS = 1.5, 2.5
+"""Kept clear of the next element: at least so many pixels, or widths of the edge."""
 
 SHORTEST_REACH_PX = 2.0
 
@@ -707,13 +707,20 @@ def _measured(tones, layout, bar, chart_map):
         "n": 0,
         "expected_mm": float(size[axis] / np.linalg.norm(expected[1] - expected[0])),
     }
-    around = [_End(tones, layout, bar, chart_map, ends[side], axis, side) for side in (0, 1)]
-    if any(len(end.values) < FEWEST_PIXELS for end in around):
-        return row
-    found = _fit_ends(around)
+    found, margin = None, CLEAR_PX
+    while found is None or CLEAR_WIDTHS * found[3] > 1.05 * margin:
+        margin = max(margin, CLEAR_WIDTHS * found[3] if found else 0)
+        around = [
+            _End(tones, layout, bar, chart_map, ends[side], (axis, side, margin)) for side in (0, 1)
+        ]
+        enough = all(len(end.values) >= FEWEST_PIXELS for end in around)
+        better = _fit_ends(around) if enough else None
+        if better is None:
+            break
+        found = better
     if found is None:
         return row
-    offsets, sigma_px, repeats = found
+    offsets, sigma_px, repeats, _ = found
     row["offset_px"] = float(np.sqrt(np.mean(offsets**2)))
     ends[:, axis] += offsets / [end.scale for end in around]
     pixels = chart_map.pixels(ends)
@@ -729,7 +736,8 @@ def _measured(tones, layout, bar, chart_map):
 class _End:
     """The pixels around one end of a bar, in pixels along and across the bar from its middle."""
 
-    def __init__(self, tones, layout, bar, chart_map, middle, axis, side):
+    def __init__(self, tones, layout, bar, chart_map, middle, where):
+        axis, side, margin = where
         vectors = chart_map.scale(middle[None])[0]
         scales = np.linalg.norm(vectors, axis=1)
         self.scale, self.side = scales[axis], side
@@ -745,7 +753,7 @@ class _End:
         used = (outward <= REACH_PX) & (outward >= -inward)
         used &= np.abs(across) <= self.width / 2 + BESIDE_PX
         inside = (outward <= 0) & (np.abs(across) <= self.width / 2)
-        used &= inside | _clear(places + middle, layout, bar, CLEAR_PX / scales)
+        used &= inside | _clear(places + middle, layout, bar, margin / scales)
         self.along, self.across, self.values = along[used], across[used], values[used]
 
     def shape(self, offset, aside, spreads):
@@ -775,7 +783,7 @@ def _clear(places, layout, bar, margin):
 
 
 def _fit_ends(ends):
-    """Offsets of both ends, the length's sigma and the repeats, all in pixels.
+    """Offsets of both ends, the length's sigma, the repeats and the spread, all in pixels.
 
     Both ends share levels and point spread; offsets along and across are their own.
     """
@@ -815,7 +823,7 @@ def _fit_ends(ends):
     ]
     common = sorted(lanes[0].keys() & lanes[1].keys())
     repeats = np.array([lanes[1][one] - lanes[0][one] for one in common])
-    return found.x[:2], sigma, repeats
+    return found.x[:2], sigma, repeats, float(np.exp(found.x[4:].max()))
 
 
 def _lanes(end, residuals, slope, offset):
@@ -840,7 +848,10 @@ def _bar_rows(levels, layout, bar, chart_map):
         name = bar.name if side is None else f"{bar.name}, {('low', 'high')[side]} edge"
         row = {"name": name, "direction": "hv"[axis]}
         try:
-            found = _across(levels, layout, bar, chart_map, axis, side)
+            found, margin = None, NEIGHBOUR_PX
+            while found is None or NEIGHBOUR_WIDTHS * found.width_px > 1.05 * margin:
+                margin = max(margin, NEIGHBOUR_WIDTHS * found.width_px if found else 0)
+                found = _across(levels, layout, bar, chart_map, (axis, side, margin))
         except ValueError as error:
             row |= {"n": 0, "remark": str(error)}
         else:
@@ -849,12 +860,13 @@ def _bar_rows(levels, layout, bar, chart_map):
     return rows
 
 
-def _across(levels, layout, bar, chart_map, axis, side):
-    """The MTF from the pixels along one edge of a bar, or along both."""
+def _across(levels, layout, bar, chart_map, where):
+    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours."""
+    axis, side, margin = where
     corners = bar.corners()
     low, size = corners[0], corners[2] - corners[0]
-    pixel_mm = chart_map.pixel_sizes_mm(corners.mean(axis=0)[None])[0]
-    clear = layout.clearance(bar, (0.0, 0.0))[axis] / pixel_mm[axis] - NEIGHBOUR_PX
+    pixel_mm = chart_map.pixel_sizes_mm(corners).max(axis=0)
+    clear = layout.clearance(bar, (0.0, 0.0))[axis] / pixel_mm[axis] - margin
     clear = np.minimum(clear, EDGE_REACH_PX)
     outer = clear.min() if side is None else clear[side]
     if outer < SHORTEST_REACH_PX:

@@ -26,6 +26,9 @@ heads are told apart by the column head (0, 1, ...) of the clouds.
 HIGH = 0.95
 """Estimates that correlate more than this can hardly be told apart."""
 
+WEAK = 0.02
+"""Degrees or metres: a parameter with a larger standard error is hardly determined."""
+
 
 def add_arguments(parser):
     """Declare the arguments."""
@@ -58,18 +61,19 @@ def run(options):
         raise ValueError(
             "Invalid drives: one drive of one head. Must be two, there and back, or several heads."
         )
+    keep = [name.strip() for name in options.keep.split(",") if name.strip()]
     found = calibrate(
         drives,
         lever_arms_m=_lever_arms(options.lever_arm, heads),
         poles=None if options.poles is None else read_targets(options.poles, kind="pole"),
         control=None if options.control is None else read_heights(options.control),
-        keep=[name.strip() for name in options.keep.split(",") if name.strip()],
+        keep=keep,
         cell=options.cell,
         patches=options.patches,
     )
     if options.out is not None:
         _write(options, drives, found)
-    print_rows(_table(found), options)
+    print_rows(_table(found, keep), options)
 
 
 def _drives(options):
@@ -118,22 +122,24 @@ def _lever_arms(texts, heads):
     return arms
 
 
-def _table(found):
+def _table(found, kept):
     """The estimates with what is to be said of each."""
     import numpy as np
 
-    table = found.table.assign(head=found.table["head"] + 1)
+    table = found.table.assign(head=found.table["head"] + 1).round(12)
     names = [f"{row.parameter} of head {row.head}" for row in table.itertuples()]
     alike = np.abs(np.nan_to_num(found.correlation - np.eye(len(table))))
     remarks = []
     for number, row in enumerate(table.itertuples()):
         other = int(alike[number].argmax())
-        if row.std == 0:
+        if row.parameter in kept:
             remarks.append("kept as assumed")
         elif row.parameter == "z_m" and not found.control:
             remarks.append("mean of all heads kept at 0: not determined without control")
         elif alike[number, other] > HIGH:
             remarks.append(f"hardly told from {names[other]} (r = {alike[number, other]:.2f})")
+        elif row.std > WEAK:
+            remarks.append("hardly determined by what these drives show")
         else:
             remarks.append("")
     counts = {"sigma0_mm": 1000 * found.sigma0_m, "planes": found.planes, "poles": found.poles}

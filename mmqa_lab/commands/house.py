@@ -151,20 +151,22 @@ def _readme_arguments(parser):
 def student(options):
     """Write copies of the notebooks for a class: without the answers, with their assertions.
 
-    Each exercise keeps the assertions of its answer; they fail until the work is done. The
-    teacher's lesson plan and stored outputs stay in the original notebook. A folder that already
+    Each exercise keeps the assertions of its answer; they fail with a sentence until the work is
+    done. The teacher's lesson plan and stored outputs stay in the original notebook. --quick sets
+    small parameters, so that a class reaches the first exercise soon. A folder that already
     contains such notebooks is refused.
     """
     from mmqa_lab.run.notebooks import write_student_notebooks
     from mmqa_lab.studies.catalogue import chosen
 
-    for path in write_student_notebooks(chosen(options.name), options.out):
+    for path in write_student_notebooks(chosen(options.name), options.out, quick=options.quick):
         print(path)
 
 
 def _student_arguments(parser):
     """Declare the arguments."""
     parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
+    parser.add_argument("--quick", action="store_true", help="small parameters")
     parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
 
 
@@ -264,7 +266,7 @@ COMMANDS = {
         _student_arguments,
         "write notebooks without the answers, for students",
         "course",
-        "course anisotropy mimic",
+        "course anisotropy mimic --quick",
     ),
     "studies": _command(
         studies,

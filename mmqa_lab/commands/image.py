@@ -3,8 +3,9 @@
 One row per image: how the chart was located, the pixel size in both directions with standard
 deviations, the finest resolved line pairs w with the next finer ones and the interpolated limit,
 MTF50 from the long bars, noise and clipping as shares of the chart's contrast (Pfeifer et al. 2021,
-doi 10.3390/rs13020237). What cannot be measured is empty. The chart is found by its coded targets,
-at --corners, or from --orientation.
+doi 10.3390/rs13020237). What cannot be measured is empty, and what speaks against the figures
+stands in remark. Of several images those that cannot be evaluated have their row too, the last.
+The chart is found by its coded targets, at --corners, or from --orientation.
 
 Corners are column and row of the printed chart's lower left, lower right, upper right and upper
 left corner. An orientation is a JSON file: position [east, north, height], heading_deg, pitch_deg,
@@ -76,18 +77,26 @@ def run(options):
         "gamma": "linear" if options.linear else "srgb",
         "orientation": options.orientation,
     }
-    rows, patterns = [], []
+    rows, patterns, faults = [], [], {}
     for file in with_progress(options.image, "image"):
-        quality = evaluate_file(file, layout, **choices)
+        try:
+            quality = evaluate_file(file, layout, **choices)
+        except (ValueError, OSError) as error:
+            faults[file] = error
+            rows.append(pd.DataFrame([{"file": str(file), "remark": str(error)}]))
+            continue
         rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
+    if not patterns:
+        raise next(iter(faults.values()))
     if options.patterns is not None:
         table = pd.concat(patterns)
         write_atomically(options.patterns, lambda path: table.to_csv(path, index=False))
     if options.out is not None:
         _draw(quality, options.out)
     # one figure per line reads better than twenty columns
-    print_rows(pd.concat(rows), options, upright="file")
+    rows.sort(key=lambda row: row["file"].item() in map(str, faults))
+    print_rows(pd.concat(rows, ignore_index=True), options, upright="file")
 
 
 def _draw(quality, file):

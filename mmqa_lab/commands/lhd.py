@@ -130,9 +130,9 @@ def _lines(result, interval):
     """What the table says."""
     forward, backward = result.test_model, result.model_test
     low, high = interval
-    covariance = result.displacement.covariance
-    vector = " ".join(f"{value:8.3f}" for value in result.displacement.vector)
-    sigma = " ".join(f"{value**0.5:8.3f}" for value in covariance.diagonal())
+    moved = result.displacement
+    vector = " ".join(f"{value:8.3f}" for value in moved.vector)
+    sigma = " ".join(f"{value**0.5:8.3f}" for value in moved.covariance.diagonal())
     rows = [
         ("segments", f"{len(result.test)} test, {len(result.model)} model"),
         ("matcher", result.matcher),
@@ -143,6 +143,7 @@ def _lines(result, interval):
         ("perpendicular only", f"{result.perpendicular_only:.3f} m"),
         ("displacement", f"{vector} m"),
         ("  standard dev.", f"{sigma} m"),
+        ("turn", f"{moved.turn_deg:.3f} degrees, standard deviation {moved.turn_sigma_deg:.3f}"),
         ("coverage", f"{forward.coverage:.0%} of test, {backward.coverage:.0%} of model length"),
     ]
     return [f"{name:<20}{text}" for name, text in rows]

@@ -7,7 +7,8 @@ ones, and the count of other points; --surface horizontal measures in the horizo
 Beside the map: a summary .csv (area-weighted quantiles, shares below --below), a figure .png, a
 report .html, and the run folder .run, from which an interrupted run goes on where it stopped. Until
 it has finished, that folder needs 24 bytes a point. A damaged file is named, the others are mapped,
-and the exit status is 1.
+and the exit status is 1. A file with the points of another one counts once. The column remarks of
+the summary says so, and how much area without points lies inside the map.
 """
 
 import argparse

@@ -19,6 +19,7 @@ example:
   mmqa plan --pulse-rate 300000 --mirror-frequency 100 --speed 10 --scanner-heading 45 \\
       --scanner-tilt 45 --target-heading 15 --range 5
   mmqa plan --scanner vq-450 --speed 14 --range 8 --json
+  mmqa plan --system vmx-250 --speed 10 --range 8 --target-heading 20
   mmqa plan --scanner zf-9012 --range 5 --largest-speed density_per_m2=3000
   mmqa plan --scanner vq-250 --speed 10 --range 8 --sigma speed_m_s=0.2 \\
       --sigma target_heading_deg=1.93
@@ -50,10 +51,17 @@ def add_arguments(parser):
     parser.add_argument(
         "--height-difference", metavar="M", help="above the scanner, default 0", **number
     )
-    parser.add_argument(
+    presets = parser.add_mutually_exclusive_group()
+    presets.add_argument(
         "--scanner",
         metavar="PRESET",
         help="a profile scanner by name: zf-9012, roamer, vq-250, vq-450, lynx-m1, lynx-m1-second",
+    )
+    presets.add_argument(
+        "--system",
+        metavar="NAME",
+        help="all heads of a system: roamer, vmx-250, streetmapper-360, lynx, xp1, lynx-m1; "
+        "the range is that from each head",
     )
     parser.add_argument(
         "--sigma",
@@ -81,27 +89,23 @@ def run(options):
 
     import pandas as pd
 
-    from mmqa_lab.scan_pattern import QUANTITIES, Target, largest_speed, scan_lattice
+    from mmqa_lab.scan_pattern import Target, largest_speed
 
-    setup = _setup(options)
     target = Target(
         heading_deg=options.target_heading,
         tilt_deg=options.target_tilt,
         range_m=options.range,
         height_difference_m=options.height_difference,
     )
-    answer = {}
+    if options.system is not None:
+        print_rows(_of_system(target, options), options)
+        return
+    setup, answer = _setup(options), {}
     if options.largest_speed is not None:
         quantity, limit = options.largest_speed
         answer["speed_m_s"] = largest_speed(setup, target, quantity=quantity, limit=limit)
         setup = replace(setup, speed_m_s=answer["speed_m_s"])
-    lattice = scan_lattice(setup, target.patch(setup))
-    answer |= {name: float(lattice.quantity(name)) for name in QUANTITIES}
-    if answer["point_spacing_m"] != answer["point_spacing_m"]:
-        raise ValueError(
-            f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
-            "or profile passes beside it. Must be struck less obliquely."
-        )
+    answer |= _prediction(setup, target)
     if options.sigma or options.sensitivities:
         print_rows(_with_errors(answer, setup, target, options), options)
         return
@@ -111,6 +115,60 @@ def run(options):
         return
     for name, value in answer.items():
         print(f"{name:<31}  {value:.6g}")
+
+
+def _prediction(setup, target):
+    """What a set-up lays on a target, by the quantities' names."""
+    from mmqa_lab.scan_pattern import QUANTITIES, scan_lattice
+
+    lattice = scan_lattice(setup, target.patch(setup))
+    found = {name: float(lattice.quantity(name)) for name in QUANTITIES}
+    if found["point_spacing_m"] != found["point_spacing_m"]:
+        raise ValueError(
+            f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
+            "or profile passes beside it. Must be struck less obliquely."
+        )
+    return found
+
+
+def _of_system(target, options):
+    """What each head of a system lays on a target, and the density of all that see it."""
+    import pandas as pd
+
+    from mmqa_lab.scan_pattern import ScanSetup
+
+    others = [_flag(name) for name in (*SETUP, "sigma", "sensitivities", "largest_speed")
+              if name != "speed" and getattr(options, name)]  # fmt: skip
+    if others:
+        raise ValueError(f"Invalid {others[0]} with --system. Must be used with --scanner.")
+    if options.speed is None:
+        raise ValueError("Invalid plan without --speed. Must have it.")
+    found = pd.DataFrame()
+    for number, head in enumerate(_heads(options.system), start=1):
+        setup = ScanSetup.of_scanner(head, speed_m_s=options.speed)
+        if abs(target.heading_deg - setup.scanner_heading_deg) < 90:
+            found[f"head_{number}"] = pd.Series(_prediction(setup, target))
+    if found.empty:
+        raise ValueError(
+            f"Invalid target heading {target.heading_deg}. Must be less than 90 degrees from that "
+            "of a head."
+        )
+    found.loc["density_per_m2", "together"] = found.loc["density_per_m2"].sum()
+    return found.rename_axis("quantity").reset_index()
+
+
+def _heads(name):
+    """The heads of a system of profile scanners."""
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.simulate.scanners import ProfileScanner
+    from mmqa_lab.simulate.systems import SYSTEMS
+
+    known = {
+        key: system.heads
+        for key, system in SYSTEMS.items()
+        if all(isinstance(head, ProfileScanner) for head in system.heads)
+    }
+    return known[check_choice(name, "system", tuple(known))]
 
 
 def _with_errors(answer, setup, target, options):

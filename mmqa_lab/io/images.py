@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import warnings
+from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
@@ -46,11 +48,7 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid image {path}: no such file. Must exist.")
-    if not _is_complete(path):
-        raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
+    path = _checked_path(path)
     # OpenCV prints what it dislikes of a file; the sentence below says it
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -62,6 +60,43 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
     if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
         raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits.")
     return grey
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """The bands of an image: ``values`` (bands, rows, columns), their names ``bands``, and
+    ``exposure``, time in seconds and f-number of its EXIF or None."""
+
+    values: np.ndarray
+    bands: list
+    exposure: tuple | None
+
+
+def read_bands(path):
+    """Read all bands of an image file in the type of the file: a :class:`Bands`."""
+    import rasterio
+
+    path = _checked_path(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        try:
+            with rasterio.open(path) as file:
+                values, tags = file.read(), file.tags() | file.tags(ns="EXIF")
+                bands = [name or str(k) for k, name in enumerate(file.descriptions, start=1)]
+        except rasterio.errors.RasterioError:
+            values = np.zeros(0, complex)
+    if values.dtype.kind not in "uif":
+        raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF.")
+    numbers = [_exif_number(tags.get(f"EXIF_{name}", "")) for name in ("ExposureTime", "FNumber")]
+    return Bands(values, bands, tuple(numbers) if all(numbers) else None)
+
+
+def _exif_number(text):
+    """A number as GDAL writes it, in brackets; None for none."""
+    try:
+        return float(text.strip("() "))
+    except ValueError:
+        return None
 
 
 def check_image(image, *, convert=True):
@@ -122,3 +157,13 @@ def _scan_of_jpeg(whole):
     while place < len(whole) and whole[place : place + 2] != b"\xff\xda":
         place += 2 + int.from_bytes(whole[place + 2 : place + 4], "big")
     return place
+
+
+def _checked_path(path):
+    """The path of a complete file."""
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid image {path}: no such file. Must exist.")
+    if not _is_complete(path):
+        raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
+    return path

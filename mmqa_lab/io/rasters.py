@@ -55,7 +55,7 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
         raise FileNotFoundError(f"Invalid reference {path}: no such file. Must exist.")
     ending = path.suffix.lower()
     if ending == ".npz":
-        points = _cells(*_from_arrays(path))
+        points = _from_arrays(path)
     elif is_raster(path):
         points = _from_raster(path)
     elif ending in CLOUD_ENDINGS:
@@ -72,15 +72,10 @@ def is_raster(path):
     return ending in (".npz", ".tif", ".tiff") or (ending == ".asc" and _is_grid(path))
 
 
-def _cells(x, y, heights):
-    """Middles of the cells that have a height, as points."""
-    known = np.isfinite(heights)
-    rows, columns = np.nonzero(known)
-    return np.column_stack([x[columns], y[rows], heights[known]])
-
-
 def _from_arrays(path):
-    """x, y and heights of an ``.npz``."""
+    """The raster of an ``.npz``, a DataArray."""
+    import xarray as xr
+
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: np.asarray(file[name], dtype=np.float64) for name in file.files}
@@ -95,7 +90,7 @@ def _from_arrays(path):
             f"Invalid reference {path} with arrays {', '.join(arrays) or 'none'}. Must have x, y "
             f"and {' or '.join(ARRAY_NAMES)} of shape (y, x)."
         )
-    return x.ravel(), y.ravel(), arrays[name]
+    return xr.DataArray(arrays[name], {"y": y.ravel(), "x": x.ravel()}, ("y", "x"))
 
 
 def _from_raster(path):

@@ -10,6 +10,7 @@ import os
 import warnings
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -185,13 +186,6 @@ def write_polygon(path: str | os.PathLike, vertices: ArrayLike | Polygon | Multi
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-class _Geometry:
-    """A GeoJSON object as something that has ``__geo_interface__``."""
-
-    def __init__(self, node):
-        self.__geo_interface__ = node
-
-
 def _inline(text):
     """Vertices written as x,y,z; x,y,z; ..."""
     rows = [vertex.split(",") for vertex in text.split(";") if vertex.strip()]
@@ -208,7 +202,7 @@ def _from_geojson(path):
     try:
         node = json.loads(path.read_text(encoding="utf-8"))
         _remark_on_crs(path, node.get("crs"))
-        parts = polygon_parts(_Geometry(node), name=f"polygon {path}")
+        parts = polygon_parts(SimpleNamespace(__geo_interface__=node), name=f"polygon {path}")
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(
             f"Invalid polygon {path}. Must be GeoJSON with a polygon of 3-D vertices."
@@ -307,13 +301,8 @@ def _words(line, separator=None):
 
 def _is_data(words):
     """Whether a line has numbers rather than names."""
-    return all(_is_number(word.replace(",", ".")) for word in words if word)
-
-
-def _is_number(word):
-    """Whether a word is a number."""
     try:
-        float(word)
+        [float(word.replace(",", ".")) for word in words if word]
     except ValueError:
         return False
     return True

@@ -109,9 +109,19 @@ class Study(Shown):
                 f"displacement_{axis}_m": v for axis, v in zip("xyz", moved.vector, strict=True)
             }
             row |= {f"sigma_{axis}_m": v for axis, v in zip("xyz", sigma, strict=True)}
+            row |= {"turn_deg": moved.turn_deg, "sigma_turn_deg": moved.turn_sigma_deg}
             row |= {"drift_m": moved.drift_m, "displaced_pairs": moved.n}
             rows.append(row | found.kinds().to_dict())
         return pd.DataFrame(rows)
+
+    def parts(self):
+        """Return what each distance is made of, with intervals: see :meth:`LHD.split`."""
+        tables = [
+            found.split(truth=self.truth.get(names)).assign(comparison="-".join(names))
+            for names, found in self.results.items()
+        ]
+        columns = ["comparison", "part", "value_m", "low_m", "high_m"]
+        return pd.concat(tables, ignore_index=True)[columns]
 
     def verdicts(self, test, model):
         """Return a row for each pair of a comparison: segments, distance, ``verdict``.
@@ -237,9 +247,9 @@ def study(clouds, *, reference=None, truth=None, settings=None):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             results[names] = lhd(test, model, **choices)
+            displacements[names] = match_displaced(test, model, radius=radius).displacement
         for said in caught:
             warnings.warn(f"{'-'.join(names)}: {said.message}", stacklevel=2)
-        displacements[names] = match_displaced(test, model, radius=radius).displacement
     edges = {name: found for name, found in edges.items() if found is not None}
     return Study(sets, edges, reference, results, displacements, truth)
 
@@ -383,12 +393,13 @@ def write_report(found, folder):
     Returns
     -------
     list of str
-        Names of the files: ``index.html``, ``directions.csv``, ``comparisons.csv``, the edges of
-        every set, and for each comparison its matrix and its pairs.
+        Names of the files: ``index.html``, ``directions.csv``, ``comparisons.csv``, ``parts.csv``,
+        the edges of every set, and for each comparison its matrix and its pairs.
     """
     from mmqa_lab.io import write_atomically
 
     files = {"directions.csv": found.to_frame(), "comparisons.csv": found.comparisons()}
+    files["parts.csv"] = parts = found.parts()
     for name, one in found.sets.items():
         columns = ["x1", "y1", "z1", "x2", "y2", "z2"]
         files[f"{name}_edges.csv"] = pd.DataFrame(one.ends.reshape(-1, 6), columns=columns)
@@ -399,7 +410,7 @@ def write_report(found, folder):
     files = {name: table.to_csv(index=False).encode() for name, table in files.items()}
     pictures = {name: _picture(draw, found) for name, draw in DRAWINGS.items()}
     files |= {f"{name}.png": picture for name, picture in pictures.items()}
-    files["index.html"] = _page(found, pictures, sorted(files)).encode()
+    files["index.html"] = _page(found, parts, pictures, sorted(files)).encode()
     for name, content in files.items():
         write_atomically(
             Path(folder) / name, lambda file, content=content: file.write_bytes(content)
@@ -407,13 +418,14 @@ def write_report(found, folder):
     return list(files)
 
 
-def _page(found, pictures, files):
+def _page(found, parts, pictures, files):
     """The page: tables, pictures, a view that can be turned, links."""
     from jinja2 import Environment, PackageLoader
 
     loader = PackageLoader("mmqa_lab", "run/templates")
     page = Environment(loader=loader, autoescape=True).get_template("lines.html")
     tables = {"Both directions": found.to_frame(), "Comparisons": found.comparisons()}
+    tables["What the distances are made of"] = parts
     shown = {
         title: table.dropna(axis=1, how="all").to_html(
             index=False, float_format="{:.4g}".format, border=0, na_rep=""
@@ -443,18 +455,19 @@ def _picture(draw, found):
     """A figure with a panel for each comparison as PNG."""
     from mmqa_lab import plots
 
-    plots.use_style()
     columns = 1 if draw is _draw_pairs else min(3, len(found.results))
     rows = -(-len(found.results) // columns)
     height = rows * (90 if columns == 1 else 60)
-    figure, axes = plots.subplots(rows, columns, width="double", height_mm=height, squeeze=False)
-    for ax in axes.flat[len(found.results) :]:
-        ax.set_axis_off()
-    for ax, names in zip(axes.flat, found.results, strict=False):
-        draw(ax, found, names)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=150)
-    plots.plt.close(figure)
+    with plots.style():
+        size = {"width": "double", "height_mm": height}
+        figure, axes = plots.subplots(rows, columns, squeeze=False, **size)
+        for ax in axes.flat[len(found.results) :]:
+            ax.set_axis_off()
+        for ax, names in zip(axes.flat, found.results, strict=False):
+            draw(ax, found, names)
+        figure.savefig(picture, format="png", dpi=150)
+        plots.plt.close(figure)
     return picture.getvalue()
 
 

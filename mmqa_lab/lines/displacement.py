@@ -5,9 +5,10 @@ A pair of lines says nothing about a shift along them; across them it gives two 
     B (t - m) = B u(x) + noise,
 
 with t and m the points of both lines at the middle of their common stretch, x that place and the
-rows of B perpendicular to the model line. u(x) is a constant plus a drift, a Gaussian process of
-exponential covariance (a Gauss-Markov process along any straight way). Its size and the noise are
-those that the pairs make likely, averaged over a grid of both with their posterior weights.
+rows of B perpendicular to the model line. u(x) is a constant, a turn about the vertical through the
+middle of the pairs, and a drift, a Gaussian process of exponential covariance (a Gauss-Markov
+process along any straight way). The drift's size and the noise are those that the pairs make
+likely, averaged over a grid of both with their posterior weights.
 
 Pairs are found with the displacement. Two parallel neighbours half a metre apart cannot be told
 from each other while the whole set is displaced by more than that. But true pairs agree on one
@@ -17,6 +18,7 @@ from the pairs, pairs from the field); the outcomes are weighed by their evidenc
 that more than half of the weight speaks for.
 """
 
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,20 +33,25 @@ DRIFT_LENGTH_M = 60.0
 CONSTANT_M = 1.0
 """Prior standard deviation of the constant about the start that the pairs give."""
 
-DRIFTS_M = np.array([0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.47, 0.7])
-NOISES_M = np.array([0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.11, 0.15, 0.25, 0.4, 0.7])
+TURN_RAD = np.radians(0.4)
+"""Prior standard deviation of the turn about the vertical: headings err by some tenths."""
+
+DRIFTS_M = np.array([0.005, 0.012, 0.03, 0.06, 0.1, 0.15, 0.22, 0.32, 0.47, 0.7])
+NOISES_M = np.array([0.003, 0.006, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.11, 0.15, 0.25, 0.4, 0.7])
 NOISE_PRIOR = (0.06, 0.35)
 """Median, m, and spread of the logarithm: edges are extracted to some centimetres."""
 
-WRONG_SHARE, WRONG_OFFSET_M = 0.04, 0.45
-"""One pair in 25 is taken for a wrong one, 0.45 m off: enters the covariance as noise. Set so that
-95 % ellipsoids cover 95 % on simulated scenes (seeds 1000-1069)."""
+WRONG_SHARE, WRONG_SIGMAS = 0.04, 3.5
+"""One pair in 25 is taken for a wrong one, so many sigmas of drift and noise off, as far as wrong
+ones are accepted: enters the covariance as noise. Set so that 95 % ellipsoids cover 95 % on
+simulated scenes (seeds 1000-1069, 2000-2019)."""
 
 DRIFT_PRIOR = (0.2, 0.5)
 """The same of the drift per axis, before the pairs are seen."""
 
-FIELD_PAIRS = 80
-"""At most so many pairs, evenly drawn, carry the drift: the cost grows with their cube."""
+FIELD_PAIRS, MEAN_PAIRS = 80, 1000
+"""At most so many pairs, evenly drawn, carry the drift (the cost grows with their cube), and the
+mean displacement."""
 
 ANGLE_DEG = 8.0
 """Largest angle between the lines of a pair."""
@@ -56,6 +63,19 @@ MAHALANOBIS = 11.8
 """99.7 % quantile of chi-squared with two degrees of freedom."""
 
 HYPOTHESES = 2000
+WIDER, WIDE_HYPOTHESES = 4.0, 8000
+"""Displacements are sought coarsely up to so many radii, by so many hypotheses."""
+
+WIDE_LINES = 300
+"""The longest lines of either set take part in the coarse search."""
+
+CHANCE_SHARE, CHANCE_EVIDENCE = 0.21, 2.5
+"""Unrelated sets pair less of the smaller set, with less evidence per pair: nothing is paired then
+(simulated canyons 25 and 60 m apart: at most 0.20 and 2.5; true pairs: 0.24 and 2.4 at least)."""
+
+CLEARLY_MORE = 1.3
+"""A displacement beyond the radius must bring together so many times the lines, and one more."""
+
 STARTS, STARTS_APART_M = 5, 0.4
 NEAR_M = 40.0
 """Two lines so near to each other are displaced alike."""
@@ -92,12 +112,9 @@ class Displacement:
         Standard deviation of a line's place, per axis.
     n : int
         Number of pairs.
-
-    Examples
-    --------
-    >>> moved = Displacement(np.array([0.3, 0.0, 0.4]), np.eye(3) * 1e-4, 0.05, 0.02, 40)
-    >>> moved.length
-    0.5
+    turn_deg, turn_sigma_deg : float
+        Turn of the test set about the vertical through the middle of the pairs, degrees, counted
+        from east to north, and its standard deviation.
     """
 
     vector: np.ndarray
@@ -105,6 +122,8 @@ class Displacement:
     drift_m: float
     noise_m: float
     n: int
+    turn_deg: float = np.nan
+    turn_sigma_deg: float = np.nan
 
     @property
     def length(self):
@@ -144,21 +163,41 @@ def fit_displacement(test, model, pairs):
     >>> shift.vector.round(2).tolist()
     [0.3, 0.0, 0.1]
     """
+    field, seen = _fitted(test, model, pairs)
+    n = int(np.sum(pairs))
+    if field is None:
+        return Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), np.nan, np.nan, n)
+    vector, covariance = field.mean(seen.place)
+    turn = np.degrees(field.turn())
+    return Displacement(vector, covariance, field.drift, field.noise, n, *turn)
+
+
+def across_pairs(test, model, pairs):
+    """How far the displacement moves each paired line across itself, with its frame.
+
+    Returns the displacement (k, 3) at the pairs in the order of ``np.nonzero(pairs)``, the frames
+    across (k, 2, 3), and the covariance (3, 3) of the mean; None where it is unknown.
+    """
+    field, seen = _fitted(test, model, pairs)
+    if field is None:
+        return None
+    return field.at(seen.place)[0], seen.frame, field.mean(seen.place)[1]
+
+
+def _fitted(test, model, pairs):
+    """The field of the paired lines on its most likely drift and noise, and their offsets."""
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
     rows, columns = np.nonzero(np.asarray(pairs))
-    unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), np.nan, np.nan, len(rows))
     if len(rows) < 3:
-        return unknown
+        return None, None
     lines = LinePairs(test, model, rows, columns)
-    seen = lines.observe(np.zeros(3))
-    start = _least_squares(seen)
+    start = _least_squares(lines.observe(np.zeros(3)))
     if start is None:
-        return unknown
+        return None, None
     seen = lines.observe(start)
     field = _DriftField(seen.select(_evenly(len(rows))), start, DRIFT_PRIOR)
     field.choose()
-    vector, covariance = field.mean()
-    return Displacement(vector, covariance, field.drift, field.noise, len(rows))
+    return field, seen
 
 
 class _DriftField:
@@ -168,7 +207,10 @@ class _DriftField:
         self.seen, self.start, self.prior = seen, start, prior
         n = len(seen.place)
         frames = seen.frame.reshape(2 * n, 3)
+        self.centre = seen.place.mean(axis=0)
+        self._turns = np.einsum("nkd,nd->nk", seen.frame, self._levers(seen.place)).ravel()
         self._constant = CONSTANT_M**2 * frames @ frames.T
+        self._constant += TURN_RAD**2 * np.outer(self._turns, self._turns)
         near = _correlation(seen.place, seen.place)
         self._drift = frames @ frames.T * np.repeat(np.repeat(near, 2, axis=0), 2, axis=1)
         self._angles = np.repeat(seen.variance, 2)
@@ -181,7 +223,8 @@ class _DriftField:
         """Condition on a drift and a noise, m; return their log posterior."""
         self.drift, self.noise = float(drift), float(noise)
         covariance = drift**2 * self._drift + self._constant
-        covariance.flat[:: len(covariance) + 1] += self._angles + noise**2
+        straight = min(1.0, noise / NOISE_PRIOR[0]) ** 2  # quiet lines have quiet directions
+        covariance.flat[:: len(covariance) + 1] += straight * self._angles + noise**2
         self._factor = cho_factor(covariance, lower=True, check_finite=False)
         self._weights = self._solve(self._offsets)
         logs = np.log(np.diag(self._factor[0])).sum() + len(self) * np.log(2 * np.pi)
@@ -222,7 +265,9 @@ class _DriftField:
             flat = cross.reshape(-1, cross.shape[2])
             solved = self._solve(flat.T).T.reshape(cross.shape)
             vectors.append(self.start + cross @ self._weights)
+            levers = self._levers(places[first : first + 2000])
             prior = (self.drift**2 + CONSTANT_M**2) * np.eye(3)
+            prior = prior + TURN_RAD**2 * levers[:, :, None] * levers[:, None]
             covariances.append(prior - np.einsum("mdn,men->mde", cross, solved))
         return np.concatenate(vectors), np.concatenate(covariances)
 
@@ -234,17 +279,18 @@ class _DriftField:
         covariance = np.linalg.inv(inverse[each, :, each])
         return np.einsum("nkl,nl->nk", covariance, self._weights.reshape(n, 2)), covariance
 
-    def mean(self):
-        """Mean displacement at the pairs and its covariance, averaged over the grid."""
+    def mean(self, places):
+        """Mean displacement at places (m, 3) and its covariance, averaged over the grid."""
+        places = places[_evenly(len(places), MEAN_PAIRS)]
         cells = list(self._grid)
         heights = np.array([self._grid[cell] for cell in cells])
         shares = np.exp(heights - heights.max())
         likely = shares > 0.003 * shares.sum()
-        wrong = WRONG_SHARE * WRONG_OFFSET_M**2 / 2
         vectors, covariances = [], []
         for k in np.flatnonzero(likely):
+            wrong = WRONG_SHARE * WRONG_SIGMAS**2 * (cells[k][0] ** 2 + cells[k][1] ** 2) / 2
             self.set(cells[k][0], np.sqrt(cells[k][1] ** 2 + wrong))
-            vector, covariance = self._mean()
+            vector, covariance = self._mean(places)
             vectors.append(vector)
             covariances.append(covariance)
         self.set(*max(self._grid, key=self._grid.get))
@@ -253,16 +299,29 @@ class _DriftField:
         spread = np.array(vectors) - mean
         return mean, np.einsum("k,kde->de", shares, covariances) + (spread.T * shares) @ spread
 
-    def _mean(self):
-        cross = self._cross(self.seen.place).mean(axis=0)
-        near = _correlation(self.seen.place, self.seen.place).mean()
+    def turn(self):
+        """The turn about the vertical and its standard deviation, rad."""
+        row = TURN_RAD**2 * self._turns
+        return row @ self._weights, np.sqrt(TURN_RAD**2 - row @ self._solve(row))
+
+    def _mean(self, places):
+        cross = self._cross(places).mean(axis=0)
+        lever = self._levers(places).mean(axis=0)
+        near = _correlation(places, places).mean()
         prior = (near * self.drift**2 + CONSTANT_M**2) * np.eye(3)
+        prior += TURN_RAD**2 * np.outer(lever, lever)
         return self.start + cross @ self._weights, prior - cross @ self._solve(cross.T)
 
     def _cross(self, places):
         """Covariance of displacements (m, 3) at places with the offsets: (m, 3, 2n)."""
         kernel = self.drift**2 * _correlation(places, self.seen.place) + CONSTANT_M**2
-        return np.einsum("mn,nkd->mdnk", kernel, self.seen.frame).reshape(len(places), 3, -1)
+        cross = np.einsum("mn,nkd->mdnk", kernel, self.seen.frame).reshape(len(places), 3, -1)
+        return cross + TURN_RAD**2 * self._levers(places)[:, :, None] * self._turns
+
+    def _levers(self, places):
+        """How places (m, 3) move per radian of the turn."""
+        arm = places - self.centre
+        return np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)
 
     def _solve(self, right):
         return cho_solve(self._factor, right, check_finite=False)
@@ -287,9 +346,9 @@ def _least_squares(seen):
     return np.linalg.solve(normal, np.einsum("nkd,nk->d", seen.frame, seen.offset))
 
 
-def _evenly(n):
-    """Indices of at most FIELD_PAIRS of n, evenly spread."""
-    return np.unique(np.linspace(0, n - 1, min(n, FIELD_PAIRS)).round().astype(int))
+def _evenly(n, most=FIELD_PAIRS):
+    """Indices of at most so many of n, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))
 
 
 def _nearest(grid, value):
@@ -353,20 +412,26 @@ def match_displaced(test, model, *, radius=4.0, seed=0):
     test, model : Segments or array_like
         p and q segments, m.
     radius : float
-        Largest displacement sought, m. Must exceed the true one; a larger radius costs time and
-        admits more false hypotheses.
+        Largest displacement sought, m. A larger one costs time and admits more false hypotheses.
+        Where far more lines come together beyond it, up to four times as far, it is enlarged.
     seed : int
         Of the random choice of hypotheses.
 
     Returns
     -------
     DisplacedMatch
-        Without pairs when fewer than three lines agree.
+        Without pairs, and with an unknown displacement, when fewer than three lines agree or no
+        more than chance would bring together.
 
     Raises
     ------
     ValueError
         If the radius is not positive.
+
+    Warns
+    -----
+    UserWarning
+        If the displacement lies beyond the radius.
 
     Notes
     -----
@@ -387,21 +452,49 @@ def match_displaced(test, model, *, radius=4.0, seed=0):
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
     radius = check_positive(radius, "radius", unit="m")
     rng = np.random.default_rng(check_count(seed, "seed", low=0))
+    reach = _wider(test, model, radius)
+    if reach > radius:
+        warnings.warn(
+            f"Far more lines meet at a displacement beyond the radius of {radius:g} m: "
+            f"it is sought within {reach:.1f} m.",
+            stacklevel=2,
+        )
+    outcomes = _outcomes(test, model, reach, rng)
+    pairs, evidence = _agreed(outcomes) if outcomes else (np.zeros((len(test), len(model))), 0)
+    share = pairs.any(axis=1).sum() / max(1, min(pairs.shape))
+    if share < CHANCE_SHARE and evidence < CHANCE_EVIDENCE:
+        pairs, evidence = np.zeros(pairs.shape, dtype=bool), np.nan
+    return DisplacedMatch(pairs, fit_displacement(test, model, pairs), evidence)
+
+
+def _wider(test, model, radius):
+    """The radius, or a larger one where far more lines come together beyond it."""
+    few = [one.select(np.argsort(-one.lengths)[:WIDE_LINES]) for one in (test, model)]
+    rows, columns = _candidates(*few, WIDER * radius)
+    if len(rows) < 3:
+        return radius
+    lines = LinePairs(*few, rows, columns)
+    rng = np.random.default_rng(0)
+    shifts, scores = _hypotheses(lines, rows, columns, WIDER * radius, WIDE_HYPOTHESES, rng)
+    lengths = np.linalg.norm(shifts, axis=1)
+    within = scores[lengths <= radius].max(initial=0)
+    if scores.max(initial=0) <= CLEARLY_MORE * within + 1:
+        return radius
+    return max(radius, 1.2 * lengths[scores.argmax()])
+
+
+def _outcomes(test, model, radius, rng):
+    """Refined outcomes of the best hypotheses."""
     rows, columns = _candidates(test, model, radius)
-    outcomes = []
-    if len(rows) >= 3:
-        lines = LinePairs(test, model, rows, columns)
-        starts = _starts(lines, rows, columns, radius, rng)
-        shape = len(test), len(model)
-        for search in (STEADY, DRIFTING):
-            outcomes += _refined(starts, lines, rows, columns, shape, search)
-    if not outcomes:
-        pairs = np.zeros((len(test), len(model)), dtype=bool)
-        return DisplacedMatch(pairs, fit_displacement(test, model, pairs), np.nan)
-    best = max(outcomes, key=lambda outcome: outcome.evidence)
-    pairs = _agreed(outcomes, best)
-    displacement = fit_displacement(test, model, pairs)
-    return DisplacedMatch(pairs, displacement, best.evidence / best.pairs.sum())
+    if len(rows) < 3:
+        return []
+    lines = LinePairs(test, model, rows, columns)
+    starts = _starts(*_hypotheses(lines, rows, columns, radius, HYPOTHESES, rng))
+    shape = len(test), len(model)
+    steady, drifting = (
+        _refined(starts, lines, rows, columns, shape, search) for search in (STEADY, DRIFTING)
+    )
+    return steady + drifting
 
 
 class _Refinement:
@@ -482,19 +575,23 @@ def _candidates(test, model, radius):
     return np.nonzero(parallel & (parts.perpendicular < radius) & (gap < radius))
 
 
-def _starts(lines, rows, columns, radius, rng):
-    """Displacements that bring many lines together, best first, apart from each other."""
+def _hypotheses(lines, rows, columns, radius, most, rng):
+    """Displacements of pairs of crossing lines, and how many lines each brings together."""
     seen = lines.observe(np.zeros(3))
     normal = np.einsum("nkd,nke->nde", seen.frame, seen.frame)
     right = np.einsum("nkd,nk->nd", seen.frame, seen.offset)
-    a, b = rng.integers(len(lines), size=(2, 8 * HYPOTHESES))
+    a, b = rng.integers(len(lines), size=(2, 8 * most))
     crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
     near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
     usable = crossing & near & (rows[a] != rows[b]) & (columns[a] != columns[b])
-    a, b = a[usable][:HYPOTHESES], b[usable][:HYPOTHESES]
+    a, b = a[usable][:most], b[usable][:most]
     shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
-    scores = _scores(shifts, normal, right, lines, rows)
+    return shifts, _scores(shifts, normal, right, lines, rows)
+
+
+def _starts(shifts, scores):
+    """The displacements that bring most lines together, apart from each other."""
     starts = []
     for shift in shifts[np.argsort(-scores, kind="stable")]:
         if all(np.linalg.norm(shift - other) > STARTS_APART_M for other in starts):
@@ -537,10 +634,15 @@ def _refined(starts, lines, rows, columns, shape, search):
     return outcomes
 
 
-def _agreed(outcomes, best):
-    """The pairs that outcomes with more than half of the weight share, or the best one's if few."""
+def _agreed(outcomes):
+    """The pairs that outcomes with more than half of the weight share (the best one's, if few).
+
+    With them the evidence per pair of the best outcome.
+    """
+    best = max(outcomes, key=lambda outcome: outcome.evidence)
     different = {outcome.pairs.tobytes(): outcome for outcome in outcomes}.values()
     weights = [np.exp((outcome.evidence - best.evidence) / TEMPER) for outcome in different]
     shares = np.average([outcome.pairs for outcome in different], axis=0, weights=weights)
     pairs = shares > 0.5
-    return pairs if pairs.sum() >= 3 else best.pairs
+    evidence = best.evidence / best.pairs.sum()
+    return (pairs if pairs.sum() >= 3 else best.pairs), evidence

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab.lines.segments import Segments
-from mmqa_lab.planes import Plane, detect_planes, fit_plane
+from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
 
 LEAST_BIN = 0.25
@@ -249,18 +249,10 @@ class Outline:
         In order around the rectangle, m.
     size : array, shape (2,)
         The longer and the shorter side, m.
-    sigma : array, shape (2,)
-        Standard deviation of either side, m.
-    residuals : array, shape (k,)
-        Signed distances of the k outline points from the rectangle, outside positive, m.
-    plane : Plane
     """
 
     corners: np.ndarray
     size: np.ndarray
-    sigma: np.ndarray
-    residuals: np.ndarray
-    plane: Plane
 
     @property
     def segments(self):
@@ -317,16 +309,8 @@ def fit_outline(points, *, lines=None):
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     corners = [x, y] + signs * [length / 2, width / 2] @ axes
-    freedom = max(1, len(outline) - 5)
-    variance = (best.fun**2).sum() / freedom * np.diag(np.linalg.pinv(best.jac.T @ best.jac))
-    order = np.argsort([-length, -width])
-    return Outline(
-        corners=plane.centre + corners @ plane.axes,
-        size=np.array([length, width])[order],
-        sigma=np.sqrt(variance[3:])[order],
-        residuals=best.fun,
-        plane=plane,
-    )
+    size = np.sort([length, width])[::-1]
+    return Outline(corners=plane.centre + corners @ plane.axes, size=size)
 
 
 def _line_ends(flat, lines):
@@ -341,10 +325,9 @@ def _line_ends(flat, lines):
             continue
         centred = members - members.mean(axis=0)
         direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-        along = np.sort(centred @ direction)
-        step = np.median(np.diff(along)) / 2
-        order = np.argsort(centred @ direction)
-        ends += [members[order[0]] - step * direction, members[order[-1]] + step * direction]
+        along = centred @ direction
+        step = np.median(np.diff(np.sort(along))) / 2 * direction
+        ends += [members[along.argmin()] - step, members[along.argmax()] + step]
     return np.array(ends).reshape(-1, 2)
 
 

@@ -17,7 +17,7 @@ import logging
 import os
 import threading
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -249,7 +249,7 @@ class _Run:
         sources = self._sources(found)
         grid = self._begin(sources)
         missing = [s for s in sources if not (self.files / f"{s.key}.npz").is_file()]
-        sources = self._unpack(sources, missing, grid, engine)
+        sources = self._distinct(self._unpack(sources, missing, grid, engine))
         index = {source: _read_index(source, self.files) for source in sources}
         boxes, counts = (np.concatenate(arrays) for arrays in zip(*index.values(), strict=True))
         if not grid.tile:
@@ -300,20 +300,18 @@ class _Run:
         return record
 
     def _sources(self, found):
-        """The files whose headers are sound, each once, in one coordinate reference system."""
-        sources = {}
+        """The files whose headers are sound, in one coordinate reference system."""
+        sources = []
         for path in found:
             try:
                 source = read_source(path)
             except ValueError as error:
                 self.problems.append(str(error))
                 continue
-            same = sources.setdefault((source.n, source.low, source.high), source)
-            if not source.n:
+            if source.n:
+                sources.append(source)
+            else:
                 self.remarks.append(f"{path} has no points.")
-            elif same is not source:
-                self.remarks.append(f"{path} has the points of {same.path} and counts once.")
-        sources = [source for source in sources.values() if source.n]
         if not sources:
             raise ValueError((self.problems or [f"Invalid campaign: {self.remarks[0]}"])[0])
         known = {source.crs: source.path for source in sources if source.crs}
@@ -339,6 +337,15 @@ class _Run:
         if not sound:
             raise ValueError(self.problems[0])
         return sound
+
+    def _distinct(self, sources):
+        """The files without those that have the points of another one."""
+        distinct = {}
+        for source in sources:
+            same = distinct.setdefault((source.n, source.low, source.high), source)
+            if same is not source:
+                self.remarks.append(f"{source.path} has the points of {same.path}: counted once.")
+        return list(distinct.values())
 
     def _tiles(self, index, boxes, grid):
         """Every tile with points, and the sources of its points and of those around it."""
@@ -375,7 +382,7 @@ class _Run:
             "remarks": self.remarks,
             "cells": cells,
             "tiles": tiles,
-            "sources": [asdict(source) for source in sources],
+            "sources": [source.path for source in sources],
         }
         text = json.dumps(record, indent=1)
         write_atomically(self.folder / "run.json", lambda path: path.write_text(text, "utf-8"))

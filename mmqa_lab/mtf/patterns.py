@@ -19,6 +19,15 @@ SQUARE = np.pi / 4
 PLAIN_PX = 3.0
 """Pixels this far from all borders of a sector show its plain grey value."""
 
+PLAIN_SHARE = 0.3
+"""In narrower sectors those do that are farther than this share of the sector's width."""
+
+NARROWEST_PX = 4.0
+"""Width of the sectors at the outline."""
+
+LARGEST_STRETCH = 0.1
+"""A star tilted by 35 degrees is stretched by this share along one axis, shrunk along the other."""
+
 BAR_PERIODS = 2.5
 """Bars are five of their widths long."""
 
@@ -44,6 +53,8 @@ class StarMtf(Shown):
         x (column), y (row) in pixels of the given image, the first pixel's centre at 0.
     levels : (float, float)
         Grey values of plain dark and bright sectors, as they would be without blur.
+    tilt_deg : float
+        Angle under which the star was seen; 0 if it is round.
 
     Examples
     --------
@@ -60,6 +71,7 @@ class StarMtf(Shown):
     radius_px: np.ndarray
     centre: tuple
     levels: tuple
+    tilt_deg: float = 0.0
 
     def at(self, share):
         """Frequency at which the contrast first falls to a share; NaN where it does not."""
@@ -74,6 +86,13 @@ class StarMtf(Shown):
     def mtf10(self):
         """Frequency of a tenth of the contrast, the limiting resolution."""
         return self.at(0.1)
+
+    @property
+    def mtf50_sigma(self):
+        """Standard deviation of the frequency of half the contrast."""
+        step = np.array([-0.02, 0.02]) * self.mtf50
+        slope = np.ptp(np.interp(self.mtf50 + step, self.frequency, self.mtf)) / np.ptp(step)
+        return float(np.interp(self.mtf50, self.frequency, self.std) / max(slope, 1e-12))
 
     def sigma_px(self):
         """Standard deviation of the Gaussian whose transfer function fits, the pixel included."""
@@ -126,8 +145,8 @@ def measure_star(
     radius, and its odd harmonics as far as pixels show them are fitted to all pixels. The wave's
     amplitude over that of plain sectors, times pi/4 for their square shape, is the transfer
     function. What blur takes away in the middle of the sectors is given back to their levels, as
-    much as the Gaussian takes that fits the transfer function. The centre is refined until the
-    wave has the same phase in all rings.
+    much as the Gaussian takes that fits the transfer function. The centre, and the ellipse that a
+    tilted star is, are refined until the wave has the same phase in all rings.
 
     Parameters
     ----------
@@ -139,11 +158,11 @@ def measure_star(
     cycles : int
         Pairs of dark and bright sectors around the full circle.
     radius_px : float
-        Of the star.
+        Of the star; where it is an ellipse, half of its long axis.
     azimuth_deg : (float, float)
         The part of the circle to use, from x towards y: a half star, or a direction of interest.
     refine : bool
-        Whether to refine the centre.
+        Whether to refine centre and ellipse.
 
     Returns
     -------
@@ -152,7 +171,8 @@ def measure_star(
     Raises
     ------
     ValueError
-        If the star leaves the image or is too small to show plain sectors.
+        If the star leaves the image, is too small to show plain sectors, or is tilted by more than
+        35 degrees.
 
     Notes
     -----
@@ -180,12 +200,15 @@ def measure_star(
     rows, columns = np.indices(grey.shape)
     used = _sector(rows - y0, columns - x0, azimuth_deg)
     pixels = (columns[used].astype(float), rows[used].astype(float), grey[used])
-    levels, borders = _plain_levels(pixels, (x0, y0), n, radius)
+    place = np.array([x0, y0, 0.0, 0.0])
+    levels, borders = _plain_levels(pixels, place, n, radius)
     rings = np.arange(n / np.pi, radius - 1 - PLAIN_PX, 0.5)
     if refine:
-        x0, y0 = _refined(pixels, (x0, y0), n, rings[rings > 1.5 * n / np.pi])
-        levels, borders = _plain_levels(pixels, (x0, y0), n, radius)
-    fits = [_ring(pixels, (x0, y0), n, ring) for ring in rings]
+        place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
+        radius *= 1 - np.hypot(*place[2:])
+        rings = rings[rings < radius - 1 - PLAIN_PX]
+        levels, borders = _plain_levels(pixels, place, n, radius)
+    fits = [_ring(pixels, place, n, ring) for ring in rings]
     amplitude, std = np.array([(np.hypot(*fit[0]), fit[1]) for fit in fits]).T
     frequency = n / (2 * np.pi * rings)
     share = _plain_share(frequency, 2 * SQUARE * amplitude / np.ptp(levels), borders)
@@ -197,8 +220,9 @@ def measure_star(
         mtf=(scale * amplitude)[order],
         std=(scale * std)[order],
         radius_px=rings[order],
-        centre=(float(x0), float(y0)),
+        centre=(float(place[0]), float(place[1])),
         levels=(float(levels[0]), float(levels[1])),
+        tilt_deg=_tilt(place),
     )
 
 
@@ -222,7 +246,7 @@ def read_bars(image, groups, *, dark, bright, noise):
     -------
     DataFrame
         The groups with ``contrast``, ``counted`` (bars), ``phase_deg``, ``strip_share``,
-        ``resolved`` and the ``reason`` why not, as of ``chart_image.line_pairs``.
+        ``resolved`` and the ``reason`` why not, as of ``chart_image.reading``.
 
     Raises
     ------
@@ -328,7 +352,6 @@ def haar_sharpness(image, *, block=64, noise_std=None):
     >>> haar_sharpness(noise, noise_std=0)["sharpness"].round(1).item()
     1.0
     """
-    import pywt
     import xarray as xr
     from scipy.stats import median_abs_deviation
 
@@ -340,8 +363,8 @@ def haar_sharpness(image, *, block=64, noise_std=None):
             "least a block large; the block's side must be a multiple of 4."
         )
     rows, columns = (size // side for size in grey.shape)
-    approximation, fine = pywt.dwt2(grey[: rows * side, : columns * side], "haar")
-    coarse = pywt.dwt2(approximation, "haar")[1]
+    approximation, fine = _haar(grey[: rows * side, : columns * side])
+    coarse = _haar(approximation)[1]
     if noise_std is None:
         noise_std = float(median_abs_deviation(fine[2], axis=None, scale="normal"))
     noise = check_number(noise_std, "noise_std", low=0) ** 2
@@ -349,7 +372,7 @@ def haar_sharpness(image, *, block=64, noise_std=None):
         level: [_block_means(part**2, rows, columns) - noise for part in details]
         for level, details in (("fine", fine), ("coarse", coarse))
     }
-    # pywt: the first detail varies along rows (y), the second along columns (x), the third both
+    # the first detail varies along rows (y), the second along columns (x), the third both
     choices = {"sharpness": (0, 1, 2), "along_x": (1,), "along_y": (0,)}
     maps = {}
     for name, parts in choices.items():
@@ -361,6 +384,13 @@ def haar_sharpness(image, *, block=64, noise_std=None):
     missing = int(np.isnan(maps["sharpness"][1]).sum())
     about = {"noise_std": noise_std, "not_measurable": missing}
     return xr.Dataset(maps, coords=centres, attrs=about)
+
+
+def _haar(grey):
+    """One level of Haar wavelets: the approximation, and the details along y, x and both."""
+    a, b = grey[::2, ::2], grey[::2, 1::2]
+    c, d = grey[1::2, ::2], grey[1::2, 1::2]
+    return (a + b + c + d) / 2, ((a + b - c - d) / 2, (a - b + c - d) / 2, (a - b - c + d) / 2)
 
 
 def blur_dependence(edges: pd.DataFrame) -> pd.DataFrame:
@@ -446,23 +476,31 @@ def _sector(dy, dx, azimuth_deg):
     return (to_limits > 0) & (r * np.sin(np.minimum(to_limits, np.pi / 2)) > PLAIN_PX)
 
 
-def _polar(pixels, centre):
-    """Radius and azimuth of pixels about a centre."""
-    dx, dy = pixels[0] - centre[0], pixels[1] - centre[1]
+def _polar(pixels, place):
+    """Radius and azimuth of pixels about a centre, on the round star that is seen as an ellipse."""
+    x, y, a, b = place
+    dx, dy = pixels[0] - x, pixels[1] - y
+    dx, dy = (1 + a) * dx + b * dy, b * dx + (1 - a) * dy
     return np.hypot(dx, dy), np.arctan2(dy, dx)
 
 
-def _plain_levels(pixels, centre, n, radius):
+def _tilt(place):
+    """The angle under which a star has the axes of this ellipse, degrees."""
+    stretch = np.hypot(*place[2:])
+    return float(np.degrees(np.arccos((1 - stretch) / (1 + stretch))))
+
+
+def _plain_levels(pixels, place, n, radius):
     """Grey values in the middle of the sectors near the outline, and the distances from borders.
 
     Levels as an array, dark first; of each pixel used the distances from both its borders.
     """
-    r, azimuth = _polar(pixels, centre)
+    r, azimuth = _polar(pixels, place)
     outer = (r > 0.75 * radius) & (r < radius - PLAIN_PX)
-    if outer.sum() < 4 * n or np.pi * 0.75 * radius / n < 2 * PLAIN_PX + 1:
+    if outer.sum() < 4 * n or np.pi * radius / n < NARROWEST_PX:
         raise ValueError(
-            f"Invalid star of {n} cycles and radius {radius} px. Must lie in the image and be "
-            f"larger than {(2 * PLAIN_PX + 1) * n / (0.75 * np.pi):.0f} px to show plain sectors."
+            f"Invalid star of {n} cycles and radius {radius:g} px. Must lie in the image and be "
+            f"larger than {NARROWEST_PX * n / np.pi:.0f} px to show plain sectors."
         )
     values = pixels[2][outer]
     phase = n * azimuth[outer]
@@ -472,7 +510,7 @@ def _plain_levels(pixels, centre, n, radius):
     from_peak = np.abs(turned - np.round(turned))
     width = np.pi * r[outer] / n
     near = np.abs(from_peak - 0.25) * 2 * width
-    plain = near > PLAIN_PX
+    plain = near > np.minimum(PLAIN_PX, PLAIN_SHARE * width)
     bright = from_peak < 0.25
     levels = np.array([values[plain & ~bright].mean(), values[plain & bright].mean()])
     return levels, np.stack([near[plain], (width - near)[plain]])
@@ -497,9 +535,9 @@ def _gaussian_sigma(frequency, mtf):
     return float(np.sqrt(max(slope, 1e-12) / (2 * np.pi**2)))
 
 
-def _ring(pixels, centre, n, ring):
+def _ring(pixels, place, n, ring):
     """Cosine and sine amplitude of the wave at a radius, and their standard error."""
-    r, azimuth = _polar(pixels, centre)
+    r, azimuth = _polar(pixels, place)
     inside = np.abs(r - ring) < 1
     wave = np.stack([np.cos(n * azimuth[inside]), np.sin(n * azimuth[inside])])
     off = r[inside] - ring
@@ -516,15 +554,15 @@ def _ring(pixels, centre, n, ring):
     return coefficients[1:3], np.sqrt((covariance[1, 1] + covariance[2, 2]) / 2)
 
 
-def _refined(pixels, centre, n, rings):
-    """The centre about which the wave keeps its phase over the rings and around them."""
+def _refined(pixels, place, n, rings):
+    """Centre and ellipse about which the wave keeps its phase over the rings and around them."""
     from scipy.optimize import least_squares
 
-    r, _ = _polar(pixels, centre)
-    near = (r > rings[0] - 1) & (r < min(rings[-1], 6 * rings[0]))
-    points = tuple(values[near] for values in pixels)
+    r, _ = _polar(pixels, place)
+    near = (r > 0.9 * rings[0] - 1) & (r < 1.1 * min(rings[-1], 6 * rings[0]))
+    points = [values[near] for values in pixels]
 
-    def misfit(place):
+    def misfit(place, points=points):
         """Residuals of one wave over all rings whose amplitude falls with frequency squared."""
         radius, azimuth = _polar(points, place)
         wave = np.stack([np.cos(n * azimuth), np.sin(n * azimuth)])
@@ -533,8 +571,19 @@ def _refined(pixels, centre, n, rings):
         coefficients, *_ = np.linalg.lstsq(design, points[2], rcond=None)
         return points[2] - design @ coefficients
 
-    found = least_squares(misfit, centre, diff_step=1e-4, xtol=1e-6)
-    return found.x
+    # a stretch turns the wave by up to n times itself; beyond a radian the fit would lose it
+    steps = np.arange(-1, 1.01, min(1.0, 1.2 / (n * LARGEST_STRETCH))) * LARGEST_STRETCH
+    some = [values[:: len(r) // 3000 + 1] for values in points]
+    starts = [[*place[:2], a, b] for a in steps - steps.mean() for b in steps - steps.mean()]
+    best = min(starts, key=lambda start: (misfit(start, some) ** 2).sum())
+    scale = np.array([1.0, 1.0, 1 / rings[-1], 1 / rings[-1]])
+    found = least_squares(lambda p: misfit(p * scale), best / scale, xtol=1e-7).x * scale
+    if np.hypot(*found[2:]) > LARGEST_STRETCH:
+        raise ValueError(
+            f"Invalid star, tilted by {_tilt(found):.0f} degrees. Must be tilted by "
+            f"{_tilt([0, 0, LARGEST_STRETCH, 0]):.0f} degrees or less."
+        )
+    return found
 
 
 def _place_of_bars(group):

@@ -397,7 +397,7 @@ def reflectance_factor(
     return np.pi * of_ground * (1 - s * around) / (tau * irradiance)
 
 
-def empirical_line(dn, reflectance, *, std_dn=None, anisotropy=1.0):
+def empirical_line(dn, reflectance, *, std_dn=None, std=0.0, anisotropy=1.0):
     """Fit reflectance as a line of DN through targets of known reflectance.
 
     Parameters
@@ -409,6 +409,8 @@ def empirical_line(dn, reflectance, *, std_dn=None, anisotropy=1.0):
     std_dn : float or array_like, shape (n,), optional
         Standard error of each mean DN. Where given, targets weigh by its inverse square, and the
         covariance follows from it; where not, it follows from the residuals (n >= 3).
+    std : float or array_like, shape (n,)
+        Standard deviation of each known reflectance; it counts where ``std_dn`` is given.
     anisotropy : float or array_like, shape (n,)
         Anisotropy factor of each target as the camera saw it: a target that reflects 5 %
         more that way than at nadir has 1.05.
@@ -442,10 +444,14 @@ def empirical_line(dn, reflectance, *, std_dn=None, anisotropy=1.0):
             f"Invalid targets: {dn.size} given. Must be two or more of different, finite DN."
         )
     slope = np.polyfit(dn, known, 1)[0]
-    std = np.ones_like(dn) if std_dn is None else np.abs(slope) * np.broadcast_to(std_dn, dn.shape)
+    std = np.ones_like(dn) if std_dn is None else np.hypot(slope * np.asarray(std_dn), std)
     if (std <= 0).any():
         raise ValueError("Invalid standard errors. Must be > 0 DN.")
-    fit = WLS(known, np.stack([dn, np.ones_like(dn)], axis=1), weights=std**-2.0).fit()
+    fit = WLS(
+        known,
+        np.stack([dn, np.ones_like(dn)], axis=1),
+        weights=np.broadcast_to(std, dn.shape) ** -2.0,
+    ).fit()
     spread = 1.0 if std_dn is not None else fit.scale if len(dn) > 2 else np.nan
     slope, intercept = map(float, fit.params)
     return EmpiricalLine(slope, intercept, fit.normalized_cov_params * spread, fit.resid)

@@ -28,6 +28,11 @@ from scipy.stats import median_abs_deviation
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
 
+UNDETERMINED = (
+    "Invalid block: its parameters cannot be told apart. Must have more overlap, control targets, "
+    "or priors (see Notes)."
+)
+
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
 
 FREE, FIXED = np.inf, 0.0
@@ -267,10 +272,11 @@ def adjust_block(
             size = parameters + ties - images
             normal = normal + sparse.block_diag([gauge, sparse.csc_matrix((size, size))])
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
-        change, inverse = _solved(normal.tocsc(), right, parameters)
+        change = _factor(normal).solve(right)
         estimate[free] += change
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= CONVERGED:
+            inverse = _covariance(normal, parameters)
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
             return replace(adjusted, absolute=control is not None)
     raise ValueError(
@@ -362,21 +368,25 @@ class _Block:
         return self.signal - scale * light, sparse.csc_matrix((values.ravel(), places), size)
 
 
-def _solved(normal, right, count):
-    """The solution, and the covariance of the first ``count`` unknowns."""
+def _factor(normal):
+    """The factors of a normal matrix."""
     from scipy.sparse.linalg import splu
 
-    unknown = "Invalid block: its parameters cannot be told apart. Must have more overlap, control "
+    choices = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     try:
-        factor = splu(normal)
+        return splu(normal.tocsc(), **choices)
     except RuntimeError:
-        raise ValueError(f"{unknown}targets, or priors (see Notes).") from None
-    inverse = factor.solve(np.eye(len(right), count))[:count]
+        raise ValueError(UNDETERMINED) from None
+
+
+def _covariance(normal, count):
+    """The covariance of the first ``count`` unknowns, if they can be told apart."""
+    inverse = _factor(normal).solve(np.eye(normal.shape[0], count))[:count]
     sigma = np.sqrt(np.abs(np.diag(inverse)))
     values = np.linalg.eigvalsh(inverse / np.outer(sigma, sigma))
     if not values[0] > 1e-10 * values[-1]:
-        raise ValueError(f"{unknown}targets, or priors (see Notes).")
-    return factor.solve(right), inverse
+        raise ValueError(UNDETERMINED)
+    return inverse
 
 
 def _result(block, observations, estimate, inverse, free, scaled):

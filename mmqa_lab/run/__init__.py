@@ -396,7 +396,7 @@ def _drawn(figure):
             label = str(artist.get_label())
             named = {"panel": panel, "series": "" if label.startswith("_") else label}
             axes = {"x_label": ax.get_xlabel(), "y_label": ax.get_ylabel()}
-            parts.append(pd.DataFrame({**_points_of(artist), **axes}).assign(**named))
+            parts.append(pd.DataFrame({**named, **_points_of(artist), **axes}))
     return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
 
 

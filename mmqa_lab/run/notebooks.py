@@ -230,7 +230,7 @@ def _student_notebook(notebook):
     return nbformat.from_dict({**notebook, "cells": cells})
 
 
-def write_student_notebooks(studies, folder):
+def write_student_notebooks(studies, folder, *, quick=False):
     """Write students' copies of studies' notebooks into a folder.
 
     Parameters
@@ -238,6 +238,8 @@ def write_student_notebooks(studies, folder):
     studies : list of mmqa_lab.studies.catalogue.Study
     folder : path
         Made where missing.
+    quick : bool
+        With the small parameters that each study's module calls QUICK.
 
     Returns
     -------
@@ -265,6 +267,8 @@ def write_student_notebooks(studies, folder):
         )
     for study, target in zip(studies, targets, strict=True):
         copy = _student_notebook(nbformat.read(study.path, as_version=4))
+        if quick:
+            inject(copy, study.module.QUICK)
         write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
     return targets
 

@@ -29,6 +29,7 @@ from mmqa_lab.scan_pattern.numbering import (
 )
 
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
+ROUNDS = 20  # of leaving out points off the moving plane, at most
 MANY = 150  # points from which on curvature, twist and the turning of the beam are fitted too
 GRID = 9  # nodes for each of the two unknown variances of the mean gap
 # More profiles than that are averaged in so many blocks: matrices are this large at most.
@@ -597,8 +598,7 @@ def fit_scan_planes(points, gps_time, *, mirror_frequency_hz=None):
     frequency = mirror_frequency_hz or mirror_frequency(since)
     centre = points.mean(axis=0)
     local = points - centre
-    velocity = np.polyfit(since, local, 1)[0]
-    plane = fit_plane(local - np.outer(since - since.mean(), velocity), robust=True)
+    velocity, plane = _moving_plane(local, since)
     normal = plane.normal * np.sign(plane.normal @ velocity)
     phase = np.floor(since * frequency % 1 * PHASES)
     advance, *turning = _displacement(local, local @ normal, number, phase, plane.axes)
@@ -611,6 +611,19 @@ def fit_scan_planes(points, gps_time, *, mirror_frequency_hz=None):
         advance_m=float(advance),
         turning=turning @ plane.axes,
     )
+
+
+def _moving_plane(local, since):
+    """Velocity of points of a plane in uniform motion, and the plane to which that brings them."""
+    inside = np.ones(len(local), dtype=bool)
+    for _ in range(ROUNDS):
+        velocity = np.polyfit(since[inside], local[inside], 1)[0]
+        plane = fit_plane(local - np.outer(since - since.mean(), velocity), robust=True)
+        near = np.abs(plane.residuals) <= TUKEY * max(sigma_mad(plane.residuals), 1e-9)
+        if (near == inside).all():
+            break
+        inside = near
+    return velocity, plane
 
 
 def _displacement(local, height, number, phase, axes):

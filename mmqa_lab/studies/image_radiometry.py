@@ -386,12 +386,22 @@ def ledger_entries(*, corner, sensors, stable, reflectance, laboratory):
     for cell, name in LABORATORY.items():
         ends = laboratory.set_index("target_class").loc[name, ["low", "high"]]
         found.append(("reflectance_results", cell, ends.mean(), ends, PASSED_ON))
+    corner_deg = np.degrees(np.arctan2(np.hypot(*DMC_PIXELS) / 2 * 0.012, 120.0))
+    ends = (corner_deg - 0.1, corner_deg + 0.1)
+    found.append(
+        ("reflectance_results", "brf_view_angles", corner_deg, ends, DATA_SHEET, "predicted")
+    )
     return [_entry(*row) for row in found]
 
 
 PREDICTED = (
     "Bars 3 to 12 cm wide at 5 cm per pixel, 1.6 times that in the corner, as printed; read in "
     "simulated images and regressed on the distance. Blur (0.5 px) and places are assumed."
+)
+DMC_PIXELS = (13_824, 7_680)
+DATA_SHEET = (
+    "The camera's data sheet: images of 13,824 x 7,680 pixels of 12 um behind 120 mm; the angle is "
+    "that of the corner."
 )
 PIXELS = "One line on each pixel of 12 um, which prints as 83; the interval is that of 12, rounded."
 LINEAR = (

@@ -495,8 +495,7 @@ def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
     ------
     Check
     """
-    f1 = bench.summary(by_weight, "f1").set_index("method")["mean"]
-    rate = bench.summary(by_weight, "rate_percent").set_index("method")["mean_percent"]
+    f1, rate = _means(by_weight, "f1"), _means(by_weight, "rate_percent")
     scenes = by_weight.sizes["seed"]
     tolerance = 0.03 * np.sqrt(30 / scenes)
     yield Check(
@@ -512,7 +511,7 @@ def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
         "nearly all cells are true negatives",
     )
     loud = by_noise.sel(angle_noise_deg=by_noise["angle_noise_deg"].max())
-    loudest = bench.summary(loud, "f1").set_index("method")["mean"]
+    loudest = _means(loud, "f1")
     yield Check(
         "With the noisiest directions W = 10 is too much.",
         bool(loudest.max() - loudest["W = 10"] > 0.03),
@@ -520,8 +519,7 @@ def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
         "three standard errors of a mean over 30 scenes",
     )
     far = by_displacement.sel(displacement_m=by_displacement["displacement_m"].max())
-    bias = bench.summary(far, "lhd_bias_m").set_index("method")["mean_m"]
-    across = bench.summary(far, "across_bias_m").set_index("method")["mean_m"]
+    bias, across = _means(far, "lhd_bias_m"), _means(far, "across_bias_m")
     yield Check(
         "At the largest displacement the published distance reads at least 0.2 m too little, the "
         "displaced matcher's perpendicular distance is right to 3 cm.",
@@ -547,11 +545,15 @@ def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
     )
 
 
+def _means(results, figure):
+    """Mean of a figure for each method."""
+    return bench.summary(results, figure).set_index("method").iloc[:, 0]
+
+
 def answer(by_weight, held_out, rows):
     """The study's answer in one sentence."""
-    over = bench.summary(by_weight, "f1").set_index("method")["mean"]
+    over, f1 = _means(by_weight, "f1"), _means(held_out, "f1")
     weights = [name.removeprefix("W = ") for name in over.index]
-    f1 = bench.summary(held_out, "f1").set_index("method")["mean"]
     ratio = float(np.exp(np.log(rows["olhd_simulated_m"] / rows["olhd_printed_m"]).abs().mean()))
     return (
         f"In simulated canyons whose distances are within a factor of {ratio:.2f} of the printed "

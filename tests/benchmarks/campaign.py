@@ -25,7 +25,7 @@ import numpy as np
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
 from mmqa_lab.maps import METRICS
-from mmqa_lab.run.readme import replaced
+from mmqa_lab.run.pages import replaced
 
 PER_FILE = 1_000_000
 

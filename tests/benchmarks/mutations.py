@@ -50,7 +50,7 @@ FAULTS = (
      "test_scan_pattern_measured.py"),
     ("scan_pattern", "if strays[best] < CLEAR", "if strays[best] < 0",
      "test_scan_pattern_measured.py"),
-    ("lines", "weight * self.angle**2", "weight * self.angle", "test_lines_lhd.py"),
+    ("lines", "sqrt(weight * self.angle**2", "sqrt(weight * self.angle", "test_lines_lhd.py"),
     ("lines", "float(np.fmax(a, b))", "float(np.fmin(a, b))", "test_lines_lhd.py"),
     ("tender", "value >= threshold", "value > threshold", "test_tender.py"),
     ("tender", "COVERAGE = 1.96", "COVERAGE = 1.0", "test_tender.py"),
@@ -92,15 +92,15 @@ def outcome(tree, room, old, new, tests):
     if places:
         text = places[0].read_text("utf-8")
         places[0].write_text(text.replace(old, new, 1), "utf-8")
-        word = "caught" if fails(tree, tests) else "NOT CAUGHT"
+        word = "caught" if fails(tree, tests, places[0]) else "NOT CAUGHT"
         places[0].write_text(text, "utf-8")
     print(f"{word:10}  {room}: {old}  ->  {new}", flush=True)
     return word
 
 
-def fails(tree, tests):
-    """Whether the tests fail on the copy."""
-    files = [f"tests/{name}" for name in tests.split()]
+def fails(tree, tests, path):
+    """Whether the tests fail on the copy, or the examples in the docstrings of the file."""
+    files = [str(path), *(f"tests/{name}" for name in tests.split())]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:randomly", *files]
     place = {**os.environ, "PYTHONPATH": str(tree)}
     done = subprocess.run(command, cwd=tree, env=place, capture_output=True, text=True)

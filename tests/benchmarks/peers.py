@@ -34,7 +34,7 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE
-from mmqa_lab.run.readme import replaced
+from mmqa_lab.run.pages import replaced
 from mmqa_lab.spacing import quadrant_distances
 
 CHART_POINTS = 30_000

@@ -13,6 +13,7 @@ import numpy as np
 
 from mmqa_lab import simulate
 from mmqa_lab.simulate import presets
+from mmqa_lab.simulate.surfaces import foliage
 
 LENGTH = 400.0
 
@@ -32,7 +33,7 @@ def street(rng):
             simulate.box((x[1], y[1], 0), (1.8, 4.4, 1.5), heading=rng.uniform(-5, 5)),
             simulate.board((x[2], y[2], 2.4), 0.6, 0.6, heading=180),
             simulate.cylinder((x[3], y[3], 0), (x[3], y[3], 3), 0.15),
-            simulate.foliage((x[3], y[3], 5), 2, leaves=2000, leaf_radius=0.05, seed=k),
+            foliage((x[3], y[3], 5), 2, leaves=2000, leaf_radius=0.05, seed=k),
         ]
     return simulate.Scene(surfaces)
 

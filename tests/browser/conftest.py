@@ -51,7 +51,7 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "tests/browser" in item.path.as_posix():
             item.add_marker(pytest.mark.browser)
-            item.add_marker(pytest.mark.timeout(600))
+            item.add_marker(pytest.mark.timeout(1800))
             if reason:
                 item.add_marker(pytest.mark.skip(reason=reason))
 
@@ -138,7 +138,7 @@ def _environment(folder):
     return environment
 
 
-def _wait(server, address, log, seconds=90):
+def _wait(server, address, log, seconds=300):
     """Return when the server answers."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:

@@ -1,0 +1,380 @@
+"""Measure a camera in your own images: resolution, sharpness, sensor and reflectance, band by band.
+
+edge, star and bars measure resolution on targets, sharpness does without any; calibrate fits gain
+and offset of the sensor to targets of known radiance, and reflect turns digital numbers into
+reflectance by the empirical line (EuroSDR 2013, image radiometry). Images are JPEG, PNG or TIFF
+with any number of bands. Values of 8 bits are decoded from sRGB unless --linear is given; calibrate
+and reflect refuse them without it. Intervals are 95 %; what cannot be measured is empty.
+
+The targets are a CSV file with a row for each target. Columns for all: image (name of the file;
+without the column a target is in every image), name.
+
+  edge       x_px, y_px, width_px, height_px: upper left corner and size of a region with one edge
+             (without targets the whole image is one)
+  star       x_px, y_px (centre), radius_px, cycles; or from_deg and to_deg, the part to use
+  bars       x_px, y_px (middle of a group), period_px, bars, angle_deg (across them, from x to y)
+  calibrate  the region as for edge; radiance, or radiance_1, radiance_2, ... for the bands;
+             exposure, or time_s and f_number (without them EXIF is read)
+  reflect    the region; reflectance, or reflectance_1, ...: empty where it is to be measured;
+             reflectance_std, anisotropy
+"""
+
+from pathlib import Path
+
+from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+
+SUMMARY = "resolution, calibration and reflectance of images with several bands"
+
+EPILOG = """\
+example:
+  mmqa radiometry star IMG_1.tif --targets stars.csv --gsd-cm 5 --pixel-um 12
+  mmqa radiometry calibrate a.tif b.tif --targets tarps.csv
+  mmqa radiometry reflect a.tif b.tif --targets tarps.csv --csv reflectance.csv
+"""
+
+REGION = ("x_px", "y_px", "width_px", "height_px")
+
+NEEDED = {
+    "edge": REGION,
+    "star": ("x_px", "y_px", "radius_px", "cycles"),
+    "bars": ("x_px", "y_px", "period_px", "bars", "angle_deg"),
+    "sharpness": (),
+    "calibrate": REGION,
+    "reflect": REGION,
+}
+
+ROUNDING_DN = 12**-0.5
+"""Standard deviation that rounding alone gives a pixel."""
+
+
+def add_arguments(parser):
+    """Declare the arguments."""
+    parser.add_argument("measure", choices=tuple(NEEDED), help="what to measure, see above")
+    parser.add_argument("image", nargs="+", metavar="IMAGE", help="JPEG, PNG or TIFF")
+    parser.add_argument("--targets", type=Path, metavar="FILE", help="CSV, see above")
+    parser.add_argument("--linear", action="store_true", help="8-bit values are linear in light")
+    parser.add_argument("--gsd-cm", type=float, metavar="CM", help="size of a pixel on the ground")
+    parser.add_argument("--pixel-um", type=float, metavar="UM", help="size of a detector pixel")
+    add_output_arguments(parser)
+
+
+def run(options):
+    """Measure every band of every image, then print and write."""
+    import pandas as pd
+
+    from mmqa_lab._checks import check_positive
+    from mmqa_lab.io.images import read_bands
+
+    for name in ("gsd_cm", "pixel_um"):
+        if getattr(options, name) is not None:
+            check_positive(getattr(options, name), name.replace("_", "-"))
+    targets = _targets(options)
+    images = {}
+    for file in with_progress(options.image, "image"):
+        images[file] = image = read_bands(file)
+        first = images[options.image[0]]
+        if len(image.values) != len(first.values):
+            raise ValueError(
+                f"Invalid image {file}: {len(image.values)} bands. Must have {len(first.values)} "
+                f"as {options.image[0]} has."
+            )
+        physical = options.measure in ("calibrate", "reflect")
+        if image.values.dtype.itemsize == 1 and physical and not options.linear:
+            raise ValueError(
+                f"Invalid image {file}: 8 bits, usually not linear in light. Must have 16 bits, or "
+                "be said to be --linear."
+            )
+    if options.measure == "calibrate":
+        rows = _calibrated(images, targets)
+    elif options.measure == "reflect":
+        rows = _reflectances(images, targets)
+    else:
+        rows = _resolutions(images, targets, options)
+    print_rows(pd.DataFrame([_in_units(row, options) for row in rows]), options)
+
+
+def _targets(options):
+    """The table of targets with the columns that the measure needs; None without a file."""
+    import pandas as pd
+
+    needed = NEEDED[options.measure]
+    if options.targets is None:
+        if needed and options.measure != "edge":
+            raise ValueError(f"Invalid {options.measure} without targets. Must have --targets.")
+        return None
+    if not options.targets.is_file():
+        raise FileNotFoundError(f"Invalid targets {options.targets}: no such file. Must exist.")
+    try:
+        table = pd.read_csv(options.targets)
+    except (ValueError, pd.errors.ParserError):
+        raise ValueError(f"Invalid targets {options.targets}. Must be CSV.") from None
+    for column in needed:
+        if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
+            raise ValueError(f"Invalid targets: no numbers in {column!r}. Must have them.")
+        if table[column].isna().any():
+            raise ValueError(f"Invalid targets: {column!r} has gaps. Must be complete.")
+    return table
+
+
+def _of_image(targets, file):
+    """The targets that an image shows."""
+    if "image" in targets:
+        targets = targets[targets["image"].isin([str(file), Path(file).name, Path(file).stem])]
+    if targets.empty:
+        raise ValueError(f"Invalid targets: none of {Path(file).name}. Must have some.")
+    if "name" not in targets:
+        targets = targets.assign(name=[f"target {k + 1}" for k in targets.index])
+    return targets
+
+
+def _resolutions(images, targets, options):
+    """A row for each target in each band; without targets for each band."""
+    import numpy as np
+    import pandas as pd
+
+    from mmqa_lab.io.images import decode
+
+    measure = {"edge": _edge, "star": _star, "bars": _bars, "sharpness": _sharpness}
+    for file, image in images.items():
+        shape = image.values.shape[1:]
+        whole = pd.DataFrame([("image", 0, 0, *shape[::-1])], columns=["name", *REGION])
+        shown = whole if targets is None else _of_image(targets, file)
+        if options.measure == "sharpness":
+            shown = whole
+        for band, values in zip(image.bands, image.values, strict=True):
+            if values.dtype == np.uint8:
+                values = values / np.float32(255)
+                values = values if options.linear else decode(values, "srgb")
+            known = {"image": Path(file).name, "band": band}
+            for target in shown.to_dict("records"):
+                yield known | {"target": target["name"]} | measure[options.measure](values, target)
+
+
+def _region(values, target):
+    """The part of an image in a target's region."""
+    column, row, width, height = (round(target[name]) for name in REGION)
+    rows, columns = values.shape
+    if min(column, row) < 0 or column + width > columns or row + height > rows:
+        raise ValueError(
+            f"Invalid region of {target['name']!r}. Must lie within {columns} x {rows} pixels."
+        )
+    return values[row : row + height, column : column + width]
+
+
+def _edge(values, target):
+    """MTF50 and FWHM of one edge."""
+    from mmqa_lab.mtf import fit_edge
+
+    edge = fit_edge(_region(values, target))
+    share = 1.96 * edge.mtf50_sigma / edge.mtf50
+    figures = _interval("mtf50", "per_px", edge.mtf50, share * edge.mtf50)
+    figures |= _interval("fwhm", "px", edge.fwhm_px, share * edge.fwhm_px)
+    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+
+
+def _star(values, target):
+    """MTF50, MTF10 and FWHM of a star."""
+    from mmqa_lab.mtf import measure_star
+
+    part = target.get("from_deg", 0.0), target.get("to_deg", 360.0)
+    centre, cycles = (target["x_px"], target["y_px"]), int(target["cycles"])
+    radius = target["radius_px"]
+    star = measure_star(values, centre, cycles=cycles, radius_px=radius, azimuth_deg=part)
+    reach = 1.96 * star.mtf50_sigma
+    figures = _interval("mtf50", "per_px", star.mtf50, reach)
+    figures |= _interval("fwhm", "px", star.fwhm_px, reach / star.mtf50 * star.fwhm_px)
+    remark = "" if star.mtf50 == star.mtf50 else "the star does not show the frequency of MTF50"
+    return figures | {"mtf10_per_px": star.mtf10, "tilt_deg": star.tilt_deg, "remark": remark}
+
+
+def _bars(values, target):
+    """Whether a group of bars is resolved."""
+    import numpy as np
+    import pandas as pd
+
+    from mmqa_lab.mtf import read_bars
+
+    reach = int(target["bars"] * target["period_px"] / 2 + target["period_px"])
+    column, row = round(target["x_px"]), round(target["y_px"])
+    region = [column - reach, row - reach, 2 * reach + 1, 2 * reach + 1]
+    around = _region(values, target | dict(zip(REGION, region, strict=True)))
+    low, high = np.percentile(around, [2, 98])
+    diagonal = around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]
+    noise = max(float(np.median(np.abs(diagonal))) * 1.4826 / 2, 1e-6 * (high - low))
+    found = read_bars(values, pd.DataFrame([target]), dark=low, bright=high, noise=noise).iloc[0]
+    figures = {"period_px": target["period_px"], "contrast": found["contrast"]}
+    figures |= {"counted": found["counted"], "resolved": bool(found["resolved"])}
+    return figures | {"remark": found["reason"]}
+
+
+def _sharpness(values, target):
+    """Median of the local sharpness of an image, with the interval of a median."""
+    import numpy as np
+
+    from mmqa_lab.mtf import haar_sharpness
+
+    found = haar_sharpness(values)
+    figures = {}
+    for name in ("sharpness", "along_x", "along_y"):
+        blocks = found[name].values[np.isfinite(found[name].values)]
+        if not len(blocks):
+            figures |= {name: np.nan, f"{name}_low": np.nan, f"{name}_high": np.nan}
+            continue
+        quartiles = np.quantile(blocks, [0.25, 0.5, 0.75])
+        reach = 1.57 * (quartiles[2] - quartiles[0]) / len(blocks) ** 0.5
+        middle = float(quartiles[1])
+        figures |= {name: middle, f"{name}_low": middle - reach, f"{name}_high": middle + reach}
+    missing = found.attrs["not_measurable"]
+    remark = f"{missing} blocks without detail" if missing else ""
+    return figures | {"blocks": found["sharpness"].size, "remark": remark}
+
+
+def _interval(name, unit, value, reach):
+    """A figure with the ends of its interval."""
+    ends = {f"{name}_low_{unit}": value - reach, f"{name}_high_{unit}": value + reach}
+    return {f"{name}_{unit}": value} | ends
+
+
+def _in_units(row, options):
+    """A row with lengths on the ground and frequencies on the detector, where sizes are known."""
+    found = dict(row)
+    for name, value in row.items():
+        if name.endswith("_per_px") and options.pixel_um:
+            found[name.replace("_per_px", "_lines_per_mm")] = value * 1000 / options.pixel_um
+        elif name.endswith("_px") and options.gsd_cm:
+            found[name.removesuffix("_px") + "_cm"] = value * options.gsd_cm
+    return found
+
+
+def _patches(image, targets, name, number):
+    """Statistics of all targets in one band, and what is known of them in this band."""
+    import numpy as np
+
+    from mmqa_lab.radiometry import patch_statistics
+
+    column = f"{name}_{number}" if f"{name}_{number}" in targets else name
+    if column not in targets:
+        raise ValueError(f"Invalid targets: no column {name!r}. Must have one.")
+    first, size = targets[["y_px", "x_px"]], targets[["height_px", "width_px"]]
+    places = np.round(np.stack([first.to_numpy(), first.to_numpy() + size.to_numpy()], axis=-1))
+    found = patch_statistics(image.values[number - 1], places.reshape(-1, 4).astype(int))
+    found["std_dn"] = np.hypot(found["std_dn"], ROUNDING_DN)
+    found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
+    return found.assign(known=targets[column].to_numpy(), name=targets["name"].to_numpy())
+
+
+def _exposure(file, image, targets):
+    """Exposure time and f-number, or a relative exposure and 1; None where nothing says it."""
+    if "exposure" in targets:
+        return float(targets["exposure"].iloc[0]), 1.0
+    if {"time_s", "f_number"} <= set(targets):
+        return tuple(float(targets[name].iloc[0]) for name in ("time_s", "f_number"))
+    return image.exposure
+
+
+def _calibrated(images, targets):
+    """A row for each band and setting, and one for all settings of the band."""
+    import pandas as pd
+
+    from mmqa_lab.radiometry import fit_sensor, relative_exposure, stability
+
+    shown = {file: _of_image(targets, file) for file in images}
+    settings = {file: _exposure(file, image, shown[file]) for file, image in images.items()}
+    unknown = [file for file, setting in settings.items() if setting is None]
+    if unknown and len(images) > 1:
+        raise ValueError(
+            f"Invalid image {unknown[0]}: no exposure time and f-number in its EXIF. Must have "
+            "them, or the targets must have columns time_s and f_number."
+        )
+    reference = next(iter(settings.values()))
+    for number, band in enumerate(next(iter(images.values())).bands, start=1):
+        parts = []
+        for file, image in images.items():
+            part = _patches(image, shown[file], "radiance", number)
+            setting = settings[file]
+            label = "unknown" if setting is None else f"{setting[0]:g} s, f/{setting[1]:g}"
+            exposure = relative_exposure(*setting, reference=reference) if setting else 1.0
+            parts.append(part.assign(setting=label, exposure=exposure))
+        table = pd.concat(parts)
+        unsaturated = table[(table["saturated_share"] == 0) & table["known"].notna()]
+        fits = {
+            name: fit_sensor(
+                rows["known"], rows["mean_dn"], exposure=rows["exposure"], std_dn=rows["std_dn"]
+            )
+            for name, rows in [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
+        }
+        own = {name: fit for name, fit in fits.items() if name != "all"}
+        moved = {}
+        if len(own) > 1:
+            known = unsaturated["known"][unsaturated["known"] > 0]
+            moved = stability(own, known).groupby("setting")["difference_percent"].mean()
+        for name, fit in fits.items():
+            yield (
+                {"band": band, "setting": name}
+                | _sensor(fit)
+                | {
+                    "saturated": int((table["saturated_share"] > 0).sum()),
+                    "stability_percent": moved.get(name, float("nan")),
+                }
+            )
+
+
+def _sensor(fit):
+    """Gain and offset with their intervals."""
+    from scipy.stats import t
+
+    reach = t.ppf(0.975, fit.n - 2) * fit.std
+    figures = {"gain": fit.gain, "gain_low": fit.gain - reach[0], "gain_high": fit.gain + reach[0]}
+    figures |= _interval("offset", "dn", fit.offset, reach[1])
+    return figures | {"r_squared": fit.r_squared, "n": fit.n}
+
+
+def _reflectances(images, targets):
+    """A row for each target without a known reflectance, in each band of each image."""
+    import numpy as np
+    from scipy.stats import t
+
+    from mmqa_lab.radiometry import empirical_line
+
+    for file, image in images.items():
+        shown = _of_image(targets, file)
+        for number, band in enumerate(image.bands, start=1):
+            table = _patches(image, shown, "reflectance", number)
+            for name, other in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
+                table[name] = shown[name].fillna(other).to_numpy() if name in shown else other
+            clear = table["saturated_share"] == 0
+            references = table[table["known"].notna() & clear]
+            if len(references) < 2:
+                raise ValueError(
+                    f"Invalid targets of {file}: {len(references)} unsaturated with a known "
+                    "reflectance. Must be two or more."
+                )
+            stated = {"std_dn": references["std_error_dn"], "std": references["reflectance_std"]}
+            if not (references["reflectance_std"] > 0).all() and len(references) > 2:
+                stated = {}  # the residuals tell more than the noise of the pixels alone
+            line = empirical_line(
+                references["mean_dn"],
+                references["known"],
+                anisotropy=references["anisotropy"],
+                **stated,
+            )
+            factor = 1.96 if stated else t.ppf(0.975, line.n - 2)
+            for row in table[table["known"].isna()].itertuples():
+                value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
+                reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
+                low, high = references["mean_dn"].min(), references["mean_dn"].max()
+                remarks = {
+                    "saturated": row.saturated_share > 0,
+                    "beyond the reference targets": not low <= row.mean_dn <= high,
+                }
+                value = np.nan if row.saturated_share > 0 else value
+                yield {
+                    "image": Path(file).name,
+                    "band": band,
+                    "target": row.name,
+                    "reflectance": value,
+                    "reflectance_low": value - reach,
+                    "reflectance_high": value + reach,
+                    "references": line.n,
+                    "remark": "; ".join(text for text, true in remarks.items() if true),
+                }
