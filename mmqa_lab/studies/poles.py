@@ -164,14 +164,14 @@ def bare_shafts(scanner="roamer", *, seed):
     truth = truth.iloc[rng.permutation(len(truth))].reset_index(drop=True)
     sides = np.where(np.arange(len(truth)) % 2, 1, -1)
     truth["x_m"] = sides * rng.uniform(4, 9, len(truth))
-    truth["y_m"] = 2 + np.arange(len(truth)) + rng.uniform(-0.2, 0.2, len(truth))
+    truth["y_m"] = 15 + np.arange(len(truth)) + rng.uniform(-0.2, 0.2, len(truth))
     truth["z_base_m"] = 0.0
     surfaces = [simulate.ground()]
     for one in truth.itertuples():
         foot = np.array([one.x_m, one.y_m, 0.0])
         surfaces.append(simulate.cylinder(foot, foot + [0, 0, one.height_m], one.diameter_m / 2))
     scanner = streets.SCANNERS[scanner] if isinstance(scanner, str) else scanner
-    path = simulate.straight(len(truth) + 2.0, 14.0)
+    path = simulate.straight(len(truth) + 30.0, 14.0)
     return scan_all(simulate.Scene(surfaces), scanner, path, seed=seed), truth
 
 
