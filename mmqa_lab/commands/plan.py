@@ -192,17 +192,18 @@ def _setup(options):
 
     from mmqa_lab.scan_pattern import ScanSetup
 
+    scanner = _preset(options.scanner) if options.scanner else None
     given = {name: getattr(options, name) for name in SETUP if getattr(options, name) is not None}
     if options.largest_speed is not None:
         given.setdefault("speed", 1.0)
-    for name in ("speed",) if options.scanner else ("pulse_rate", "mirror_frequency", "speed"):
+    for name in ("speed",) if scanner else ("pulse_rate", "mirror_frequency", "speed"):
         if name not in given:
             preset = "" if name == "speed" else ", or a preset with --scanner"
             raise ValueError(f"Invalid plan without {_flag(name)}. Must have it{preset}.")
     values = {SETUP[name][0]: value for name, value in given.items()}
-    if options.scanner is None:
+    if scanner is None:
         return ScanSetup(**values)
-    return replace(ScanSetup.of_scanner(_preset(options.scanner), speed_m_s=1.0), **values)
+    return replace(ScanSetup.of_scanner(scanner, speed_m_s=1.0), **values)
 
 
 def _flag(name):
