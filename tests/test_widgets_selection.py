@@ -59,7 +59,8 @@ def test_tool_shows_what_evaluate_cloud_finds(tool, wall):
 
 
 def test_other_figures_stay_with_their_backend():
-    code = "import matplotlib; matplotlib.use('svg'); from mmqa_lab.widgets import SelectionTool; "
+    code = "import matplotlib; matplotlib.use('svg')\n"
+    code += "from mmqa_lab.widgets.selection import SelectionTool\n"
     code += "SelectionTool([[0, 0, 0], [1, 0, 0], [0, 0, 1]]); print(matplotlib.get_backend())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "svg"

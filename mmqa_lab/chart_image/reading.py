@@ -524,7 +524,7 @@ def bar_edges(levels, layout, chart_map):
     -------
     DataFrame
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
-        standing bars), and the fields of :class:`mmqa_lab.mtf.EdgeResponse`; NaN and a
+        standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
         ``remark`` where the edge could not be measured.
 
     Examples

@@ -3,9 +3,8 @@
 All take an array of grey values in proportion to light.
 """
 
-from mmqa_lab.mtf.edges import EdgeResponse, fit_edge
+from mmqa_lab.mtf.edges import fit_edge
 from mmqa_lab.mtf.patterns import (
-    StarMtf,
     blur_dependence,
     haar_sharpness,
     measure_star,
@@ -14,8 +13,6 @@ from mmqa_lab.mtf.patterns import (
 )
 
 __all__ = [
-    "EdgeResponse",
-    "StarMtf",
     "blur_dependence",
     "fit_edge",
     "haar_sharpness",

@@ -19,7 +19,7 @@ import pandas as pd
 from mmqa_lab import plots, samples
 from mmqa_lab.io import write_atomically
 
-__all__ = ["Check", "Run", "parameter_names", "results_folder"]
+__all__ = ["Check", "Run", "results_folder"]
 
 FORMATS = ("pdf", "svg", "png")
 RECORD = "run.json"
