@@ -1,4 +1,4 @@
-"""Argument checks with one message pattern: what is wrong, its value, what must hold."""
+"""Argument checks with one message pattern: what is wrong, its value, what is expected."""
 
 import numbers
 import os

@@ -1,4 +1,4 @@
-"""Hold systems' results against the criteria of a tender.
+"""Compare systems' results with the criteria of a tender.
 
 CRITERIA has a row per criterion: criterion, quantity, relation (>=, >, <=, <), threshold, and
 optionally distance_m, view, direction; empty means all. RESULTS has a row per figure: system,

@@ -62,7 +62,7 @@ def scan(
         from the start), ``surface`` (id in the scene), ``range_m`` (before noise),
         ``incidence_deg``, ``range_noise_m`` (added to the range), ``intensity`` (reflectance x
         cos(incidence) x 65535), ``ring`` of a multi-beam scanner, ``head`` where there are several,
-        ``mixed`` (1 where the echo holds two surfaces) where the beam has a width.
+        ``mixed`` (1 where the echo comes from two surfaces) where the beam has a width.
 
     Raises
     ------

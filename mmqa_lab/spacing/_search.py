@@ -316,7 +316,7 @@ _compare_west = _compare_side(1, 1, 1, 2)
 def _search_cells(points, grid, starts, group, need):
     """Compare with 3 x 3 cells; set the squared reach still to search, 0 where settled.
 
-    False, and nothing done, where the cells hold too many points.
+    False, and nothing done, where the cells contain too many points.
     """
     i = int((group[X] - grid.x0) / grid.size)
     j = int((group[Y] - grid.y0) / grid.size)
