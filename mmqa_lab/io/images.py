@@ -152,7 +152,7 @@ def _is_complete(path):
 
 
 def _scan_of_jpeg(whole):
-    """Where a JPEG's coded pixels begin, behind the previews that its first segments may contain."""
+    """Where a JPEG's coded pixels begin, behind the previews that may come first."""
     place = 2
     while place < len(whole) and whole[place : place + 2] != b"\xff\xda":
         place += 2 + int.from_bytes(whole[place + 2 : place + 4], "big")

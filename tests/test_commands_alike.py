@@ -47,7 +47,7 @@ OBJECT = {"plan", "lhd"}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Small files that every command can work on."""
-    folder = tmp_path_factory.mktemp("manners")
+    folder = tmp_path_factory.mktemp("commands")
     image = charts.reflectance(charts.imaging_chart(), cell=4)[::-1]
     cv2.imwrite(
         str(folder / "chart.png"), np.pad(255 * image, 20, constant_values=128).astype(np.uint8)
