@@ -36,7 +36,7 @@ LIMIT = 2.8
 
 
 def operator_polygons(
-    corners: ArrayLike, *, repeats: int, click: float, seed, vertices: int = 4
+    corners: ArrayLike, *, repeats: int, click: float, seed: int, vertices: int = 4
 ) -> np.ndarray:
     """Draw the polygons of an operator who clicks the same outline again and again.
 

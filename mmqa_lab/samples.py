@@ -77,7 +77,7 @@ SAMPLES = (
 )
 
 
-def path(name):
+def path(name: str) -> Path:
     """Return the path of a sample by its registered name.
 
     Parameters
@@ -132,7 +132,7 @@ def road_patch_heads() -> dict:
     return {name: np.unique(cloud.points[mask], axis=0) for name, mask in parts.items()}
 
 
-def has_real(relative):
+def has_real(relative: str) -> bool:
     """Return whether the folder of larger clouds contains this file.
 
     Parameters
@@ -154,7 +154,7 @@ def has_real(relative):
     return bool(root) and (Path(root) / relative).exists()
 
 
-def real_path(relative):
+def real_path(relative: str) -> Path:
     """Return the path of a larger public cloud under the folder that ``MMQA_DATA`` names.
 
     Parameters

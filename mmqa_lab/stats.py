@@ -4,11 +4,18 @@ Rates come with Wilson intervals; statistics of values with a bootstrap over val
 (scenes, 50 m blocks) where values of a group are not independent. NaN means not measurable.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mmqa_lab._checks import check_count, check_number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 NMAD_SCALE = 1.4826022185056018
 """1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their deviation."""
@@ -42,7 +49,7 @@ class Rate:
         return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}] ({self.k}/{self.n})"
 
 
-def wilson(k, n, *, confidence=0.95):
+def wilson(k: int, n: int, *, confidence: float = 0.95) -> Rate:
     """Return the rate k / n with its Wilson score interval.
 
     Parameters
@@ -126,7 +133,7 @@ class Errors:
     nmad: float
 
 
-def errors(values):
+def errors(values: ArrayLike) -> Errors:
     """Return the statistics of errors (obtained minus reference).
 
     Parameters
@@ -190,7 +197,14 @@ class Interval:
     repeats: int
 
 
-def bootstrap(statistic, *values, groups=None, repeats=1000, confidence=0.95, seed=0):
+def bootstrap(
+    statistic: Callable[..., float],
+    *values: ArrayLike,
+    groups: ArrayLike | None = None,
+    repeats: int = 1000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> Interval:
     """Return a statistic with a percentile bootstrap interval.
 
     Parameters
@@ -257,7 +271,7 @@ def _rows_by_group(groups, n):
     return np.split(order, cuts)
 
 
-def blocks(xy, *, side=4):
+def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     """Number the points by the square blocks of a grid over them.
 
     Parameters
@@ -284,7 +298,7 @@ def blocks(xy, *, side=4):
     return column * side + row
 
 
-def median_interval(values, block):
+def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     """Return the 95 % interval of a median of values that depend on their neighbours.
 
     The share of values below the median has a standard error that follows from its sums over
@@ -327,7 +341,9 @@ def median_interval(values, block):
     return float(low), float(high)
 
 
-def median_ratio_interval(top, bottom, block):
+def median_ratio_interval(
+    top: ArrayLike, bottom: ArrayLike, block: ArrayLike
+) -> tuple[float, float]:
     """Return the 95 % interval of median(top) / median(bottom), both of the same places.
 
     On the logarithm, from the intervals of both medians and the correlation of their sums over

@@ -17,14 +17,22 @@ RMSE_V, that of the plan (equation 3-1) RMSE_H, and add to both the uncertainty 
 own survey. They have given up 95 % confidence levels, and ask for 30 check points or more.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_plan, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import errors
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 __all__ = [
     "distance_to_path",
@@ -77,15 +85,15 @@ CORNER_SEARCH_M = 2.0
 
 
 def height_differences(
-    points,
-    reference,
+    points: Cloud | ArrayLike,
+    reference: ArrayLike,
     *,
-    radius=0.2,
-    slope_limit=20.0,
-    gross_limit=None,
-    rule="triangulation",
-    progress=False,
-):
+    radius: float = 0.2,
+    slope_limit: float = 20.0,
+    gross_limit: float | None = None,
+    rule: str = "triangulation",
+    progress: bool = False,
+) -> pd.DataFrame:
     """Return the height of a cloud above reference points.
 
     The cloud is triangulated (Delaunay) around the reference points; the triangle about a reference
@@ -170,7 +178,7 @@ def height_differences(
     return table.assign(n=counts, dz_m=dz, slope_deg=slope, reason=reason)
 
 
-def height_accuracy(table):
+def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     """Summarise height differences with the systematic shift kept, and removed.
 
     Parameters
@@ -210,7 +218,7 @@ def height_accuracy(table):
     return pd.DataFrame([{"shift": name, **_summary(dz - part)} for name, part in parts])
 
 
-def split_drives(gps_time, *, gap_s=3600.0):
+def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     """Return the number of the drive of each point: a gap in time begins a new one.
 
     Parameters
@@ -246,8 +254,16 @@ def split_drives(gps_time, *, gap_s=3600.0):
 
 
 def plan_differences(
-    points, targets, *, slices=None, search=0.4, gate=0.5, tolerance=0.03, gross_limit=None, seed=0
-):
+    points: Cloud | ArrayLike,
+    targets: pd.DataFrame,
+    *,
+    slices: dict[str, Sequence[tuple[float, float]]] | None = None,
+    search: float = 0.4,
+    gate: float = 0.5,
+    tolerance: float = 0.03,
+    gross_limit: float | None = None,
+    seed: int = 0,
+) -> pd.DataFrame:
     """Measure the plan positions of targets in a cloud.
 
     In each slice of height the points near a pole get a circle, robustly (Cauchy loss of the
@@ -340,7 +356,7 @@ def plan_differences(
     return table
 
 
-def plan_accuracy(table):
+def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     """Summarise plan differences, as measured and with systematic easting and northing removed.
 
     Parameters
@@ -388,7 +404,7 @@ def _plan(difference):
     }
 
 
-def thinned(points, side):
+def thinned(points: Cloud | ArrayLike, side: float) -> np.ndarray:
     """Return one point of each square in plan: the one nearest its middle.
 
     Parameters
@@ -420,7 +436,7 @@ def thinned(points, side):
     return points[nearest.to_numpy()]
 
 
-def trend(distance, values, *, confidence=0.95):
+def trend(distance: ArrayLike, values: ArrayLike, *, confidence: float = 0.95) -> pd.Series:
     """Fit a straight line of errors over distance, robustly.
 
     Huber's estimator (statsmodels RLM), so that a few far poles do not tilt the line; its standard
@@ -481,7 +497,7 @@ def trend(distance, values, *, confidence=0.95):
     return pd.Series([slope, intercept, slope - half, slope + half, p, len(values)], names)
 
 
-def distance_to_path(points, path):
+def distance_to_path(points: Cloud | ArrayLike, path: ArrayLike | pd.DataFrame) -> np.ndarray:
     """Return the distance in plan of points from a path.
 
     Parameters

@@ -3,15 +3,23 @@
 VTK without OpenGL libraries does not raise, it kills the process; so a child process tries first.
 """
 
+from __future__ import annotations
+
 import functools
 import os
 import subprocess
 import sys
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from mmqa_lab.cloud import Cloud
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 
@@ -41,7 +49,7 @@ def can_render():
     return False
 
 
-def is_headless():
+def is_headless() -> bool:
     """Return whether this runs where nobody can turn a view: a notebook run as a batch job.
 
     Returns
@@ -59,7 +67,7 @@ def is_headless():
     return bool(os.environ.get("MMQA_HEADLESS"))
 
 
-def show_cloud(cloud, values, *, label):
+def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> Any:
     """Show a cloud in 3-D, coloured by a value for each point.
 
     In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
@@ -102,7 +110,9 @@ def show_cloud(cloud, values, *, label):
     return plotter.show(jupyter_backend="server", return_viewer=True)
 
 
-def save_cloud(path, cloud, values, *, label):
+def save_cloud(
+    path: str | os.PathLike, cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str
+) -> None:
     """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above.
 
     Parameters

@@ -34,7 +34,7 @@ import pandas as pd
 DATA = resources.files("mmqa_lab.published") / "data"
 
 
-def table(source, name):
+def table(source: str, name: str) -> pd.DataFrame:
     """Return one table of a source.
 
     Parameters
@@ -72,7 +72,7 @@ def table(source, name):
     return frame
 
 
-def raw(source, name):
+def raw(source: str, name: str) -> pd.DataFrame:
     """Return one table of a source with every cell as the string that the file contains.
 
     Trailing zeros are kept, so that the digits in print can be counted.
@@ -103,7 +103,7 @@ def raw(source, name):
     return _strings(f"{source}/{name}").copy()
 
 
-def number(source, key):
+def number(source: str, key: str) -> dict:
     """Return one number that stands in the text of a source.
 
     Parameters

@@ -15,6 +15,8 @@ The rounding interval reaches half a unit of the last printed digit to both side
 whole unit of the last digit that is not zero. Legibility marks count as a = 1, b = 2, c = 3.
 """
 
+import os
+from collections.abc import Mapping
 from decimal import Decimal
 from fnmatch import fnmatchcase
 from functools import cache
@@ -34,7 +36,7 @@ COARSEST_MM = {"h": 40.0, "v": 30.0}
 """Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is read as coarser."""
 
 
-def cells():
+def cells() -> pd.DataFrame:
     """Return every printed number of the five sources.
 
     Returns
@@ -55,7 +57,17 @@ def cells():
     return _cells().copy()
 
 
-def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note=""):
+def entry(
+    source: str,
+    table: str,
+    cell: str,
+    value: float,
+    *,
+    kind: str,
+    low: float = np.nan,
+    high: float = np.nan,
+    note: str = "",
+) -> dict:
     """Return one row of a study's ``ledger.csv``.
 
     Parameters
@@ -97,7 +109,7 @@ def entry(source, table, cell, value, *, kind, low=np.nan, high=np.nan, note="")
     return row
 
 
-def verdict(printed, ours):
+def verdict(printed: Mapping, ours: Mapping) -> str:
     """Return the verdict on one value of ours.
 
     Parameters
@@ -137,7 +149,7 @@ def verdict(printed, ours):
     return "consistent" if _meets(printed, low, high) else "contradicted"
 
 
-def collect(folder):
+def collect(folder: str | os.PathLike) -> pd.DataFrame:
     """Return the whole ledger of a run.
 
     Parameters
@@ -175,7 +187,7 @@ def collect(folder):
     return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
 
 
-def summary(ledger):
+def summary(ledger: pd.DataFrame) -> pd.DataFrame:
     """Return how many results of each source have which verdict.
 
     Parameters

@@ -15,8 +15,11 @@ Equation 3 as printed there, L = K' (t / f) DN, has the ratio upside down and f 
 room deviates from it.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import permutations
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -24,6 +27,9 @@ import pandas as pd
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.radiometry.block import adjust_block, fit_walthall
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 __all__ = [
     "adjust_block",
@@ -105,7 +111,9 @@ class SensorFit(Shown):
         return pd.DataFrame([row])
 
 
-def relative_exposure(time_s, f_number, *, reference=(0.01, 4.0)):
+def relative_exposure(
+    time_s: float, f_number: float, *, reference: tuple[float, float] = (0.01, 4.0)
+) -> float:
     """Return the exposure time / f-number squared, over that of a reference setting.
 
     Parameters
@@ -133,7 +141,9 @@ def relative_exposure(time_s, f_number, *, reference=(0.01, 4.0)):
     return time / time0 * (number0 / number) ** 2
 
 
-def patch_statistics(image, patches, *, full_scale=None):
+def patch_statistics(
+    image: ArrayLike, patches: ArrayLike, *, full_scale: float | None = None
+) -> pd.DataFrame:
     """Return the mean DN of targets in an image, and how much of each is saturated.
 
     Parameters
@@ -181,7 +191,14 @@ def patch_statistics(image, patches, *, full_scale=None):
     return pd.DataFrame(rows, columns=columns)
 
 
-def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale: float = np.inf) -> SensorFit:
+def fit_sensor(
+    radiance: ArrayLike,
+    dn: ArrayLike,
+    *,
+    exposure: ArrayLike = 1.0,
+    std_dn: ArrayLike | None = None,
+    full_scale: float = np.inf,
+) -> SensorFit:
     """Fit gain and offset of a sensor to targets of known radiance.
 
     Weighted regression of DN on radiance times exposure. Targets whose DN comes within three of
@@ -245,7 +262,7 @@ def fit_sensor(radiance, dn, *, exposure=1.0, std_dn=None, full_scale: float = n
     )
 
 
-def stability(fits: dict, radiance):
+def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
     """Say how well the parameters of one setting fit the images of another.
 
     Digital numbers that one setting gives for known radiances are turned into radiance with the
@@ -334,14 +351,14 @@ class EmpiricalLine:
 
 
 def reflectance_factor(
-    radiance,
+    radiance: ArrayLike,
     irradiance: float,
     *,
     path_radiance: float = 0.0,
     transmittance: float = 1.0,
     spherical_albedo: float = 0.0,
     surroundings: float = 0.0,
-):
+) -> float | np.ndarray:
     """Return the reflectance of a target by equation 4.
 
     rho = pi (L - L_atm) (1 - s rho') / (E tau). In the notation of the report E is S tau_s: the
@@ -397,7 +414,14 @@ def reflectance_factor(
     return np.pi * of_ground * (1 - s * around) / (tau * irradiance)
 
 
-def empirical_line(dn, reflectance, *, std_dn=None, std=0.0, anisotropy=1.0):
+def empirical_line(
+    dn: ArrayLike,
+    reflectance: ArrayLike,
+    *,
+    std_dn: ArrayLike | None = None,
+    std: ArrayLike = 0.0,
+    anisotropy: ArrayLike = 1.0,
+) -> EmpiricalLine:
     """Fit reflectance as a line of DN through targets of known reflectance.
 
     Parameters
@@ -457,7 +481,14 @@ def empirical_line(dn, reflectance, *, std_dn=None, std=0.0, anisotropy=1.0):
     return EmpiricalLine(slope, intercept, fit.normalized_cov_params * spread, fit.resid)
 
 
-def ndvi(near_infrared, red, *, std_near_infrared=0.0, std_red=0.0, correlation=0.0):
+def ndvi(
+    near_infrared: ArrayLike,
+    red: ArrayLike,
+    *,
+    std_near_infrared: ArrayLike = 0.0,
+    std_red: ArrayLike = 0.0,
+    correlation: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
     """Return NDVI = (N - R) / (N + R) and its standard deviation.
 
     Parameters

@@ -18,7 +18,10 @@ the camera looks at the ground with the sun behind it (backward scattering) and 
 against the sun.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -27,6 +30,9 @@ from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 UNDETERMINED = (
     "Invalid block: its parameters cannot be told apart. Must have more overlap, control targets, "
@@ -65,7 +71,7 @@ class WalthallFit:
         return self.reflectance(view_zenith, azimuth) / self.reflectance(0.0, 0.0)
 
 
-def fit_walthall(reflectance, view_zenith, azimuth):
+def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayLike) -> WalthallFit:
     """Fit Walthall's function to reflectances of one surface from many directions.
 
     Parameters
@@ -179,16 +185,16 @@ class BlockAdjustment(Shown):
 
 
 def adjust_block(
-    observations,
+    observations: pd.DataFrame,
     *,
-    control=None,
-    gain_std=FREE,
-    anisotropy_std=FREE,
-    radial=(0.0, FIXED),
-    haze=None,
-    relative_std=0.02,
-    rounds=50,
-):
+    control: pd.DataFrame | None = None,
+    gain_std: float = FREE,
+    anisotropy_std: float = FREE,
+    radial: tuple[float, float] = (0.0, FIXED),
+    haze: tuple[float, float] | None = None,
+    relative_std: float = 0.02,
+    rounds: int = 50,
+) -> BlockAdjustment:
     """Adjust the radiometry of a block of overlapping images.
 
     Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse.

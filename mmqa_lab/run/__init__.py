@@ -70,7 +70,7 @@ class Check:
     reason: str
 
 
-def results_folder():
+def results_folder() -> Path:
     """Return the folder for the results of notebooks: ``MMQA_RESULTS``, or one beside the notebook.
 
     A notebook that is run by hand writes to ``results/by_hand`` in its own folder, so it replaces

@@ -512,7 +512,7 @@ class Lattice(Shown):
             return np.where(self._level, np.nan, self.cell_m2 / step)[()]
 
 
-def scan_lattice(setup, patch):
+def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
     """Return the scan lattice on each piece of a surface.
 
     The piece is struck when the scan plane comes past it. The pulses half a step before and after,

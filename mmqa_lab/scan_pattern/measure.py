@@ -5,9 +5,11 @@ profiles of a patch are fitted at once, and every figure comes with its standard
 times of a whole street give the moving plane of the scanner.
 """
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,6 +29,9 @@ from mmqa_lab.scan_pattern.numbering import (
     revolutions_from_time,
     solve_groups,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 ROUNDS = 20  # of leaving out points off the moving plane, at most
@@ -103,14 +108,14 @@ class PatternMeasurement(Shown):
 
 
 def measure_pattern(
-    points,
+    points: ArrayLike,
     *,
-    gps_time=None,
-    scan_line=None,
-    mirror_frequency_hz=None,
-    pulse_rate_hz=None,
-    reference=None,
-):
+    gps_time: ArrayLike | None = None,
+    scan_line: ArrayLike | None = None,
+    mirror_frequency_hz: float | None = None,
+    pulse_rate_hz: float | None = None,
+    reference: ArrayLike | None = None,
+) -> PatternMeasurement:
     """Measure the scan pattern of a planar patch.
 
     Profiles are numbered by ``scan_line`` or from ``gps_time``, else from the pattern alone. One
@@ -554,7 +559,9 @@ class ScanPlanes:
         return (self.advance_m + from_centre @ self.turning) / crossing
 
 
-def fit_scan_planes(points, gps_time, *, mirror_frequency_hz=None):
+def fit_scan_planes(
+    points: ArrayLike, gps_time: ArrayLike, *, mirror_frequency_hz: float | None = None
+) -> ScanPlanes:
     """Fit the moving plane of a profile scanner to points of many surfaces.
 
     First n.P - v t = c, a plane in uniform motion (Tukey's weights). Then, for

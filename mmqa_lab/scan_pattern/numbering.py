@@ -1,6 +1,8 @@
 """Which profile and which pulse a point belongs to: from time, or from the pattern alone."""
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft2
@@ -8,6 +10,9 @@ from scipy.optimize import minimize
 
 from mmqa_lab._checks import check_positive
 from mmqa_lab.planes import sigma_mad
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 PAUSE = 20  # of the typical step of time: longer ones separate runs of points
 FEW = 16  # runs whose beginnings are compared for the period
@@ -30,7 +35,9 @@ TIES = 0.02
 POINTS_FOR_DEGREE = (60, 150, 600, 2000)
 
 
-def revolutions_from_time(time, *, mirror_frequency_hz=None):
+def revolutions_from_time(
+    time: ArrayLike, *, mirror_frequency_hz: float | None = None
+) -> np.ndarray:
     """Return the number of the revolution of each point, from 0.
 
     Revolutions are cut in the longest pause of their phase: while the beam is off the patch.

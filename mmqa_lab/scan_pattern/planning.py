@@ -1,5 +1,6 @@
 """Planning: the largest speed that will do, how sure a prediction is, what explains an error."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -8,7 +9,15 @@ import pandas as pd
 from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.scan_pattern.lattice import NUMBERS, QUANTITIES, Patch, scan_lattice, target_normal
+from mmqa_lab.scan_pattern.lattice import (
+    NUMBERS,
+    QUANTITIES,
+    Patch,
+    ScanSetup,
+    Target,
+    scan_lattice,
+    target_normal,
+)
 
 SLOWEST, FASTEST = 0.01, 100.0  # speeds that are searched, m/s
 SPEEDS = 4001  # speeds tried before the last one that will do is refined: a step of 0.23 %
@@ -32,7 +41,9 @@ EXPLAINED = (
 STEPS = {"pulse_rate_hz": 1.0, "mirror_frequency_hz": 1e-3, "speed_m_s": 1e-4}
 
 
-def largest_speed(setup, target, *, quantity, limit):
+def largest_speed(
+    setup: ScanSetup, target: Target | Patch, *, quantity: str, limit: float
+) -> float:
     """Return the largest speed at which a predicted quantity still keeps to a limit.
 
     Density must be the limit or more, spacings, distances and f the limit or less. The speeds
@@ -99,7 +110,9 @@ def _margin(setup, patch, quantity, limit, speeds):
     return np.where(np.isnan(share), -1.0, share)
 
 
-def sensitivities(setup, target, *, inputs=INPUTS):
+def sensitivities(
+    setup: ScanSetup, target: Target, *, inputs: Sequence[str] = INPUTS
+) -> pd.DataFrame:
     """Return the derivative of the predicted quantities by the inputs.
 
     The plane stays where the nominal set-up finds it, whatever the scanner does: a turned vehicle
@@ -145,7 +158,15 @@ def sensitivities(setup, target, *, inputs=INPUTS):
     return table.rename_axis("input")
 
 
-def propagate(setup, target, *, sigmas, method="first_order", draws=20_000, seed=0):
+def propagate(
+    setup: ScanSetup,
+    target: Target,
+    *,
+    sigmas: dict[str, float],
+    method: str = "first_order",
+    draws: int = 20_000,
+    seed: int = 0,
+) -> pd.DataFrame:
     """Return what errors of set-up and target make of the prediction.
 
     First order adds the squares of sensitivity times standard deviation; Monte Carlo draws
@@ -205,7 +226,14 @@ def propagate(setup, target, *, sigmas, method="first_order", draws=20_000, seed
     return table.assign(n=draws, method=method)
 
 
-def explain_error(setup, target, *, quantity, measured, inputs=EXPLAINED):
+def explain_error(
+    setup: ScanSetup,
+    target: Target,
+    *,
+    quantity: str,
+    measured: float,
+    inputs: Sequence[str] = EXPLAINED,
+) -> pd.DataFrame:
     """Return the change of each input, one at a time, that turns the prediction into a measurement.
 
     What Table 6 of Cahalane et al. 2014 gives for an error of 2 mm: of the changes that do it, the

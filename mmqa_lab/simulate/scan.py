@@ -1,6 +1,10 @@
 """Scanning: drive scanners along a trajectory through a scene, block of time by block of time."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit, prange
@@ -10,24 +14,27 @@ from mmqa_lab._threads import enough_threads
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.scanners import Scanner, beam_rays, echoes
-from mmqa_lab.simulate.scenes import RAYS_A_THREAD
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD, Scene
+
+if TYPE_CHECKING:
+    from mmqa_lab.simulate.trajectories import Trajectory
 
 FULL_SCALE = 65_535
 """Intensity of a surface of reflectance 1 hit square."""
 
 
 def scan(
-    scene,
-    scanner,
-    trajectory,
+    scene: Scene,
+    scanner: Scanner | Sequence[Scanner],
+    trajectory: Trajectory,
     *,
-    seed,
-    measured=None,
-    between=None,
-    block_s=0.25,
-    rounding_m=0.0,
-    progress=False,
-):
+    seed: int,
+    measured: Trajectory | None = None,
+    between: tuple[float, float] | None = None,
+    block_s: float = 0.25,
+    rounding_m: float = 0.0,
+    progress: bool = False,
+) -> Iterable[Cloud]:
     """Yield the point cloud of a drive, one ``Cloud`` a block of time.
 
     Every pulse is cast from the true trajectory and the true mounting; its point is computed from
@@ -105,7 +112,14 @@ def scan(
     return tqdm(drive, total=len(edges) - 1, unit="block", desc="scan")
 
 
-def scan_all(scene, scanner, trajectory, *, seed, **options):
+def scan_all(
+    scene: Scene,
+    scanner: Scanner | Sequence[Scanner],
+    trajectory: Trajectory,
+    *,
+    seed: int,
+    **options: Any,
+) -> Cloud:
     """Return the whole drive as one ``Cloud``; arguments as for ``scan``.
 
     Parameters

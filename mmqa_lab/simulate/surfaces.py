@@ -4,6 +4,7 @@ A surface is one thing with one id; it may consist of many primitives (a box of 
 of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Lengths are metres.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -84,7 +85,14 @@ def group(surfaces, *, label):
     return Surface(label=label, **merged(list(flattened(surfaces))))
 
 
-def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
+def rectangle(
+    corner: ArrayLike,
+    along: ArrayLike,
+    up: ArrayLike,
+    *,
+    label: str = "wall",
+    reflectance: ArrayLike = 0.5,
+) -> Surface:
     """Return a rectangle or parallelogram from a corner and the two sides that leave it.
 
     Parameters
@@ -117,7 +125,13 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     return _surface(label, PARALLELOGRAM, centre, shape, half, reflectance)
 
 
-def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), reflectance=0.2):
+def ground(
+    height: float = 0.0,
+    *,
+    centre: tuple[float, float] = (0.0, 0.0),
+    size: tuple[float, float] = (2000.0, 2000.0),
+    reflectance: float = 0.2,
+) -> Surface:
     """Return a level rectangle called ``"ground"``.
 
     Parameters
@@ -149,7 +163,16 @@ def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0), reflectance=
     return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=reflectance)
 
 
-def board(centre, width, height, *, heading=0.0, lean=0.0, label="board", reflectance=0.8):
+def board(
+    centre: ArrayLike,
+    width: float,
+    height: float,
+    *,
+    heading: float = 0.0,
+    lean: float = 0.0,
+    label: str = "board",
+    reflectance: ArrayLike = 0.8,
+) -> Surface:
     """Return a rectangular board that faces ``heading``.
 
     Parameters
@@ -215,7 +238,13 @@ def disc(centre, normal, radius, *, label="board", reflectance=0.5):
     return _surface(label, ELLIPSE, _vector(centre, "centre"), shape, half, reflectance)
 
 
-def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
+def polygon(
+    vertices: ArrayLike,
+    *,
+    holes: Sequence[ArrayLike] = (),
+    label: str = "wall",
+    reflectance: float = 0.5,
+) -> Surface:
     """Return a flat polygon with holes.
 
     Parameters
@@ -260,7 +289,16 @@ def polygon(vertices, *, holes=(), label="wall", reflectance=0.5):
     return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
 
 
-def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", reflectance=0.5):
+def cylinder(
+    base: ArrayLike,
+    top: ArrayLike,
+    radius: float,
+    *,
+    top_radius: float | None = None,
+    capped: bool = True,
+    label: str = "post",
+    reflectance: float = 0.5,
+) -> Surface:
     """Return a round post, lamp or trunk, upright or tilted, tapering where ``top_radius`` says so.
 
     Parameters
@@ -302,7 +340,14 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     return _surface(label, FRUSTUM, (base + top) / 2, shape, half, reflectance)
 
 
-def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
+def box(
+    base: ArrayLike,
+    size: ArrayLike,
+    *,
+    heading: float = 0.0,
+    label: str = "car",
+    reflectance: float = 0.4,
+) -> Surface:
     """Return a box from the middle of its bottom.
 
     Parameters
@@ -421,7 +466,16 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     return _surface(label, ELLIPSE, points, shape, half, reflectance)
 
 
-def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall", reflectance=0.5):
+def wall(
+    corner: ArrayLike,
+    along: ArrayLike,
+    height: float,
+    *,
+    openings: Sequence[tuple[float, float, float, float]] = (),
+    reveal: float = 0.2,
+    label: str = "wall",
+    reflectance: float = 0.5,
+) -> list[Surface]:
     """Return a wall with openings, their reveals and the panes behind them.
 
     Parameters

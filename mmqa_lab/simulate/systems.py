@@ -175,7 +175,7 @@ SECTIONS = {"A": 1.0, "B": 1.0, "C": WITHOUT_GNSS, "D": 1.0}
 """Of the field of Espoonlahti: in C trees hide the satellites (section 3.1.1)."""
 
 
-def system(name, *, section="A"):
+def system(name: str, *, section: str = "A") -> System:
     """Return a mobile mapping system by its name.
 
     Parameters

@@ -5,13 +5,19 @@ Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: hea
 vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.scan_pattern.lattice import rotations
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +178,15 @@ class NavigationErrors:
 
 
 def straight(
-    length, speed, *, start=(0.0, 0.0, 0.0), heading=0.0, roll=0.0, pitch=0.0, start_time=0.0
-):
+    length: float,
+    speed: float,
+    *,
+    start: ArrayLike = (0.0, 0.0, 0.0),
+    heading: float = 0.0,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    start_time: float = 0.0,
+) -> Trajectory:
     """Return a straight level drive at constant speed.
 
     Parameters
@@ -212,7 +225,14 @@ def straight(
     return Trajectory(times, np.array([start, end]), roll, pitch, heading)
 
 
-def with_speed_variation(trajectory, *, share, seed, correlation_s=0.5, interval_s=0.01):
+def with_speed_variation(
+    trajectory: Trajectory,
+    *,
+    share: float,
+    seed: int,
+    correlation_s: float = 0.5,
+    interval_s: float = 0.01,
+) -> Trajectory:
     """Return the same path driven at a speed that wanders about its own.
 
     Parameters
@@ -254,7 +274,9 @@ def with_speed_variation(trajectory, *, share, seed, correlation_s=0.5, interval
     return Trajectory(trajectory.time[0] + since, trajectory.origin + values[:, :3], *angles.T)
 
 
-def measured(trajectory, errors, *, seed, interval_s=0.01):
+def measured(
+    trajectory: Trajectory, errors: NavigationErrors, *, seed: int, interval_s: float = 0.01
+) -> Trajectory:
     """Return the path that navigation with ``errors`` reports for a true path.
 
     Parameters

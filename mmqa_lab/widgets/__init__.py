@@ -4,7 +4,11 @@ Nothing is computed here. Without a screen (``MMQA_HEADLESS``) controls become t
 their starting values, and forms a picture, because widgets would show nothing there.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import ipywidgets
 import matplotlib.pyplot as plt
@@ -19,6 +23,9 @@ from mmqa_lab.io.images import encode
 from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.selection import select_polygon
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["JuryForm", "choice", "explore", "select_polygon", "slider"]
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
@@ -27,7 +34,9 @@ WIDEST_PX, LARGEST_ZOOM = 800, 12
 """A crop is enlarged by whole numbers up to this width on the screen; nothing is interpolated."""
 
 
-def explore(function, **controls):
+def explore(
+    function: Callable[..., Figure], **controls: ipywidgets.Widget
+) -> ipywidgets.VBox | Figure:
     """Draw a figure again whenever a control moves.
 
     Parameters
@@ -73,7 +82,9 @@ def explore(function, **controls):
     return ipywidgets.VBox([*controls.values(), output])
 
 
-def slider(name, value, low, high, step, *, unit=""):
+def slider(
+    name: str, value: float, low: float, high: float, step: float, *, unit: str = ""
+) -> ipywidgets.IntSlider | ipywidgets.FloatSlider:
     """Return a slider whose label has the unit; it reports when it is let go.
 
     Parameters
@@ -107,7 +118,7 @@ def slider(name, value, low, high, step, *, unit=""):
     )
 
 
-def choice(name, options):
+def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
     """Return a drop-down list that starts with the first option.
 
     Parameters

@@ -4,6 +4,10 @@ The cloud is seen at right angles to its plane. Whatever the polygon selects is 
 as ``mmqa evaluate --polygon`` does with the saved file.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import ipywidgets
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,6 +19,11 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.io import write_polygon
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.views import is_headless
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from mmqa_lab.cloud import Cloud
 
 SHOWN = 10_000
 """Points drawn; all of them are evaluated."""
@@ -47,7 +56,14 @@ class _View:
         return self.to_space([low, [high[0], low[1]], high, [low[0], high[1]]])
 
 
-def select_polygon(cloud, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
+def select_polygon(
+    cloud: Cloud | ArrayLike,
+    *,
+    polygon: ArrayLike | None = None,
+    thickness: float = 0.1,
+    axes: str | float = "principal",
+    radius: float = 0.5,
+) -> SelectionTool | Figure:
     """Show a cloud with a polygon whose vertices can be dragged, and what it selects.
 
     Parameters
