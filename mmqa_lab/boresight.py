@@ -16,10 +16,13 @@ Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresigh
 pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab.cloud import Cloud
@@ -127,7 +130,9 @@ class Calibration:
         return corrected(cloud, trajectory, lever_arms_m=self.lever_arms_m, values=self.values)
 
 
-def corrected(cloud, trajectory, *, lever_arms_m, values):
+def corrected(
+    cloud: Cloud, trajectory: Any, *, lever_arms_m: ArrayLike, values: ArrayLike
+) -> Cloud:
     """Return a cloud as another mounting of its heads makes it.
 
     Parameters
@@ -161,18 +166,18 @@ def corrected(cloud, trajectory, *, lever_arms_m, values):
 
 
 def calibrate(
-    drives,
+    drives: Sequence[tuple[Cloud, Any]],
     *,
-    lever_arms_m,
-    poles=None,
-    control=None,
-    keep=(),
-    cell=1.0,
-    patches=500,
-    roughness=0.03,
-    seed=0,
-    rounds=2,
-):
+    lever_arms_m: ArrayLike,
+    poles: pd.DataFrame | None = None,
+    control: ArrayLike | None = None,
+    keep: Sequence[str] = (),
+    cell: float = 1.0,
+    patches: int = 500,
+    roughness: float = 0.03,
+    seed: int = 0,
+    rounds: int = 2,
+) -> Calibration:
     """Estimate boresight and lever arm of every head from planes and poles seen several times.
 
     The clouds are cut into cubes; where two drives or heads each show a plane in one, it becomes a

@@ -7,13 +7,16 @@ matplotlib's settings for good: use ``with style():`` for some figures, or matpl
 
 import contextlib
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from cycler import cycler
 from matplotlib import font_manager
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
@@ -142,7 +145,7 @@ _in_use = {"single": 85.0, "double": 178.0, "default": 85.0}
 
 
 @contextlib.contextmanager
-def style(journal="house", *, width="single"):
+def style(journal: str = "house", *, width: str = "single") -> Iterator[Journal]:
     """Draw figures as a publisher asks, for the lines of a ``with`` or, above it, of a function.
 
     Widths, fonts and lettering are those of ``JOURNALS``; matplotlib's settings are as they were
@@ -200,7 +203,14 @@ def _lettering(journal):
     return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], **large, **small}
 
 
-def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
+def subplots(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    width: str = "default",
+    height_mm: float = 60.0,
+    **choices: Any,
+) -> tuple[plt.Figure, plt.Axes | np.ndarray]:
     """Return a figure of a journal's width and its axes.
 
     Parameters
@@ -234,7 +244,15 @@ def subplots(rows=1, columns=1, *, width="default", height_mm=60.0, **choices):
     return plt.subplots(rows, columns, figsize=size, **choices)
 
 
-def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
+def draw_points(
+    xy: ArrayLike,
+    *,
+    ax: plt.Axes,
+    values: ArrayLike | None = None,
+    label: str = "",
+    limits: tuple[float, float] | None = None,
+    cmap: str = MAP,
+) -> plt.Axes:
     """Draw points in a plane, in mm-true proportion, coloured by a value.
 
     Parameters
@@ -276,7 +294,9 @@ def draw_points(xy, *, ax, values=None, label="", limits=None, cmap=MAP):
     return ax
 
 
-def draw_residual_histogram(residuals_mm, *, ax, std_mm, sigma_mad_mm):
+def draw_residual_histogram(
+    residuals_mm: ArrayLike, *, ax: plt.Axes, std_mm: float, sigma_mad_mm: float
+) -> plt.Axes:
     """Draw the distances from the plane with the two measures of their dispersion.
 
     Parameters
@@ -315,7 +335,9 @@ def draw_residual_histogram(residuals_mm, *, ax, std_mm, sigma_mad_mm):
     return ax
 
 
-def draw_spacing_histogram(distances_mm, *, ax, d1_mm, d4_mm):
+def draw_spacing_histogram(
+    distances_mm: np.ndarray, *, ax: plt.Axes, d1_mm: float, d4_mm: float
+) -> plt.Axes:
     """Draw the nearest and the farthest quadrant distance of each point, and their medians.
 
     Parameters

@@ -84,6 +84,19 @@ def test_public_name_explains_itself(one):
         assert "Raises" in found
 
 
+@pytest.mark.parametrize("one", [one for one in ALL if inspect.isfunction(one.values[0])])
+def test_public_function_says_its_types(one):
+    signature = inspect.signature(one)
+    bare = [
+        each.name
+        for each in signature.parameters.values()
+        if each.annotation is each.empty
+        and each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
+    ]
+    assert not bare
+    assert signature.return_annotation is not signature.empty
+
+
 def test_names_are_listed_in_one_place(capsys, tmp_path):
     assert main(["names", "--json", "--csv", str(tmp_path / "names.csv")]) == 0
     rows = json.loads(capsys.readouterr().out)

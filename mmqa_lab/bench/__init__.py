@@ -5,6 +5,8 @@
 measured and why. A study is a :class:`Comparison`: its cases, methods, tables and figures.
 """
 
+from __future__ import annotations
+
 import contextlib
 import copy
 import functools
@@ -18,9 +20,10 @@ import os
 import sys
 import types
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -38,6 +41,10 @@ from mmqa_lab.bench._tables import (
     summary,
 )
 from mmqa_lab.io import write_atomically
+
+if TYPE_CHECKING:
+    import distributed
+    import xarray as xr
 
 __all__ = [
     "Comparison",
@@ -59,7 +66,7 @@ LONGEST_REASON = 300
 """Characters of a reason that are kept."""
 
 
-def grid(**axes):
+def grid(**axes: Any) -> list[dict[str, Any]]:
     """Return every combination of the given values as a list of cases.
 
     Parameters
@@ -89,7 +96,17 @@ def grid(**axes):
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*values.values())]
 
 
-def run(cases, methods, *, make, score=None, seeds=(0,), workers=1, client=None, folder=None):
+def run(
+    cases: Sequence[Mapping[str, Any]] | pd.DataFrame,
+    methods: Mapping[str, Callable[..., Any]],
+    *,
+    make: Callable[..., Any],
+    score: Callable[..., Any] | None = None,
+    seeds: Iterable[int] = (0,),
+    workers: int = 1,
+    client: distributed.Client | None = None,
+    folder: str | os.PathLike | None = None,
+) -> xr.Dataset:
     """Measure every method on every case with every seed.
 
     Parameters

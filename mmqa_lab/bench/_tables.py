@@ -1,13 +1,20 @@
 """The Dataset of all cells, and what it says: means, paired differences, ranks, failures."""
 
+from __future__ import annotations
+
 import numbers
 import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from mmqa_lab._checks import check_choice, check_count
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 RESERVED = ("method", "case", "seed", "failure", "truth")
 """Names of the Dataset itself: no parameter or figure may use them, nor begin with ``truth_``."""
@@ -103,7 +110,7 @@ def split_unit(name):
     return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
 
 
-def failures(results):
+def failures(results: xr.Dataset) -> pd.DataFrame:
     """Return what could not be measured, with its reasons.
 
     Parameters
@@ -140,7 +147,7 @@ def failures(results):
     return table.iloc[np.lexsort((-table["count"], place))].reset_index(drop=True)
 
 
-def cell_table(results):
+def cell_table(results: xr.Dataset) -> pd.DataFrame:
     """Return a row for each cell: method, parameters, seed, and all numbers.
 
     Parameters
@@ -166,7 +173,7 @@ def cell_table(results):
     return results.to_dataframe(dim_order=["method", *others]).reset_index()
 
 
-def figure_names(results):
+def figure_names(results: xr.Dataset) -> tuple[str, ...]:
     """Return the names of the numbers that methods were measured by.
 
     Parameters
@@ -189,7 +196,9 @@ def figure_names(results):
     return tuple(name for name in results.data_vars if name not in (*truths, "failure"))
 
 
-def summary(results, figure=None, *, by=()):
+def summary(
+    results: xr.Dataset, figure: str | None = None, *, by: str | Sequence[str] = ()
+) -> pd.DataFrame:
     """Return the mean of a figure for each method, with its interval.
 
     Parameters
@@ -231,7 +240,14 @@ def summary(results, figure=None, *, by=()):
     return pd.DataFrame(rows, columns=[*keys, *figures])
 
 
-def compare(results, figure=None, *, reference, better="lower", over="cells"):
+def compare(
+    results: xr.Dataset,
+    figure: str | None = None,
+    *,
+    reference: str,
+    better: str = "lower",
+    over: str = "cells",
+) -> pd.DataFrame:
     """Return how much each method differs from a reference on the same data.
 
     Parameters
@@ -287,7 +303,14 @@ def compare(results, figure=None, *, reference, better="lower", over="cells"):
     return pd.DataFrame(rows, columns=["method", *figures, "n", "missing", "better_share"])
 
 
-def rank(results, truth, figure=None, *, resamples=999, seed=0):
+def rank(
+    results: xr.Dataset,
+    truth: str,
+    figure: str | None = None,
+    *,
+    resamples: int = 999,
+    seed: int = 0,
+) -> pd.DataFrame:
     """Return which method orders the cases best.
 
     Parameters

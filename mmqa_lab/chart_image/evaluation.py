@@ -5,11 +5,13 @@ their decoding: a byte per pixel while the file is read, then the window alone.
 """
 
 import json
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
@@ -220,7 +222,9 @@ class ImageQuality(Shown):
         return ax
 
 
-def evaluate_image(image, layout, chart_map, *, aligned=True):
+def evaluate_image(
+    image: ArrayLike, layout: Layout, chart_map: ChartMap, *, aligned: bool = True
+) -> ImageQuality:
     """Measure pixel size, resolved line pairs and MTF in one image of a chart.
 
     Parameters
@@ -264,7 +268,15 @@ def evaluate_image(image, layout, chart_map, *, aligned=True):
     return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
 
 
-def evaluate_file(path, layout, *, corners=None, orientation=None, camera="plain", gamma="srgb"):
+def evaluate_file(
+    path: str | os.PathLike,
+    layout: Layout,
+    *,
+    corners: ArrayLike | None = None,
+    orientation: str | os.PathLike | None = None,
+    camera: str = "plain",
+    gamma: str = "srgb",
+) -> ImageQuality:
     """Evaluate a chart in an image file.
 
     Parameters
@@ -361,7 +373,14 @@ def read_layout(source):
     return Layout.from_json(path.read_text(encoding="utf-8"))
 
 
-def locate(image, layout, *, corners=None, camera=None, offset=(0.0, 0.0)):
+def locate(
+    image: ArrayLike | None,
+    layout: Layout,
+    *,
+    corners: ArrayLike | None = None,
+    camera: FrameCamera | PanoramaCamera | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+) -> ChartMap:
     """Find a chart by its coded targets, or at its corners.
 
     OpenCV finds and decodes the targets; all their corners together give the map.

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mmqa_lab.charts import Bar, LinePairs, reflectance
+from mmqa_lab.chart_image.geometry import ChartMap
+from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
 from mmqa_lab.mtf.edges import fit_pixels, spread_edge
 
@@ -308,7 +309,7 @@ class Resolution:
     n: int
 
 
-def read_pairs(tones, layout, chart_map):
+def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFrame:
     """Read every pattern of line pairs on a chart.
 
     Parameters
@@ -391,7 +392,7 @@ def read_pattern(tones, pairs, chart_map):
     return PairReading(*known, *seen, resolved=not reason, reason=reason)
 
 
-def resolution(readings, direction):
+def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     """Return the resolved width in one direction from a table of readings.
 
     Parameters

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.chart_image.geometry import four_corners, rectangle_frame
-from mmqa_lab.charts import Text
+from mmqa_lab.chart_image.geometry import ChartMap, four_corners, rectangle_frame
+from mmqa_lab.charts import Layout, Text
 
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
@@ -94,7 +95,7 @@ class Agreement(Shown):
         return self.verdict
 
 
-def text_crops(image, layout, chart_map):
+def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[Crop]:
     """Cut every line of text out of an image.
 
     Parameters
@@ -136,7 +137,7 @@ def text_crops(image, layout, chart_map):
     return crops
 
 
-def chart_site(*, spacing=10.0, height=1.5, size=1.0):
+def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0) -> pd.DataFrame:
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
@@ -187,7 +188,7 @@ def chart_site(*, spacing=10.0, height=1.5, size=1.0):
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
 
 
-def choose_images(stations, corners, *, distance):
+def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float) -> pd.DataFrame:
     """Choose the image of a board by the paper's rules.
 
     For a board across the path it is the closest image at the required distance or farther (section
@@ -253,16 +254,16 @@ def choose_images(stations, corners, *, distance):
 
 
 def check_drive(
-    trajectory,
-    corners,
+    trajectory: pd.DataFrame,
+    corners: ArrayLike,
     *,
-    distance,
-    tolerance=0.5,
-    speed_kmh=40.0,
-    roll_deg=3.0,
-    pitch_deg=3.0,
-    heading_deg=5.0,
-):
+    distance: float,
+    tolerance: float = 0.5,
+    speed_kmh: float = 40.0,
+    roll_deg: float = 3.0,
+    pitch_deg: float = 3.0,
+    heading_deg: float = 5.0,
+) -> pd.DataFrame:
     """Check a drive past a board that stands along it: distance, speed and attitude.
 
     The paper gives distance and smallest speed; the tolerances are this package's own.
@@ -339,7 +340,7 @@ def check_drive(
     return table.assign(passed=passed)
 
 
-def agreement(marks):
+def agreement(marks: pd.DataFrame) -> Agreement:
     """Return the jury's verdict per element and how well its members agree.
 
     Parameters
@@ -397,7 +398,7 @@ def check_marks(marks):
     return marks
 
 
-def quality_index(cap_mm, width_mm):
+def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.ndarray:
     """Return the quality index QI: height of lower-case letters over the resolved pair width.
 
     Parameters

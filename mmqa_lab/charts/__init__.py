@@ -6,6 +6,7 @@ to the right, y up. Tones are relative reflectances, 0 black, 1 white. Here are 
 Pfeifer et al. 2021, 1 m x 1 m, from one description.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -70,13 +71,13 @@ FIELD = (212.0, 90.0, 585.0, 890.0)
 
 def imaging_chart(
     *,
-    horizontal_bar="grey",
-    widths_h=WIDTHS_H_MM,
-    widths_v=WIDTHS_V_MM,
-    texts=TEXTS,
-    dictionary="DICT_4X4_50",
-    first_marker=0,
-):
+    horizontal_bar: str = "grey",
+    widths_h: Sequence[float] = WIDTHS_H_MM,
+    widths_v: Sequence[float] = WIDTHS_V_MM,
+    texts: Sequence[tuple[float, str] | tuple[float, str, str]] = TEXTS,
+    dictionary: str | None = "DICT_4X4_50",
+    first_marker: int = 0,
+) -> Layout:
     """Return the imaging chart.
 
     Two standing bars 800 mm long and a lying one 600 mm long give the pixel size, line pairs the

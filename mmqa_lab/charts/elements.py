@@ -416,7 +416,7 @@ class Layout(_Element):
         return stream.getvalue()
 
 
-def reflectance(layout, *, cell):
+def reflectance(layout: Layout, *, cell: float) -> np.ndarray:
     """Return the mean tone of each square cell of a chart.
 
     Everything but letters consists of rectangles, whose share of a cell is a product of two

@@ -1,15 +1,18 @@
 """A whole study of edges: all comparisons of several clouds and a reference, and its report."""
 
+from __future__ import annotations
+
 import base64
 import inspect
 import io
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -21,6 +24,11 @@ from mmqa_lab.lines.edges import extract_edges
 from mmqa_lab.lines.hausdorff import lhd
 from mmqa_lab.lines.pairing import pairing_scores
 from mmqa_lab.lines.segments import Segments, distance_matrix
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from mmqa_lab.cloud import Cloud
 
 LINE_ENDINGS = (".csv", ".txt", ".geojson", ".json", ".dxf")
 TRUTH_COLUMNS = ["test_set", "model_set", "test_segment", "model_segment"]
@@ -185,7 +193,13 @@ class Study(Shown):
         return errors | {"f1": scores.f1}
 
 
-def study(clouds, *, reference=None, truth=None, settings=None):
+def study(
+    clouds: Mapping[str, Any] | Sequence[Any],
+    *,
+    reference: Cloud | ArrayLike | Segments | str | os.PathLike | None = None,
+    truth: pd.DataFrame | str | os.PathLike | Mapping[tuple[str, str], ArrayLike] | None = None,
+    settings: Mapping[str, Any] | str | os.PathLike | None = None,
+) -> Study:
     """Compare the edges of several clouds with each other and with a reference, both ways.
 
     Parameters

@@ -23,11 +23,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from mmqa_lab._checks import check_count, check_positive
 from mmqa_lab.lines.pairing import LinePairs, by_stretches
-from mmqa_lab.lines.segments import check_segments, components
+from mmqa_lab.lines.segments import Segments, check_segments, components
 
 DRIFT_LENGTH_M = 60.0
 CONSTANT_M = 1.0
@@ -131,7 +132,9 @@ class Displacement:
         return float(np.linalg.norm(self.vector))
 
 
-def fit_displacement(test, model, pairs):
+def fit_displacement(
+    test: Segments | ArrayLike, model: Segments | ArrayLike, pairs: ArrayLike
+) -> Displacement:
     """Estimate the displacement of one line set from another, given the pairs.
 
     Parameters
@@ -404,7 +407,13 @@ class DisplacedMatch:
     evidence: float
 
 
-def match_displaced(test, model, *, radius=4.0, seed=0):
+def match_displaced(
+    test: Segments | ArrayLike,
+    model: Segments | ArrayLike,
+    *,
+    radius: float = 4.0,
+    seed: int = 0,
+) -> DisplacedMatch:
     """Pair two displaced segment sets by the displacement that brings most of them together.
 
     Parameters

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull
 
@@ -84,7 +85,14 @@ class Edges:
         return self.to_frame()._repr_html_()
 
 
-def extract_edges(points, *, tolerance=0.05, size=2.0, minimum=None, angle=20.0):
+def extract_edges(
+    points: ArrayLike,
+    *,
+    tolerance: float = 0.05,
+    size: float = 2.0,
+    minimum: int | None = None,
+    angle: float = 20.0,
+) -> Edges:
     """Detect planes and intersect those that meet, clipped to where both have points.
 
     The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
@@ -260,7 +268,7 @@ class Outline:
         return Segments(np.stack([self.corners, np.roll(self.corners, -1, axis=0)], axis=1))
 
 
-def fit_outline(points, *, lines=None):
+def fit_outline(points: ArrayLike, *, lines: ArrayLike | None = None) -> Outline:
     """Fit a rectangle to the outline of a board.
 
     The points are projected on their plane. The outline points are the ends of the scan lines,

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_positive
-from mmqa_lab.lines.segments import check_segments, relative_ends
+from mmqa_lab.lines.segments import Segments, check_segments, relative_ends
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 FRAGMENT_OVERLAP = 0.3
@@ -42,7 +43,14 @@ class Threshold:
     nearest: np.ndarray
 
 
-def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below", sort_again=False):
+def peak_threshold(
+    nearest: ArrayLike,
+    *,
+    sensitivity: float = 0.5,
+    order: int = 2,
+    at: str = "below",
+    sort_again: bool = False,
+) -> Threshold:
     """Threshold at the first peak of the differences of the sorted nearest distances.
 
     The distances are sorted, differenced ``order`` times, and searched for the first maximum
@@ -99,7 +107,7 @@ def peak_threshold(nearest, *, sensitivity=0.5, order=2, at="below", sort_again=
     return Threshold(float(delta), False, nearest)
 
 
-def mixture_threshold(nearest):
+def mixture_threshold(nearest: ArrayLike) -> Threshold:
     """Where the nearer of two normal distributions of the log distances ceases to be the likelier.
 
     Expectation-maximisation from the split with the largest variance between both classes (Otsu
@@ -181,7 +189,14 @@ def _responsibilities(logs, share):
     return densities[0] / (densities[0] + densities[1])
 
 
-def correspond(distances, delta, *, matcher="all", test=None, model=None):
+def correspond(
+    distances: ArrayLike,
+    delta: float,
+    *,
+    matcher: str = "all",
+    test: Segments | ArrayLike | None = None,
+    model: Segments | ArrayLike | None = None,
+) -> np.ndarray:
     """Pair segments whose distance is at most ``delta``.
 
     Parameters
@@ -443,7 +458,7 @@ class PairingScores:
         return pd.DataFrame([asdict(self) | {name: getattr(self, name) for name in rates}])
 
 
-def pairing_scores(pairs, truth):
+def pairing_scores(pairs: ArrayLike, truth: ArrayLike) -> PairingScores:
     """Score proposed pairs against true ones, cell by cell.
 
     Parameters

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number
 
@@ -220,7 +221,13 @@ class Components:
         return np.sqrt(weight * self.angle**2 + self.parallel**2 + self.perpendicular**2)
 
 
-def components(test, model, *, rotate="test", within="containment"):
+def components(
+    test: Segments | ArrayLike,
+    model: Segments | ArrayLike,
+    *,
+    rotate: str = "test",
+    within: str = "containment",
+) -> Components:
     """Angle, parallel and perpendicular distances of every test to every model segment.
 
     Parameters
@@ -259,7 +266,14 @@ def components(test, model, *, rotate="test", within="containment"):
     return Components(*parts)
 
 
-def distance_matrix(test, model, *, weight=10.0, rotate="test", within="containment"):
+def distance_matrix(
+    test: Segments | ArrayLike,
+    model: Segments | ArrayLike,
+    *,
+    weight: float = 10.0,
+    rotate: str = "test",
+    within: str = "containment",
+) -> np.ndarray:
     """Distances d(W) of every test to every model segment: the similarity matrix.
 
     Parameters

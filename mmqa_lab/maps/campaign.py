@@ -17,6 +17,7 @@ import logging
 import os
 import threading
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -157,20 +158,20 @@ class Grid:
 
 
 def map_campaign(
-    paths,
-    folder,
+    paths: Sequence[str | os.PathLike],
+    folder: str | os.PathLike,
     *,
-    cell,
-    surface="local",
-    metrics=METRICS,
-    radius=0.5,
-    thickness=0.1,
-    void=0.1,
-    tile=None,
-    workers=None,
-    scheduler=None,
-    progress=False,
-):
+    cell: float,
+    surface: str = "local",
+    metrics: Sequence[str] = METRICS,
+    radius: float = 0.5,
+    thickness: float = 0.1,
+    void: float = 0.1,
+    tile: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: bool = False,
+) -> Outcome:
     """Evaluate every cell of a campaign, tile by tile, into a run folder.
 
     Parameters

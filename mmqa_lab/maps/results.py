@@ -3,12 +3,16 @@
 Maps of campaigns are lazy: however large the map, only a few tiles are in memory at a time.
 """
 
+from __future__ import annotations
+
 import base64
 import io
 import json
 import os
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -16,11 +20,15 @@ from scipy.ndimage import binary_fill_holes
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice, check_crs, check_number, check_points, check_positive
-from mmqa_lab.cloud import as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps.campaign import Grid, corner, read_array, tile_name
 from mmqa_lab.maps.tile import FIGURES, LAYERS, METRICS, evaluate_tile, variables
 from mmqa_lab.spacing import exempt
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import ArrayLike
 
 ENDINGS = (".nc", ".zarr", ".tif")
 
@@ -43,7 +51,9 @@ SLIMMEST = 4
 """Length over width of a panel; maps of streets are longer, and stretched to that."""
 
 
-def open_map(folder, *, crs=None, rho0=None):
+def open_map(
+    folder: str | os.PathLike, *, crs: str | None = None, rho0: float | None = None
+) -> xr.Dataset:
     """Open the tiles of a run as one lazy Dataset.
 
     Parameters
@@ -101,17 +111,17 @@ def open_map(folder, *, crs=None, rho0=None):
 
 
 def map_cloud(
-    cloud,
+    cloud: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike,
     *,
-    cell=0.5,
-    surface="local",
-    metrics=METRICS,
-    radius=0.5,
-    thickness=0.1,
-    void=0.1,
-    crs=None,
-    rho0=None,
-):
+    cell: float = 0.5,
+    surface: str = "local",
+    metrics: Sequence[str] = METRICS,
+    radius: float = 0.5,
+    thickness: float = 0.1,
+    void: float = 0.1,
+    crs: str | None = None,
+    rho0: float | None = None,
+) -> xr.Dataset:
     """Evaluate every cell of a cloud in memory.
 
     Parameters
@@ -166,7 +176,7 @@ def map_cloud(
     return _dataset(arrays, record | {"resolution": cloud.resolution}, crs or cloud.crs, rho0)
 
 
-def summarise(dataset, *, below=None):
+def summarise(dataset: xr.Dataset, *, below: Mapping[str, float] | None = None) -> pd.DataFrame:
     """Summarise each figure of each layer.
 
     Parameters
@@ -223,7 +233,7 @@ def summarise(dataset, *, below=None):
     return table.assign(remarks=[" ".join(filter(None, [*general, one])) for one in coarse])
 
 
-def write_map(dataset, path):
+def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
     """Write a map as NetCDF (``.nc``), Zarr (``.zarr``) or GeoTIFF (``.tif``), whole or not at all.
 
     In a GeoTIFF each variable of each layer is a band that bears its name.

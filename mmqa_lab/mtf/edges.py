@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count
 from mmqa_lab._results import Shown
@@ -120,7 +121,7 @@ class EdgeResponse(Shown):
         return pd.DataFrame([{key: one for key, one in row if not isinstance(one, np.ndarray)}])
 
 
-def fit_edge(image, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:
+def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:
     """Measure the resolution of an image that shows one straight edge.
 
     Parameters

@@ -4,7 +4,10 @@ EuroSDR 2013, image radiometry, section 5.1: a star of 5 degree sectors, half a 
 On a circle around its centre a star of n cycles is a wave of n / (2 pi r) cycles per pixel.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,6 +15,10 @@ import pandas as pd
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.mtf.edges import crossing
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import ArrayLike
 
 SQUARE = np.pi / 4
 """A square wave's amplitude over that of its fundamental."""
@@ -131,8 +138,8 @@ class StarMtf(Shown):
 
 
 def measure_star(
-    image,
-    centre,
+    image: ArrayLike,
+    centre: tuple[float, float],
     *,
     cycles: int,
     radius_px: float,
@@ -226,7 +233,9 @@ def measure_star(
     )
 
 
-def read_bars(image, groups, *, dark, bright, noise):
+def read_bars(
+    image: ArrayLike, groups: pd.DataFrame, *, dark: float, bright: float, noise: float
+) -> pd.DataFrame:
     """Read groups of bright bars on a dark ground.
 
     Parameters
@@ -281,7 +290,7 @@ def read_bars(image, groups, *, dark, bright, noise):
     return pd.DataFrame(rows)
 
 
-def resolving_power(readings):
+def resolving_power(readings: pd.DataFrame) -> tuple[float, float]:
     """Return the period of the narrowest group resolved with all wider ones, and of the next.
 
     Parameters
@@ -310,7 +319,9 @@ def resolving_power(readings):
     )
 
 
-def haar_sharpness(image, *, block=64, noise_std=None):
+def haar_sharpness(
+    image: ArrayLike, *, block: int = 64, noise_std: float | None = None
+) -> xr.Dataset:
     """Map the sharpness of an image, block by block.
 
     Two levels of the Haar transform; in each block the root mean square of the details of the

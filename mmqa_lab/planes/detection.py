@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numba
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import lambertw
 
 from mmqa_lab._checks import check_count, check_points, check_positive
@@ -99,7 +100,9 @@ class Patch:
         return self.sigma**2 * (1 / self.plane.n + (square / self.moments).sum())
 
 
-def detect_planes(points, *, tolerance=0.05, size=2.0, minimum=None):
+def detect_planes(
+    points: ArrayLike, *, tolerance: float = 0.05, size: float = 2.0, minimum: int | None = None
+) -> list[Patch]:
     """Find the planes of a cloud of any size.
 
     The space is cut into cells of a quarter of ``size``. Around the fullest cell of every eight,

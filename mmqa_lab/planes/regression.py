@@ -4,8 +4,11 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the pl
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
 """
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +20,11 @@ from mmqa_lab._checks import (
     coordinate_columns,
     is_table,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mmqa_lab.cloud import Cloud
 
 CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""
@@ -142,7 +150,12 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
 
 
-def flat_points(points, *, name="xy", minimum=1):
+def flat_points(
+    points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike,
+    *,
+    name: str = "xy",
+    minimum: int = 1,
+) -> np.ndarray:
     """Return coordinates in a plane: given ones, or points laid onto their regression plane.
 
     Parameters
@@ -334,7 +347,7 @@ class Circle:
     std: float
 
 
-def fit_circle(points, *, diameter=None, scale=0.01):
+def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float = 0.01) -> Circle:
     """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
 
     Parameters

@@ -10,8 +10,11 @@ Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et
 ``ours`` (learned). Their thresholds are the fields of ``settings_of(method)``.
 """
 
+from __future__ import annotations
+
 import warnings
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -21,6 +24,11 @@ from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._polygons import path_distance
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.poles.scores import Score, curve, match, score
+
+if TYPE_CHECKING:
+    from lightgbm import Booster
+
+    from mmqa_lab.poles import fgi, itc, ours
 
 METHODS = ("ours", "fgi", "itc")
 
@@ -37,7 +45,7 @@ def detect(
     trajectory: ArrayLike | None = None,
     corridor: float | None = None,
     explain: bool = False,
-    model=None,
+    model: Booster | None = None,
     **thresholds,
 ) -> pd.DataFrame:
     """Detect poles.
@@ -122,7 +130,7 @@ def detect(
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 
 
-def settings_of(method: str):
+def settings_of(method: str) -> fgi.Settings | itc.Settings | ours.Settings:
     """Return the default thresholds of a method; each is documented at the class returned.
 
     Parameters
