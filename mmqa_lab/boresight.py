@@ -17,7 +17,7 @@ pitches about x and heads about -z, so that the true beam is R(boresight) times 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -162,7 +162,7 @@ def corrected(
     lever = np.asarray(lever_arms_m, dtype=np.float64)
     values = np.asarray(values, dtype=np.float64) / UNIT
     placed = _placed(cloud, trajectory, lever, values, origin)
-    return Cloud(origin + placed, cloud.columns, cloud.name)
+    return replace(cloud, points=origin + placed)
 
 
 def calibrate(

@@ -8,8 +8,9 @@ import pytest
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
-from mmqa_lab.boresight import calibrate
-from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System
+from mmqa_lab.boresight import calibrate, corrected
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 from mmqa_lab.studies import test_field as study
 
@@ -139,3 +140,12 @@ def test_command_refuses(files, capsys, given, sentence, tmp_path):
     assert call(files, *more, "--out", str(tmp_path / "out"), **given) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_corrected_cloud_keeps_its_coordinate_system():
+    cloud = Cloud([[3.0, 5.0, 0.0]], {"gps_time": np.array([0.5])}, crs="EPSG:25832")
+    moved = corrected(
+        cloud, straight(20, 10), lever_arms_m=[[0, 0, 2]], values=[[0, 0, 0, 0, 0, 0.1]]
+    )
+    assert moved.crs == cloud.crs
+    assert moved.points == pytest.approx(np.array([[3.0, 5.0, 0.1]]))
