@@ -177,6 +177,18 @@ def test_a_figure_without_data_is_drawn_again_from_its_csv(run):
     assert pixels.to_dict() == {(0.5, 1.5): 1, (1.5, 1.5): 2, (0.5, 0.5): 3, (1.5, 0.5): 4}
 
 
+def test_of_a_large_picture_every_kth_pixel_is_written_at_its_place(run):
+    figure, ax = plots.subplots(height_mm=40)
+    row, column = np.indices((300, 500))
+    ax.imshow(1000 * row + column, extent=(0, 500, 0, 300), origin="upper")
+    run.save_figure(figure, "large")
+    plt.close(figure)
+    shown = pd.read_csv(run.folder / "large.csv")
+    assert 30_000 < len(shown) <= 40_000
+    there = 1000 * (300 - shown["y"] - 0.5) + shown["x"] - 0.5
+    assert np.array_equal(shown["value"], there)
+
+
 def test_a_table_of_the_figures_name_is_its_data(run):
     run.save_table(pd.DataFrame({"f": [2.0]}), "both", kind="measured")
     figure, _ = drawn()
