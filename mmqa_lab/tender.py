@@ -10,6 +10,7 @@ import pandas as pd
 
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab.chart_image.legibility import expected_marks
 from mmqa_lab.chart_image.rules import MARKS
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
@@ -41,9 +42,6 @@ RANGE_OF_FIVE = 2.326
 
 REPEATED = ("selection_density", "selection_precision", "bar_std")
 """Printed numbers (section 4.4) that say how repeatable a figure is."""
-
-TEXT_MM = 40.0
-"""Capital height of the text that was judged (section 4.2)."""
 
 
 def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
@@ -200,8 +198,9 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
         than 1 mm) and of pixel sizes (below 1 px for a bar), and one rung to either side of a
         line-pair width. Upper bounds are printed, so these are too wide.
     by_pixels : bool
-        Give texts of 60 mm that were not judged the mark of the judged text with the most pixels
-        per capital height among those with no more pixels than theirs.
+        Give texts of 60 mm that were not judged the marks that their pixels per capital height
+        allow: the worst one, and the interval to the best one
+        (:func:`mmqa_lab.chart_image.legibility.expected_marks`).
 
     Returns
     -------
@@ -397,15 +396,15 @@ def _larger_text(images, by_pixels):
     keys = ["system", "distance_m", "view"]
     marks = images.query("quantity == 'legibility'").set_index(keys)["printed"]
     pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(keys)["value"]
-    judged = pd.DataFrame({"mark": marks, "pixels": TEXT_MM / pixels}).sort_values("pixels")
     rows = []
     for system in "ABC":
         key = (system, 5.0, "orthogonal")
-        mark = marks[key]
-        if mark == "c":
-            fewer = judged[judged["pixels"] <= 60 / pixels[key]]
-            mark = fewer["mark"].iloc[-1] if by_pixels else None
-        rows.append({**place, "system": system, "value": mark})
+        row = {**place, "system": system, "value": marks[key]}
+        if marks[key] == "c":
+            found = expected_marks(60 / pixels[key]).iloc[0]
+            ends = {"low": MARKS.index(found["best"]), "high": MARKS.index(found["worst"])}
+            row |= {"value": found["worst"], **ends} if by_pixels else {"value": None}
+        rows.append(row)
     return rows
 
 
