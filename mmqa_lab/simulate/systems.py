@@ -224,6 +224,10 @@ FACING_THE_ROAD = 270.0
 REACH = 5
 """Chart distances to either side from which points are looked for; 2 % come from beyond."""
 
+STEPS_A_VIEW = 4
+"""Steps of a drive that are scanned at once: more take more pulses beside the chart, fewer more
+calls."""
+
 SYSTEM_A = replace(presets.ZF_9012, tilt_deg=45)
 """1 MHz and 200 Hz are stated, an inclined plane too, its angle is not: 45 degrees, as is usual."""
 
@@ -312,7 +316,10 @@ def _views(scanner, path, distance):
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     seen = (elevation.min(axis=1) <= high + 1) & (elevation.max(axis=1) >= low - 1)
-    for k in np.flatnonzero(seen[:-1] | seen[1:]):
-        ends = angle[k : k + 2]
-        view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
-        yield (times[k], times[k + 1]), tuple(view)
+    steps = np.flatnonzero(seen[:-1] | seen[1:])
+    for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
+        for k in range(0, len(run), STEPS_A_VIEW):
+            first, last = run[k], run[min(k + STEPS_A_VIEW, len(run)) - 1] + 1
+            ends = angle[first : last + 1]
+            view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
+            yield (times[first], times[last]), tuple(view)
