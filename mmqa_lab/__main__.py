@@ -33,7 +33,7 @@ PROBES = {
 """What an environment made from these files can import."""
 
 COMPILED = {"lhd": "detection", "map": "_search", "poles": "candidates"}
-"""Commands that wait for the compiler when they are called first, and a module that they compile."""
+"""Commands that wait for the compiler when first called, and a module that they compile."""
 
 DESCRIPTION = """\
 The quality of mobile mapping point clouds and images: evaluate your own data, run the studies
