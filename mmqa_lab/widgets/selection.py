@@ -6,7 +6,7 @@ as ``mmqa evaluate --polygon`` does with the saved file.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import ipywidgets
 import numpy as np
@@ -60,9 +60,7 @@ def select_polygon(
     cloud: Cloud | ArrayLike,
     *,
     polygon: ArrayLike | None = None,
-    thickness: float = 0.1,
-    axes: str | float = "principal",
-    radius: float = 0.5,
+    **choices: Any,
 ) -> SelectionTool | Figure:
     """Show a cloud with a polygon whose vertices can be dragged, and what it selects.
 
@@ -72,8 +70,8 @@ def select_polygon(
         A surface and what is around it, metres.
     polygon : array_like, shape (m, 3), optional
         Where to start; by default a rectangle about the middle.
-    thickness, axes, radius
-        See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+    **choices
+        Thickness, axes, radius, sectors and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
 
     Returns
     -------
@@ -97,7 +95,6 @@ def select_polygon(
     """
     points = check_points(cloud, minimum=3)
     polygon = None if polygon is None else polygon_vertices(polygon)
-    choices = {"thickness": thickness, "axes": axes, "radius": radius}
     if not is_headless():
         return SelectionTool(points, polygon=polygon, **choices)
     view = _View(points)
@@ -118,7 +115,7 @@ class SelectionTool:
     ----------
     points : array_like, shape (n, 3)
         Metres.
-    polygon, thickness, axes, radius
+    polygon, **choices
         See :func:`select_polygon`.
 
     Attributes
@@ -143,12 +140,12 @@ class SelectionTool:
     ((4, 3), 2.0)
     """
 
-    def __init__(self, points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
+    def __init__(self, points, *, polygon=None, **choices):
         from matplotlib.widgets import PolygonSelector
 
         Canvas, FigureManager = _ipympl()
         self.points = check_points(points, minimum=3)
-        self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
+        self.choices = choices
         self.view = _View(self.points)
         middle = self.view.middle_polygon(self.points)
         self.vertices = middle if polygon is None else polygon_vertices(polygon)
@@ -253,7 +250,6 @@ def _draw_histograms(panels, quality):
     spacings.clear()
     measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
     plots.draw_residual_histogram(1000 * quality.plane.residuals, ax=residuals, **measures)
-    spread = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-    plots.draw_spacing_histogram(quality.distances_mm, ax=spacings, **spread)
+    plots.draw_spacing_histogram(quality.spacing, ax=spacings)
     for panel in (residuals, spacings):
         panel.locator_params(nbins=FEW_TICKS)
