@@ -3,8 +3,9 @@
 One row per cloud. The plane is the orthogonal regression plane of the points; density is given for
 the selection polygon and for the convex hull of the points; d1..d4 are the medians of the sorted
 distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021,
-doi 10.3390/rs13020237). --sectors and --statistic choose others. With --rho0, f_exempt says that f does not matter, as d1 and d4 are both at
-most sqrt(1 / rho0). Without --polygon the whole cloud is taken for the surface.
+doi 10.3390/rs13020237); --sectors and --statistic choose others. With --rho0, f_exempt says that f
+does not matter, as d1 and d4 are both at most sqrt(1 / rho0). Without --polygon the whole cloud is
+taken for the surface.
 """
 
 import argparse
