@@ -83,8 +83,8 @@ def write_pages(folder, studies):
     cards = [card for card in cards if card["outcome"] is not None]
     ledger = _ledger(folder)
     if ledger is not None:
-        write_text(folder / "ledger.html", _filled("ledger.html", ledger=ledger))
-    text = _filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
+        write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
+    text = filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
     write_text(folder / "index.html", text)
 
 
@@ -110,12 +110,12 @@ def notebook_page(notebook, title, *, figures):
     )
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
-    return _filled("notebook.html", title=title, body=body, style=style)
+    return filled("notebook.html", title=title, body=body, style=style)
 
 
 def report_page(picture, *, title, table, inputs, record):
     """Return a report with a figure, given as PNG, and a table as one HTML page."""
-    return _filled(
+    return filled(
         "report.html",
         title=title,
         picture=base64.b64encode(picture).decode(),
@@ -150,8 +150,8 @@ def report_sheet(picture, *, title, table, inputs, record):
     return sheet
 
 
-def _filled(name, **values):
-    """A template with its values."""
+def filled(name, **values):
+    """Return a template of ``templates/`` with its values."""
     from jinja2 import Environment, FileSystemLoader
 
     environment = Environment(
