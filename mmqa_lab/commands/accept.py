@@ -60,7 +60,8 @@ def run(options):
 
     import pandas as pd
 
-    from mmqa_lab.tender import acceptance, report
+    from mmqa_lab.tender import acceptance, photographs, report
+    from mmqa_lab.tender.site import read_site
 
     folder = options.folder
     if options.example:
@@ -68,7 +69,7 @@ def run(options):
     elif not folder.is_dir():
         raise FileNotFoundError(f"Invalid folder {folder}: no such folder. Must exist.")
     site_file = options.site or folder / "site.json"
-    site = acceptance.read_site(site_file)
+    site = read_site(site_file)
     criteria, inputs = _criteria(options.criteria or list(SETS))
     marks = options.marks or folder / "marks.csv"
     judged = options.marks is not None or marks.is_file()
@@ -76,7 +77,7 @@ def run(options):
         folder,
         site,
         criteria,
-        marks=acceptance.read_marks(marks) if judged else None,
+        marks=photographs.read_marks(marks) if judged else None,
         progress=lambda drives: with_progress(drives, "drive"),
     )
     out = options.out or folder / "report"

@@ -56,6 +56,8 @@ EXPOSURE_S = 0.0005
 SPREAD_PX = 0.8
 """Point spread that explains most widths of Table 1 (study chart_images)."""
 
+SUPERSAMPLING = 4
+
 SENSOR = Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=95)
 
 LEGIBLE_PX = {"a": 11.0, "b": 9.0}
@@ -109,12 +111,12 @@ def site_boards() -> pd.DataFrame:
     return boards
 
 
-def make_drive(distance_m, *, seed, speed_kmh=44.0) -> Drive:
-    """Drive north past the boards."""
+def make_drive(distance_m, *, seed, speed_kmh=44.0, wander=0.01) -> Drive:
+    """Drive north past the boards; the speed wanders by this share."""
     rng = np.random.default_rng([seed, int(distance_m)])
     start = ORIGIN + [-distance_m, -BEFORE_M + rng.uniform(-0.5, 0.5), HEIGHT_M]
     path = straight(BEFORE_M + AFTER_M, speed_kmh / 3.6, start=start)
-    path = with_speed_variation(path, share=0.01, seed=seed)
+    path = with_speed_variation(path, share=wander, seed=seed)
     reported = measured(path, NAVIGATION, seed=seed + int(distance_m))
     step = STATION_STEP_M * 3.6 / speed_kmh
     times = np.arange(rng.uniform(0, step), path.duration_s, step)
@@ -157,7 +159,8 @@ def take_photo(vehicle, drive, time, board, *, seed, sensor=SENSOR):
     travel = np.stack([right, -up, ahead]) @ (position[1] - position[0])
     optics = Optics(SPREAD_PX, travel=tuple(travel))
     there = station_map(vehicle, drive, time, board)
-    return photograph(board.layout, there, optics=optics, sensor=sensor, seed=seed, margin=40)
+    choices = {"optics": optics, "sensor": sensor, "margin": 40, "supersampling": SUPERSAMPLING}
+    return photograph(board.layout, there, **choices, seed=seed)
 
 
 def photographed(drive, boards) -> pd.DataFrame:

@@ -18,7 +18,8 @@ from mmqa_lab.chart_image.rules import ALONG
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.run.pages import filled
-from mmqa_lab.tender.acceptance import VIEWS, sha256
+from mmqa_lab.tender.acceptance import VIEWS
+from mmqa_lab.tender.site import sha256
 
 LIBRARIES = ("numpy", "scipy", "pandas", "opencv-python-headless", "laspy", "matplotlib")
 
