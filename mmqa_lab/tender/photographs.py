@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from mmqa_lab.chart_image.evaluation import (
     evaluate_window,
@@ -276,7 +277,7 @@ def _same_targets(boards):
             other = owners.setdefault((marker.dictionary, marker.identifier), board.board)
             if other != board.board:
                 return (
-                    f"Boards {other!r} and {board.board!r} have the same coded targets: images "
+                    f"Boards {other!r} and {board.board!r} have the same targets: images "
                     "without orientation cannot tell them apart."
                 )
     return ""
@@ -284,11 +285,17 @@ def _same_targets(boards):
 
 def _camera_place(there, board):
     """Where the camera stands in the world, from the map of a board of known size and place."""
-    step = np.linalg.norm(there.matrix[:, :2], axis=0).mean()  # is 1 mm
-    matrix = 0.001 / step * there.matrix
-    middle = matrix @ [board.layout.width / 2, board.layout.height / 2, 1]
-    across, up = (matrix[:, k] / np.linalg.norm(matrix[:, k]) for k in (0, 1))
-    local = -np.array([middle @ across, middle @ up, middle @ np.cross(across, up)])
+    import cv2
+
+    layout = board.layout
+    places = layout.corners() - [layout.width / 2, layout.height / 2]
+    rays = np.column_stack([layout.corners(), np.ones(4)]) @ there.matrix.T
+    turn = Rotation.align_vectors([[0, 0, 1]], rays.mean(axis=0)[None])[0]
+    rays = turn.apply(rays)
+    solid, flat = np.column_stack([places / 1000, np.zeros(4)]), rays[:, :2] / rays[:, 2:]
+    # a rigid board: the tilt that a few targets leave open does not change its distance
+    _, turned, away = cv2.solvePnP(solid, flat, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE)
+    local = -Rotation.from_rotvec(turned.ravel()).inv().apply(away.ravel())
     centre, right, normal = board_frame(board.corners)
     return centre + local @ np.stack([right, np.cross(normal, right), normal])
 
