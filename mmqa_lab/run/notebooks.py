@@ -38,7 +38,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
 
     Parameters
     ----------
-    study : mmqa_lab.studies.catalogue.Study
+    study : mmqa_lab.studies.Study
     folder : path
         Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
     quick : bool
@@ -235,7 +235,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
 
     Parameters
     ----------
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     folder : path
         Made where missing.
     quick : bool
@@ -253,7 +253,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
     Examples
     --------
     >>> import tempfile
-    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> from mmqa_lab.studies import chosen
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
     ['05_mimic.ipynb']

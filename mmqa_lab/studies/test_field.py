@@ -15,7 +15,7 @@ from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.published import ledger
 from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern.lattice import rotations
-from mmqa_lab.simulate import NavigationErrors, System, measured, presets, system
+from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
 from mmqa_lab.testfield import (
     height_accuracy,
@@ -372,7 +372,7 @@ class TwoDrives:
 
 def two_heads(navigation):
     """Return a system of two heads with its wrong mounting."""
-    base = replace(presets.VQ_450, divergence_mrad=0.0)
+    base = replace(PRESETS["vq-450"], divergence_mrad=0.0)
     heads = tuple(
         replace(base, lever_arm_m=(0.4 * side, -0.6, 0.3), heading_deg=-45 * side, boresight_deg=b)
         for side, b in zip((-1, 1), BORESIGHT_DEG, strict=True)

@@ -14,7 +14,7 @@ import nbformat
 import pytest
 
 from mmqa_lab.run.notebooks import inject
-from mmqa_lab.studies.catalogue import chosen, notebooks_folder
+from mmqa_lab.studies import chosen, notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
