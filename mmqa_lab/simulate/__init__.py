@@ -23,8 +23,7 @@ Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_
 one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
-from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.scan import scan, scan_all
+from mmqa_lab.simulate.scan import MatchingCamera, match, scan, scan_all
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (

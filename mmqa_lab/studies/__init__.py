@@ -1,4 +1,4 @@
-"""The studies, one module per notebook, and their list, which stands in ``catalogue.toml``."""
+"""The studies, one module per notebook, and their list and notes, which stand in TOML files."""
 
 import tomllib
 from dataclasses import dataclass
@@ -35,7 +35,15 @@ class Study:
         return import_module(f"mmqa_lab.studies.{self.stem}")
 
 
-_LISTED = tomllib.loads(Path(__file__).with_name("catalogue.toml").read_text("utf-8"))
+def _read(name):
+    """The tables of a file beside this module."""
+    return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
+
+
+NOTES = _read("notes.toml")
+"""What the studies say in words beside their numbers, by study."""
+
+_LISTED = _read("catalogue.toml")
 
 STUDIES = tuple(Study(**one) for one in _LISTED["studies"])
 
