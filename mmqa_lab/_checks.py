@@ -130,7 +130,11 @@ def _in_plan(crs):
     datum = ("type", "no_defs", "vunits", "geoidgrids", "datum", "ellps", "towgs84", "a", "b", "rf")
     rest = {key: value for key, value in words.items() if key not in datum}
     ellipsoid = plan.ellipsoid
-    return rest, plan.to_epsg() if not rest else None, ellipsoid and round(ellipsoid.semi_major_metre)
+    return (
+        rest,
+        plan.to_epsg() if not rest else None,
+        ellipsoid and round(ellipsoid.semi_major_metre),
+    )
 
 
 def check_same_crs(name, crs, other_name, other):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from mmqa_lab.radiometry.block import adjust_block
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, lines, simulate, stats, testfield
@@ -20,7 +21,6 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.radiometry import empirical_line, fit_sensor
-from mmqa_lab.radiometry.block import adjust_block
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
 from mmqa_lab.simulate.canyon import canyon
@@ -164,16 +164,16 @@ def edge_of_walls(seed, angle_deg):
     if len(found) != 1:
         raise ValueError(f"{len(found)} edges")
     ends, covariance = found.segments.ends[0], found.covariance[0]
-    return {
-        f"end {k + 1}": ellipsoid(ends[k, :2], covariance[k, :2, :2]) for k in range(len(ends))
-    }
+    return {f"end {k + 1}": ellipsoid(ends[k, :2], covariance[k, :2, :2]) for k in range(len(ends))}
 
 
 def edge_of_image(seed, sigma_px):
     """MTF50 of a slanted edge behind a Gaussian, 1 % of noise."""
     spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
     angle = float(rng.uniform(4, 12))
-    image = render_edge((80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5)))
+    image = render_edge(
+        (80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5))
+    )
     found = fit_edge(image + 0.005 * rng.standard_normal(image.shape))
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, spread.mtf50(angle))}
 
@@ -181,7 +181,9 @@ def edge_of_image(seed, sigma_px):
 def star_of_image(seed, sigma_px):
     """MTF50 of a Siemens star behind a Gaussian, 1 % of noise."""
     spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
-    image = render_star((170, 170), spread, cycles=24, radius_px=80, centre=rng.uniform(-0.5, 0.5, 2))
+    image = render_star(
+        (170, 170), spread, cycles=24, radius_px=80, centre=rng.uniform(-0.5, 0.5, 2)
+    )
     image = image + 0.005 * rng.standard_normal(image.shape)
     found = measure_star(image, (84.5, 84.5), cycles=24, radius_px=80)
     fine = np.linspace(0.05, 0.9, 2000)
@@ -284,7 +286,9 @@ ESTIMATES = (
     Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 20, 500),
     Estimate("pole position", pole, bench.grid(known=(True, False)), 10, 300),
     Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
-    Estimate("predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 5, 200),
+    Estimate(
+        "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 5, 200
+    ),
     Estimate("displacement, pairs given", displaced, ({"matched": False},), 10, 200),
     Estimate("displacement, pairs found", displaced, ({"matched": True},), 2, 60),
     Estimate("edge of a cloud", edge_of_walls, bench.grid(angle_deg=(90, 60)), 3, 60),
@@ -325,7 +329,9 @@ def simulated(estimate, draws, folder=None):
     figures = dict.fromkeys(name.split("|")[0] for name in table if "|" in name)
     rows = []
     for figure in figures:
-        part = pd.DataFrame({p: table.get(f"{figure}|{p}") for p in ("low", "high", "truth", "value")})
+        part = pd.DataFrame(
+            {p: table.get(f"{figure}|{p}") for p in ("low", "high", "truth", "value")}
+        )
         part[names] = table[names]
         if part["truth"].isna().all():
             part["truth"] = part.groupby(names)["value"].transform("mean")

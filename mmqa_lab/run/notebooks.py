@@ -30,7 +30,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
 
     Parameters
     ----------
-    study : mmqa_lab.studies.catalogue.Study
+    study : mmqa_lab.studies.Study
     folder : path
         Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
     quick : bool

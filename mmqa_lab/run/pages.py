@@ -85,7 +85,7 @@ def write_pages(folder, studies):
     ----------
     folder : path
         Of all results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
     """
     folder = Path(folder)
@@ -260,7 +260,7 @@ def update_readme(notebooks, folder, studies, *, write=True):
         Folder of the notebooks, where the figures go; the README is beside it.
     folder : path
         Of the results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     write : bool
         Without it nothing is written.
 

@@ -253,7 +253,9 @@ def main():
     print(frame.to_string(index=False))
     if not options.no_readme:
         readme = ROOT / "README.md"
-        text = replaced(readme.read_text(encoding="utf-8"), "damage", frame.to_markdown(index=False))
+        text = replaced(
+            readme.read_text(encoding="utf-8"), "damage", frame.to_markdown(index=False)
+        )
         write_atomically(readme, lambda path: path.write_text(text, encoding="utf-8"))
 
 
