@@ -129,10 +129,13 @@ def run(options):
 def _draw(quality, file):
     """Write the figure of one evaluated surface."""
     from mmqa_lab import plots
+    from mmqa_lab._figures import finish_figure
     from mmqa_lab.io import write_atomically
 
     with plots.style():
-        write_atomically(file, quality.plot().savefig)
+        figure = quality.plot()
+        finish_figure(figure)
+        write_atomically(file, figure.savefig)
 
 
 def _sectors(text):
