@@ -113,6 +113,26 @@ def test_every_command_explains_itself_with_an_example(capsys):
         assert f"mmqa {name}" in re.split("examples?:", manual)[1]
 
 
+def test_an_unknown_option_shows_the_usage_of_its_command(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["evaluate", PATCH, "--sector-count", "8"])
+    assert "usage: mmqa evaluate" in capsys.readouterr().err
+
+
+def test_a_folder_in_place_of_a_cloud_is_named(capsys, tmp_path):
+    assert main(["info", str(tmp_path)]) == 2
+    assert "a folder. Must be a file." in capsys.readouterr().err
+
+
+def test_a_polygon_in_plan_can_be_written_in_the_command(capsys):
+    x, y = 1423215.6, 4189097.6
+    plan = f"{x},{y}; {x + 0.5},{y}; {x + 0.5},{y + 0.5}; {x},{y + 0.5}"
+    assert main(["evaluate", PATCH, "--polygon", plan, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["area_polygon_m2"] == pytest.approx(0.25, rel=5e-3)  # the road slopes a little
+    assert "The polygon has no heights" in row["remarks"]
+
+
 def test_unknown_study_is_named(capsys):
     assert main(["studies", "nowhere"]) == 2
     assert "Invalid study 'nowhere'. Must be one of chart_tables" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_points, coordinate_columns
+from mmqa_lab._checks import check_choice, coordinate_columns
 from mmqa_lab._polygons import polygon_parts
 from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
 
@@ -149,7 +149,6 @@ def read_polygon(source: str | os.PathLike) -> np.ndarray | Polygon | MultiPolyg
         return _from_geojson(Path(source))
     else:
         vertices, _ = next(text_tables(Path(source), 1_000_000))
-    vertices = check_points(vertices, name=f"polygon {text}")
     return polygon_parts(vertices, name=f"polygon {text}")[0][0]
 
 
