@@ -15,8 +15,20 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
+from mmqa_lab._checks import (
+    check_choice,
+    check_number,
+    check_points,
+    check_positive,
+    check_same_crs,
+)
+from mmqa_lab._polygons import (
+    CrsNotCompared,
+    check_flatness,
+    polygon_crs,
+    polygon_parts,
+    polygon_vertices,
+)
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
@@ -545,12 +557,14 @@ def _selected(points, polygon, thickness, crs):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         parts = polygon_parts(polygon)
-    remarks = [f"{warning.message}" for warning in said]
-    stated = getattr(polygon, "crs", None)
-    if stated is not None and crs is not None and stated != crs:
-        raise ValueError(
-            f"Invalid polygon in {stated.name}. Must be in that of the cloud, {crs.name}."
-        )
+    stated = polygon_crs(polygon)
+    check_same_crs("polygon", stated, "cloud", crs)
+    compared = stated is not None and crs is not None
+    remarks = [
+        f"{warning.message}"
+        for warning in said
+        if not (compared and issubclass(warning.category, CrsNotCompared))
+    ]
     if any(ring.shape[1] == 2 for rings in parts for ring in rings):
         parts = _draped(parts, points)
         remarks.append("The polygon has no heights: it is laid onto the plane of the points in it.")

@@ -4,12 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from mmqa_lab import samples
-from mmqa_lab.__main__ import main
+from mmqa_lab.__main__ import COMPILED, main
 
 PATCH = str(samples.path("road_patch"))
 
@@ -45,6 +47,17 @@ def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
     assert "No time" not in row["remarks"]
     assert main(["info", PATCH]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) < 100
+
+
+def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for said in (True, False):
+        assert main(["poles", "nowhere.laz"]) == 2
+        assert ("compiles its searches, once" in capsys.readouterr().err) == said
+        (tmp_path / "candidates._seen-66.py311.nbi").touch()
+    for room, module in zip(("planes", "spacing", "poles"), COMPILED.values(), strict=True):
+        assert "njit" in Path(find_spec(f"mmqa_lab.{room}.{module}").origin).read_text()
 
 
 def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):

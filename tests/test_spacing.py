@@ -1,5 +1,8 @@
 """Quadrant distances against brute force, spacing against the closed form of a Poisson pattern."""
 
+import json
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -8,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from mmqa_lab import spacing
+from mmqa_lab import io, samples, spacing
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.spacing import (
     Spacing,
     exempt,
@@ -183,7 +187,20 @@ def test_coincident_points_are_counted_once_each():
 )
 def test_every_pattern_equals_brute_force_bit_for_bit(name, n, seed, radius, corner):
     xy = pattern(name, n, seed) + corner
-    np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), brute_force(xy, radius))
+    expected = brute_force(xy, radius)
+    np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), expected)
+    few = spacing._nearest_of_few(xy, radius, np.ones(len(xy), dtype=bool))
+    np.testing.assert_array_equal(few, expected)
+
+
+def test_figures_of_a_small_cloud_need_no_compiler():
+    code = "import sys; from mmqa_lab.__main__ import main; main(sys.argv[1:])"
+    code += "; sys.exit('numba' in sys.modules)"
+    words = ["evaluate", str(samples.path("chart_a_5m")), "--json"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    cloud = io.read_cloud(samples.path("chart_a_5m"))
+    assert json.loads(done.stdout)[0]["f"] == evaluate_cloud(cloud).f
 
 
 @pytest.mark.parametrize("name", sorted(PATTERNS))

@@ -6,7 +6,7 @@ import pytest
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import students
 from mmqa_lab.run.students import student_cell, write_sheets, write_student_notebooks
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.studies import STUDIES
 
 ANSWER = """# 2: twice the side makes four times the area
 side = 3

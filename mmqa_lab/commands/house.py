@@ -43,7 +43,7 @@ def lab(options):
     import subprocess
     import sys
 
-    from mmqa_lab.studies.catalogue import notebooks_folder
+    from mmqa_lab.studies import notebooks_folder
 
     folder = notebooks_folder()
     root, place = folder.parent, "notebooks"
@@ -136,7 +136,7 @@ def readme(options):
     inserted too. With --check nothing is written; the exit status is 1 where the README differs.
     """
     from mmqa_lab.run import pages
-    from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder, results_folder
+    from mmqa_lab.studies import STUDIES, notebooks_folder, results_folder
 
     notebooks = notebooks_folder()
     folder = options.results or results_folder(notebooks)
@@ -161,7 +161,7 @@ def student(options):
     folder that already contains such notebooks is refused.
     """
     from mmqa_lab.run.students import write_sheets, write_student_notebooks
-    from mmqa_lab.studies.catalogue import chosen
+    from mmqa_lab.studies import chosen
 
     studies = chosen(options.name)
     paths = write_student_notebooks(studies, options.out, quick=options.quick)
@@ -192,7 +192,7 @@ def studies(options):
     from tqdm import tqdm
 
     from mmqa_lab.run import notebooks, pages
-    from mmqa_lab.studies.catalogue import STUDIES, chosen, notebooks_folder, results_folder
+    from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
@@ -221,7 +221,7 @@ def _studies_arguments(parser):
 
 
 def test(options):
-    """Run the whole test suite: style checks by ruff, then every test by pytest.
+    """Run the whole test suite: style checks by ruff, then every test by pytest on all cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
@@ -235,7 +235,7 @@ def test(options):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", "--durations=15", *options.pytest],
+        ["pytest", "-q", "-ra", "--durations=15", "-n=auto", "--maxprocesses=4", *options.pytest],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)

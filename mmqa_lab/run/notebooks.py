@@ -30,7 +30,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
 
     Parameters
     ----------
-    study : mmqa_lab.studies.catalogue.Study
+    study : mmqa_lab.studies.Study
     folder : path
         Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
     quick : bool
@@ -130,9 +130,9 @@ def _let_interrupt(interrupted):
 def _code(study, quick):
     """A hash of what determines a study's results: package, notebook, mode and real data."""
     package = Path(__file__).parents[1]
-    files = [path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    files = [path for path in package.rglob("*.*") if path.parent.name != "__pycache__"]
     digest = hashlib.sha256(f"{quick} {os.environ.get('MMQA_DATA')}".encode())
-    for path in [study.path, *sorted(files)]:
+    for path in [study.path, *sorted(filter(Path.is_file, files))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

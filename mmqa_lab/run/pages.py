@@ -85,7 +85,7 @@ def write_pages(folder, studies):
     ----------
     folder : path
         Of all results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
     """
     folder = Path(folder)
@@ -93,9 +93,9 @@ def write_pages(folder, studies):
     cards = [card for card in cards if card["outcome"] is not None]
     ledger = _ledger(folder)
     if ledger is not None:
-        write_text(folder / "ledger.html", _filled("ledger.html", ledger=ledger))
-    write_text(folder / "glossary.html", _filled("glossary.html", rows=glossary_rows()))
-    text = _filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
+        write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
+    write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
+    text = filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
     write_text(folder / "index.html", text)
 
 
@@ -133,7 +133,7 @@ def notebook_page(notebook, title, *, figures, alone=False):
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
     body = body.replace("<table ", '<table tabindex="0" ')  # wide ones scroll, by keys too
-    return _filled("notebook.html", title=title, body=body, style=style, alone=alone)
+    return filled("notebook.html", title=title, body=body, style=style, alone=alone)
 
 
 def _typeset(found):
@@ -157,7 +157,7 @@ def _typeset(found):
 
 def report_page(picture, *, title, table, inputs, record):
     """Return a report with a figure, given as PNG, and a table as one HTML page."""
-    return _filled(
+    return filled(
         "report.html",
         title=title,
         picture=base64.b64encode(picture).decode(),
@@ -192,8 +192,8 @@ def report_sheet(picture, *, title, table, inputs, record):
     return sheet
 
 
-def _filled(name, **values):
-    """A template with its values."""
+def filled(name, **values):
+    """Return a template of ``templates/`` with its values."""
     from jinja2 import Environment, FileSystemLoader
 
     environment = Environment(
@@ -260,7 +260,7 @@ def update_readme(notebooks, folder, studies, *, write=True):
         Folder of the notebooks, where the figures go; the README is beside it.
     folder : path
         Of the results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     write : bool
         Without it nothing is written.
 

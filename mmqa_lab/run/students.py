@@ -188,7 +188,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
 
     Parameters
     ----------
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     folder : path
         Made where missing.
     quick : bool
@@ -206,7 +206,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
     Examples
     --------
     >>> import tempfile
-    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> from mmqa_lab.studies import chosen
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
     ['05_mimic.ipynb']
@@ -231,7 +231,7 @@ def write_sheets(studies, folder):
 
     Parameters
     ----------
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     folder : path
         The teacher's; made where missing.
 

@@ -9,6 +9,7 @@ which points lie closest, divided by the spacing along it.
 95 % intervals; :func:`exempt` says where f does not matter.
 """
 
+import sys
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -44,6 +45,12 @@ AT_ONCE = 1_000_000
 
 SECTOR_STEPS = 15
 """Width of a sector in those steps: 60 degrees, a third of all directions."""
+
+FEW = 10_000
+"""Points that are searched without numba, whose import would take longest."""
+
+MOST_PAIRS = 2_000_000
+"""Points times neighbours up to which that is so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +173,12 @@ def quadrant_distances(
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
     _check_width(xy)
-    from mmqa_lab.spacing._search import nearest_per_quadrant
-
     of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
     if of.dtype != bool or of.shape != (len(xy),):
         raise ValueError(
             f"Invalid of, {of.dtype} of shape {of.shape}. Must be bool of shape ({len(xy)},)."
         )
-    with _ONE_AT_A_TIME:
-        return nearest_per_quadrant(_turned(xy, angle), radius, of)
+    return _nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
 def quadrants(
@@ -573,6 +577,53 @@ def _nearest_in_sectors(away, offset, angle, sectors):
 def _directions():
     """The directions that are tried, degrees."""
     return np.arange(0, 180, STEP_DEG)
+
+
+def _nearest_per_quadrant(xy, radius, of):
+    """The compiled search, but for small clouds where numba is not imported yet."""
+    if len(xy) <= FEW and "numba" not in sys.modules:
+        found = _nearest_of_few(xy, radius, of)
+        if found is not None:
+            return found
+    from mmqa_lab.spacing._search import nearest_per_quadrant
+
+    with _ONE_AT_A_TIME:
+        return nearest_per_quadrant(xy, radius, of)
+
+
+def _nearest_of_few(xy, radius, of):
+    """What the compiled search gives, bit for bit, from more and more neighbours of each point.
+
+    None where that would take longer than importing numba.
+    """
+    from scipy.spatial import cKDTree
+
+    tree, found = cKDTree(xy), np.full((len(xy), 4), np.nan)
+    rows, count = np.flatnonzero(of), min(32, len(xy))
+    while len(rows):
+        if len(rows) * count > MOST_PAIRS:
+            return None
+        far, near = tree.query(xy[rows], k=np.arange(1, count + 1))
+        best = _best_per_quadrant(*(xy[near] - xy[rows, None]).transpose(2, 0, 1))
+        # the tree may round otherwise
+        settled = np.minimum(best[:, 3], radius) < (1 - 1e-12) * far[:, -1]
+        settled |= count == len(xy)
+        found[rows[settled]] = np.where(best <= radius, best, np.nan)[settled]
+        rows, count = rows[~settled], min(4 * count, len(xy))
+    return found
+
+
+def _best_per_quadrant(dx, dy):
+    """Sorted distances to the nearest neighbour in each quadrant, infinite where there is none."""
+    distances = np.sqrt(dx * dx + dy * dy)
+    quadrants = [
+        (dx > 0) & (dy >= 0),
+        (dx <= 0) & (dy > 0),
+        (dx < 0) & (dy <= 0),
+        (dx >= 0) & (dy < 0),
+    ]
+    best = [np.where(inside, distances, np.inf).min(axis=1) for inside in quadrants]
+    return np.sort(best, axis=0).T
 
 
 def _nearest_by_sector(xy, radius):

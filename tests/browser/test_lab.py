@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 
 from mmqa_lab.io import read_polygon
 from mmqa_lab.plots import COLOURS
-from mmqa_lab.studies.catalogue import TOOLS
+from mmqa_lab.studies import TOOLS
 
 RUN_MS = 400_000
 """Studies run with small parameters, but the machine may be busy."""
