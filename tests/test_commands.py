@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mmqa_lab import samples
+from mmqa_lab import __version__, samples
 from mmqa_lab.__main__ import COMPILED, main
 
 PATCH = str(samples.path("road_patch"))
@@ -103,6 +103,7 @@ def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
     assert row["area_polygon_m2"] == pytest.approx(1.0, rel=2e-3)  # the road is not quite level
     assert row["density_polygon_per_m2"] == pytest.approx(row["n"] / row["area_polygon_m2"])
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert f"mmqa_lab {__version__}".encode() in figure.read_bytes()
 
 
 def test_installed_command_and_module_are_the_same():
