@@ -478,7 +478,7 @@ def draw_rules(results):
     order = list(table["method"].unique())
     for ax, name in zip(axes, ("spurious", "missed"), strict=False):
         scores.pivot_table(name, "spread_px", "method")[order].plot.bar(ax=ax, legend=False, rot=0)
-        ax.set(xlabel="point spread (pixels)", ylabel=f"{name} patterns a photograph")
+        ax.set(xlabel="point spread (pixels)", ylabel=f"{name} per photograph")
     printed = table[(table["spread_px"] == FITTED_PX) & (table["exposure_ms"] == 0)]
     steps = printed.set_index("method")[["steps_h", "steps_v"]].abs().stack().astype(int)
     counts = pd.crosstab(steps, steps.index.get_level_values("method"))
