@@ -34,6 +34,8 @@ FIGURES = {
 
 VIEWS = (AHEAD, ALONG, BEHIND)
 
+NO_PROOF = "The chart has no text of 60 mm: where that of 40 mm is not legible, it is not judged."
+
 
 @dataclass(eq=False)
 class Acceptance:
@@ -94,6 +96,9 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
     for name, table in criteria.items():
         found = _doubted(verdicts(table, done.results), done.results)
         done.verdicts[name], done.summaries[name] = found, qualification(found)
+        larger = found["quantity"].eq("legibility_60mm") & found["verdict"].eq("not measured")
+        for system in found.loc[larger, "system"]:
+            done.say(system, NO_PROOF)
     return done
 
 
@@ -127,10 +132,10 @@ def _cloud_rows(drive, site, done):
         offset = 1000 * float((quality.plane.centre - middle) @ normal)
         about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
         done.clouds.append((drive, about, quality))
-        for remark in quality.remarks:
-            done.say(drive.name, f"Board {board.board!r}: {remark}")
         if view == ALONG:
             rows += _cloud_figures(drive, quality)
+            for remark in quality.remarks:
+                done.say(drive.name, f"Board {board.board!r}: {remark}")
     return rows
 
 

@@ -70,7 +70,9 @@ def read_site(path):
         raise ValueError(f"Invalid site {path}: {error}. Must have all fields.") from None
     boards = pd.DataFrame(rows)
     if boards.empty or boards["board"].duplicated().any():
-        raise ValueError(f"Invalid site {path}: boards. Must have one or more, each with its own name.")
+        raise ValueError(
+            f"Invalid site {path}: boards. Must have one or more, each with its own name."
+        )
     crs = check_crs(whole["crs"]) if whole.get("crs") else None
     layouts = [path.parent / one["layout"] for one in whole["boards"] if "layout" in one]
     files = (path, *(file for file in layouts if file.is_file()))
