@@ -14,7 +14,7 @@ import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run import notebooks, parameter_names, read_record
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.studies import STUDIES
 
 SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 

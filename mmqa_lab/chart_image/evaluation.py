@@ -29,8 +29,12 @@ from mmqa_lab.chart_image.reading import (
 from mmqa_lab.charts import Layout, LinePairs, Marker, imaging_chart, reflectance
 from mmqa_lab.io.images import GAMMAS, check_image, decode, read_grey
 
-LAYOUTS = ("grey", "black")
-"""Names of the layouts as built: the imaging chart with its lying bar in grey or black."""
+LAYOUTS = {
+    "grey": {},
+    "black": {"horizontal_bar": "black"},
+    "revised": {"revised": True},
+}
+"""Names of the imaging charts: as built, with its lying bar black, and as the authors advise."""
 
 MARGIN_PX = 16
 """Around the chart's outline in its window."""
@@ -349,7 +353,8 @@ def read_layout(source):
     Parameters
     ----------
     source : str or path
-        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; else a file.
+        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; ``revised``: the
+        one that the authors advise; else a file.
 
     Returns
     -------
@@ -368,7 +373,7 @@ def read_layout(source):
     'imaging chart, black bar'
     """
     if str(source) in LAYOUTS:
-        return imaging_chart(horizontal_bar=str(source))
+        return imaging_chart(**LAYOUTS[str(source)])
     path = Path(source)
     if not path.is_file():
         raise FileNotFoundError(

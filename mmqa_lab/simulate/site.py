@@ -20,7 +20,7 @@ from mmqa_lab.chart_image.rules import blind_name, chart_site, choose_images
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_atomically, write_cloud
 from mmqa_lab.simulate.cameras import Optics, Sensor, photograph
-from mmqa_lab.simulate.matching import MatchingCamera, match
+from mmqa_lab.simulate.scan import MatchingCamera, match
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import chart
 from mmqa_lab.simulate.systems import DISTANCES, SYSTEM_A, SYSTEM_B, SYSTEM_C, scan_chart
