@@ -186,9 +186,8 @@ def _parts(done, site, criteria, hashes):
     parts = {"Who qualifies": _overview(done)}
     for name, table in done.verdicts.items():
         parts[f"Verdicts: {name}"] = _verdict_table(table)
-    parts["Could not be judged, or only with doubt"] = pd.DataFrame(
-        done.problems, columns=["where", "what"]
-    )
+    problems = done.problems or [{"where": "", "what": "Everything was judged."}]
+    parts["Could not be judged, or only with doubt"] = pd.DataFrame(problems)
     parts["Table 1: image quality (measured)"] = table_1(done)
     parts["Table 2: cloud quality of the chart parallel to the path (measured)"] = table_2(done)
     parts["Drives"] = _drive_table(done)
