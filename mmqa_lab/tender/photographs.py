@@ -40,6 +40,9 @@ IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 ANGLES = ["heading_deg", "pitch_deg", "roll_deg"]
 
+ORIGIN = ("first_column", "first_row")
+"""Of a file that is a part of its image."""
+
 LIMIT_SHARE = 0.02
 """Share by which the width at which line pairs vanish is uncertain: in 72 ladders of simulated
 photographs it was read within 2.1 % of what the same photograph without noise says."""
@@ -158,18 +161,31 @@ def _images(drive, done):
             done.say(drive.name, "No images.csv: boards are looked for by their coded targets.")
         return pd.DataFrame({"file": [file.name for file in listed]})
     done.files.append(table)
-    images = pd.read_csv(table)
+    try:
+        images = pd.read_csv(table, encoding_errors="replace")
+    except ValueError:  # empty, or no table
+        images = pd.DataFrame()
     if "file" not in images:
         done.say(drive.name, "Invalid images.csv: no column 'file'. Must have one.")
         return pd.DataFrame({"file": []})
-    there = [(drive.folder / str(file)).is_file() for file in images["file"]]
-    for file in images.loc[~np.array(there, dtype=bool), "file"]:
-        done.say(drive.name, f"Image {file}: no such file.")
-    images = images[there].reset_index(drop=True)
+    images = _readable(images, drive, done)
     if not set(PLACE) <= set(images) and "time_s" in images:
         for name in PLACE:
             images[name] = np.interp(images["time_s"], drive.path["time_s"], drive.path[name])
     return images
+
+
+def _readable(images, drive, done):
+    """The images that exist and whose columns are numbers."""
+    names = [name for name in (*PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
+    images[names] = images[names].apply(pd.to_numeric, errors="coerce")
+    there = [(drive.folder / str(file)).is_file() for file in images["file"]]
+    known = images[names].notna().all(axis=1).to_numpy()
+    for file in images.loc[~np.array(there, dtype=bool), "file"]:
+        done.say(drive.name, f"Image {file}: no such file.")
+    for file in images.loc[~known, "file"]:
+        done.say(drive.name, f"Image {file}: a number is missing in images.csv. Must have all.")
+    return images[there & known].reset_index(drop=True)
 
 
 def _camera(drive, done):
@@ -203,7 +219,7 @@ def _chosen(drive, images, wanted, camera, done):
             done.say(drive.name, _nothing_shown(board, found["view"], distance, shown))
             continue
         image = images.loc[found["station"]]
-        origin = tuple(int(image.get(name, 0)) for name in ("first_column", "first_row"))
+        origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
         place = {"file": drive.folder / image["file"], "origin": origin}
         place |= {"map": shown[found["station"]], "distance": distance, "board": board}
         chosen.append(place | {"found": found.to_dict()})
@@ -230,8 +246,8 @@ def _predicted(images, board, camera, drive):
     """Maps of a board in the images whose pixels it lies in, by row."""
     maps = {}
     for index, image in images.iterrows():
-        pose = Pose.of_angles(image[PLACE].to_numpy(float), *image[ANGLES])
         try:
+            pose = Pose.of_angles(image[PLACE].to_numpy(float), *image[ANGLES])
             there = ChartMap.from_orientation(camera, pose, board.corners, board.layout)
             size = image_size(drive.folder / image["file"])
         except (ValueError, OSError):  # behind the camera, or no image: the others count
@@ -255,7 +271,7 @@ def _searched(drive, images, wanted, camera, done):
         return images.iloc[:0], maps
     images = images.assign(**dict.fromkeys(PLACE, np.nan))
     for index, image in images.iterrows():
-        origin = tuple(int(image.get(name, 0)) for name in ("first_column", "first_row"))
+        origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
         try:
             grey = read_grey(drive.folder / image["file"])
             found = find_markers(grey, [board.layout for board, _ in wanted])
