@@ -176,6 +176,8 @@ def _lines(done, site):
         "farther, of the nearest drive.",
         "A verdict is undecided where its threshold lies within the 95 % interval, or where the "
         "drive was against the rules and may have caused it.",
+        "Direction h: the lying bar of 600 mm, pairs of standing bars; v: the two standing bars of "
+        "800 mm, pairs of lying bars.",
         "All figures are measured on the delivered data, after Pfeifer et al. 2021, "
         "doi:10.3390/rs13020237.",
     ]
