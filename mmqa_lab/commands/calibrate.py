@@ -78,6 +78,7 @@ def run(options):
 
 def _drives(options):
     """Clouds with their trajectories."""
+    from mmqa_lab._checks import check_metres
     from mmqa_lab.io import read_cloud, read_trajectory
     from mmqa_lab.simulate import Trajectory
 
@@ -94,6 +95,7 @@ def _drives(options):
     drives = []
     for name, file, path in zip(with_progress(options.drives, "cloud"), files, paths, strict=True):
         cloud = read_cloud(name)
+        check_metres(cloud.crs, f"cloud {name}")
         time = cloud["gps_time"]
         if time.min() < path.time[0] or time.max() > path.time[-1]:
             raise ValueError(

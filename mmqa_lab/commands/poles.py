@@ -58,7 +58,7 @@ def add_arguments(parser):
 def run(options):
     """Detect, write, score and print."""
     from mmqa_lab import poles
-    from mmqa_lab._checks import check_positive
+    from mmqa_lab._checks import check_metres, check_positive
     from mmqa_lab.io import read_cloud, read_trajectory
 
     path, gate = None, check_positive(options.gate, "gate", unit="m")
@@ -71,9 +71,9 @@ def run(options):
         corridor = poles.CORRIDORS_M[options.method]
     scope = {"trajectory": path, "corridor": corridor}
     for file in with_progress([options.cloud], "cloud"):
-        found = poles.detect(
-            read_cloud(file), method=options.method, explain=options.explain, **scope
-        )
+        cloud = read_cloud(file)
+        check_metres(cloud.crs, f"cloud {file}")
+        found = poles.detect(cloud, method=options.method, explain=options.explain, **scope)
     shown = found[[*COLUMNS, *found.columns.intersection(["is_tree", "rejected_by"])]]
     if options.out is not None:
         _write_geojson(options.out, shown)
