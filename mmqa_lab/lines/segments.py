@@ -27,6 +27,7 @@ from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab._threads import enough_threads
+from mmqa_lab.planes.regression import across
 
 ROTATE = ("test", "shorter")
 RANGE = ("containment", "overlap")
@@ -660,7 +661,7 @@ class LinePairs:
     def __init__(self, test, model, rows, columns):
         test_ends, model_ends = relative_ends(test, model)
         self.axis = model.directions[columns]
-        self.frame = _frames(self.axis)
+        self.frame = across(self.axis)
         direction = test.directions[rows]
         self.sense = np.where((direction * self.axis).sum(axis=1) < 0, -1.0, 1.0)
         self.test_axis = direction * self.sense[:, None]
@@ -707,14 +708,6 @@ class LinePairs:
             variance=ANGLE_NOISE_RAD**2 * (arm**2 + middle**2),
             overlap=(high - low) / (2 * np.minimum(self.test_half, self.model_half)),
         )
-
-
-def _frames(axes):
-    """Two unit vectors across each axis: (n, 2, 3)."""
-    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
-    first = np.cross(axes, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(axes, first)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -764,20 +757,12 @@ class PairingScores:
         return _ratio(2 * self.tp, 2 * self.tp + self.fp + self.fn)
 
     @property
-    def mcc(self):
-        """Matthews correlation coefficient: 0 for chance, 1 for perfect; NaN when undefined."""
-        margins = [self.tp + self.fp, self.tp + self.fn, self.tn + self.fp, self.tn + self.fn]
-        product = float(np.prod([float(margin) for margin in margins]))
-        covariance = self.tp * self.tn - self.fp * self.fn
-        return covariance / product**0.5 if product else np.nan
-
-    @property
     def _cells(self):
         return self.tp + self.fp + self.fn + self.tn
 
     def to_frame(self):
         """Return one row with the counts and the rates."""
-        rates = ("detection_rate", "null_rate", "precision", "recall", "f1", "mcc")
+        rates = ("detection_rate", "null_rate", "precision", "recall", "f1")
         return pd.DataFrame([asdict(self) | {name: getattr(self, name) for name in rates}])
 
 

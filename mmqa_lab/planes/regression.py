@@ -451,3 +451,11 @@ def _reweighted(local, centre, vectors, rounds=50):
         centre, vectors = _principal(local, weights)
         previous = weights
     return centre, vectors
+
+
+def across(axes):
+    """Two unit vectors across each of n unit vectors and square to each other, shape (n, 2, 3)."""
+    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axes, first)], axis=1)

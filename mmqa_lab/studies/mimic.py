@@ -21,10 +21,10 @@ from mmqa_lab.scan_pattern import (
     mimic,
     scan_lattice,
 )
-from mmqa_lab.studies import NOTES
+from mmqa_lab.studies import NOTES, SMALL
 
 SOURCE, TOLD = "cahalane2014", NOTES["mimic"]
-QUICK = {"ranges_m": (8.0,), "seeds": range(2), "surfaces": 4, "step_m": 1.0, "draws": 2000}
+QUICK = SMALL["mimic"]
 
 MIRROR_HZ = 100.0
 """Not printed for the constructed models; 0.100 m at 10 m/s in row 2 of Table 3 needs it."""

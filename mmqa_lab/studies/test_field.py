@@ -17,7 +17,7 @@ from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
-from mmqa_lab.studies import NOTES
+from mmqa_lab.studies import NOTES, SMALL
 from mmqa_lab.testfield import (
     height_accuracy,
     height_differences,
@@ -25,16 +25,7 @@ from mmqa_lab.testfield import (
     plan_differences,
 )
 
-QUICK = {
-    "length_m": 48.0,
-    "pulses_per_s": 30_000.0,
-    "ground_spacing_m": 2.0,
-    "repeats": 2,
-    "calibration_length_m": 60.0,
-    "calibration_reference_std_m": [0.003],
-    "calibration_pulses_per_s": 60_000.0,
-    "real_spacing_m": 0.5,
-}
+QUICK = SMALL["test_field"]
 """Small parameters for the tests."""
 
 REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
