@@ -16,6 +16,7 @@ arccosine of a scalar product is lost below 1e-8 rad. Differences are taken befo
 """
 
 import warnings
+from collections import defaultdict
 from dataclasses import asdict, dataclass
 
 import numba
@@ -566,29 +567,12 @@ def correspond(
     if matcher == "fragments":
         _check_given(distances, test, model)
         test, model = check_segments(test, name="test"), check_segments(model, name="model")
-        rows, columns = np.nonzero(near)
-        stretches = LinePairs(test, model, rows, columns).stretches(np.zeros(3))
-        return by_stretches(near.shape, rows, columns, distances[near], stretches)
+        lines = LinePairs(test, model, *np.nonzero(near))
+        return lines.accepted(slice(None), distances[near], np.zeros(3))
     if matcher == "hungarian":
         return _hungarian(distances, near, delta)
     nearest = near & _is_argmin(distances, 1)
     return nearest if matcher == "nearest" else nearest & _is_argmin(distances, 0)
-
-
-def by_stretches(shape, rows, columns, costs, stretches):
-    """Accept cells in the order of their costs while stretches stay apart; bool, of that shape.
-
-    ``stretches`` are those of :meth:`LinePairs.stretches`: on the test and on the model segments.
-    """
-    pairs = np.zeros(shape, dtype=bool)
-    taken = [[] for _ in range(shape[0])], [[] for _ in range(shape[1])]
-    for k in np.argsort(costs, kind="stable"):
-        on_test, on_model = taken[0][rows[k]], taken[1][columns[k]]
-        if _free(stretches[0][k], on_test) and _free(stretches[1][k], on_model):
-            pairs[rows[k], columns[k]] = True
-            on_test.append(stretches[0][k])
-            on_model.append(stretches[1][k])
-    return pairs
 
 
 def _check_given(distances, test, model):
@@ -660,6 +644,7 @@ class LinePairs:
 
     def __init__(self, test, model, rows, columns):
         test_ends, model_ends = relative_ends(test, model)
+        self.rows, self.columns, self.shape = rows, columns, (len(test), len(model))
         self.axis = model.directions[columns]
         self.frame = across(self.axis)
         direction = test.directions[rows]
@@ -694,6 +679,24 @@ class LinePairs:
         on_test = (on_model - s[:, None]) * self.sense[:, None]
         on_test[self.sense < 0] = on_test[self.sense < 0, ::-1]
         return on_test, on_model
+
+    def accepted(self, which, costs, expected):
+        """Accept chosen pairs in the order of their costs while stretches stay apart; bool (p, q).
+
+        ``which`` are the indices of the pairs, ``expected`` the displacement of all.
+        """
+        stretches = (part[which] for part in self.stretches(expected))
+        rows, columns = self.rows[which], self.columns[which]
+        pairs, taken = np.zeros(self.shape, dtype=bool), defaultdict(list)
+        places = list(zip(rows, columns, *stretches, strict=True))
+        for k in np.argsort(costs, kind="stable"):
+            row, column, on_test, on_model = places[k]
+            others = taken["test", row], taken["model", column]
+            if _free(on_test, others[0]) and _free(on_model, others[1]):
+                pairs[row, column] = True
+                others[0].append(on_test)
+                others[1].append(on_model)
+        return pairs
 
     def observe(self, expected):
         """The :class:`Offsets` of all pairs at their common stretches."""
