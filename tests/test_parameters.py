@@ -113,7 +113,7 @@ def other(value):
     if isinstance(value, str):
         return WORDS.get(value, value)
     if isinstance(value, int):
-        return value + 1
+        return value + 1 if value < 100 else 2 * value
     if isinstance(value, float):
         return 0.9 * value
     if isinstance(value, dict):

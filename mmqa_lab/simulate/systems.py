@@ -143,6 +143,10 @@ FACING_THE_ROAD = 270.0
 REACH = 5
 """Chart distances to either side from which points are looked for; 2 % come from beyond."""
 
+STEPS_A_VIEW = 4
+"""Steps of a drive that are scanned at once: more take more pulses beside the chart, fewer more
+calls."""
+
 SYSTEM_A = replace(PRESETS["zf-9012"], tilt_deg=45)
 """1 MHz and 200 Hz are stated, an inclined plane too, its angle is not: 45 degrees, as is usual."""
 
@@ -211,27 +215,38 @@ def pass_chart(
         return next(match(scene, sensor, path, times=[path.duration_s / 2], seed=seed))
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
     path = straight(2 * REACH * distance, speed, start=(0, shift - REACH * distance, height))
+    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
+    return scan_chart(scene, sensor, path, corners, seed=seed, rounding_m=rounding_m)
+
+
+def scan_chart(scene, scanner, path, corners, **options):
+    """Scan from a straight drive what lies about a chart: pulses that cannot meet it are not cast.
+
+    Parameters
+    ----------
+    scene, scanner, path, **options
+        As :func:`mmqa_lab.simulate.scan` takes them.
+    corners : array, shape (4, 3)
+        Of the chart, metres.
+    """
     parts = []
-    for between, angles in _views(sensor, path, distance):
-        looking = replace(sensor, field_of_view_deg=angles)
-        parts += scan(
-            scene, looking, path, seed=seed, between=between, block_s=1.0, rounding_m=rounding_m
-        )
+    for between, angles in _views(scanner, path, corners):
+        looking = replace(scanner, field_of_view_deg=angles)
+        parts += scan(scene, looking, path, between=between, block_s=1.0, **options)
     return Cloud.concatenate(parts)
 
 
-def _views(scanner, path, distance):
-    """Parts of a drive from which beams reach the chart, in seconds, and the scan angles they need.
-
-    Not needed for the result: pulses that can meet nothing are not cast.
-    """
-    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
+def _views(scanner, path, corners):
+    """Parts of a drive from which beams reach a chart (s), and the scan angles they need."""
     times = np.linspace(0, path.duration_s, 40 * REACH + 1)
     vectors = corners - path.at(times)[0][:, None]
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     seen = (elevation.min(axis=1) <= high + 1) & (elevation.max(axis=1) >= low - 1)
-    for k in np.flatnonzero(seen[:-1] | seen[1:]):
-        ends = angle[k : k + 2]
-        view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
-        yield (times[k], times[k + 1]), tuple(view)
+    steps = np.flatnonzero(seen[:-1] | seen[1:])
+    for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
+        for k in range(0, len(run), STEPS_A_VIEW):
+            first, last = run[k], run[min(k + STEPS_A_VIEW, len(run)) - 1] + 1
+            ends = angle[first : last + 1]
+            view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
+            yield (times[first], times[last]), tuple(view)
