@@ -93,6 +93,13 @@ def test_matrix_and_components_agree(rng):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+def test_blocks_of_rows_change_nothing(rng, monkeypatch):
+    test, model = at_random(rng, 60), at_random(rng, 50)
+    whole = distance_matrix(test, model)
+    monkeypatch.setattr("mmqa_lab.lines.segments.BLOCK_PAIRS", 120)
+    np.testing.assert_array_equal(distance_matrix(test, model), whole)
+
+
 def test_shorter_line_turned_is_symmetric(rng):
     test, model = at_random(rng, 30), at_random(rng, 30)
     there = distance_matrix(test, model, rotate="shorter")

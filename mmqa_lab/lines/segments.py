@@ -17,6 +17,7 @@ arccosine of a scalar product is lost below 1e-8 rad. Differences are taken befo
 
 import warnings
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numba
@@ -27,12 +28,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab._threads import enough_threads
 from mmqa_lab.planes.regression import across
 
 ROTATE = ("test", "shorter")
 RANGE = ("containment", "overlap")
-PAIRS_A_THREAD = 500_000
+BLOCK_PAIRS = 500_000
+"""Pairs that one thread takes at a time."""
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 FRAGMENT_OVERLAP = 0.3
@@ -273,9 +274,10 @@ def components(
     >>> [float(part[0, 0]) for part in (parts.angle, parts.parallel, parts.perpendicular)]
     [4.0, 0.0, 0.0]
     """
-    pairs, arguments = _arguments(test, model, rotate, within)
-    with enough_threads(pairs, PAIRS_A_THREAD):
-        return Components(*_components(*arguments))
+    shape, arguments = _arguments(test, model, rotate, within)
+    parts = [np.empty(shape) for _ in range(4)]
+    _in_blocks(_components_block, shape, arguments, parts)
+    return Components(*parts)
 
 
 def distance_matrix(
@@ -315,13 +317,14 @@ def distance_matrix(
     12.649111
     """
     weight = check_number(weight, "weight", low=0)
-    pairs, arguments = _arguments(test, model, rotate, within)
-    with enough_threads(pairs, PAIRS_A_THREAD):
-        return _distances(*arguments, weight)
+    shape, arguments = _arguments(test, model, rotate, within)
+    distances = np.empty(shape)
+    _in_blocks(_distances_block, shape, (*arguments, weight), [distances])
+    return distances
 
 
 def _arguments(test, model, rotate, within):
-    """Number of pairs, and what the compiled loops over them read."""
+    """Shape of the matrix and the arrays that the compiled blocks read."""
     check_choice(rotate, "rotate", ROTATE)
     check_choice(within, "within", RANGE)
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
@@ -332,7 +335,23 @@ def _arguments(test, model, rotate, within):
         middles = ends[:, 0] + vectors / 2
         columns = [middles, vectors / lengths[:, None], lengths[:, None]]
         sides.append(np.ascontiguousarray(np.concatenate(columns, axis=1).T))
-    return len(test) * len(model), (*sides, rotate == "shorter", within == "overlap")
+    return (len(test), len(model)), (*sides, rotate == "shorter", within == "overlap")
+
+
+def _in_blocks(kernel, shape, arguments, outputs):
+    """Run a compiled kernel over blocks of rows, in threads when there are many pairs."""
+    rows = max(1, BLOCK_PAIRS // max(1, shape[1]))
+    starts = range(0, shape[0], rows)
+
+    def block(start):
+        kernel(start, min(start + rows, shape[0]), *arguments, *outputs)
+
+    if len(starts) > 1:
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(block, starts))
+    else:
+        for start in starts:
+            block(start)
 
 
 @numba.njit
@@ -356,30 +375,24 @@ def _parts(own, m, j, shorter, overlap):
     return angle2, parallel, px * px + py * py + pz * pz, s
 
 
-@numba.njit(cache=True, parallel=True)
-def _distances(t, m, shorter, overlap, weight):
-    """The matrix of distances d(W)."""
-    distances = np.empty((t.shape[1], m.shape[1]))
-    for i in numba.prange(t.shape[1]):
+@numba.njit(nogil=True, cache=True)
+def _distances_block(first, last, t, m, shorter, overlap, weight, distances):
+    for i in range(first, last):
         own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         row = distances[i]
         for j in range(m.shape[1]):
             angle2, along, across2, _ = _parts(own, m, j, shorter, overlap)
             row[j] = np.sqrt(weight * angle2 + along * along + across2)
-    return distances
 
 
-@numba.njit(cache=True, parallel=True)
-def _components(t, m, shorter, overlap):
-    """The matrices of :class:`Components` one behind the other."""
-    parts = np.empty((4, t.shape[1], m.shape[1]))
-    for i in numba.prange(t.shape[1]):
+@numba.njit(nogil=True, cache=True)
+def _components_block(first, last, t, m, shorter, overlap, angle, parallel, perpendicular, shift):
+    for i in range(first, last):
         own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         for j in range(m.shape[1]):
             angle2, along, across2, s = _parts(own, m, j, shorter, overlap)
-            parts[0, i, j], parts[1, i, j] = np.sqrt(angle2), along
-            parts[2, i, j], parts[3, i, j] = np.sqrt(across2), s
-    return parts
+            angle[i, j], parallel[i, j] = np.sqrt(angle2), along
+            perpendicular[i, j], shift[i, j] = np.sqrt(across2), s
 
 
 @dataclass(frozen=True, eq=False)
