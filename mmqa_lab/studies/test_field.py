@@ -30,9 +30,9 @@ QUICK = {
     "ground_spacing_m": 2.0,
     "draws": 16,
     "repeats": 2,
-    "calibration_length_m": 40.0,
+    "calibration_length_m": 60.0,
     "calibration_reference_std_m": [0.003],
-    "calibration_pulses_per_s": 40_000.0,
+    "calibration_pulses_per_s": 60_000.0,
     "real_spacing_m": 0.5,
 }
 """Small parameters for the tests."""

@@ -181,6 +181,7 @@ def ran(browser, lab, tmp_path):
         """The page of a notebook whose cells have all run."""
         page.goto(f"{lab}/lab/tree/{name}.ipynb?reset")
         page.wait_for_function(CONNECTED, timeout=1000 * RUN_S)
+        page.wait_for_timeout(5000)  # widgets that come while their manager starts are lost
         page.evaluate(RUN_ALL)
         return page
 
