@@ -79,6 +79,18 @@ def test_evaluate_gives_intervals_and_the_exemption_of_f(capsys):
     assert rows["density"]["low"] < row["density_hull_per_m2"] < rows["density"]["high"]
 
 
+def test_evaluate_takes_other_sectors_statistics_and_each_place_once(capsys):
+    choices = ["--sectors", "8", "--statistic", "90", "--distinct"]
+    assert main(["evaluate", PATCH, *choices, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["n"] == 28185 - 16881 + 7031  # places of several points
+    assert row["coincident"] == 0
+    assert row["f"] == pytest.approx(row["d8_mm"] / row["d1_mm"])
+    assert "90 % quantiles" in row["remarks"]
+    assert main(["evaluate", PATCH, "--sectors", "three"]) == 2
+    assert "Invalid sectors 'three'" in capsys.readouterr().err
+
+
 def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
     cloud = samples.path("road_patch")
     x, y, z = 1423215.6, 4189097.6, 67.88

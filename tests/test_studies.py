@@ -17,9 +17,9 @@ import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
-from mmqa_lab.run.notebooks import student_cell
+from mmqa_lab.run.students import student_cell
 from mmqa_lab.samples import SAMPLES
-from mmqa_lab.studies.catalogue import STUDIES, TOOLS, Study, chosen, notebooks_folder
+from mmqa_lab.studies import STUDIES, TOOLS, Study, chosen, notebooks_folder
 
 TESTS = str(Path(__file__).parent)
 

@@ -16,7 +16,7 @@ import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run.notebooks import inject
-from mmqa_lab.studies.catalogue import chosen, notebooks_folder
+from mmqa_lab.studies import chosen, notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
