@@ -269,7 +269,7 @@ def _studies_arguments(parser):
 
 
 def test(options):
-    """Run the whole test suite: style checks by ruff, then every test by pytest on all cores.
+    """Run the whole test suite: style checks by ruff, then every test by pytest, on up to four cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
@@ -283,7 +283,7 @@ def test(options):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", "--durations=15", "-n=auto", "--maxprocesses=4", *options.pytest],
+        ["pytest", "-q", "-ra", "--durations=15", "-n=logical", "--maxprocesses=4", *options.pytest],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
