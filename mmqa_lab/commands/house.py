@@ -8,6 +8,9 @@ from mmqa_lab.commands._output import add_output_arguments, print_rows
 NO_LIBRARY = ("__main__", "commands", "studies")
 """Modules of the package that make no names public."""
 
+CORES = ("-n=logical", "--maxprocesses=4")
+"""Tests run on all cores, up to four: each process has its own fixtures and libraries in memory."""
+
 LONGEST = ("poles", "anisotropy", "test_field")
 """Studies that start first where several run at once, so that none is left over at the end."""
 
@@ -283,7 +286,7 @@ def test(options):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", "--durations=15", "-n=logical", "--maxprocesses=4", *options.pytest],
+        ["pytest", "-q", "-ra", "--durations=15", *CORES, *options.pytest],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
