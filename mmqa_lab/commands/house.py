@@ -272,7 +272,7 @@ def _studies_arguments(parser):
 
 
 def test(options):
-    """Run the whole test suite: style checks by ruff, then every test by pytest, on up to four cores.
+    """Run the whole test suite: style checks by ruff, then every test on up to four cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
