@@ -6,12 +6,14 @@ by rendering, the search for point spreads, the photographs of the bench and the
 
 from dataclasses import replace
 from functools import lru_cache
+from importlib.util import find_spec
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from mmqa_lab import bench, chart_image, charts, plots, published
+from mmqa_lab.chart_image import legibility
 from mmqa_lab.chart_image.reading import (
     SMALLEST_GAP,
     SMALLEST_PAIR_PX,
@@ -403,6 +405,31 @@ def every_gap(seen):
 def contrast_alone(seen):
     """Accept a pattern when its bars differ by a tenth of the contrast, whichever is darker."""
     return seen.pairs["contrast"].abs() >= SMALLEST_GAP
+
+
+def score_mark(mark, truth):
+    """How many steps a mark is worse than the published one."""
+    return {"steps": "abc".index(mark) - "abc".index(truth["published"]["legibility"])}
+
+
+def by_pixels(seen):
+    """Mark a photograph by the pixels of capitals of 40 mm."""
+    pixel_mm = seen.pixel_size("v")[0]
+    return legibility.expected_marks(legibility.TEXT_MM / pixel_mm)["mark"].item()
+
+
+def by_program(seen):
+    """Mark a photograph by the letters of the lines of 40 mm that a program does not read."""
+    crops = chart_image.text_crops(seen.image, seen.layout, seen.chart_map)
+    crops = [crop for crop in crops if not crop.name.startswith(legibility.NOT_JUDGED)]
+    lines = legibility.read_texts(crops)
+    return legibility.mark_of_errors(np.average(lines["errors"], weights=lines["text"].str.len()))
+
+
+def markers():
+    """Return the methods that mark a photograph: a program only where one is installed."""
+    installed = find_spec("rapidocr_onnxruntime") is not None
+    return {"pixels per capital": by_pixels} | ({"program": by_program} if installed else {})
 
 
 RULES = {"every gap": every_gap, "contrast alone": contrast_alone}
