@@ -3,7 +3,6 @@
 import numbers
 import os
 import re
-import warnings
 
 import numpy as np
 
@@ -98,39 +97,6 @@ def check_plan(points, *, name="points", minimum=1):
     return check_points(
         values[:, :2] if in_space else values, name=name, columns=2, minimum=minimum
     )
-
-
-def check_same_crs(name, crs, other_name, other):
-    """Raise where both coordinate reference systems are known and differ in plan.
-
-    Heights are not compared, nor the order of the axes; systems without an EPSG number are compared
-    by their projection's parameters.
-
-    Examples
-    --------
-    >>> check_same_crs("polygon", check_crs("EPSG:25833"), "cloud", check_crs("EPSG:25832"))
-    Traceback (most recent call last):
-    ValueError: Invalid polygon in ETRS89 / UTM zone 33N. Must be in that of the cloud, ETRS89 / ...
-    """
-    if crs is None or other is None:
-        return
-    plans = [_in_plan(one) for one in (crs, other)]
-    if plans[0] != plans[1]:
-        raise ValueError(
-            f"Invalid {name} in {crs.name}. Must be in that of the {other_name}, {other.name}."
-        )
-
-
-def _in_plan(crs):
-    """The parameters of a coordinate reference system in plan, for comparison."""
-    plan = crs.sub_crs_list[0] if crs.is_compound else crs
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # PROJ strings lose the datum's name
-        words = plan.to_dict()
-    datum = ("type", "no_defs", "vunits", "geoidgrids", "datum", "ellps", "towgs84", "a", "b", "rf")
-    rest = {key: value for key, value in words.items() if key not in datum}
-    ellipsoid = plan.ellipsoid
-    return rest, plan.to_epsg() if not rest else None, ellipsoid and round(ellipsoid.semi_major_metre)
 
 
 def check_same_crs(name, crs, other_name, other):

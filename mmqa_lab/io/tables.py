@@ -44,6 +44,7 @@ TRAJECTORY_COLUMNS = {
     "heading_deg": ("heading_deg", "heading", "yaw"),
 }
 
+
 def read_trajectory(
     path: str | os.PathLike, *, time_unit: str = "s", angle_unit: str = "degrees"
 ) -> pd.DataFrame:
@@ -221,7 +222,9 @@ def stated_crs(path):
     """The coordinate reference system that a GeoJSON file names; None where none, or not known."""
     path = Path(path)
     if path.suffix.lower() in (".json", ".geojson") and path.is_file():
-        with contextlib.suppress(ValueError, KeyError, AttributeError, TypeError):  # told where vertices are read
+        with contextlib.suppress(
+            ValueError, KeyError, AttributeError, TypeError
+        ):  # told where vertices are read
             return check_crs(_crs_name(json.loads(path.read_text(encoding="utf-8"))["crs"]))
     return None
 

@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BATCH = 50_000
 PATIENCE_S = 20.0
 MEMORY = 6 * 2**30
-"""Cases of a child; its processor time without progress that is a hang; its address space, bytes."""
+"""Cases of a child; its processor time without progress that is a hang; bytes of its memory."""
 
 POINTS = 40
 
@@ -257,7 +257,9 @@ def main():
     print(frame.to_string(index=False))
     if not options.no_readme:
         readme = ROOT / "README.md"
-        text = replaced(readme.read_text(encoding="utf-8"), "damage", frame.to_markdown(index=False))
+        text = replaced(
+            readme.read_text(encoding="utf-8"), "damage", frame.to_markdown(index=False)
+        )
         write_atomically(readme, lambda path: path.write_text(text, encoding="utf-8"))
 
 
