@@ -137,6 +137,8 @@ def iterate_cloud(
     """
     path = Path(path)
     chunk = check_count(chunk, "chunk")
+    if path.is_dir():
+        raise IsADirectoryError(f"Invalid cloud {path}: a folder. Must be a file.")
     if not path.is_file():
         raise FileNotFoundError(f"Invalid cloud {path}: no such file. Must exist.")
     ending = path.suffix.lower()
