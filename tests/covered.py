@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from mmqa_lab.radiometry.block import adjust_block
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, lines, simulate, stats, testfield
@@ -21,7 +22,6 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.radiometry import empirical_line, fit_sensor
-from mmqa_lab.radiometry.block import adjust_block
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
 from mmqa_lab.simulate.canyon import canyon
@@ -251,7 +251,7 @@ def mounting(seed, drift, stated):
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
     found = calibrate(
-        drives, control=control, patches=200, rounds=1, seed=seed, **known, **path_std
+        drives, control=control, patches=200, seed=seed, **known, **path_std
     )
     truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
