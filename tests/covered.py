@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from mmqa_lab.radiometry.block import adjust_block
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, lines, simulate, stats, testfield
@@ -21,7 +20,7 @@ from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
-from mmqa_lab.radiometry import empirical_line, fit_sensor
+from mmqa_lab.radiometry import adjust_block, empirical_line, fit_sensor
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
 from mmqa_lab.simulate.canyon import canyon

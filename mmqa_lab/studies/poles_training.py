@@ -22,7 +22,7 @@ from mmqa_lab.poles.attributes import CLASSES
 from mmqa_lab.poles.features import NAMES
 from mmqa_lab.poles.profiles import scan_lines
 from mmqa_lab.simulate import streets, surfaces
-from mmqa_lab.simulate.presets import PRESETS
+from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.scenes import Scene
 
 EXAMPLES = 240
