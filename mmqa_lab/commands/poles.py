@@ -145,6 +145,7 @@ def _read_clouds(options):
     clouds = []
     for number, file in enumerate(with_progress(options.cloud, "cloud")):
         cloud = read_cloud(file)
+        check_metres(cloud.crs, f"cloud {file}")
         columns = dict(cloud.columns)
         if len(options.cloud) > 1:
             columns.setdefault("head", np.full(len(cloud), number))
