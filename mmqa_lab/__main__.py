@@ -32,6 +32,9 @@ PROBES = {
 }
 """What an environment made from these files can import."""
 
+COMPILED = {"lhd": "detection", "map": "_search", "poles": "candidates"}
+"""Commands that wait for the compiler when first called, and a module that they compile."""
+
 DESCRIPTION = """\
 The quality of mobile mapping point clouds and images: evaluate your own data, run the studies
 that put the published metrics to the test, or open the notebooks.
@@ -41,11 +44,15 @@ that put the published metrics to the test, or open the notebooks.
 def main(arguments=None):
     """Run the command line and return its exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    options = parser().parse_args(arguments)
+    options, unknown = parser().parse_known_args(arguments)
+    if unknown:
+        of_command(options.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     wanted = TOOLS if options.command == "test" else ENVIRONMENT
     if not prepared(wanted):
         return subprocess.call([prepare(wanted), "-m", "mmqa_lab", *arguments])
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
+    if sys.stderr.isatty() and _is_uncompiled(options.command):
+        _say(options.command, "compiles its searches, once; later calls start at once.")
     try:
         return options.run(options) or 0
     except BrokenPipeError:  # as in: mmqa names | head
@@ -75,6 +82,11 @@ def parser():
         command.add_arguments(one)
         one.set_defaults(run=command.run)
     return whole
+
+
+def of_command(name):
+    """Return the parser of one command, so that an error shows that command's usage."""
+    return parser()._subparsers._group_actions[0].choices[name]
 
 
 def _commands():
@@ -146,6 +158,14 @@ def _stamp(wanted):
     """The file that says what the environment was made from, and what it must say."""
     content = ENVIRONMENT.read_bytes() + wanted.read_bytes()
     return VENV / f"mmqa-{wanted.parent.name}.sha256", hashlib.sha256(content).hexdigest()
+
+
+def _is_uncompiled(command):
+    """Whether a command was never called here: numba keeps what it compiles beside the package."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent))
+    if command not in COMPILED or not os.access(folder, os.W_OK):
+        return False
+    return not any(folder.rglob(f"{COMPILED[command]}.*.nbi"))
 
 
 def _say(command, sentence):

@@ -33,7 +33,7 @@ CASES = [
     ("evaluate broken.ply", "broken.ply"),
     ("evaluate nan.xyz", "no points. Must contain one or more."),
     ("evaluate two_columns.xyz", "two_columns.xyz"),
-    ("evaluate nothing", "no such file. Must exist."),
+    ("evaluate nothing", "a folder. Must be a file."),
     ("evaluate empty.xyz", "Must be rows of columns."),
     ("evaluate words.xyz", "Must be rows of numbers"),
     ("evaluate two.xyz", "2 given. Must be 3 or more."),

@@ -4,12 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from mmqa_lab import samples
-from mmqa_lab.__main__ import main
+from mmqa_lab import __version__, samples
+from mmqa_lab.__main__ import COMPILED, main
 
 PATCH = str(samples.path("road_patch"))
 
@@ -47,6 +49,17 @@ def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
     assert max(map(len, capsys.readouterr().out.splitlines())) < 100
 
 
+def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for said in (True, False):
+        assert main(["poles", "nowhere.laz"]) == 2
+        assert ("compiles its searches, once" in capsys.readouterr().err) == said
+        (tmp_path / "candidates._seen-66.py311.nbi").touch()
+    for room, module in zip(("planes", "spacing", "poles"), COMPILED.values(), strict=True):
+        assert "njit" in Path(find_spec(f"mmqa_lab.{room}.{module}").origin).read_text()
+
+
 def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):
     assert main(["evaluate", PATCH, PATCH, "--json", "--csv", str(tmp_path / "o.csv")]) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -66,6 +79,18 @@ def test_evaluate_gives_intervals_and_the_exemption_of_f(capsys):
     assert rows["density"]["low"] < row["density_hull_per_m2"] < rows["density"]["high"]
 
 
+def test_evaluate_takes_other_sectors_statistics_and_each_place_once(capsys):
+    choices = ["--sectors", "8", "--statistic", "90", "--distinct"]
+    assert main(["evaluate", PATCH, *choices, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["n"] == 28185 - 16881 + 7031  # places of several points
+    assert row["coincident"] == 0
+    assert row["f"] == pytest.approx(row["d8_mm"] / row["d1_mm"])
+    assert "90 % quantiles" in row["remarks"]
+    assert main(["evaluate", PATCH, "--sectors", "three"]) == 2
+    assert "Invalid sectors 'three'" in capsys.readouterr().err
+
+
 def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
     cloud = samples.path("road_patch")
     x, y, z = 1423215.6, 4189097.6, 67.88
@@ -78,6 +103,7 @@ def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
     assert row["area_polygon_m2"] == pytest.approx(1.0, rel=2e-3)  # the road is not quite level
     assert row["density_polygon_per_m2"] == pytest.approx(row["n"] / row["area_polygon_m2"])
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert f"mmqa_lab {__version__}".encode() in figure.read_bytes()
 
 
 def test_installed_command_and_module_are_the_same():
@@ -99,6 +125,26 @@ def test_every_command_explains_itself_with_an_example(capsys):
         assert stop.value.code == 0
         manual = capsys.readouterr().out
         assert f"mmqa {name}" in re.split("examples?:", manual)[1]
+
+
+def test_an_unknown_option_shows_the_usage_of_its_command(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["evaluate", PATCH, "--sector-count", "8"])
+    assert "usage: mmqa evaluate" in capsys.readouterr().err
+
+
+def test_a_folder_in_place_of_a_cloud_is_named(capsys, tmp_path):
+    assert main(["info", str(tmp_path)]) == 2
+    assert "a folder. Must be a file." in capsys.readouterr().err
+
+
+def test_a_polygon_in_plan_can_be_written_in_the_command(capsys):
+    x, y = 1423215.6, 4189097.6
+    plan = f"{x},{y}; {x + 0.5},{y}; {x + 0.5},{y + 0.5}; {x},{y + 0.5}"
+    assert main(["evaluate", PATCH, "--polygon", plan, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["area_polygon_m2"] == pytest.approx(0.25, rel=5e-3)  # the road slopes a little
+    assert "The polygon has no heights" in row["remarks"]
 
 
 def test_unknown_study_is_named(capsys):

@@ -29,8 +29,12 @@ from mmqa_lab.chart_image.reading import (
 from mmqa_lab.charts import Layout, LinePairs, Marker, imaging_chart, reflectance
 from mmqa_lab.io.images import GAMMAS, check_image, decode, read_grey
 
-LAYOUTS = ("grey", "black")
-"""Names of the layouts as built: the imaging chart with its lying bar in grey or black."""
+LAYOUTS = {
+    "grey": {},
+    "black": {"horizontal_bar": "black"},
+    "revised": {"revised": True},
+}
+"""Names of the imaging charts: as built, with its lying bar black, and as the authors advise."""
 
 MARGIN_PX = 16
 """Around the chart's outline in its window."""
@@ -332,10 +336,14 @@ def evaluate_file(
         there = ChartMap.from_orientation(*read_orientation(orientation), layout)
     else:
         there = locate(grey, layout, corners=corners, camera=bends)
+    return evaluate_window(grey, layout, there, gamma=gamma)
+
+
+def evaluate_window(grey, layout, there, *, gamma):
+    """Evaluate a chart in the grey values of a file, whose map is known to a few pixels."""
     origin, last = _window(there, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)
-    del grey
     return replace(evaluate_image(values, layout, there.within(*origin)), origin=origin)
 
 
@@ -345,7 +353,8 @@ def read_layout(source):
     Parameters
     ----------
     source : str or path
-        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; else a file.
+        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; ``revised``: the
+        one that the authors advise; else a file.
 
     Returns
     -------
@@ -364,7 +373,7 @@ def read_layout(source):
     'imaging chart, black bar'
     """
     if str(source) in LAYOUTS:
-        return imaging_chart(horizontal_bar=str(source))
+        return imaging_chart(**LAYOUTS[str(source)])
     path = Path(source)
     if not path.is_file():
         raise FileNotFoundError(
@@ -432,11 +441,18 @@ def locate(
     if corners is not None:
         corners = four_corners(corners, columns=2)
         return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
-    found = _found_markers(image, layout)
+    return map_of_markers(find_markers(image, [layout]), layout, **bent)
+
+
+def map_of_markers(found, layout, **bent):
+    """Return the map of a chart from those of its coded targets that were found."""
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+    own = [key for key in found if key in markers]
+    if not own:
+        raise ValueError(f"Invalid image: no coded target of {layout.name!r}. Must show them.")
     # OpenCV counts from the upper left corner, clockwise
-    places = np.concatenate([markers[key].corners()[::-1] for key in found])
-    seen, source = np.concatenate(list(found.values())), f"{len(found)} coded targets"
+    places = np.concatenate([markers[key].corners()[::-1] for key in own])
+    seen, source = np.concatenate([found[key] for key in own]), f"{len(own)} coded targets"
     return ChartMap.from_points(places, seen, source=source, **bent)
 
 
@@ -535,14 +551,15 @@ def _window(chart_map, layout, shape):
     return tuple(first.tolist()), tuple(last.tolist())
 
 
-def _found_markers(image, layout):
-    """Corners of the coded targets that are seen, by number."""
+def find_markers(image, layouts):
+    """Return the corners of the coded targets of one or more charts that are seen, by number."""
     image = check_image(image, convert=False)
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
-    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+    markers = {m.identifier: m for layout in layouts for m in layout.of_kind(Marker)}
     if not markers:
-        raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
+        name = layouts[0].name
+        raise ValueError(f"Invalid chart {name!r}: no coded targets. Must have some.")
     dictionary = next(iter(markers.values())).dictionary
     step = 1 + int(np.sqrt(image.size / 1e6))
     limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)

@@ -17,16 +17,17 @@ import pandas as pd
 from IPython.display import Image, Markdown, display
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.views import is_headless
-from mmqa_lab.widgets.selection import select_polygon
+from mmqa_lab.widgets.selection import pick_plane, select_polygon
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["JuryForm", "choice", "explore", "select_polygon", "slider"]
+__all__ = ["JuryForm", "choice", "explore", "pick_plane", "select_polygon", "slider"]
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
@@ -64,14 +65,21 @@ def explore(
     [0, 10]
     >>> plt.close(figure)
     """
+
+    def drawn():
+        """The figure of the controls' present values."""
+        figure = function(**{name: control.value for name, control in controls.items()})
+        finish_figure(figure)
+        return figure
+
     if is_headless():
-        return function(**{name: control.value for name, control in controls.items()})
+        return drawn()
     output = ipywidgets.Output()
 
     def redraw(_=None):
-        """The figure of the controls' present values, in place of the last one."""
+        """That figure in place of the last one."""
         with output, plt.ioff():
-            figure = function(**{name: control.value for name, control in controls.items()})
+            figure = drawn()
             output.clear_output(wait=True)
             display(figure)
             plt.close(figure)
