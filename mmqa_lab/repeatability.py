@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.stats import f as f_distribution
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab._polygons import polygon_vertices
@@ -343,8 +344,6 @@ def _pooled(parts):
 
 def _between(parts, within):
     """Variance between groups, ICC(1,1) and its 95 % interval; NaN for a single group."""
-    from scipy.stats import f as f_distribution
-
     groups, sizes = len(parts), np.array([len(part) for part in parts])
     if groups < 2:
         return np.nan, np.nan, (np.nan, np.nan)

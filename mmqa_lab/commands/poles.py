@@ -152,6 +152,7 @@ def _read_clouds(options):
         if len(options.cloud) > 1:
             columns.setdefault("head", np.full(len(cloud), number))
         known = cloud.crs or crs
+        check_metres(known, f"cloud {file}")
         clouds.append(Cloud(cloud.points, columns, cloud.name, cloud.resolution, known))
     return Cloud.concatenate(clouds) if len(clouds) > 1 else clouds[0]
 
