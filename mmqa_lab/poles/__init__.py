@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud, sort_into_cells
 from mmqa_lab.poles.delivery import write_poles
 from mmqa_lab.poles.scores import Score, curve, match, score
 
@@ -162,7 +162,7 @@ def _search(points, lines, method, settings, choices):
 def _in_tiles(points, lines, side, search):
     """The same, a square of that side after the other; a pole belongs to the one it stands in."""
     parts = []
-    for low in np.unique(np.floor(points[:, :2] / side), axis=0) * side:
+    for low in sort_into_cells(points[:, :2], side).places * side:
         inside = _in_square(points[:, :2], low - HALO_M, side + 2 * HALO_M)
         own = None if lines is None else tuple(values[inside] for values in lines)
         found = search(points[inside], own)
