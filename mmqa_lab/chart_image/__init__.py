@@ -13,8 +13,9 @@ Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
 files, :func:`mmqa_lab.io.read_grey` their grey values.
 """
 
-from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image, locate
+from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera
+from mmqa_lab.chart_image.placing import locate
 from mmqa_lab.chart_image.reading import read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,
