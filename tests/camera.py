@@ -2,13 +2,16 @@
 
 Lens by the division model, cylinder for a bent board, skew for a rolling shutter, Gaussian optics,
 motion and pixel on a grid of 5 x 5 samples, shadow and poles, a mosaic with noise in each colour,
-OpenCV's interpolation, sharpening, tone curve, JPEG. Pixels are (column, row) from the first centre.
+OpenCV's interpolation, sharpening, tone curve, JPEG. Pixels are (column, row); the first centre is
+at (0, 0).
 """
 
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import j1
 
 from mmqa_lab import charts
 
@@ -35,6 +38,8 @@ class Scene:
     shutter: tuple = (1.0, 0.0)
     bend: float = 0.0
     blur: float = 0.5
+    disc: float = 0.0
+    cutoff: float = 0.0
     motion: float = 0.0
     vignette: float = 0.0
     gradient: float = 0.0
@@ -149,19 +154,21 @@ class Shot:
         width = np.linalg.norm(np.diff(self.pixels(ends + middle), axis=0))
         return float((seen[1::2].mean() - seen[::2].mean()) / light), float(width)
 
-    def resolved(self, layout, direction):
-        """Per pattern from coarse to fine: width in mm and whether it is seen, or spurious if not."""
-        for pairs in layout.of_kind(charts.LinePairs):
-            if pairs.direction == direction:
-                contrast, width = self.contrast(pairs)
-                yield pairs, contrast >= LEAST_CONTRAST and width >= FEWEST_PX, width
+    def steps(self, layout, readings, direction):
+        """Steps by which the resolved width is finer than the truth's, None without a truth."""
+        ladder = [one for one in layout.of_kind(charts.LinePairs) if one.direction == direction]
+        ladder = sorted(ladder, key=lambda one: -one.pair)
+        truth = [self.contrast(pairs) for pairs in ladder]
+        seen = [contrast >= LEAST_CONTRAST and width >= FEWEST_PX for contrast, width in truth]
+        limit = len(seen) if all(seen) else seen.index(False)
+        found = [pairs.pair for pairs in ladder].index(readings) + 1 if readings == readings else 0
+        return found - limit if limit else None
 
 
 def linear(image):
     """Linear light of an 8-bit image by sRGB's curve, one grey image."""
     values = image.astype(np.float32) / 255
-    values = values if values.ndim == 2 else cv2.cvtColor(values, cv2.COLOR_BGR2GRAY)
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return linear_of(values if values.ndim == 2 else cv2.cvtColor(values, cv2.COLOR_BGR2GRAY))
 
 
 def shoot(layout, pixel_mm, *, seed=0, background=None, **changes):
@@ -172,12 +179,10 @@ def shoot(layout, pixel_mm, *, seed=0, background=None, **changes):
     scene = replace(scene, **{name: getattr(scene, name) + one for name, one in small.items()})
     place = _placed(layout, scene, pixel_mm, rng)
     size = place["size"]
-    light, inside, places = _exposed(layout, scene, place, size, background, rng)
-    shaded, _, _ = light * _shade(scene, places, size), inside, places
-    shaded = _covered(scene, places, shaded)
-    blurred = [_blurred(one, scene) for one in (shaded, light)]
-    image = _recorded(blurred[0], scene, rng, noisy=True)
-    clean = _recorded(blurred[1], scene, rng, noisy=False)
+    light, places = _exposed(layout, scene, place, size, background, rng)
+    covered = _covered(scene, places, light * _shade(scene, places))
+    image = _recorded(_blurred(covered, scene), scene, rng, noisy=True)
+    clean = _recorded(_blurred(light, scene), scene, rng, noisy=False)
     return Shot(image, clean, scene, size, place)
 
 
@@ -260,7 +265,7 @@ def _backward(scene, place, size):
 
 
 def _exposed(layout, scene, place, size, background, rng):
-    """Light on all samples, what is chart, and the chart's places."""
+    """Light on all samples and their places on the chart."""
     nodes, step = _backward(scene, place, size)
     at = [(np.arange(side * FINE) + 0.5) / FINE - 0.5 for side in size]
     grid = np.meshgrid(*[(one / step + 2).astype(np.float32) for one in at])
@@ -276,14 +281,16 @@ def _exposed(layout, scene, place, size, background, rng):
         wide = scene.board * layout.width
         board = ((places >= -wide) & (places <= np.array(limit) + wide)).all(axis=2)
         around = np.where(board, scene.white, around)
-    return np.where(inside, light, around).astype(np.float32), inside, places
+    return np.where(inside, light, around).astype(np.float32), places
 
 
 def _printed(layout):
     """The layout with its greys as printers print them: DeviceGray along sRGB's curve."""
     elements = []
     for one in layout.elements:
-        tones = {name: _light(getattr(one, name)) for name in ("tone", "ground") if hasattr(one, name)}
+        tones = {
+            name: _light(getattr(one, name)) for name in ("tone", "ground") if hasattr(one, name)
+        }
         elements.append(replace(one, **tones))
     return replace(layout, elements=tuple(elements))
 
@@ -302,7 +309,8 @@ def _ground(size, background, rng, scene):
         rows, columns = background.shape
         scale = min(1.0, rows / size[1], columns / size[0])
         need = (int(size[1] * scale), int(size[0] * scale))
-        top, left = (int(rng.integers(0, side - part + 1)) for side, part in zip((rows, columns), need))
+        top = int(rng.integers(0, rows - need[0] + 1))
+        left = int(rng.integers(0, columns - need[1] + 1))
         piece = background[top : top + need[0], left : left + need[1]].astype(np.float32) / 255
         around = cv2.resize(linear_of(piece), (wide, high), interpolation=cv2.INTER_CUBIC)
     return np.clip(around, 0.02, 1) * scene.white
@@ -310,17 +318,21 @@ def _ground(size, background, rng, scene):
 
 def linear_of(values):
     """Linear light of sRGB values 0 to 1."""
-    return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        values <= 0.04045, values / 12.92, ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
+    )
 
 
-def _shade(scene, places, size):
+def _shade(scene, places):
     """Share of the light on each sample: shadows with an edge of 6 mm, vignette, gradient."""
     share = np.ones(places.shape[:2], dtype=np.float32)
     for a, b, distance in scene.shadows:
         behind = (a * places[..., 0] + b * places[..., 1] - distance) / 3.0
         share *= scene.shade + (1 - scene.shade) / (1 + np.exp(-np.clip(behind, -30, 30)))
     rows, columns = np.ogrid[-1 : 1 : places.shape[0] * 1j, -1 : 1 : places.shape[1] * 1j]
-    share *= (1 - scene.vignette * (rows**2 + columns**2) / 2) * (1 - scene.gradient * (columns + 1) / 2)
+    share *= (1 - scene.vignette * (rows**2 + columns**2) / 2) * (
+        1 - scene.gradient * (columns + 1) / 2
+    )
     return share.astype(np.float32)
 
 
@@ -336,11 +348,33 @@ def _covered(scene, places, light):
 
 def _blurred(light, scene):
     """Means over point spread, motion along the rows and pixel."""
-    light = cv2.GaussianBlur(light, (0, 0), scene.blur * FINE)
+    if scene.disc or scene.cutoff:
+        size = [cv2.getOptimalDFTSize(side) for side in light.shape]
+        rates = np.fft.fftfreq(size[0]) * FINE, np.fft.rfftfreq(size[1]) * FINE
+        whole = np.fft.rfft2(light, size) * optics(np.hypot(rates[0][:, None], rates[1]), scene)
+        light = np.fft.irfft2(whole, size)[: light.shape[0], : light.shape[1]].astype(np.float32)
+    else:
+        light = cv2.GaussianBlur(light, (0, 0), scene.blur * FINE)
     if scene.motion:
         light = cv2.blur(light, (round(scene.motion * FINE) | 1, 1))
     rows, columns = (side // FINE for side in light.shape)
     return cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
+
+
+def optics(rate, scene):
+    """Transfer of the lens at cycles per pixel: Gaussian, disc or diffraction; no pixel."""
+    if scene.cutoff:
+        share = np.clip(np.abs(rate) / scene.cutoff, 0, 1)
+        return 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))
+    if scene.disc:
+        x = np.maximum(2 * np.pi * scene.disc * np.abs(rate), 1e-9)
+        return 2 * j1(x) / x
+    return np.exp(-2 * (np.pi * scene.blur * rate) ** 2)
+
+
+def true_mtf50(scene):
+    """Frequency at which lens and pixel along a row transfer half, cycles per pixel."""
+    return brentq(lambda rate: optics(rate, scene) * np.sinc(rate) - 0.5, 1e-3, 0.9)
 
 
 def _recorded(light, scene, rng, *, noisy):

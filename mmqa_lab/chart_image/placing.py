@@ -45,7 +45,7 @@ LARGEST_SOUGHT = 3e7
 SLENDEREST = 6.0
 """A dark streak is taken for a bar when it is so many times longer than wide."""
 
-MOST_STREAKS = 40
+MOST_STREAKS = 1500
 """The longest streaks of each size that are tried as bars."""
 
 FINEST_PAIR_PX = 2.5
@@ -71,6 +71,9 @@ GLANCE_CELLS = 80
 
 STEPS = ((60, 6), (160, 8), (800, 12))
 """Pixels along a side, in the image made smaller, and blocks: from coarse to fine."""
+
+LARGEST_DIFFERENCE = 0.15
+"""Share of the printed blocks that may differ before a remark says so."""
 
 LARGEST_MOVE = 0.06
 """Share of the chart's side by which the alignment may move a corner."""
@@ -153,10 +156,13 @@ def locate(
     if not markers:
         raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
     image = check_image(image, convert=False)
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32)
     step = 1 + int(np.sqrt(image.size / 1e6))
-    low, high = np.percentile(image[::step, ::step], [0.5, 99.5])
+    limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)
+    low, high = (float(limit) for limit in limits)
     scale = 255 / max(high - low, 1e-12)
-    grey = cv2.convertScaleAbs(np.clip(image, low, high), alpha=scale, beta=-low * scale)
+    grey = cv2.convertScaleAbs(np.clip(image, *limits), alpha=scale, beta=-low * scale)
     there, remark = _by_bars(grey, layout)
     targets = _found_markers(grey, layout, there)
     if there is None and not targets:
@@ -240,6 +246,8 @@ def align(image, layout, chart_map):
             f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there?"
         )
     chart_map = comparison.bent(chart_map)
+    remark = comparison.differences(chart_map)
+    remark = "; ".join(one for one in (start.remark, remark) if one)
     moved = _apart(chart_map, start, layout).max()
     pixel_mm = float(np.median(start.pixel_sizes_mm(layout.corners())))
     limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
@@ -248,7 +256,7 @@ def align(image, layout, chart_map):
             f"Invalid place of the chart: a corner lies {moved:.1f} px away. Must be given to "
             f"{limit:.1f} px."
         )
-    return replace(chart_map, source=f"{start.source}, aligned")
+    return replace(chart_map, source=f"{start.source}, aligned", remark=remark)
 
 
 class _Comparison:
@@ -265,7 +273,9 @@ class _Comparison:
         window = image[first[1] : last[1], first[0] : last[0]].astype(np.float32)
         sizes = chart_map.pixel_sizes_mm(layout.corners())
         self.pixel_mm = max(float(np.median(sizes)), layout.width / along)
-        size = [max(round(side * np.median(sizes) / self.pixel_mm), 3) for side in window.shape[::-1]]
+        size = [
+            max(round(side * np.median(sizes) / self.pixel_mm), 3) for side in window.shape[::-1]
+        ]
         self.values = cv2.resize(window, size, interpolation=cv2.INTER_AREA).ravel()
         columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
         grid = np.column_stack([columns.ravel(), rows.ravel()])
@@ -308,6 +318,20 @@ class _Comparison:
 
     def correlation(self, chart_map):
         """Of print and image, light and its gradient apart: mean of the blocks by their print."""
+        each, weight = self._each(chart_map)
+        return float((weight * each).sum() / max(weight.sum(), 1e-12))
+
+    def differences(self, chart_map):
+        """A remark where many blocks with much print do not show it."""
+        each, weight = self._each(chart_map)
+        each = each[weight > 0.5 * weight.max()]
+        share = (each < SMALLEST_CORRELATION * np.median(each)).mean()
+        if share <= LARGEST_DIFFERENCE:
+            return ""
+        return f"{share:.0%} of the print differ from the layout: hidden, or another chart"
+
+    def _each(self, chart_map):
+        """Correlation of each block and the strength of its print."""
         matrix, right, squares, _ = self._normal(chart_map)
         light = slice(1, 4)
         across = np.linalg.solve(matrix[:, light, light], matrix[:, light, :1])[..., 0]
@@ -316,8 +340,7 @@ class _Comparison:
         printed = matrix[:, 0, 0] - (across * matrix[:, light, 0]).sum(axis=1)
         seen = squares - (other * right[:, light]).sum(axis=1)
         each = both / np.sqrt(np.maximum(printed * seen, 1e-12))
-        weight = np.sqrt(np.maximum(printed, 0))
-        return float((weight * each).sum() / max(weight.sum(), 1e-12))
+        return each, np.sqrt(np.maximum(printed, 0))
 
     def shifts(self, chart_map):
         """Shift of each block's print in the image, mm, (b, 2), and its information (b, 2, 2)."""
@@ -530,7 +553,11 @@ def _streaks(grey):
 
 def _suggested(streaks, bars):
     """Maps, to a few per cent, under which two streaks are two of the bars."""
-    first, second = np.nonzero(~np.eye(len(streaks), dtype=bool))
+    length = np.linalg.norm(streaks[:, 0] - streaks[:, 1], axis=1)
+    middles = streaks.mean(axis=1)
+    apart = np.linalg.norm(middles[:, None] - middles, axis=2)
+    near = (apart > 0) & (apart < 2 * length) & (length[:, None] < 2.5 * length)
+    first, second = np.nonzero(near & near.T)
     for one, two in combinations(bars, 2):
         places = np.concatenate([_axis(one), _axis(two)])
         design = np.column_stack([places, np.ones(4)])

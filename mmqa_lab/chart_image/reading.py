@@ -64,6 +64,9 @@ HIDDEN_SHARE, HIDDEN_PX = 0.4, 4.0
 STRIPS, STRIP_PX = 8, 2.0
 """Strips along the bars read on their own, and their smallest height."""
 
+NOISE_SHARE = 30.0
+"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.2."""
+
 STRIP_SHARE = 0.75
 """Share of the strips in which all gaps must stand out."""
 
@@ -121,7 +124,7 @@ FREE_REACH_PX = 4.0
 
 EDGE_COLUMNS = (
     *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
-    *("n", "remark"),
+    *("n", "remark", "ground_px"),
 )
 
 
@@ -259,11 +262,11 @@ class PairReading:
         Bars counted by their frequency.
     strip_share : float
         Share of the strips in which all gaps stand out: how many of as many readers agree.
-    mean : float
-        Of black and white bars: a half, however blurred, if the grey values are linear in light.
     resolved : bool
     reason : str
         Why not; empty when resolved.
+    mean : float
+        Of black and white bars: a half, however blurred, if the grey values are linear in light.
 
     Examples
     --------
@@ -287,9 +290,9 @@ class PairReading:
     phase_deg: float = np.nan
     bars: float = np.nan
     strip_share: float = 0.0
-    mean: float = np.nan
     resolved: bool = False
     reason: str = ""
+    mean: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -408,7 +411,9 @@ def read_pattern(tones, pairs, chart_map):
     shift = np.clip(phase / 360, -1 / 8, 1 / 8) * pairs.pair
     limit = 0.6 / width_px * pairs.pair
     shifted = across - np.clip(shift, -limit, limit)
-    strips = int(np.clip(length_px / STRIP_PX, 1, STRIPS))
+    # in strips so high that noise alone fails few of the gaps
+    height = max(STRIP_PX, (NOISE_SHARE * tones.noise) ** 2 / (width_px / 2))
+    strips = int(np.clip(length_px / height, 1, STRIPS))
     gaps, limits, contrast, mean = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
@@ -416,8 +421,8 @@ def read_pattern(tones, pairs, chart_map):
     clear = gaps >= np.maximum(SURE_CONTRAST, 3 * limits)
     if reason and width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE:
         reason = HIDDEN
-    seen = contrast, modulation, worst, phase, bars, share, mean
-    return PairReading(*known, *seen, resolved=not reason, reason=reason)
+    seen = contrast, modulation, worst, phase, bars, share
+    return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
 
 
 def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
@@ -443,7 +448,7 @@ def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     """
     ladder = readings[readings["direction"] == direction].sort_values("width_mm", ascending=False)
     if "reason" in ladder:
-        ladder = ladder[ladder["resolved"] | (ladder["reason"] != HIDDEN)]
+        ladder = ladder[ladder["resolved"].astype(bool) | (ladder["reason"] != HIDDEN)]
     widths, resolved = ladder["width_mm"].to_numpy(), ladder["resolved"].to_numpy(dtype=bool)
     good = int(np.argmin(resolved)) if not resolved.all() else len(widths)
     return Resolution(
@@ -510,7 +515,8 @@ def pixel_sizes(tones, layout, chart_map):
     -------
     DataFrame
         A row per bar: ``name``, ``direction`` (h: along x, v: along y), ``length_mm`` as printed,
-        ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
+        ``length_px`` between the ends and its standard deviation ``length_sigma_px`` (of the fit,
+        and what the ends of all bars lie from the map beyond it),
         ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
         ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, ``expected_mm``, what
         ``chart_map`` says, and ``offset_px``, how far along the bar its ends lie from there (root
@@ -539,7 +545,13 @@ def pixel_sizes(tones, layout, chart_map):
     [800.0, 200.0, 4.0]
     """
     rows = [_measured(tones, layout, bar, chart_map) for bar in _long_bars(layout)]
-    return pd.DataFrame(rows, columns=SIZE_COLUMNS)
+    table = pd.DataFrame(rows, columns=SIZE_COLUMNS)
+    # ends meet the pixels at one phase: how far they lie from the map beyond noise tells their bias
+    ends = 2 * table["offset_px"] ** 2 - table["length_sigma_px"] ** 2
+    bias = np.nan_to_num(np.sqrt(max(ends.mean(), 0)))
+    table["length_sigma_px"] = np.hypot(table["length_sigma_px"], bias)
+    table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
+    return table
 
 
 def bar_edges(levels, layout, chart_map):
@@ -556,7 +568,8 @@ def bar_edges(levels, layout, chart_map):
     DataFrame
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
         standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
-        ``remark`` where the edge could not be measured.
+        ``remark`` where the edge could not be measured; ``ground_px``, how far the plain ground
+        reaches that was used.
 
     Examples
     --------
@@ -783,7 +796,6 @@ def _measured(tones, layout, bar, chart_map):
     row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
     row["length_px"], row["length_sigma_px"] = length_px, float(sigma_px)
     row["pixel_mm"] = row["length_mm"] / length_px
-    row["pixel_sigma_mm"] = row["pixel_mm"] * sigma_px / length_px
     return row
 
 
@@ -905,17 +917,19 @@ def _bar_rows(levels, layout, bar, chart_map):
             found, margin = None, NEIGHBOUR_PX
             while found is None or NEIGHBOUR_WIDTHS * found.width_px > 1.05 * margin:
                 margin = max(margin, NEIGHBOUR_WIDTHS * found.width_px if found else 0)
-                found = _across(levels, layout, bar, chart_map, (axis, side, margin))
+                found, ground = _across(levels, layout, bar, chart_map, (axis, side, margin))
         except ValueError as error:
             row |= {"n": 0, "remark": str(error)}
         else:
-            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:]}
+            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:-1]}
+            row["ground_px"] = float(ground)
         rows.append(row)
     return rows
 
 
 def _across(levels, layout, bar, chart_map, where):
-    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours."""
+    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours, and
+    how far they reach."""
     axis, side, margin = where
     corners = bar.corners()
     low, size = corners[0], corners[2] - corners[0]
@@ -946,4 +960,4 @@ def _across(levels, layout, bar, chart_map, where):
     choices = {"method": "isogaussian" if outer >= FREE_REACH_PX else "sigmoid", "order": 2}
     if side is None:
         choices["gap"] = np.abs(gap)
-    return fit_pixels(distance, along, 1 - values[used], angle, **choices)
+    return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer
