@@ -32,6 +32,9 @@ PROBES = {
 }
 """What an environment made from these files can import."""
 
+COMPILED = {"lhd": "detection", "map": "_search", "poles": "candidates"}
+"""Commands that wait for the compiler when first called, and a module that they compile."""
+
 DESCRIPTION = """\
 The quality of mobile mapping point clouds and images: evaluate your own data, run the studies
 that put the published metrics to the test, or open the notebooks.
@@ -46,6 +49,8 @@ def main(arguments=None):
     if not prepared(wanted):
         return subprocess.call([prepare(wanted), "-m", "mmqa_lab", *arguments])
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
+    if sys.stderr.isatty() and _is_uncompiled(options.command):
+        _say(options.command, "compiles its searches, once; later calls start at once.")
     try:
         return options.run(options) or 0
     except BrokenPipeError:  # as in: mmqa names | head
@@ -146,6 +151,14 @@ def _stamp(wanted):
     """The file that says what the environment was made from, and what it must say."""
     content = ENVIRONMENT.read_bytes() + wanted.read_bytes()
     return VENV / f"mmqa-{wanted.parent.name}.sha256", hashlib.sha256(content).hexdigest()
+
+
+def _is_uncompiled(command):
+    """Whether a command was never called here: numba keeps what it compiles beside the package."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent))
+    if command not in COMPILED or not os.access(folder, os.W_OK):
+        return False
+    return not any(folder.rglob(f"{COMPILED[command]}.*.nbi"))
 
 
 def _say(command, sentence):

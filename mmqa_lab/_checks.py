@@ -99,6 +99,33 @@ def check_plan(points, *, name="points", minimum=1):
     )
 
 
+def check_same_crs(name, crs, other_name, other):
+    """Raise where two coordinate reference systems are known and differ in plan.
+
+    Heights are not compared, nor datums of one ellipsoid (ETRS89 and WGS 84).
+
+    Examples
+    --------
+    >>> check_same_crs("polygon", check_crs("EPSG:4978"), "cloud", check_crs("EPSG:25832"))
+    Traceback (most recent call last):
+    ValueError: Invalid polygon in WGS 84. Must be in that of the cloud, ETRS89 / UTM zone 32N.
+    """
+    if crs is not None and other is not None and _in_plan(crs) != _in_plan(other):
+        raise ValueError(
+            f"Invalid {name} in {crs.name}. Must be in that of the {other_name}, {other.name}."
+        )
+
+
+def _in_plan(crs):
+    """What a coordinate reference system is in plan: its projection, or its EPSG number."""
+    plan = crs.sub_crs_list[0] if crs.is_compound else crs
+    operation = plan.coordinate_operation
+    if operation is None:
+        return plan.to_epsg()
+    values = [(one.code, round(one.value, 6)) for one in operation.params]
+    return operation.method_code, sorted(values), plan.axis_info[0].unit_conversion_factor
+
+
 def coordinate_columns(names):
     """Return which of the columns of a table are x, y and z.
 

@@ -14,6 +14,19 @@ OFF_PLANE = 0.05
 of a polygon."""
 
 
+class CrsNotCompared(UserWarning):
+    """A polygon states a coordinate system that cannot be compared with the cloud's."""
+
+
+def polygon_crs(polygon):
+    """The coordinate reference system of a geometry or of a GeoJSON file, None without one."""
+    if isinstance(polygon, str | os.PathLike):
+        from mmqa_lab.io.tables import stated_crs
+
+        return stated_crs(polygon)
+    return getattr(polygon, "crs", None)
+
+
 def polygon_parts(polygon, *, name="polygon"):
     """Return the parts of a polygon, each a list of its outer ring and its holes.
 

@@ -15,8 +15,20 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab._polygons import check_flatness, polygon_parts, polygon_vertices
+from mmqa_lab._checks import (
+    check_choice,
+    check_number,
+    check_points,
+    check_positive,
+    check_same_crs,
+)
+from mmqa_lab._polygons import (
+    CrsNotCompared,
+    check_flatness,
+    polygon_crs,
+    polygon_parts,
+    polygon_vertices,
+)
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
@@ -50,8 +62,6 @@ class CloudQuality(Shown):
         the convex hull of the projected points.
     std_mm, sigma_mad_mm : float
         Dispersion of the orthogonal distances from the plane.
-    d1_mm, d2_mm, d3_mm, d4_mm : float
-        Medians of the sorted quadrant distances; NaN where no point has that many.
     incomplete_share : float
         Share of points with an empty quadrant within the search radius.
     coincident : int
@@ -82,10 +92,6 @@ class CloudQuality(Shown):
     area_hull_m2: float
     std_mm: float
     sigma_mad_mm: float
-    d1_mm: float
-    d2_mm: float
-    d3_mm: float
-    d4_mm: float
     incomplete_share: float
     coincident: int
     axes: str
@@ -104,6 +110,31 @@ class CloudQuality(Shown):
     def distances_mm(self) -> np.ndarray:
         """Sorted quadrant distances of each point, shape (n, 4), NaN where a quadrant is empty."""
         return 1000 * self.spacing.distances
+
+    @property
+    def d_mm(self) -> np.ndarray:
+        """Medians of the sorted quadrant distances, shape (4,); NaN where no point has so many."""
+        return 1000 * self.spacing.d
+
+    @property
+    def d1_mm(self) -> float:
+        """The smallest of ``d_mm``."""
+        return float(self.d_mm[0])
+
+    @property
+    def d2_mm(self) -> float:
+        """The second of ``d_mm``."""
+        return float(self.d_mm[1])
+
+    @property
+    def d3_mm(self) -> float:
+        """The third of ``d_mm``."""
+        return float(self.d_mm[2])
+
+    @property
+    def d4_mm(self) -> float:
+        """The fourth of ``d_mm``: the largest, where there are four quadrants."""
+        return float(self.d_mm[3])
 
     @property
     def density_polygon_per_m2(self) -> float:
@@ -125,7 +156,7 @@ class CloudQuality(Shown):
     @property
     def f(self) -> float:
         """Inhomogeneity d4 / d1; NaN where d1 is zero or either is not measurable."""
-        return self.d4_mm / self.d1_mm if self.d1_mm > 0 else np.nan
+        return float(self.d_mm[-1] / self.d1_mm) if self.d1_mm > 0 else np.nan
 
     @property
     def f_exempt(self) -> bool | None:
@@ -135,7 +166,7 @@ class CloudQuality(Shown):
         """
         if np.isnan(self.rho0_per_m2):
             return None
-        return bool(exempt(self.d1_mm / 1000, self.d4_mm / 1000, self.rho0_per_m2))
+        return bool(exempt(self.spacing.d[0], self.spacing.d[-1], self.rho0_per_m2))
 
     @cached_property
     def directional(self) -> DirectionalSpacing:
@@ -187,10 +218,12 @@ class CloudQuality(Shown):
         names = (
             *("n", "area_polygon_m2", "area_hull_m2"),
             *("density_polygon_per_m2", "density_hull_per_m2", "linear_point_distance_mm"),
-            *("std_mm", "sigma_mad_mm", "d1_mm", "d2_mm", "d3_mm", "d4_mm", "f"),
-            *("f_exempt", "incomplete_share", "coincident", "axes"),
+            *("std_mm", "sigma_mad_mm"),
         )
         row = {name: getattr(self, name) for name in names}
+        row |= {f"d{k}_mm": d for k, d in enumerate(self.d_mm, 1)}
+        names = ("f", "f_exempt", "incomplete_share", "coincident", "axes")
+        row |= {name: getattr(self, name) for name in names}
         return pd.DataFrame([row | {"remarks": " ".join(self.remarks)}])
 
     def plot(self):
@@ -208,8 +241,7 @@ class CloudQuality(Shown):
         plots.draw_points(self.xy, ax=axes[0, 0])
         shades = {"label": "distance from plane (mm)", "cmap": plots.DIVERGING_MAP}
         plots.draw_points(self.xy, ax=axes[0, 1], values=residuals_mm, limits=limits, **shades)
-        medians = {"d1_mm": self.d1_mm, "d4_mm": self.d4_mm}
-        plots.draw_spacing_histogram(self.distances_mm, ax=axes[1, 0], **medians)
+        plots.draw_spacing_histogram(self.spacing, ax=axes[1, 0])
         measures = {"std_mm": self.std_mm, "sigma_mad_mm": self.sigma_mad_mm}
         plots.draw_residual_histogram(residuals_mm, ax=axes[1, 1], **measures)
         return figure
@@ -253,6 +285,9 @@ def evaluate_cloud(
     radius: float = 0.5,
     scale: float = CONSISTENT_SCALE,
     rho0: float | None = None,
+    sectors: int | str = 4,
+    statistic: float = 50.0,
+    distinct: bool = False,
 ) -> CloudQuality:
     """Evaluate the points on one planar surface.
 
@@ -278,6 +313,13 @@ def evaluate_cloud(
     rho0 : float, optional
         Density that is asked for, points per m2: where d1 and d4 are both at most
         sqrt(1 / rho0), f does not matter (``f_exempt``).
+    sectors : int or "nearest"
+        Sectors in place of the quadrants, or the four nearest points in any direction; see
+        :func:`mmqa_lab.spacing.quadrants`.
+    statistic : float
+        Percentile of the distances that d1..d4 are; 50 is the median.
+    distinct : bool
+        Keep one point of those that share a place.
 
     Returns
     -------
@@ -320,22 +362,25 @@ def evaluate_cloud(
         polygon, inside, remarks = _selected(points, polygon, thickness, cloud.crs)
         _check_found(points, polygon, inside)
         points = points[inside]
+    if distinct:
+        points = np.unique(points, axis=0)
     plane = fit_plane(points)
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
-    gaps = quadrants(xy, radius=radius)
+    gaps = quadrants(xy, radius=radius, sectors=sectors, statistic=statistic)
     hull = _hull(xy)
     outline = hull if polygon is None else _outline(polygon, framed)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax(cloud.resolution, _step(points))
     remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
+    if sectors != 4 or statistic != 50:
+        remarks.append(_remark_on_choices(sectors, gaps))
     return CloudQuality(
         n=len(points),
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
         std_mm=1000 * plane.std,
         sigma_mad_mm=sigma_mad_mm,
-        **{f"d{k + 1}_mm": float(1000 * gaps.d[k]) for k in range(4)},
         incomplete_share=gaps.incomplete_share,
         coincident=gaps.coincident,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
@@ -484,6 +529,16 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
     return remarks
 
 
+def _remark_on_choices(sectors, gaps):
+    """What d1, d2, ... are where they are not those of the source."""
+    where = "in any direction" if sectors == "nearest" else f"in each of {sectors} sectors"
+    what = "medians" if gaps.statistic == 50 else f"{gaps.statistic:g} % quantiles"
+    return (
+        f"d1..d{len(gaps.d)} are {what} of the sorted distances to the nearest points {where}, "
+        "f the ratio of the last to the first."
+    )
+
+
 def _step(points):
     """The coarsest step, m, of which all coordinates are multiples; NaN where none is seen."""
     local = points[:: 1 + len(points) // 1000] - points[0]
@@ -502,12 +557,14 @@ def _selected(points, polygon, thickness, crs):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         parts = polygon_parts(polygon)
-    remarks = [f"{warning.message}" for warning in said]
-    stated = getattr(polygon, "crs", None)
-    if stated is not None and crs is not None and stated != crs:
-        raise ValueError(
-            f"Invalid polygon in {stated.name}. Must be in that of the cloud, {crs.name}."
-        )
+    stated = polygon_crs(polygon)
+    check_same_crs("polygon", stated, "cloud", crs)
+    compared = stated is not None and crs is not None
+    remarks = [
+        f"{warning.message}"
+        for warning in said
+        if not (compared and issubclass(warning.category, CrsNotCompared))
+    ]
     if any(ring.shape[1] == 2 for rings in parts for ring in rings):
         parts = _draped(parts, points)
         remarks.append("The polygon has no heights: it is laid onto the plane of the points in it.")

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
+from mmqa_lab.spacing import Spacing
 
 WIDTHS = ("single", "double")
 """One column, and the whole width of the page's text."""
@@ -335,18 +336,14 @@ def draw_residual_histogram(
     return ax
 
 
-def draw_spacing_histogram(
-    distances_mm: np.ndarray, *, ax: plt.Axes, d1_mm: float, d4_mm: float
-) -> plt.Axes:
+def draw_spacing_histogram(spacing: Spacing, *, ax: plt.Axes) -> plt.Axes:
     """Draw the nearest and the farthest quadrant distance of each point, and their medians.
 
     Parameters
     ----------
-    distances_mm : array, shape (n, 4)
-        Sorted quadrant distances, NaN where a quadrant is empty.
+    spacing : Spacing
+        Of :func:`mmqa_lab.spacing.quadrants`.
     ax : Axes
-    d1_mm, d4_mm : float
-        Their medians, mm.
 
     Returns
     -------
@@ -355,22 +352,24 @@ def draw_spacing_histogram(
     Examples
     --------
     >>> figure, ax = subplots()
-    >>> distances = np.array([[20.0, 21.0, 39.0, 40.0]])
-    >>> ax = draw_spacing_histogram(distances, ax=ax, d1_mm=20.0, d4_mm=40.0)
+    >>> from mmqa_lab.spacing import quadrants
+    >>> lattice = np.mgrid[0:9, 0:9].reshape(2, -1).T * [0.02, 0.04]
+    >>> ax = draw_spacing_histogram(quadrants(lattice), ax=ax)
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['median d1 = 20.0 mm', 'median d4 = 40.0 mm']
     >>> plt.close(figure)
     """
-    nearest, farthest = distances_mm[:, 0], distances_mm[:, 3]
+    nearest, farthest = 1000 * spacing.distances[:, [0, -1]].T
     top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
     bins = np.linspace(0, 1.1 * top, 56)
     for values, name, median, colour in (
-        (nearest, "d1", d1_mm, "blue"),
-        (farthest, "d4", d4_mm, "orange"),
+        (nearest, "d1", 1000 * spacing.d[0], "blue"),
+        (farthest, f"d{len(spacing.d)}", 1000 * spacing.d[-1], "orange"),
     ):
         filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
         ax.hist(values[np.isfinite(values)], bins=bins, **filled)
-        label = f"median {name} = {median:.1f} mm"
+        measure = "median" if spacing.statistic == 50 else f"{spacing.statistic:g} % of"
+        label = f"{measure} {name} = {median:.1f} mm"
         ax.axvline(median, color=COLOURS[colour], label=label)
     ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
     ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)

@@ -1,6 +1,7 @@
 """The small clouds in ``data_samples`` and the larger public ones outside the repository."""
 
 import os
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,36 +45,9 @@ class Sample:
     contents: str
 
 
-SAMPLES = (
-    Sample(
-        name="road_patch",
-        file="road_patch.laz",
-        sha256="2251306106cd2aaaf4d67b30a81704b421c7d46de0e49eebcd2d87efc00b5948",
-        licence="BSD-2-Clause (LICENSE-laspy.txt)",
-        origin="laspy 2.7.0 source distribution on PyPI, tests/data/plane.laz",
-        units="m, s; projected, system not stated",
-        contents="2.2 m x 2.0 m of road, crossing scan heads, rounded to 1 cm",
-    ),
-    Sample(
-        name="chart_a_5m",
-        file="chart_a_5m.laz",
-        sha256="145bf398a38a02f645f298d54ff9b84fff97bd2c92da5748c075e990468117fe",
-        licence="MIT, as the package",
-        origin="simulate.systems.pass_chart(SYSTEM_A, 5.0, seed=1) past a chart of 40 cells, moved "
-        "to UTM coordinates",
-        units="m, s, degrees; simulated",
-        contents="1 m x 1 m chart at 5 m by a profile scanner, with range and incidence as truth",
-    ),
-    Sample(
-        name="chart_b_5m",
-        file="chart_b_5m.copc.laz",
-        sha256="a1fa23c5fdfc2df4928a795fd3f2dd9617f2f4519343528206034629397b07e1",
-        licence="MIT, as the package",
-        origin="simulate.systems.pass_chart(SYSTEM_B, 5.0, seed=1) past a chart of 40 cells, moved "
-        "to UTM coordinates",
-        units="m, s; simulated",
-        contents="the same chart by a rotating scanner of 32 beams, as a COPC file",
-    ),
+SAMPLES = tuple(
+    Sample(**one)
+    for one in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["samples"]
 )
 
 

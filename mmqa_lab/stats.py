@@ -298,7 +298,9 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     return column * side + row
 
 
-def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
+def median_interval(
+    values: ArrayLike, block: ArrayLike, *, share: float = 0.5
+) -> tuple[float, float]:
     """Return the 95 % interval of a median of values that depend on their neighbours.
 
     The share of values below the median has a standard error that follows from its sums over
@@ -311,6 +313,8 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
         NaN where not measurable; infinity is a large value.
     block : array_like of int, shape (n,)
         The block of each value, see :func:`blocks`.
+    share : float
+        0.5 for the median; 0.9 for the value that 90 % are below.
 
     Returns
     -------
@@ -333,16 +337,17 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
 
     known = ~np.isnan(values)
     values, block = np.asarray(values)[known], np.asarray(block)[known]
-    scores = _median_scores(values, block)
+    scores = _scores(values, block, share)
     if len(scores) < 2:
         return np.nan, np.nan
-    reach = min(stdtrit(len(scores) - 1, 0.975) * np.linalg.norm(scores), 0.5)
-    low, high = np.quantile(values, [0.5 - reach, 0.5 + reach], method="nearest")
+    reach = stdtrit(len(scores) - 1, 0.975) * np.linalg.norm(scores)
+    shares = np.clip([share - reach, share + reach], 0, 1)
+    low, high = np.quantile(values, shares, method="nearest")
     return float(low), float(high)
 
 
 def median_ratio_interval(
-    top: ArrayLike, bottom: ArrayLike, block: ArrayLike
+    top: ArrayLike, bottom: ArrayLike, block: ArrayLike, *, share: float = 0.5
 ) -> tuple[float, float]:
     """Return the 95 % interval of median(top) / median(bottom), both of the same places.
 
@@ -355,6 +360,8 @@ def median_ratio_interval(
         Positive; NaN where not measurable.
     block : array_like of int, shape (n,)
         See :func:`blocks`.
+    share : float
+        Of other quantiles than medians, see :func:`median_interval`.
 
     Returns
     -------
@@ -370,24 +377,29 @@ def median_ratio_interval(
     """
     known = ~(np.isnan(top) | np.isnan(bottom))
     top, bottom, block = (np.asarray(given)[known] for given in (top, bottom, block))
-    ends = np.array([median_interval(values, block) for values in (top, bottom)])
+    ends = np.array([median_interval(values, block, share=share) for values in (top, bottom)])
     if not (np.isfinite(ends) & (ends > 0)).all():
         return np.nan, np.nan
     above, below = np.log(ends[:, 1] / ends[:, 0]) / 2
-    scores = [_median_scores(values, block) for values in (top, bottom)]
+    scores = [_scores(values, block, share) for values in (top, bottom)]
     lengths = np.prod(np.linalg.norm(scores, axis=1))
     together = scores[0] @ scores[1] / lengths if lengths > 0 else 0.0
     reach = np.sqrt(max(above**2 + below**2 - 2 * together * above * below, 0.0))
-    ratio = np.median(top) / np.median(bottom)
+    ratio = _quantile(top, share) / _quantile(bottom, share)
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
-def _median_scores(values, block):
-    """What each block adds to the error of the share of values below the median."""
+def _quantile(values, share):
+    """A quantile; the median among infinite values too."""
+    return np.median(values) if share == 0.5 else np.quantile(values, share)
+
+
+def _scores(values, block, share):
+    """What each block adds to the error of the share of values below their quantile."""
     if not len(values):
         return np.empty(0)
     numbers, places = np.unique(block, return_inverse=True)
     sizes = np.bincount(places)
-    sums = np.bincount(places, np.sign(values - np.median(values)) / 2)
+    sums = np.bincount(places, np.sign(values - _quantile(values, share)) / 2)
     count = len(numbers)
     return (sums - sizes * sums.sum() / len(values)) / len(values) * np.sqrt(count / (count - 1))

@@ -110,45 +110,6 @@ def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> An
     return plotter.show(jupyter_backend="server", return_viewer=True)
 
 
-def save_cloud(
-    path: str | os.PathLike, cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str
-) -> None:
-    """Write the picture of a cloud coloured by a value, whole or not at all; arguments as above.
-
-    Parameters
-    ----------
-    path : path
-        Its ending says the format; an existing file is replaced.
-    cloud, values, label
-        See :func:`show_cloud`.
-
-    Raises
-    ------
-    ValueError
-        If a point is not finite or they do not have three coordinates.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from unittest.mock import patch
-    >>> cannot = patch(f"{__name__}.can_render", return_value=False)
-    >>> with tempfile.TemporaryDirectory() as folder, cannot:
-    ...     save_cloud(f"{folder}/c.png", [[0, 0, 0], [1, 0, 0]], [0.0, 1.0], label="f")
-    ...     os.listdir(folder)
-    ['c.png']
-    """
-    from mmqa_lab.io import write_atomically
-
-    points = check_points(cloud)
-    local = points - points.mean(axis=0)
-    if can_render():
-        plotter = _plotter(local, values, label, off_screen=True)
-        write_atomically(path, lambda temporary: plotter.screenshot(str(temporary)))
-        plotter.close()
-    else:
-        write_atomically(path, _figure(local, values, label).savefig)
-
-
 def _serve_locally():
     """Draw here and send pictures, through a hub's proxy where there is one."""
     import pyvista

@@ -15,6 +15,18 @@ import pytest
 from mmqa_lab import samples
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Let processes share the tests file by file, and the notebooks one by one."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if "test_notebook_runs" in nodeid else nodeid.split("::")[0]
+
+    return ByFile(config, log)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_network():
     """Refuse connections beyond this machine: everything works without a network."""

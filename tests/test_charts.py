@@ -8,6 +8,8 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
+import rasterio.features
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,7 +29,6 @@ def test_bars_and_pairs_have_the_published_lengths():
     widths = {d: [p.pair for p in pairs if p.direction == d] for d in "hv"}
     assert (widths["h"][0], widths["h"][-1]) == (40, 2)
     assert (max(widths["v"]), min(widths["v"])) == (30, 2)
-    assert {text.cap for text in CHART.of_kind(Text)} == {40, 42, 45, 50}
 
 
 def test_bar_tones_follow_the_option():
@@ -40,7 +41,8 @@ def test_bar_tones_follow_the_option():
     [
         CHART,
         charts.imaging_chart(dictionary=None),
-        charts.imaging_chart(texts=(), widths_h=(30, 7)),
+        charts.imaging_chart(texts=False, widths_h=(30, 7)),
+        charts.imaging_chart(revised=True),
     ],
 )
 def test_nothing_overlaps_but_text_on_its_panel(layout):
@@ -92,11 +94,17 @@ def test_letters_match_freetype(letter, face):
 
 
 def test_texts_are_those_that_the_paper_names():
-    texts = CHART.of_kind(Text)
+    texts = [text for text in CHART.of_kind(Text) if text.name.startswith("text")]
     words = {text.text for text in texts}
-    assert {"Mo.-Fr. (werkt). v.", "6³⁰-19ʰ", "Müllsammelfzge.", "Linienomnibusse"} <= words
+    named = {"Mo.-Fr. (werkt). v. 6³⁰-19ʰ", "Müllsammelfzge.", "ausgen.", "Linienomnibusse"}
+    assert named | {"Mo.-Sa.", "v. 6³⁰-18³⁰", "(werkt.) v.", "Aus-", "u.", "Einsteigen"} <= words
     assert len({text.font for text in texts if text.text == "Müllsammelfzge."}) == 2
-    assert {text.cap for text in texts} == {40, 42, 45, 50}
+    judged = [text for text in texts if text.text not in ("u.", "♿", "⇦")]
+    assert {text.cap for text in judged} == {40, 42, 45, 50}
+    assert CHART["text_45_small"].cap < CHART["text_45_1"].cap  # the letter made smaller
+    assert CHART["text_45_small"].y == CHART["text_45_1"].y
+    symbols = [text.name for text in texts if text.text in ("♿", "⇦")]
+    assert symbols == ["text_block_symbol", "text_column_symbol_1", "text_column_symbol_2"]
 
 
 def test_targets_are_read_back_by_opencv():
@@ -138,6 +146,236 @@ def test_pdf_is_one_page_at_true_size_whatever_the_style():
     assert side_mm == pytest.approx([0, 0, 1000, 1000], abs=1e-3)
     assert len(re.findall(rb"/Type /Page\b(?!s)", pdf)) == 1
     assert CHART.to_pdf() == pdf
+
+
+def pages_of(pdf):
+    """What the pages of a PDF show: per page, colour and rings (mm) of each filled path."""
+    size = re.search(rb"/MediaBox \[ ?([^\]]+)\]", pdf).group(1).split()
+    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+    mm = 25.4 / 72
+    pages = [list(shapes_of(zlib.decompress(one).decode(), mm)) for one in streams]
+    return pages, [float(number) * mm for number in size[2:]]
+
+
+def shapes_of(stream, mm):
+    """Colour, rings and clip of each filled path; an unknown operator is an error."""
+    numbers, rings, colour, clip, box = [], [], (0.0,), None, None
+    for word in stream.split():
+        if re.fullmatch(r"-?[\d.]+", word):
+            numbers.append(float(word))
+            continue
+        if word in "ml":
+            rings = rings if word == "l" else [*rings, []]
+            rings[-1].append([mm * value for value in numbers])
+        elif word in ("g", "rg"):
+            colour = tuple(numbers)
+        elif word == "re":
+            box = [mm * value for value in numbers]
+        elif word == "W":
+            clip = box
+        elif word == "f":
+            yield colour, [np.array(ring) for ring in rings], clip
+            rings = []
+        elif word == "q":
+            clip = None
+        else:
+            assert word in ("h", "j", "w", "n", "Q", "CS", "cs", "/DeviceRGB"), word
+        numbers = []
+
+
+def linear(colour):
+    """Reflectance of a colour of a file, by the curve of IEC 61966-2-1."""
+    coded = np.array(colour)
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+
+
+def painted(shapes, size, per_mm, shift=(0, 0)):
+    """A page as an image of reflectances, shape (rows, columns, 3), lower row first."""
+    tones, areas = [[1, 1, 1]], []
+    for colour, rings, _ in shapes:
+        corners = [np.vstack([ring, ring[:1]]) - shift for ring in rings]
+        areas.append(({"type": "Polygon", "coordinates": corners}, len(tones)))
+        tones.append(np.broadcast_to(linear(colour), 3))
+    pixels = (round(size[1] * per_mm), round(size[0] * per_mm))
+    to_mm = rasterio.Affine.scale(1 / per_mm)
+    # a pixel has the tone of its middle
+    number = rasterio.features.rasterize(areas, pixels, transform=to_mm, dtype=np.uint8)
+    return np.array(tones, dtype=np.float16)[number]
+
+
+def along(image, line, axis, per_mm):
+    """Begin and length, mm, of the dark runs along a row (axis 0) or a column (axis 1)."""
+    dark = np.take(image, round(line * per_mm), axis=axis) < 0.75
+    steps = np.flatnonzero(np.diff(np.pad(dark.astype(int), 1)))
+    return (steps[::2] / per_mm, (steps[1::2] - steps[::2]) / per_mm)
+
+
+@pytest.fixture(scope="module")
+def printed():
+    """The page of the imaging chart, four pixels a millimetre: its green."""
+    (shapes,), size = pages_of(CHART.to_pdf())
+    return painted(shapes, size, 4)[..., 1]
+
+
+def runs_within(runs, low, length):
+    """Of the runs along a line those of one element."""
+    begin = runs[0]
+    return [part[(begin > low - 1) & (begin < low + length)] for part in runs]
+
+
+def test_printed_line_pairs_are_those_of_section_3_2(printed):
+    seen = {"h": [], "v": []}
+    for pairs in CHART.of_kind(charts.LinePairs):
+        axis = 0 if pairs.direction == "h" else 1
+        middle = pairs.corners().mean(axis=0)
+        begin, size = runs_within(
+            along(printed, middle[1 - axis], axis, 4), pairs.corners()[0, axis], pairs.extent
+        )
+        assert len(begin) == 8  # repetitions
+        assert size == pytest.approx(pairs.pair / 2, abs=0.25)  # as much black as white
+        seen[pairs.direction].append(np.diff(begin).mean())
+        begin, size = runs_within(
+            along(printed, pairs.corners()[0, axis] + pairs.pair / 4, 1 - axis, 4),
+            *(pairs.corners()[0, 1 - axis], pairs.length),
+        )
+        assert size == pytest.approx([80], abs=0.25)
+    ladder = [40, 30, 20, 15, 10, 8, 6, 4, 3, 2]
+    assert sorted(seen["h"], reverse=True) == pytest.approx(ladder, abs=0.05)
+    assert sorted(seen["v"], reverse=True) == pytest.approx(ladder[1:], abs=0.05)
+
+
+def test_printed_bars_are_800_and_600_mm_long_and_the_lying_one_grey(printed):
+    for column in (154, 856):
+        assert max(along(printed, column, 1, 4)[1]) == pytest.approx(800, abs=0.25)
+    assert max(along(printed, 50, 0, 4)[1]) == pytest.approx(600, abs=0.25)
+    # on paper half of the light of white, which files code as 188 of 255
+    assert printed[200, 2000] == pytest.approx(0.5, abs=1e-3)
+    assert printed[2000, 616] == pytest.approx(0, abs=1e-6)
+
+
+def test_widths_and_lengths_are_printed_beside_what_they_belong_to(printed):
+    for element in CHART.of_kind(charts.LinePairs):
+        label = CHART[f"label_{element.name}"]
+        assert label.text.removesuffix(" mm") == f"{element.pair:g}"
+        assert 0 < element.y - (label.y + label.cap) < 10
+        low, high = np.round(4 * label.corners()[[0, 2]]).astype(int)
+        ink = printed[low[1] : high[1], low[0] : high[0]] < 0.5
+        assert 0.1 < ink.mean() < 0.5
+    for name, length in (("left", 800), ("right", 800), ("horizontal", 600)):
+        assert CHART[f"label_bar_{name}"].text == f"{length} mm"
+
+
+def test_printed_capitals_have_their_heights():
+    (shapes,), _ = pages_of(CHART.to_pdf())
+    letters = {"M": (45.0, "line", 40.0), "L": (45.0, "block_2", 40.0)}
+    letters |= {"E": (45.0, "45_2", 45.0), "50": (45.0, "50", 50.0)}
+    for _, name, cap in letters.values():
+        text = CHART[f"text_{name}"]
+        own = [r for _, rings, _ in shapes for r in rings if abs(r[:, 1].min() - text.y) < 1e-3]
+        first = min(own, key=lambda ring: abs(ring[:, 0].min() - text.x))
+        assert np.ptp(first[:, 1]) == pytest.approx(cap, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [charts.imaging_chart(revised=True), charts.point_chart(seed=2)],
+    ids=["image", "points"],
+)
+def test_the_simulated_chart_is_the_printed_one(layout):
+    (shapes,), size = pages_of(layout.to_pdf())
+    page = painted(shapes, size, 2).reshape(100, 20, 100, 20, 3)
+    mean = page.mean(axis=(1, 3), dtype=np.float32)
+    off = np.abs(mean - charts.reflectance(layout, cell=10, colour=True))
+    # of a cell of 20 pixels a side an outline across it leaves out half a pixel
+    assert off.max() < 0.06
+    assert off.mean() < 0.003
+
+
+@pytest.mark.parametrize("name", ["marker_2", "cells"])
+def test_targets_and_cells_have_no_seam_that_could_show_as_a_hairline(name):
+    whole = charts.point_chart() if name == "cells" else CHART
+    ((shape,),), _ = pages_of(Layout("one", 1000, 1000, (whole[name],)).to_pdf())
+    rings = np.array([shapely.LinearRing(np.vstack([ring, ring[:1]])) for ring in shape[1]])
+    one, two = shapely.STRtree(rings).query(rings, predicate="intersects")
+    shared = shapely.intersection(rings[one[one < two]], rings[two[one < two]])
+    assert shapely.length(shared).sum() == pytest.approx(0, abs=1e-6)  # corners touch, sides do not
+
+
+def test_tiles_together_are_the_chart():
+    layout = charts.imaging_chart(texts=False)
+    pages, size = pages_of(layout.to_pdf(tiles="a3"))
+    assert len(pages) == 12
+    assert size == pytest.approx([297, 420], abs=1e-3)
+    whole = painted(pages_of(layout.to_pdf())[0][0], (1000, 1000), 1.2)
+    part = np.array([250, 1000 / 3])
+    margin = (np.array(size) - part) / 2
+    for number, shapes in enumerate(pages):
+        row, column = divmod(number, 4)
+        marks = [np.vstack(rings) for _, rings, clip in shapes if clip is None]
+        x, y = np.array([mark.mean(axis=0) for mark in marks if len(mark) < 7]).T
+        assert np.abs(x[:, None] - (margin[0], size[0] - margin[0])).min(axis=0).max() < 1e-3
+        assert np.abs(y[:, None] - (margin[1], size[1] - margin[1])).min(axis=0).max() < 1e-3
+        tile = painted(shapes, part, 1.2, shift=margin)
+        low = np.round(1.2 * np.array([column * 250, (2 - row) * 1000 / 3])).astype(int)
+        there = whole[low[1] : low[1] + len(tile), low[0] : low[0] + tile.shape[1]]
+        assert (np.abs(tile - there).max(axis=2) > 0.01).mean() < 1e-3
+
+
+def test_crop_marks_leave_the_chart_at_its_size():
+    pdf = CHART.to_pdf(crop_marks=True)
+    assert b"BaseFont" not in pdf  # no font that a printer could lack
+    (shapes,), size = pages_of(pdf)
+    assert size == pytest.approx([1028, 1028], abs=1e-3)
+    bar = max((r for _, rings, _ in shapes for r in rings), key=lambda r: np.ptp(r[:, 1]))
+    assert np.ptp(bar[:, 1]) == pytest.approx(800, abs=1e-3)
+    assert bar.min(axis=0) == pytest.approx([134 + 14, 100 + 14], abs=1e-3)
+
+
+def test_the_revised_chart_is_the_one_that_the_authors_ask_for():
+    revised = charts.imaging_chart(revised=True)
+    widths = {
+        d: [p.pair for p in revised.of_kind(charts.LinePairs) if p.direction == d] for d in "hv"
+    }
+    assert min(max(widths[d]) for d in "hv") > 40
+    assert sorted(widths["h"]) == sorted(widths["v"])
+    assert set(charts.WIDTHS_H_MM) < set(widths["h"])
+    assert revised["bar_horizontal"].tone == 0
+    assert len(revised.of_kind(charts.Marker)) == 4
+    texts = [text.name for text in CHART.of_kind(Text) if text.name.startswith("text")]
+    assert [text.name for text in revised.of_kind(Text) if text.name.startswith("text")] == texts
+
+
+def test_signs_have_their_colours_and_the_grey_image_their_luminance():
+    colour = charts.reflectance(CHART, cell=2, colour=True)
+    blue, red, yellow = (
+        np.median(colour[panel], axis=(0, 1))
+        for panel in (
+            np.s_[round(p.y / 2) + 1 : round(p.y / 2) + 6, round(p.x / 2) + 2 : round(p.x / 2) + 30]
+            for p in (CHART[f"panel_{name}"] for name in ("blue", "red", "yellow"))
+        )
+    )
+    assert blue.argmax() == 2
+    assert red.argmax() == 0
+    assert red[0] > 10 * red[1]
+    assert yellow[0] > yellow[1] > 10 * yellow[2]
+    grey = charts.reflectance(CHART, cell=2)
+    assert np.abs(colour @ [0.2126, 0.7152, 0.0722] - grey).max() < 1e-4
+    assert Layout.from_json(CHART.to_json()) == CHART
+
+
+def test_part_of_a_text_lies_where_its_letters_are():
+    text = CHART["text_word"]
+    part = text.part("ll")
+    whole, own = (charts.reflectance(Layout("t", 1000, 1000, (t,)), cell=1) for t in (text, part))
+    assert (own >= whole - 0.02).all()  # nothing that the word does not have
+    ink = np.flatnonzero((whole < 0.5).any(axis=0))
+    assert part.x > ink[0]
+    assert (
+        own[round(part.y) + 5 : round(part.y) + 39]
+        .min(axis=0)[round(part.x) : round(part.x + part.width) + 1]
+        .min()
+        < 0.05
+    )
 
 
 def test_pdf_draws_the_bars_where_the_layout_has_them():
@@ -185,7 +423,7 @@ def test_squares_off_the_cells_are_plain_to_their_edge():
 def test_any_ladder_fits_or_says_so(widths_h, widths_v):
     ladders = [sorted(widths, reverse=True) for widths in (widths_h, widths_v)]
     try:
-        layout = charts.imaging_chart(widths_h=ladders[0], widths_v=ladders[1], texts=())
+        layout = charts.imaging_chart(widths_h=ladders[0], widths_v=ladders[1], texts=False)
     except ValueError:
         # half of the field is enough for ladders this short
         assert 8 * sum(sum(ladder) for ladder in ladders) > 1500
@@ -210,9 +448,13 @@ def test_clearance_is_the_gap_to_the_next_element():
         (lambda: charts.imaging_chart(horizontal_bar="red"), "Must be one of grey, black"),
         (lambda: charts.imaging_chart(widths_h=(10, 20)), "Must decrease"),
         (lambda: charts.imaging_chart(widths_h=(90,)), "Must fit on the chart"),
-        (lambda: charts.imaging_chart(texts=((40, "x" * 60),)), "does not fit"),
-        (lambda: charts.imaging_chart(texts=((40, "\U0001f697"),)), "not in the font"),
-        (lambda: charts.imaging_chart(texts=((40, "x", "Comic"),)), "Invalid font 'Comic'"),
+        (lambda: charts.imaging_chart(widths_h=range(60, 20, -5)), "no room for the texts"),
+        (lambda: Layout("a", 99, 99, (Text("a", 9, 9, "x" * 9, 40),)), "Must lie within"),
+        (lambda: Layout("a", 99, 99, (Text("a", 9, 9, "\U0001f697", 40),)), "not in the font"),
+        (lambda: Text("a", 9, 9, "x", 40, font="Comic").width, "Invalid font 'Comic'"),
+        (lambda: Text("a", 9, 9, "x", 40).part("y"), "Must occur in 'x'"),
+        (lambda: Layout("a", 9, 9, (Bar("a", 1, 1, 1, 1, (0, 2.0, 0)),)), "between 0 and 1"),
+        (lambda: CHART.to_pdf(tiles="b5"), "Must be one of a3, a4"),
         (lambda: charts.imaging_chart(dictionary="DICT_9"), "Must be one of"),
         (lambda: Layout("a", 10, 10, (Bar("a", 5, 5, 9, 1),)), "Must lie within"),
         (lambda: Layout("a", 9, 9, (Bar("a", 1, 1, 1, 1),) * 2), "Must be distinct"),

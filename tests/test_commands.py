@@ -4,12 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from mmqa_lab import samples
-from mmqa_lab.__main__ import main
+from mmqa_lab.__main__ import COMPILED, main
 
 PATCH = str(samples.path("road_patch"))
 
@@ -47,6 +49,17 @@ def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
     assert max(map(len, capsys.readouterr().out.splitlines())) < 100
 
 
+def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for said in (True, False):
+        assert main(["poles", "nowhere.laz"]) == 2
+        assert ("compiles its searches, once" in capsys.readouterr().err) == said
+        (tmp_path / "candidates._seen-66.py311.nbi").touch()
+    for room, module in zip(("planes", "spacing", "poles"), COMPILED.values(), strict=True):
+        assert "njit" in Path(find_spec(f"mmqa_lab.{room}.{module}").origin).read_text()
+
+
 def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):
     assert main(["evaluate", PATCH, PATCH, "--json", "--csv", str(tmp_path / "o.csv")]) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -64,6 +77,18 @@ def test_evaluate_gives_intervals_and_the_exemption_of_f(capsys):
     rows = {row["figure"]: row for row in json.loads(capsys.readouterr().out)}
     assert rows["f"]["value"] == row["f"]
     assert rows["density"]["low"] < row["density_hull_per_m2"] < rows["density"]["high"]
+
+
+def test_evaluate_takes_other_sectors_statistics_and_each_place_once(capsys):
+    choices = ["--sectors", "8", "--statistic", "90", "--distinct"]
+    assert main(["evaluate", PATCH, *choices, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["n"] == 28185 - 16881 + 7031  # places of several points
+    assert row["coincident"] == 0
+    assert row["f"] == pytest.approx(row["d8_mm"] / row["d1_mm"])
+    assert "90 % quantiles" in row["remarks"]
+    assert main(["evaluate", PATCH, "--sectors", "three"]) == 2
+    assert "Invalid sectors 'three'" in capsys.readouterr().err
 
 
 def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):

@@ -143,6 +143,9 @@ def test_chart_options_reach_the_layout(capsys, tmp_path):
     assert charts.Layout.from_json(file.read_text()) == charts.point_chart(seed=4)
     assert main([*call, "--no-targets"]) == 0
     assert charts.Layout.from_json(file.read_text()) == charts.imaging_chart(dictionary=None)
+    assert main([*call, "--revised", "--no-texts"]) == 0
+    revised = charts.imaging_chart(revised=True, texts=False)
+    assert charts.Layout.from_json(file.read_text()) == revised
     assert main([*call, "--first-target", "8"]) == 0
     assert charts.Layout.from_json(file.read_text())["marker_3"].identifier == 11
 
@@ -152,6 +155,8 @@ def test_chart_options_reach_the_layout(capsys, tmp_path):
     [
         (["--out", "c.docx"], "Must be one of .pdf, .svg, .json"),
         (["--out", "c.pdf", "--layout", "c.txt"], "Must be one of .json"),
+        (["--out", "c.svg", "--tiles", "a3"], "Must be .pdf"),
+        (["--out", "c.json", "--crop-marks"], "Must be .pdf"),
         (["--out", "c.pdf", "--widths-h", "10,20"], "Must decrease"),
         (["--out", "c.pdf", "--widths-h", "ten"], "Must be numbers between commas"),
         (["--out", "c.pdf", "--widths-h", "nan"], "Invalid widths_h"),

@@ -252,11 +252,11 @@ def test_without_a_jump_the_fallback_is_flagged(nearest):
     np.testing.assert_equal(found.delta, max(nearest, default=np.nan))
 
 
-def test_the_mixture_splits_two_clusters(rng):
+def test_two_clusters_are_split(rng):
     near, far = rng.lognormal(-1, 0.3, 40), rng.lognormal(2, 0.4, 25)
     both = np.concatenate([near, far])
-    assert near.max() <= lines.mixture_threshold(both).delta < far.min()
-    assert lines.mixture_threshold([]).fallback
+    assert near.max() <= lines.otsu_threshold(both).delta < far.min()
+    assert lines.otsu_threshold([]).fallback
 
 
 def peak_by_hand(curve, sensitivity):
@@ -294,7 +294,7 @@ def test_three_values_are_split_where_the_classes_differ_most(rng):
         return len(low) * len(high) * (low.mean() - high.mean()) ** 2
 
     best = max(range(1, 3), key=between)
-    assert lines.mixture_threshold(values).delta == values[best - 1]
+    assert lines.otsu_threshold(values).delta == values[best - 1]
 
 
 @pytest.mark.parametrize("nearest", [[0.1, np.nan], [-0.1, 0.2], [[0.1, 0.2]]])

@@ -11,7 +11,7 @@ from mmqa_lab import lines
 from mmqa_lab.__main__ import main
 from mmqa_lab.io import read_segments, write_segments
 from mmqa_lab.lines import Segments, correspond, lhd, match_displaced, pairing_scores
-from mmqa_lab.lines.pairing import LinePairs
+from mmqa_lab.lines.segments import LinePairs
 from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
 
 

@@ -14,7 +14,7 @@ import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run import notebooks, parameter_names, read_record
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.studies import STUDIES
 
 SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 
@@ -113,7 +113,7 @@ def other(value):
     if isinstance(value, str):
         return WORDS.get(value, value)
     if isinstance(value, int):
-        return value + 1
+        return value + 1 if value < 100 else 2 * value
     if isinstance(value, float):
         return 0.9 * value
     if isinstance(value, dict):

@@ -1,5 +1,7 @@
 """The three detectors: hand-made scenes, a simulated street, invariance, speed of growth, input."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,12 @@ def street():
     return made, cloud, streets.visible_targets(made, cloud)
 
 
+@pytest.fixture(scope="module")
+def detected(street):
+    """What a method finds in the street's cloud."""
+    return cache(lambda method: poles.detect(street[1], method=method))
+
+
 @pytest.mark.parametrize("method", poles.METHODS)
 def test_a_post_is_found_and_a_wall_is_not(method, rng):
     cloud = scene(post(1.0, 2.0), wall(-4, 4, -3, line=100), rng=rng)
@@ -81,10 +89,10 @@ def test_a_short_post_is_none(method, rng):
     assert len(poles.detect(scene(post(0, 0, height=0.7), rng=rng), method=method)) == 0
 
 
-def test_fgi_finds_the_same_poles_in_another_order(street):
+def test_fgi_finds_the_same_poles_in_another_order(street, detected):
     _, cloud, _ = street
     shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
-    first, second = (poles.detect(c, method="fgi") for c in (cloud, shuffled))
+    first, second = detected("fgi"), poles.detect(shuffled, method="fgi")
     assert len(first) > 3
     numbers = first.columns.drop("method")
     # sums in another order differ by rounding of float64 at 100 m
@@ -92,10 +100,10 @@ def test_fgi_finds_the_same_poles_in_another_order(street):
 
 
 @pytest.mark.parametrize("method", ["itc", "ours"])
-def test_the_others_need_no_order(street, method):
+def test_the_others_need_no_order(street, detected, method):
     _, cloud, _ = street
     shuffled = cloud[np.random.default_rng(1).permutation(len(cloud))]
-    first, second = (poles.detect(c, method=method) for c in (cloud, shuffled))
+    first, second = detected(method), poles.detect(shuffled, method=method)
     assert len(first) > 3
     numbers = first.select_dtypes("number").columns
     assert np.allclose(first[numbers], second[numbers], atol=1e-6, equal_nan=True)
@@ -103,11 +111,11 @@ def test_the_others_need_no_order(street, method):
 
 
 @pytest.mark.parametrize("method", poles.METHODS)
-def test_nothing_changes_when_the_cloud_is_moved_far(street, method):
+def test_nothing_changes_when_the_cloud_is_moved_far(street, detected, method):
     _, cloud, _ = street
     shift = np.array([3e5, 5e6, 128.0])
     far = Cloud(cloud.points + shift, cloud.columns)
-    near_found, far_found = (poles.detect(c, method=method) for c in (cloud, far))
+    near_found, far_found = detected(method), poles.detect(far, method=method)
     assert len(near_found) == len(far_found)
     # float64 at 5e6 m keeps 1e-9 m; whole metres of shift keep every cell where it was
     offset = far_found[["x_m", "y_m", "z_base_m"]] - near_found[["x_m", "y_m", "z_base_m"]]
@@ -117,9 +125,9 @@ def test_nothing_changes_when_the_cloud_is_moved_far(street, method):
 @pytest.mark.parametrize(
     ("method", "recall", "precision"), [("fgi", 0.6, 0.5), ("ours", 0.85, 0.8)]
 )
-def test_rates_on_a_street_never_trained_on(street, method, recall, precision):
-    made, cloud, targets = street
-    found = poles.detect(cloud, method=method)
+def test_rates_on_a_street_never_trained_on(street, detected, method, recall, precision):
+    made, _, targets = street
+    found = detected(method)
     path = made.trajectory().position
     result = poles.score(found, targets, corridor=15, trajectory=path)
     # about 10 targets: loose on purpose, the study measures

@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 from scipy.stats import linregress
 
 from mmqa_lab.radiometry import (
+    FREE,
     adjust_block,
     empirical_line,
     fit_sensor,
@@ -16,8 +17,8 @@ from mmqa_lab.radiometry import (
     reflectance_factor,
     relative_exposure,
     stability,
+    walthall_terms,
 )
-from mmqa_lab.radiometry.block import FREE, walthall_terms
 from mmqa_lab.simulate.targets import ATMOSPHERES
 
 

@@ -14,7 +14,7 @@ from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.run import pages as readme
 from mmqa_lab.run.pages import Outcome
 from mmqa_lab.spacing import poisson_spacing
-from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder
+from mmqa_lab.studies import STUDIES, notebooks_folder
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from overlaps import overlapping_texts
 
 from mmqa_lab import plots
 from mmqa_lab.run import Check, Run, parameter_names, read_record
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.studies import STUDIES
 
 
 @pytest.fixture

@@ -243,7 +243,7 @@ def test_boresight_error_turns_the_cloud_about_the_scanner():
 
 
 def test_hdl_32e_fires_its_beams_in_order_all_round():
-    scanner = replace(simulate.presets.HDL_32E, range_noise_m=0, lever_arm_m=(0, 0, 2))
+    scanner = replace(simulate.PRESETS["hdl-32e"], range_noise_m=0, lever_arm_m=(0, 0, 2))
     ball = Scene([ellipsoid((0, 0, 2), 20.0)])
     cloud = scan(ball, scanner, Trajectory([0, 0.2], [[0, 0, 0], [0, 0, 0]]))
     ray = cloud.points - [0, 0, 2]
@@ -263,7 +263,7 @@ def test_hdl_32e_fires_as_the_real_one(real):
     ring = np.round((elevation + 92 / 3) * 3 / 4)
     spread = elevation - (-92 / 3 + 4 / 3 * ring)
     assert np.median(np.abs(spread)) < 0.02
-    order = simulate.presets.HDL_32E.fire(np.arange(32))[0].ring
+    order = simulate.PRESETS["hdl-32e"].fire(np.arange(32))[0].ring
     step = (np.argsort(order)[ring[1:].astype(int)] - np.argsort(order)[ring[:-1].astype(int)]) % 32
     assert (step == 1).mean() > 0.9  # the rest are pulses without an echo
     azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 0], points[:, 1])))
@@ -361,7 +361,9 @@ def test_draws_are_normal_uniform_and_independent():
     assert abs(np.corrcoef(normal[:, 0], other[:, 0])[0, 1]) < 5 / np.sqrt(len(normal))
 
 
-@pytest.mark.parametrize("scanner", [PROFILER, simulate.presets.HDL_32E], ids=["profile", "multi"])
+@pytest.mark.parametrize(
+    "scanner", [PROFILER, simulate.PRESETS["hdl-32e"]], ids=["profile", "multi"]
+)
 def test_angles_undo_beams(scanner, rng):
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     angle, elevation = rng.uniform(-180, 180, 500), rng.uniform(low, high, 500)

@@ -8,7 +8,7 @@ import pytest
 from mmqa_lab import published, simulate
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
-from mmqa_lab.simulate import chart_corners, presets, systems
+from mmqa_lab.simulate import PRESETS, chart_corners, systems
 
 EXACT_B = replace(systems.SYSTEM_B, range_noise_m=0.0, tilt_deg=38)
 
@@ -43,7 +43,7 @@ def test_points_of_a_pitched_multi_beam_scanner_equal_brute_force(distance):
     assert np.abs(cloud.points[order, 1:] - expected).max() < 1e-8
 
 
-@pytest.mark.parametrize("preset", [systems.SYSTEM_A, presets.ZF_9012_FITTED])
+@pytest.mark.parametrize("preset", [systems.SYSTEM_A, PRESETS["zf-9012-fitted"]])
 @pytest.mark.parametrize("distance", systems.DISTANCES)
 def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
     quality = read(systems.pass_chart(preset, distance, seed=2), distance)
@@ -113,7 +113,7 @@ def test_positions_are_worse_where_trees_hide_the_satellites():
 def test_a_wide_beam_blurs_poles_along_the_track_only():
     lamp = simulate.cylinder((5, 0, -3), (5, 0, 3), 0.05)
     scene = simulate.Scene([lamp])
-    lux = replace(systems.IBEO_LUX, lever_arm_m=(0, 0, 0), range_noise_m=0.0)
+    lux = replace(simulate.system("sensei").heads[0], lever_arm_m=(0, 0, 0), range_noise_m=0.0)
     seen = {}
     for wide in (1.4, 14.0):
         head = replace(lux, divergence_axial_mrad=wide)

@@ -1,12 +1,18 @@
 """Quadrant distances against brute force, spacing against the closed form of a Poisson pattern."""
 
+import json
+import subprocess
+import sys
 import threading
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
+from mmqa_lab import io, samples, spacing
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.spacing import (
     Spacing,
     exempt,
@@ -181,7 +187,20 @@ def test_coincident_points_are_counted_once_each():
 )
 def test_every_pattern_equals_brute_force_bit_for_bit(name, n, seed, radius, corner):
     xy = pattern(name, n, seed) + corner
-    np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), brute_force(xy, radius))
+    expected = brute_force(xy, radius)
+    np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), expected)
+    few = spacing._nearest_of_few(xy, radius, np.ones(len(xy), dtype=bool))
+    np.testing.assert_array_equal(few, expected)
+
+
+def test_figures_of_a_small_cloud_need_no_compiler():
+    code = "import sys; from mmqa_lab.__main__ import main; main(sys.argv[1:])"
+    code += "; sys.exit('numba' in sys.modules)"
+    words = ["evaluate", str(samples.path("chart_a_5m")), "--json"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    cloud = io.read_cloud(samples.path("chart_a_5m"))
+    assert json.loads(done.stdout)[0]["f"] == evaluate_cloud(cloud).f
 
 
 @pytest.mark.parametrize("name", sorted(PATTERNS))
@@ -401,3 +420,51 @@ def test_bad_density(density):
 def test_results_cannot_be_changed():
     with pytest.raises(AttributeError):
         Spacing(np.ones(4), np.ones(4), 0.0, 0, np.ones((1, 2)), np.ones((1, 4))).coincident = 2
+
+
+def in_sectors(xy, count, angle, radius):
+    """Sorted distances to the nearest point in each sector, point by point."""
+    rows = np.full((len(xy), count), np.nan)
+    for i, point in enumerate(xy):
+        dx, dy = np.delete(xy, i, axis=0).T - point[:, None]
+        away = np.hypot(dx, dy)
+        bearing = (np.degrees(np.arctan2(dy, dx)) - angle) % 360
+        for k in range(count):
+            low, high = 360 * k / count, 360 * (k + 1) / count
+            near = away[(bearing >= low) & (bearing < high) & (away > 0) & (away <= radius)]
+            rows[i, k] = near.min(initial=np.inf)
+    rows[np.isinf(rows)] = np.nan
+    return np.sort(rows, axis=1)
+
+
+@pytest.mark.parametrize(("count", "angle", "radius"), [(5, 0, 0.5), (6, 10, 0.3), (8, 33, 5.0)])
+def test_sectors_equal_brute_force(count, angle, radius, rng, monkeypatch):
+    monkeypatch.setattr(spacing, "AT_ONCE", 2000)  # several portions
+    xy = np.concatenate([rng.uniform(0, 2, (150, 2)), rng.normal(5, 0.01, (60, 2))])
+    xy = np.concatenate([xy, xy[:20]])
+    found = quadrants(xy, sectors=count, angle=angle, radius=radius, statistic=80)
+    expected = in_sectors(xy, count, angle, radius)
+    np.testing.assert_allclose(found.distances, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.d, np.nanpercentile(expected, 80, axis=0), rtol=1e-9)
+    assert found.f == pytest.approx(found.d[-1] / found.d[0])
+
+
+def test_nearest_points_have_the_closed_form(rng):
+    """The area out to the k-th neighbour of a random pattern is Gamma(k) distributed."""
+    n = 40_000
+    found = quadrants(rng.uniform(0, 1, (n, 2)), sectors="nearest", statistic=90)
+    expected = np.sqrt(stats.gamma.ppf(0.9, [1, 2, 3, 4]) / (np.pi * n))
+    np.testing.assert_allclose(found.d, expected, rtol=0.02)
+    assert ((found.intervals[:4, 0] < expected) & (expected < found.intervals[:4, 1])).sum() >= 3
+
+
+def test_median_of_four_sectors_is_that_of_the_quadrants(rng):
+    xy = rng.uniform(0, 1, (400, 2))
+    other = quadrants(xy, sectors=4.0, statistic=30)
+    np.testing.assert_allclose(other.d, np.nanpercentile(quadrants(xy).distances, 30, axis=0))
+
+
+@pytest.mark.parametrize("choices", [{"sectors": 2}, {"sectors": "all"}, {"statistic": 101}])
+def test_bad_sectors_and_statistics(choices):
+    with pytest.raises(ValueError, match=r"Invalid (sectors|statistic) .*Must be"):
+        quadrants([[0, 0], [1, 0]], **choices)

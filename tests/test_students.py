@@ -1,13 +1,12 @@
-"""Copies for a class: answers gone, checks kept."""
-
-import ast
+"""Copies for a class: answers gone, checks kept, sheets to print."""
 
 import nbformat
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.run.notebooks import student_cell, write_student_notebooks
-from mmqa_lab.studies.catalogue import STUDIES
+from mmqa_lab.run import students
+from mmqa_lab.run.students import student_cell, write_sheets, write_student_notebooks
+from mmqa_lab.studies import STUDIES
 
 ANSWER = """# 2: twice the side makes four times the area
 side = 3
@@ -29,7 +28,35 @@ def test_check_fails_until_the_name_is_worked_out():
         run(given)
     with pytest.raises(AssertionError, match="2: not right yet"):
         run(given.replace("areas = ...", "areas = [9, 18]"))
+    with pytest.raises(AssertionError, match="2: the check cannot be worked out with this: TypeE"):
+        run(given.replace("areas = ...", "areas = 9"))
     run(given.replace("areas = ...", "areas = [9, 36]"))
+
+
+@pytest.mark.parametrize(
+    ("work", "said"),
+    [
+        ("0.61", "needed_m is expected in m; 0.61 looks like cm"),
+        ("6.1", "needed_m is expected in m; 6.1 looks like mm"),
+        ("0.05", "not right yet"),
+        ("'6 mm'", "cannot be worked out"),
+    ],
+)
+def test_a_wrong_unit_is_named(work, said):
+    given = student_cell("# 1: by the root\nneeded_m = 0.0061\nassert 0.004 < needed_m < 0.008")
+    run(given.replace("needed_m = ...", "needed_m = 0.0061"))
+    with pytest.raises(AssertionError, match=f"1: .*{said}"):
+        run(given.replace("needed_m = ...", f"needed_m = {work}"))
+
+
+def test_what_a_check_says_and_needs_goes_with_it():
+    given = student_cell(
+        "# 3: it is even\n# asked for: n, a whole number\nimport math\nn = 4\n"
+        "assert math.gcd(n, 2) == 2, 'n is odd'"
+    )
+    assert given.splitlines()[1:4] == ["# asked for: n, a whole number", "import math", "n = ..."]
+    with pytest.raises(AssertionError, match="3: n is odd"):
+        run(given.replace("n = ...", "n = 3"))
 
 
 def test_names_bound_inside_a_check_are_no_answers():
@@ -59,11 +86,39 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
         part = [tag for tag in cell.metadata.get("tags", []) if tag in ("exercise", "check")]
         if part:
             graded = cell.metadata["nbgrader"]
-            asserted = any(isinstance(node, ast.Assert) for node in ast.parse(cell.source).body)
-            assert asserted == graded["grade"] == graded["locked"] == (part == ["check"])
+            checked = "check_answer(" in cell.source
+            assert checked == graded["grade"] == graded["locked"] == (part == ["check"])
+            assert "assert" not in cell.source  # nobody reads the range of the answer there
+            assert checked or students.ASKED in cell.source
             assert graded["solution"] == (part == ["exercise"])
     ids = [c.metadata["nbgrader"]["grade_id"] for c in copy.cells if "nbgrader" in c.metadata]
     assert len(set(ids)) == len(ids) == 2 * len(answers)
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_what_is_asked_for_names_every_answer(study):
+    for cell in nbformat.read(study.path, as_version=4).cells:
+        if "solution" in cell.metadata.get("tags", []):
+            work = student_cell(cell.source).split("\n\n")[0].splitlines()
+            (asked,) = [line for line in work if line.startswith(students.ASKED)]
+            names = [line.split(" = ")[0] for line in work if " = ..." in line]
+            assert set(names) <= set(asked.replace(",", " ").replace(";", " ").split())
+
+
+def test_sheets_have_task_words_and_answers_apart(tmp_path, monkeypatch):
+    monkeypatch.setattr(students, "BROWSERS", ())
+    studies = [study for study in STUDIES if study.stem == "anisotropy"]
+    handout, solutions = (path.read_text() for path in write_sheets(studies, tmp_path))
+    assert "Rotate a square lattice finely" in handout
+    assert "Rotate a square lattice finely" in solutions
+    assert "asked for: half, a number in mm" in handout
+    assert "Punktdichte" in handout
+    assert "rounding in the last digit" in solutions
+    assert "Lesson plan" in solutions
+    assert "rounding in the last digit" not in handout
+    assert "Lesson plan" not in handout
+    assert "All studies" not in handout + solutions
+    assert 'alt="d_0 = ' in handout  # formulas are typeset
 
 
 def test_a_class_can_have_small_parameters(tmp_path):

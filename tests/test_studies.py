@@ -16,9 +16,9 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
-from mmqa_lab.run.notebooks import student_cell
+from mmqa_lab.run.students import student_cell
 from mmqa_lab.samples import SAMPLES
-from mmqa_lab.studies.catalogue import STUDIES, TOOLS, Study, chosen, notebooks_folder
+from mmqa_lab.studies import STUDIES, TOOLS, Study, chosen, notebooks_folder
 
 TESTS = str(Path(__file__).parent)
 
@@ -178,6 +178,17 @@ def test_a_finished_study_is_not_run_again(broken, tmp_path, monkeypatch):
     study.path.write_text(study.path.read_text().replace("seed = 1", "seed = 2"))
     assert resumed() == "ran"
     assert resumed() == "ran"  # it failed, so it is tried again
+
+
+def test_what_was_compiled_since_is_no_other_code(tmp_path, monkeypatch):
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "model.txt").write_text("1")
+    monkeypatch.setattr(notebooks, "__file__", str(tmp_path / "run" / "notebooks.py"))
+    before = notebooks._code(STUDIES[0], True)
+    (tmp_path / "__pycache__" / "search.py311.nbi").write_bytes(b"compiled")
+    assert notebooks._code(STUDIES[0], True) == before
+    (tmp_path / "model.txt").write_text("2")
+    assert notebooks._code(STUDIES[0], True) != before
 
 
 def test_a_study_runs_where_an_event_loop_runs_already(broken):

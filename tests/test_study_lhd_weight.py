@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab import bench, lines
-from mmqa_lab.lines.pairing import PairingScores
+from mmqa_lab.lines.segments import PairingScores
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate.canyon import Conditions, canyon
 from mmqa_lab.studies import lhd_weight as study

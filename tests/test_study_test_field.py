@@ -90,7 +90,7 @@ def test_published_rows_are_those_of_the_tables():
 
 def test_ledger_says_which_rows_are_fitted(street, known):
     drawn = study.predicted(street, EXACT, **known, draws=5)
-    names = set(study.STANDS_FOR.values())
+    names = set(study.TOLD["stands_for"].values())
     table = study.prediction_table(dict.fromkeys(names, drawn))
     nothing = pd.DataFrame(columns=["system", "direction", "figure", "measured_mm"])
     every = study.against_published(table, nothing)
@@ -109,7 +109,7 @@ def test_columns_are_close_within_a_quarter_or_explained():
     found = study.columns(rows)
     assert len(found) == 26
     assert found["close"].sum() == 25
-    assert found.loc[~found["close"], "missing"].item() == study.MISSING["Optech Lynx"]
+    assert found.loc[~found["close"], "missing"].item() == study.TOLD["missing"]["Optech Lynx"]
 
 
 def test_bench_scores_a_true_mounting_and_none():

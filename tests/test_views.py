@@ -27,8 +27,8 @@ def test_without_opengl_a_picture_is_drawn_all_the_same(cloud, tmp_path, monkeyp
     figure = views.show_cloud(cloud, cloud.points[:, 2], label="height (m)")
     assert figure.axes[0].name == "3d"
     assert figure.axes[1].get_ylabel() == "height (m)"
+    figure.savefig(tmp_path / "c.png")
     plt.close(figure)
-    views.save_cloud(tmp_path / "c.png", cloud, cloud.points[:, 2], label="height (m)")
     assert colours(tmp_path / "c.png") > 50
 
 
@@ -42,7 +42,9 @@ def test_a_machine_that_cannot_draw_is_found_out_in_a_child(monkeypatch):
 def test_with_opengl_the_view_shows_the_cloud(cloud, tmp_path):
     if not views.can_render():
         pytest.skip("needs the OpenGL libraries that the README names")
-    views.save_cloud(tmp_path / "c.png", cloud, cloud.points[:, 2], label="height (m)")
+    local = cloud.points - cloud.points.mean(axis=0)
+    plotter = views._plotter(local, local[:, 2], "height (m)", off_screen=True)
+    plotter.screenshot(tmp_path / "c.png")
     assert colours(tmp_path / "c.png") > 50
 
 

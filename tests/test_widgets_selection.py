@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.backend_bases import MouseEvent
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -14,7 +15,7 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_polygon, write_cloud
-from mmqa_lab.planes import fit_plane
+from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.widgets import selection
 
 # of ipympl's own toolbar
@@ -135,6 +136,44 @@ def test_without_a_screen_it_is_a_picture(wall, monkeypatch):
     quality = evaluate_cloud(wall, polygon=corners)
     assert figure.axes[0].get_title() == selection._summary(quality)
     assert fit_plane(corners).rms < 1e-9
+
+
+@pytest.fixture
+def floors(rng):
+    """Two level floors, one above the other, 10 km from the origin, and their planes."""
+    flat = rng.uniform(0, 4, (3000, 2))
+    low, high = (np.column_stack([flat, np.full(3000, z)]) for z in (0.0, 2.0))
+    points = np.concatenate([low, high]) + 10_000
+    return points, detect_planes(points)
+
+
+@pytest.mark.parametrize(("elevation", "height"), [(80, 10_002), (-80, 10_000)])
+def test_a_click_takes_the_foremost_plane(floors, elevation, height, monkeypatch):
+    monkeypatch.delenv("MMQA_HEADLESS", raising=False)
+    picker = widgets.pick_plane(*floors)
+    picker.ax.view_init(elevation, 30)
+    picker.canvas.draw()
+    middle = np.array(picker.canvas.get_width_height()) / 2
+    for name in ("button_press_event", "button_release_event"):
+        event = MouseEvent(name, picker.canvas, *middle, button=1)
+        picker.canvas.callbacks.process(name, event)
+    assert picker.patches[picker.chosen].plane.centre[2] == pytest.approx(height)
+    assert picker.ax.get_title().startswith(f"plane {picker.chosen} of 2: 3000 points, slope 0")
+
+
+def test_a_drag_or_a_click_beside_the_cloud_chooses_nothing(floors, monkeypatch):
+    monkeypatch.delenv("MMQA_HEADLESS", raising=False)
+    picker = widgets.pick_plane(*floors, chosen=1)
+    assert picker.plane_at(1, 1) is None
+    middle = np.array(picker.canvas.get_width_height()) / 2
+    for name, place in (("button_press_event", middle), ("button_release_event", middle + 30)):
+        picker.canvas.callbacks.process(name, MouseEvent(name, picker.canvas, *place, button=1))
+    assert picker.chosen == 1
+
+
+def test_a_plane_that_is_not_there_is_refused(floors):
+    with pytest.raises(ValueError, match=r"Invalid plane 2\. Must be one of the 2 planes found"):
+        widgets.pick_plane(*floors, chosen=2)
 
 
 def test_rejects(monkeypatch):

@@ -31,8 +31,12 @@ from mmqa_lab.chart_image.reading import (
 from mmqa_lab.charts import Layout, imaging_chart
 from mmqa_lab.io.images import GAMMAS, decode, read_grey
 
-LAYOUTS = ("grey", "black")
-"""Names of the layouts as built: the imaging chart with its lying bar in grey or black."""
+LAYOUTS = {
+    "grey": {},
+    "black": {"horizontal_bar": "black"},
+    "revised": {"revised": True},
+}
+"""Names of the imaging charts: as built, with its lying bar black, and as the authors advise."""
 
 MARGIN_PX, MARGIN_SHARE = 16, 0.05
 """Around the chart's outline in its window, at least and as share of its size."""
@@ -317,10 +321,14 @@ def evaluate_file(
         there = ChartMap.from_orientation(*read_orientation(orientation), layout)
     else:
         there = locate(grey, layout, corners=corners, camera=bends)
+    return evaluate_window(grey, layout, there, gamma=gamma)
+
+
+def evaluate_window(grey, layout, there, *, gamma):
+    """Evaluate a chart in the grey values of a file, whose map is known to a few pixels."""
     origin, last = _window(there, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)
-    del grey
     return replace(evaluate_image(values, layout, there.within(*origin)), origin=origin)
 
 
@@ -330,7 +338,8 @@ def read_layout(source):
     Parameters
     ----------
     source : str or path
-        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; else a file.
+        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; ``revised``: the
+        one that the authors advise; else a file.
 
     Returns
     -------
@@ -349,7 +358,7 @@ def read_layout(source):
     'imaging chart, black bar'
     """
     if str(source) in LAYOUTS:
-        return imaging_chart(horizontal_bar=str(source))
+        return imaging_chart(**LAYOUTS[str(source)])
     path = Path(source)
     if not path.is_file():
         raise FileNotFoundError(

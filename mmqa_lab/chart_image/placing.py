@@ -146,15 +146,63 @@ def locate(
     >>> there.pixels([[0, 0], [500, 500]]).round(6).tolist()
     [[100.0, 350.0], [225.0, 225.0]]
     """
-    import cv2
-
     bent = {"camera": camera, "offset": offset}
     if corners is not None:
         corners = four_corners(corners, columns=2)
         return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
-    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+    dictionary, markers = _book([layout])
+    grey = _stretched(image)
+    charts = _by_bars(grey, layout)
+    for there in charts:
+        found = _sought(grey, dictionary, markers, there)
+        own = [key for key in found if key in markers]
+        if len(own) > 2:
+            return replace(map_of_markers(found, layout, **bent), remark=there.remark)
+        if own or not _other_board(found, markers, there):
+            places = _mesh(layout)
+            by_bars = ChartMap.from_points(places, there.pixels(places), source="long bars", **bent)
+            return replace(by_bars, remark=there.remark)
+    return map_of_markers(find_markers(image, [layout]), layout, **bent)
+
+
+def find_markers(image, layouts):
+    """Return the corners of the coded targets of one or more charts that are seen, by number."""
+    dictionary, markers = _book(layouts)
+    found = _sought(_stretched(image), dictionary, markers, None)
+    found = {key: corners for key, corners in found.items() if key in markers}
+    if not found:
+        raise ValueError(
+            f"Invalid image: none of the {len(markers)} coded targets of {dictionary} found. "
+            "Must show them or long bars, or the corners of the chart must be given."
+        )
+    return found
+
+
+def map_of_markers(found, layout, **bent):
+    """Return the map of a chart from those of its coded targets that were found."""
+    markers = _book([layout])[1]
+    own = [key for key in found if key in markers]
+    if not own:
+        raise ValueError(f"Invalid image: no coded target of {layout.name!r}. Must show them.")
+    # OpenCV counts from the upper left corner, clockwise
+    places = np.concatenate([markers[key].corners()[::-1] for key in own])
+    seen, source = np.concatenate([found[key] for key in own]), f"{len(own)} coded targets"
+    return ChartMap.from_points(places, seen, source=source, **bent)
+
+
+def _book(layouts):
+    """The dictionary of the targets of some charts, and the targets by number."""
+    markers = {one.identifier: one for layout in layouts for one in layout.of_kind(Marker)}
     if not markers:
-        raise ValueError(f"Invalid chart {layout.name!r}: no coded targets. Must have some.")
+        name = layouts[0].name
+        raise ValueError(f"Invalid chart {name!r}: no coded targets. Must have some.")
+    return next(iter(markers.values())).dictionary, markers
+
+
+def _stretched(image):
+    """An image as bytes from its darkest to its brightest grey values."""
+    import cv2
+
     image = check_image(image, convert=False)
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -162,23 +210,7 @@ def locate(
     limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)
     low, high = (float(limit) for limit in limits)
     scale = 255 / max(high - low, 1e-12)
-    grey = cv2.convertScaleAbs(np.clip(image, *limits), alpha=scale, beta=-low * scale)
-    there, remark = _by_bars(grey, layout)
-    targets = _found_markers(grey, layout, there)
-    if there is None and not targets:
-        name = next(iter(markers.values())).dictionary
-        raise ValueError(
-            f"Invalid image: none of the {len(markers)} coded targets of {name} found, nor the "
-            "long bars. Must show them, or the corners of the chart must be given."
-        )
-    # OpenCV counts from the upper left corner, clockwise
-    places = np.concatenate([[[0, 0]], *(markers[key].corners()[::-1] for key in targets)])[1:]
-    seen = np.concatenate([[[0, 0]], *targets.values()])[1:]
-    source = f"{len(targets)} coded target{'s' if len(targets) > 1 else ''}"
-    if there is not None and len(targets) < 3:
-        places, source = _mesh(layout), "long bars"
-        seen = there.pixels(places)
-    return replace(ChartMap.from_points(places, seen, source=source, **bent), remark=remark)
+    return cv2.convertScaleAbs(np.clip(image, *limits), alpha=scale, beta=-low * scale)
 
 
 def align(image, layout, chart_map):
@@ -446,7 +478,7 @@ def _trusted(layout, pixel_mm, cell, shape):
 
 
 def _by_bars(grey, layout):
-    """The map of the chart whose long bars are seen, None for none, and a remark on others."""
+    """The maps of the charts whose long bars are seen, the likeliest first."""
     import cv2
 
     bars = [bar for bar in layout.of_kind(Bar) if _slender(bar)]
@@ -461,14 +493,14 @@ def _by_bars(grey, layout):
         found += [(one, replace(there, matrix=grow @ there.matrix)) for one, there in guesses]
         if any(correlation > CERTAIN for correlation, _ in found):
             break
-    if not found:
-        return None, ""
-    found = [there for _, there in sorted(found, key=lambda one: -one[0])]
-    middle = [[layout.width / 2, layout.height / 2]]
-    away = np.concatenate([there.pixels(middle) - found[0].pixels(middle) for there in found])
-    side = np.ptp(found[0].pixels(layout.corners()), axis=0).max()
-    others = np.linalg.norm(away, axis=1).max() > side / 2
-    return found[0], "another chart is seen" if others else ""
+    middle, charts = [[layout.width / 2, layout.height / 2]], []
+    for _, there in sorted(found, key=lambda one: -one[0]):
+        side = np.ptp(there.pixels(layout.corners()), axis=0).max()
+        away = [np.linalg.norm(one.pixels(middle) - there.pixels(middle)) for one in charts]
+        if not any(distance < side / 2 for distance in away):
+            charts.append(there)
+    remark = "another chart is seen" if len(charts) > 1 else ""
+    return [replace(there, remark=remark) for there in charts]
 
 
 def _slender(bar):
@@ -580,13 +612,11 @@ def _axis(bar):
     return np.stack([corners[sides[:2]].mean(axis=0), corners[sides[2:]].mean(axis=0)])
 
 
-def _found_markers(grey, layout, there):
-    """Corners of the coded targets by number, sought around the chart where it is known."""
-    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
-    dictionary = next(iter(markers.values())).dictionary
+def _sought(grey, dictionary, markers, there):
+    """Corners of coded targets by number, sought around a chart or everywhere."""
     first = np.zeros(2, dtype=int)
     if there is not None:
-        outline = there.outline(layout.corners())
+        outline = there.outline(np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * _extent(markers))
         side = np.ptp(outline, axis=0)
         first = np.maximum(outline.min(axis=0) - side / 8, 0).astype(int)
         last = (outline.max(axis=0) + side / 8).astype(int)
@@ -596,11 +626,26 @@ def _found_markers(grey, layout, there):
         if enlargement > 1 and grey.size > ENLARGED_PIXELS:
             break
         seen = _detected(grey, dictionary, enlargement)
-        seen = {key: corners + first for key, corners in seen.items() if key in markers}
         found = seen if len(seen) > len(found) else found
-        if len(found) == len(markers):
+        if set(markers) <= set(found):
             break
-    return found
+    return {key: corners + first for key, corners in found.items()}
+
+
+def _other_board(found, markers, there):
+    """Whether targets with other numbers stand where those of the chart should."""
+    for marker in markers.values():
+        corners = there.pixels(marker.corners())
+        near = np.linalg.norm(corners[2] - corners[0]) / 4
+        middles = [seen.mean(axis=0) - corners.mean(axis=0) for seen in found.values()]
+        if any(np.linalg.norm(middle) < near for middle in middles):
+            return True
+    return False
+
+
+def _extent(markers):
+    """How far the targets reach to the right and up, mm."""
+    return np.max([marker.corners()[2] for marker in markers.values()], axis=0)
 
 
 def _detected(image, dictionary, enlargement):

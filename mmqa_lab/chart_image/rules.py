@@ -10,7 +10,9 @@ The jury's marks are the reference for legibility. Pixels per capital and the qu
 pairs stand in for them; they have columns of their own and are never merged with the marks.
 """
 
+import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -191,7 +193,20 @@ def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0)
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
 
 
-def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float) -> pd.DataFrame:
+def blind_name(path, board):
+    """Return a name for the crop of a board in an image file that tells a juror nothing."""
+    digest = hashlib.sha256(Path(path).read_bytes())
+    digest.update(board.encode())
+    return digest.hexdigest()[:8]
+
+
+def choose_images(
+    stations: pd.DataFrame,
+    corners: ArrayLike,
+    *,
+    distance: float,
+    among: ArrayLike | None = None,
+) -> pd.DataFrame:
     """Choose the image of a board by the paper's rules.
 
     For a board across the path it is the closest image at the required distance or farther (section
@@ -207,6 +222,8 @@ def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float
         Of the board, from the lower left counterclockwise, metres.
     distance : float
         Required distance between camera and middle of the board, metres.
+    among : array_like of bool, optional
+        Of each station: whether its image shows the board. All stations tell how the drive runs.
 
     Returns
     -------
@@ -237,7 +254,7 @@ def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float
     5.4
     """
     distance = check_positive(distance, "distance", unit="m")
-    middle, right, normal = _frame(corners)
+    middle, right, normal = board_frame(corners)
     away = _places(stations) - middle
     view = _view(right, normal, away)
     seen = pd.DataFrame(
@@ -247,7 +264,7 @@ def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float
         },
         index=stations.index,
     )
-    seen = seen[away @ normal > 0]
+    seen = seen[(away @ normal > 0) & (True if among is None else np.asarray(among, dtype=bool))]
     if view != ALONG:
         seen = seen[seen["distance_m"] >= distance]
     if seen.empty:
@@ -317,7 +334,7 @@ def check_drive(
     lengths = {"distance": distance, "tolerance": tolerance, "speed_kmh": speed_kmh}
     for name, value in (limits | lengths).items():
         check_positive(value, name)
-    middle, right, normal = _frame(corners)
+    middle, right, normal = board_frame(corners)
     places = _places(trajectory) - middle
     if _view(right, normal, places) != ALONG:
         raise ValueError("Invalid board: stands across the path. Must stand along it.")
@@ -433,8 +450,8 @@ def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.nda
     return X_HEIGHT_SHARE * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
 
 
-def _frame(corners):
-    """Middle of a board, its level direction to the right and its outward normal."""
+def board_frame(corners):
+    """Return the middle of a board, its level direction to the right and its outward normal."""
     corners = four_corners(corners, columns=3)
     _, right, up = rectangle_frame(corners, np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]))
     return corners.mean(axis=0), right, np.cross(right, up)
@@ -448,6 +465,12 @@ def _places(stations):
     if len(stations) < 2:
         raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
     return stations[PLACE].to_numpy(dtype=float)
+
+
+def board_view(corners, stations):
+    """Return how a straight drive sees a board: orthogonal, forward or backward."""
+    _, right, normal = board_frame(corners)
+    return _view(right, normal, _places(stations))
 
 
 def _view(right, normal, places):

@@ -1,12 +1,14 @@
-"""Test charts as data: what is printed where, in millimetres, in black, white and tones between.
+"""Test charts as data: what is printed where, in millimetres, in grey tones and colours.
 
 One :class:`Layout` is drawn to PDF and SVG, turned into the reflectance that simulated cameras
 photograph, and tells the evaluation where everything lies. The origin is the lower left corner, x
-to the right, y up. Tones are relative reflectances, 0 black, 1 white. Here are the two charts of
+to the right, y up. Tones are relative reflectances, 0 black, 1 white. Print files give them by the
+curve of sRGB and show letters as outlines, so that no font is missing. Here are the two charts of
 Pfeifer et al. 2021, 1 m x 1 m, from one description.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -44,53 +46,87 @@ WIDTHS_H_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
 WIDTHS_V_MM = WIDTHS_H_MM[1:]
 """Widths of the line pairs read in vertical direction, mm."""
 
-TEXTS = (
-    (50.0, "Linienomnibusse"),
-    (45.0, "Aus-ᵤ. Einsteigen"),
-    (42.0, "ausgen. v. 18³⁰"),
-    (40.0, "Mo.-Fr. (werkt). v."),
-    (40.0, "6³⁰-19ʰ"),
-    (40.0, "Müllsammelfzge."),
-    (40.0, "Müllsammelfzge.", "DejaVuSerif"),
-)
-"""Height of the capitals in mm, text and, where it is another, font."""
+COARSER_MM = {"widths_h": (60.0, *WIDTHS_H_MM), "widths_v": (60.0, 40.0, *WIDTHS_V_MM)}
+"""Widths of the revised chart, mm."""
 
-FAINT_TEXT = (40.0, "ausgen.", 0.35, 0.6)
-"""Height of the capitals, text, and the tones of letters and panel: the reduced contrast."""
+TEXTS = (
+    ("line", 0.0, 0, 40.0, "Mo.-Fr. (werkt). v. 6³⁰-19ʰ"),
+    ("word", 0.0, 1, 40.0, "Müllsammelfzge."),
+    ("word_serif", 0.0, 2, 40.0, "Müllsammelfzge.", "DejaVuSerif"),
+    ("block_1", 0.0, 3, 40.0, "ausgen."),
+    ("block_2", 0.0, 4, 40.0, "Linienomnibusse"),
+    ("block_symbol", 180.0, 3, 50.0, "♿"),
+    ("column_1", 0.0, 5, 40.0, "Mo.-Sa."),
+    ("column_2", 0.0, 6, 40.0, "v. 6³⁰-18³⁰"),
+    ("column_3", 0.0, 7, 40.0, "ausgen."),
+    ("column_symbol_1", 165.0, 5, 50.0, "♿"),
+    ("column_symbol_2", 235.0, 5, 50.0, "⇦"),
+    ("42", 330.0, 4.97, 42.0, "(werkt.) v."),
+    ("45_1", 330.0, 6.05, 45.0, "Aus-"),
+    ("45_small", 437.0, 6.05, 30.0, "u."),
+    ("45_2", 330.0, 7.05, 45.0, "Einsteigen"),
+    ("50", 400.0, 4.05, 50.0, "Mo.-Fr."),
+)
+"""Name, place (mm from the left, line from above), height of the capitals in mm, text, font."""
+
+BLUE, RED, YELLOW = (0.0, 0.105, 0.262), (0.533, 0.006, 0.012), (0.930, 0.462, 0.0)
+"""Traffic blue, red and yellow (RAL 5017, 3020, 1023) by their usual sRGB values, linear."""
+
+PANELS = (
+    ("faint", 380.0, 1.0, "ausgen.", 0.35, 0.6),
+    ("blue", 366.0, 2.75, "19", WHITE, BLUE),
+    ("red", 437.0, 2.75, "19", WHITE, RED),
+    ("yellow", 508.0, 2.75, "19", BLACK, YELLOW),
+)
+"""Name, place, text of 40 mm, tones of letters and panel: reduced contrast, colours of signs."""
+
+STRETCH = 0.77
+"""Width of the letters as a share of the font's: signs have narrow letters."""
+
+LINES, LINE_MM, LEAST_MM = 8.4, 66.0, 55.0
+"""Lines of text, and how far apart they are, mm: where there is room, and at least."""
 
 REPEATS, LENGTH_MM = 8, 80.0
 
 BAR_MM, MARKER_MM, GAP_MM = 40.0, 90.0, 15.0
 
-COLUMN = (16.0, 120.0, 80.0, 760.0)
-"""x, y, width and height of the column for lying bars, left of the long bar, mm."""
+LABEL_MM, LABEL_GAP_MM = 9.0, 24.0
+"""Height of the printed widths and lengths, and the room that they need below a pattern."""
 
-FIELD = (212.0, 90.0, 585.0, 890.0)
+COLUMNS = (16.0, 912.0), 120.0, 760.0
+"""x, y and height of the columns for lying bars, beside the long bars, mm."""
+
+FIELD = (212.0, 90.0, 600.0, 890.0)
 """x, y, width and height of the field between the long bars, mm."""
 
 
 def imaging_chart(
     *,
-    horizontal_bar: str = "grey",
-    widths_h: Sequence[float] = WIDTHS_H_MM,
-    widths_v: Sequence[float] = WIDTHS_V_MM,
-    texts: Sequence[tuple[float, str] | tuple[float, str, str]] = TEXTS,
+    revised: bool = False,
+    horizontal_bar: str | None = None,
+    widths_h: Sequence[float] | None = None,
+    widths_v: Sequence[float] | None = None,
+    texts: bool = True,
     dictionary: str | None = "DICT_4X4_50",
     first_marker: int = 0,
 ) -> Layout:
     """Return the imaging chart.
 
     Two standing bars 800 mm long and a lying one 600 mm long give the pixel size, line pairs the
-    resolution, lines of text the legibility. Four coded targets in the corners locate the chart.
+    resolution, texts and symbols the legibility. Widths stand below the line pairs, lengths beside
+    the bars. Four coded targets in the corners locate the chart.
 
     Parameters
     ----------
-    horizontal_bar : {"grey", "black"}
-        The lying bar grey as built, or black as section 4.4 recommends.
-    widths_h, widths_v : sequence of float
+    revised : bool
+        As the authors advise in section 4.4: the lying bar black, and pairs of 60 mm (lying ones of
+        40 mm, too) before the others.
+    horizontal_bar : {"grey", "black"}, optional
+        The lying bar.
+    widths_h, widths_v : sequence of float, optional
         Widths of the line pairs, mm, from coarse to fine, for standing and for lying bars.
-    texts : sequence of (float, str) or (float, str, str)
-        Height of the capitals in mm, text and, where it is another, font of each line.
+    texts : bool
+        With the texts.
     dictionary : str or None
         OpenCV dictionary of the coded targets; None leaves them out.
     first_marker : int
@@ -109,10 +145,11 @@ def imaging_chart(
     -----
     The paper gives lengths, numbers of pairs and the ends of the ladder (lying bars begin at 30
     mm). The rungs of 40 to 4 mm occur as readings in its Table 1; the rung of 3 mm is assumed. It
-    names the texts and their heights, 40 to 50 mm; raised and small letters are those of Unicode
-    here. Which text has which height, the places on the chart, the thickness of the bars, the grey
-    and the fonts are this package's own. The coded targets are an addition. Left out are symbols,
-    colours, vertical text, the printed widths and lengths, and the retro-reflective coating.
+    gives the texts that were judged, 40 mm high, and the heights of others. Which text has which of
+    those heights, the places on the chart, the thickness of the bars, the grey, which symbols and
+    colours, and the fonts are this package's own. The vertical block is read as lines below each
+    other. Raised letters are those of Unicode. The coded targets are an addition. The coating of
+    the boards, retro-reflective, is not a matter of this description.
 
     References
     ----------
@@ -124,6 +161,10 @@ def imaging_chart(
     >>> chart["bar_left"].height, chart["pairs_h_40"].extent, chart["pairs_v_2"].direction
     (800.0, 320.0, 'v')
     """
+    wanted = COARSER_MM if revised else {"widths_h": WIDTHS_H_MM, "widths_v": WIDTHS_V_MM}
+    given = {"widths_h": widths_h, "widths_v": widths_v}
+    ladders = {name: _ladder(given[name] or wanted[name], name) for name in given}
+    horizontal_bar = horizontal_bar or ("black" if revised else "grey")
     check_choice(horizontal_bar, "horizontal_bar", ("grey", "black"))
     tone = GREY if horizontal_bar == "grey" else BLACK
     bars = [
@@ -131,10 +172,11 @@ def imaging_chart(
         Bar("bar_right", 836.0, 100.0, BAR_MM, 800.0),
         Bar("bar_horizontal", 200.0, 30.0, 600.0, BAR_MM, tone),
     ]
-    pairs, top = _place_pairs(_ladder(widths_h, "widths_h"), _ladder(widths_v, "widths_v"))
+    pairs, top = _place_pairs(**ladders)
     markers = [] if dictionary is None else _markers(dictionary, first_marker)
-    elements = [*bars, *pairs, *_place_texts(texts, top), *markers]
-    return Layout(f"imaging chart, {horizontal_bar} bar", SIDE_MM, SIDE_MM, tuple(elements))
+    elements = [*bars, *pairs, *_labels(pairs), *markers, *(_place_texts(top) if texts else ())]
+    name = f"{'revised ' if revised else ''}imaging chart, {horizontal_bar} bar"
+    return Layout(name, SIDE_MM, SIDE_MM, tuple(elements))
 
 
 def point_chart(
@@ -224,32 +266,39 @@ def _markers(dictionary, first):
 
 
 def _place_pairs(widths_h, widths_v):
-    """Line pairs and the height that is left below those in the field.
+    """Line pairs and the height of the field that is left below them.
 
-    Lying bars fill the column left of the long bar while they fit, downwards; the others follow the
-    standing bars in the rows of the field.
+    Lying bars fill the column left of the long bars. Of the others, those higher than standing bars
+    fill the column on the right, and the rest follow the standing bars in the rows of the field.
+    Each pattern goes to the first place with room for it.
     """
-    x, bottom, _, height = COLUMN
-    top, placed, rest = bottom + height, [], []
+    lefts, bottom, height = COLUMNS
+    tops, placed, rest = dict.fromkeys(lefts, bottom + height), [], []
     for width in widths_v:
         extent = REPEATS * width
-        if top - extent >= bottom:
-            placed.append(_pairs("v", width, x, top - extent))
-            top -= extent + GAP_MM
+        open_to = lefts if extent > LENGTH_MM else lefts[:1]
+        x = next((left for left in open_to if tops[left] - extent >= bottom), None)
+        if x is None:
+            rest.append(("v", width, LENGTH_MM, extent))
         else:
-            rest.append(width)
-    x, bottom, room, height = FIELD
-    sizes = [("h", width, REPEATS * width, LENGTH_MM) for width in widths_h]
-    sizes += [("v", width, LENGTH_MM, REPEATS * width) for width in rest]
-    right, top, row = x, bottom + height, 0.0
-    for direction, width, across, up in sizes:
-        if right > x and right + across > x + room:
-            right, top, row = x, top - row - GAP_MM, 0.0
-        if across > room or top - up < bottom:
+            placed.append(_pairs("v", width, x, tops[x] - extent))
+            tops[x] -= extent + LABEL_GAP_MM
+    left, bottom, room, height = FIELD
+    rows, low = [], bottom + height  # a row: where it is free, its top and its height
+    for direction, width, across, up in [
+        *(("h", width, REPEATS * width, LENGTH_MM) for width in widths_h),
+        *rest,
+    ]:
+        row = next((r for r in rows if r[0] + across <= left + room and up <= r[2]), None)
+        if row is None:
+            row = [left, low, up]
+            rows.append(row)
+            low -= up + LABEL_GAP_MM
+        if across > room or low < bottom - LABEL_GAP_MM:
             raise ValueError(f"Invalid width {width} mm of line pairs. Must fit on the chart.")
-        placed.append(_pairs(direction, width, right, top - up))
-        right, row = right + across + GAP_MM, max(row, up)
-    return placed, top - row - 2 * GAP_MM
+        placed.append(_pairs(direction, width, row[0], row[1] - up))
+        row[0] += across + GAP_MM
+    return placed, low
 
 
 def _pairs(direction, width, x, y):
@@ -259,20 +308,38 @@ def _pairs(direction, width, x, y):
     )
 
 
-def _place_texts(texts, top):
-    """Lines of text below each other, then the panel of reduced contrast."""
-    x, bottom, room, _ = FIELD
+def _labels(pairs):
+    """Widths below the line pairs, lengths of the long bars at the edge of the chart."""
+    look = {"cap": LABEL_MM, "stretch": STRETCH}
+    high, low = SIDE_MM - 5 - LABEL_MM, 8.0
+    labels = [
+        Text("label_bar_left", 134.0, high, "800 mm", **look),
+        Text("label_bar_right", 836.0, high, "800 mm", **look),
+        Text("label_bar_horizontal", 838.0, low, "600 mm", **look),
+    ]
+    below = (LABEL_GAP_MM - LABEL_MM) / 2 + LABEL_MM
+    for one in pairs:
+        label = Text(f"label_{one.name}", one.x, one.y - below, f"{one.pair:g} mm", **look)
+        fits = label.width <= one.width
+        labels.append(label if fits else replace(label, text=f"{one.pair:g}"))
+    return labels
+
+
+def _place_texts(top):
+    """The texts below a height, panels under those that need one."""
+    left, bottom, *_ = FIELD
+    line = min(LINE_MM, (top - bottom) / LINES)
+    if line < LEAST_MM:
+        raise ValueError("Invalid line pairs: leave no room for the texts. Must be fewer or finer.")
     placed = []
-    for number, (cap, text, *font) in enumerate(texts, start=1):
-        face = font[0] if font else Text.font
-        placed.append(Text(f"text_{number}", x, top - 1.15 * cap, text, cap, font=face))
-        top -= 1.65 * cap
-    if texts:
-        cap, text, tone, panel = FAINT_TEXT
-        faint = Text("text_faint", x + cap / 2, top - 1.55 * cap, text, cap, tone, panel)
-        placed.append(Bar("panel", x, top - 1.9 * cap, faint.width + cap, 1.7 * cap, panel))
-        placed.append(faint)
-    for element in placed:
-        if element.y < bottom or element.width > room:
-            raise ValueError(f"Invalid texts: {element.name!r} does not fit. Must be fewer.")
+    for name, x, row, cap, text, *font in TEXTS:
+        look = {"font": font[0] if font else Text.font, "stretch": STRETCH}
+        y = top - (row + 0.7) * line
+        placed.append(Text(f"text_{name}", left + x, y, text, cap, **look))
+    for name, x, row, text, tone, ground in PANELS:
+        look = {"ground": ground, "stretch": STRETCH}
+        y, cap = top - (row + 0.7) * line, TEXTS[0][3]
+        words = Text(f"text_{name}", left + x + 0.25 * cap, y, text, cap, tone, **look)
+        size = words.width + 0.5 * cap, 1.55 * cap
+        placed += [Bar(f"panel_{name}", left + x, y - 0.36 * cap, *size, ground), words]
     return placed

@@ -1,4 +1,8 @@
-"""The elements of a chart, its layout, and how they are drawn: PDF, SVG, image of area means."""
+"""The elements of a chart, its layout, and how they are drawn: PDF, SVG, image of area means.
+
+A tone is a relative reflectance, 0 black to 1 white, or three of them: red, green, blue. Files give
+tones by the curve of sRGB, as screens and printers expect it.
+"""
 
 import dataclasses
 import json
@@ -6,15 +10,26 @@ import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
-from itertools import pairwise
 
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.io.images import encode
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Shares of red, green and blue in a grey tone (ITU-R BT.709)."""
+
 POINTS_PER_MM = 72 / 25.4
+
+PAPERS_MM = {"a3": (297.0, 420.0), "a4": (210.0, 297.0)}
+
+MARK_GAP_MM, MARK_MM, HAIR_MM, PRINTER_MM = 4.0, 6.0, 0.25, 4.0
+"""Crop marks: distance from the corner, length, width; and what printers leave white."""
+
+BLEED_MM = 3.0
+"""A tile is printed so far beyond its edges."""
 
 STYLE = {
     "figure.constrained_layout.use": False,
@@ -58,8 +73,8 @@ class Bar(_Element):
         Lower left corner, mm.
     width, height : float
         Size, mm.
-    tone, ground : float
-        Reflectance of the bar and of what is around it, 0 black to 1 white.
+    tone, ground : float or (float, float, float)
+        Reflectance of the bar and of what is around it.
 
     Examples
     --------
@@ -73,8 +88,8 @@ class Bar(_Element):
     y: float
     width: float
     height: float
-    tone: float = BLACK
-    ground: float = WHITE
+    tone: float | tuple[float, float, float] = BLACK
+    ground: float | tuple[float, float, float] = WHITE
 
     def grid(self):
         """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
@@ -241,10 +256,12 @@ class Text(_Element):
     text : str
     cap : float
         Height of the capitals, mm.
-    tone, ground : float
+    tone, ground : float or (float, float, float)
         Reflectance of the letters and of what is around them.
     font : str
         Name of a TrueType file that matplotlib brings along, such as ``"DejaVuSerif"``.
+    stretch : float
+        Width of the letters as a share of the font's: below 1 for narrow ones.
 
     Raises
     ------
@@ -263,15 +280,15 @@ class Text(_Element):
     y: float
     text: str
     cap: float
-    tone: float = BLACK
-    ground: float = WHITE
+    tone: float | tuple[float, float, float] = BLACK
+    ground: float | tuple[float, float, float] = WHITE
     font: str = "DejaVuSans"
+    stretch: float = 1.0
 
     @property
     def width(self):
         """From the start of the base line to the right end of the letters, mm."""
-        vertices = _letters(self.text, self.font).vertices
-        return float(vertices[:, 0].max(initial=0)) * self.cap
+        return self._reach(self.text)
 
     @property
     def height(self):
@@ -282,8 +299,21 @@ class Text(_Element):
         """Return the letters' outline as a matplotlib Path, mm, to be filled."""
         from matplotlib.transforms import Affine2D
 
-        place = Affine2D().scale(self.cap).translate(self.x, self.y)
+        place = Affine2D().scale(self.stretch * self.cap, self.cap).translate(self.x, self.y)
         return place.transform_path(_letters(self.text, self.font))
+
+    def part(self, letters):
+        """Return some of the letters, where they first occur, as a text of their own."""
+        before, found, _ = self.text.partition(letters)
+        if not found:
+            raise ValueError(f"Invalid letters {letters!r}. Must occur in {self.text!r}.")
+        offset = self._reach(before + letters) - self._reach(letters)
+        return dataclasses.replace(self, x=self.x + offset, text=letters)
+
+    def _reach(self, text):
+        """Right end of a text in this font, mm from its start."""
+        vertices = _letters(text, self.font).vertices
+        return float(vertices[:, 0].max(initial=0)) * self.cap * self.stretch
 
 
 KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
@@ -313,6 +343,8 @@ class Layout(_Element):
     (60, True)
     >>> chart.to_pdf()[:5], b'<g id="a">' in chart.to_svg()
     (b'%PDF-', True)
+    >>> chart.to_pdf(tiles="a4")[:5]
+    b'%PDF-'
     """
 
     name: str
@@ -365,13 +397,31 @@ class Layout(_Element):
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear
 
-    def to_pdf(self):
-        """Return the chart as a PDF of one page at true size; letters are outlines."""
-        return self._saved("pdf", {"CreationDate": None, "Title": self.name})
+    def to_pdf(self, *, crop_marks=False, tiles=None):
+        """Return the chart as a PDF at true size; letters are outlines.
+
+        With crop marks the page is larger than the chart. Tiles (``"a3"``, ``"a4"``) make a page
+        for each part of the chart, with crop marks and 3 mm beyond the cut.
+        """
+        from matplotlib.backends.backend_pdf import PdfPages
+
+        size = np.array([self.width, self.height])
+        sheet = size + 2 * (MARK_GAP_MM + MARK_MM + PRINTER_MM) * crop_marks
+        pages = [(np.zeros(2), size, sheet, "")] if tiles is None else list(self._tiles(tiles))
+        stream, metadata = BytesIO(), {"CreationDate": None, "Title": self.name}
+        with _style(), PdfPages(stream, metadata=metadata) as file:
+            for low, part, sheet, note in pages:
+                marks = _marks(low, low + part, note) if (sheet > part).all() else []
+                file.savefig(self._page(low, part, sheet, marks))
+        return stream.getvalue()
 
     def to_svg(self):
         """Return the chart as SVG at true size, bytes; each element is a named group."""
-        return self._saved("svg", {"Date": None, "Title": self.name})
+        stream, size = BytesIO(), np.array([self.width, self.height])
+        with _style():
+            page = self._page(np.zeros(2), size, size, [])
+            page.savefig(stream, format="svg", metadata={"Date": None, "Title": self.name})
+        return stream.getvalue()
 
     def to_json(self):
         """Return the layout as JSON text, which :meth:`from_json` reads back unchanged."""
@@ -390,33 +440,50 @@ class Layout(_Element):
             elements = []
             for fields in whole["elements"]:
                 kind = KINDS[check_choice(fields.pop("kind"), "kind", tuple(KINDS))]
-                elements.append(kind(**fields))
+                colours = {k: tuple(v) for k, v in fields.items() if isinstance(v, list)}
+                elements.append(kind(**fields | colours))
             return cls(whole["name"], whole["width"], whole["height"], tuple(elements))
         except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(
                 f"Invalid chart layout: {error}. Must be JSON with all fields."
             ) from None
 
-    def _saved(self, form, metadata):
-        """The page in one form, equal to the byte from run to run."""
-        import matplotlib as mpl
+    def _tiles(self, paper):
+        """Lower left corner, size, sheet and note of each part that fits on a paper, from above."""
+        paper = np.array(PAPERS_MM[check_choice(paper, "tiles", tuple(PAPERS_MM))])
+        size = np.array([self.width, self.height])
+        room = 2 * (MARK_GAP_MM + MARK_MM + PRINTER_MM)
+        sheet = min(paper, paper[::-1], key=lambda one: np.ceil(size / (one - room)).prod())
+        count = np.ceil(size / (sheet - room)).astype(int)
+        for row in range(count[1]):
+            for column in range(count[0]):
+                low = np.array([column, count[1] - 1 - row]) * size / count
+                place = f"row {row + 1} of {count[1]}, column {column + 1} of {count[0]}"
+                yield low, size / count, sheet, f"{self.name}, {place}"
+
+    def _page(self, low, part, sheet, marks):
+        """A part of the chart in the middle of a sheet, and marks around it."""
         from matplotlib.figure import Figure
-        from matplotlib.patches import PathPatch
+        from matplotlib.patches import PathPatch, Rectangle
         from matplotlib.transforms import Affine2D
 
-        stream, to_points = BytesIO(), Affine2D().scale(POINTS_PER_MM)
-        with mpl.rc_context(STYLE):
-            size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
-            page = Figure(figsize=size, frameon=False, dpi=72)
-            for element in self.elements:
-                for tone, outline in _shapes(element).items():
-                    look = {"facecolor": str(float(tone)), "lw": 0, "gid": element.name}
-                    page.add_artist(PathPatch(outline, transform=to_points, **look))
-            page.savefig(stream, format=form, metadata=metadata)
-        return stream.getvalue()
+        page = Figure(figsize=sheet * POINTS_PER_MM / 72, frameon=False, dpi=72)
+        place = Affine2D().translate(*((sheet - part) / 2 - low)).scale(POINTS_PER_MM)
+        grown = low - BLEED_MM, low + part + BLEED_MM
+        window = Rectangle(grown[0], *(grown[1] - grown[0]), transform=place)
+        for element in (*self.elements, *marks):
+            for tone, outline in _shapes(element).items():
+                box = outline.get_extents()
+                if element not in marks and ((box.max < grown[0]) | (box.min > grown[1])).any():
+                    continue
+                look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
+                drawn = page.add_artist(PathPatch(outline, transform=place, **look))
+                if marks and element not in marks:
+                    drawn.set_clip_path(window)
+        return page
 
 
-def reflectance(layout: Layout, *, cell: float) -> np.ndarray:
+def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
     """Return the mean tone of each square cell of a chart.
 
     Everything but letters consists of rectangles, whose share of a cell is a product of two
@@ -427,10 +494,12 @@ def reflectance(layout: Layout, *, cell: float) -> np.ndarray:
     layout : Layout
     cell : float
         Side of a cell, mm. The last column and row may reach beyond the chart: white there.
+    colour : bool
+        Red, green and blue instead of grey, which is their luminance.
 
     Returns
     -------
-    array of float32, shape (rows, columns)
+    array of float32, shape (rows, columns) or (rows, columns, 3)
         The first row lies at the lower edge of the chart.
 
     Raises
@@ -449,13 +518,57 @@ def reflectance(layout: Layout, *, cell: float) -> np.ndarray:
     check_count(columns * rows, "number of cells")
     if columns * rows > 1e9:
         raise ValueError(f"Invalid cell {cell} mm: {columns * rows} cells. Must be 1e9 or fewer.")
-    image = np.full((rows, columns), WHITE, dtype=np.float32)
+    if colour:
+        return np.stack([_painted(layout, (rows, columns), cell, w) for w in np.eye(3)], axis=2)
+    return _painted(layout, (rows, columns), cell, LUMINANCE)
+
+
+def _painted(layout, shape, cell, weights):
+    """The image of a chart as a sensor sees it that weighs red, green and blue."""
+    image = np.full(shape, WHITE, dtype=np.float32)
     for element in layout.elements:
+        element = _seen(element, weights)
         if isinstance(element, Text):
             _add_text(image, element, cell)
         else:
             _add_grid(image, element, cell)
     return image
+
+
+def _seen(element, weights):
+    """An element with grey tones in place of its colours."""
+    tones = {name: getattr(element, name, None) for name in ("tone", "ground")}
+    colours = {name: tone for name, tone in tones.items() if isinstance(tone, tuple)}
+    grey = {name: float(np.dot(weights, tone)) for name, tone in colours.items()}
+    return dataclasses.replace(element, **grey) if grey else element
+
+
+def _ink(tone):
+    """The colour of a tone in a file: a grey stays a grey."""
+    coded = encode(np.array(tone, dtype=float), "srgb")
+    return tuple(coded) if coded.ndim else str(float(coded))
+
+
+def _style():
+    """What fixes the size of a page."""
+    import matplotlib as mpl
+
+    return mpl.rc_context(STYLE)
+
+
+def _marks(low, high, note):
+    """Crop marks off the corners of a rectangle; below it 100 mm to measure and a note."""
+    thick, marks = HAIR_MM / 2, []
+    for x, left in ((low[0], -1), (high[0], 1)):
+        for y, down in ((low[1], -1), (high[1], 1)):
+            beside = x + left * MARK_GAP_MM + min(left, 0) * MARK_MM
+            beyond = y + down * MARK_GAP_MM + min(down, 0) * MARK_MM
+            marks.append(Bar("crop mark", beside, y - thick, MARK_MM, HAIR_MM))
+            marks.append(Bar("crop mark", x - thick, beyond, HAIR_MM, MARK_MM))
+    base = low[1] - MARK_GAP_MM - MARK_MM
+    marks.append(Bar("100 mm", low[0] + MARK_GAP_MM, base, 100.0, 1.0))
+    text = f"100 mm. {note}"
+    return [*marks, Text("note", low[0] + MARK_GAP_MM, base + 2.0, text, 2.0)]
 
 
 def _check_element(element):
@@ -465,9 +578,12 @@ def _check_element(element):
         _marker_bits(element.dictionary, element.identifier)
     for field in dataclasses.fields(element):
         value = getattr(element, field.name)
-        if field.name in ("x", "y", "tone", "ground"):
+        if field.name in ("x", "y"):
             check_number(value, f"{field.name} {name}")
-        elif field.name in ("width", "height", "pair", "length", "size", "cap"):
+        elif field.name in ("tone", "ground"):
+            for share in value if isinstance(value, tuple) else (value,):
+                check_number(share, f"{field.name} {name}", low=0, high=1)
+        elif field.name in ("width", "height", "pair", "length", "size", "cap", "stretch"):
             check_positive(value, f"{field.name} {name}", unit="mm")
         elif field.name in ("repeats", "count"):
             check_count(value, f"{field.name} {name}")
@@ -514,25 +630,25 @@ def _marker_bits(dictionary, identifier):
 
 
 def _shapes(element):
-    """The outline of each tone that differs from white; cells alike in a row are one rectangle."""
+    """The outline of each tone that differs from white; neighbours of a tone are one shape."""
+    import shapely
     from matplotlib.path import Path
 
     if isinstance(element, Text):
         return {element.tone: element.outline()}
-    corners = {}
     x, y, tones = element.grid()
-    for (low, high), values in zip(pairwise(y), tones, strict=True):
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
-        for first, last in pairwise(starts):
-            left, right = x[first], x[last]
-            ring = [(left, low), (right, low), (right, high), (left, high), (left, low)]
-            corners.setdefault(float(values[first]), []).append(ring)
-    if element.ground == WHITE:
-        corners.pop(WHITE, None)
-    codes = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-    return {
-        tone: Path(np.concatenate(rings), codes * len(rings)) for tone, rings in corners.items()
-    }
+    low, high = np.stack(np.meshgrid(x[:-1], y[:-1])), np.stack(np.meshgrid(x[1:], y[1:]))
+    boxes, outlines = shapely.box(*low, *high), {}
+    if isinstance(element, Bar):
+        return {element.tone: Path(shapely.get_coordinates(boxes[0, 0]), closed=True)}
+    for tone in np.unique(tones):
+        if tone != WHITE or element.ground != WHITE:
+            shape = shapely.union_all(boxes[tones == tone])
+            parts = [shapely.geometry.polygon.orient(part) for part in shapely.get_parts(shape)]
+            rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+            paths = [Path(shapely.get_coordinates(ring), closed=True) for ring in rings]
+            outlines[float(tone)] = Path.make_compound_path(*paths)
+    return outlines
 
 
 def _add_grid(image, element, cell):

@@ -64,7 +64,7 @@ def run(options):
 
 def _comparison(stem, quick):
     """The comparison of a study."""
-    from mmqa_lab.studies.catalogue import chosen
+    from mmqa_lab.studies import chosen
 
     study = chosen([stem])[0]
     if not hasattr(study.module, "comparison"):

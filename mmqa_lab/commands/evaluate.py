@@ -3,8 +3,9 @@
 One row per cloud. The plane is the orthogonal regression plane of the points; density is given for
 the selection polygon and for the convex hull of the points; d1..d4 are the medians of the sorted
 distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021,
-doi 10.3390/rs13020237). With --rho0, f_exempt says that f does not matter, as d1 and d4 are both at
-most sqrt(1 / rho0). Without --polygon the whole cloud is taken for the surface.
+doi 10.3390/rs13020237); --sectors and --statistic choose others. With --rho0, f_exempt says that f
+does not matter, as d1 and d4 are both at most sqrt(1 / rho0). Without --polygon the whole cloud is
+taken for the surface.
 """
 
 import argparse
@@ -18,16 +19,14 @@ example:
   mmqa evaluate data_samples/road_patch.laz --out patch.pdf
   mmqa evaluate chart.laz --polygon "0,0,0; 1,0,0; 1,0,1; 0,0,1" --json
   mmqa evaluate chart.laz --rho0 3000 --intervals
+  mmqa evaluate chart.laz --sectors 8 --statistic 90
 """
 
-COLUMNS = (
-    *("file", "n", "area_polygon_m2", "area_hull_m2"),
-    *("density_polygon_per_m2", "density_hull_per_m2", "std_mm", "sigma_mad_mm"),
-    *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f", "f_exempt"),
-    *("incomplete_share", "coincident", "axes", "remarks"),
-)
+LEFT_OUT = "linear_point_distance_mm"
+"""It follows from the density."""
 
-INTERVAL_COLUMNS = ("file", "figure", "value", "low", "high", "unit", "remarks")
+CHOICES = ("polygon", "thickness", "axes", "radius", "rho0", "sectors", "statistic", "distinct")
+"""Options that are handed on under their names."""
 
 
 def add_arguments(parser):
@@ -72,6 +71,23 @@ def add_arguments(parser):
         action="store_true",
         help="a row for each figure, and for g, with its 95 %% interval",
     )
+    parser.add_argument(
+        "--sectors",
+        type=_sectors,
+        default=4,
+        metavar="N",
+        help="sectors in place of the 4 quadrants: 6, 8, ..., or nearest: the 4 nearest points",
+    )
+    parser.add_argument(
+        "--statistic",
+        type=float,
+        default=50.0,
+        metavar="PERCENT",
+        help="percentile of the distances that d1..d4 are, default %(default)g, the median",
+    )
+    parser.add_argument(
+        "--distinct", action="store_true", help="keep one point of those that share a place"
+    )
     parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
     parser.add_argument(
         "--out",
@@ -95,20 +111,19 @@ def run(options):
     if options.out is not None:
         check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
     scale = PAPER_SCALE if options.paper_scale else CONSISTENT_SCALE
-    choices = {"thickness": options.thickness, "axes": options.axes, "radius": options.radius}
+    choices = {name: getattr(options, name) for name in CHOICES}
     rows = []
     for file in with_progress(options.cloud, "cloud"):
         cloud = read_cloud(file, columns=())
-        quality = evaluate_cloud(
-            cloud, polygon=options.polygon, scale=scale, rho0=options.rho0, **choices
-        )
+        quality = evaluate_cloud(cloud, scale=scale, **choices)
         table = quality.intervals() if options.intervals else quality.to_frame()
-        rows.append(table.assign(file=str(file), remarks=" ".join(quality.remarks)))
+        table.insert(0, "file", str(file))
+        rows.append(table.assign(remarks=" ".join(quality.remarks)))
     if options.out is not None:
         _draw(quality, options.out)
-    names = INTERVAL_COLUMNS if options.intervals else COLUMNS
     one = len(rows) == 1 and not options.intervals
-    print_rows(pd.concat(rows)[list(names)], options, upright="file" if one else None)
+    table = pd.concat(rows).drop(columns=LEFT_OUT, errors="ignore")
+    print_rows(table, options, upright="file" if one else None)
 
 
 def _draw(quality, file):
@@ -118,6 +133,11 @@ def _draw(quality, file):
 
     with plots.style():
         write_atomically(file, quality.plot().savefig)
+
+
+def _sectors(text):
+    """A number of sectors, or nearest."""
+    return int(text) if text.isdigit() else text
 
 
 def _axes(text):

@@ -35,14 +35,15 @@ def _completion_arguments(parser):
 def lab(options):
     """Open JupyterLab with the notebooks.
 
-    It shows the folder of the repository. From an installed package the notebooks are copied to the
-    folder notebooks of the current directory; those that are there already stay as they are.
+    It shows the folder of the repository, and no news. From an installed package the notebooks are
+    copied to the folder notebooks of the current directory; those that are there already stay as
+    they are.
     """
     import shutil
     import subprocess
     import sys
 
-    from mmqa_lab.studies.catalogue import notebooks_folder
+    from mmqa_lab.studies import notebooks_folder
 
     folder = notebooks_folder()
     root, place = folder.parent, "notebooks"
@@ -52,8 +53,9 @@ def lab(options):
         for notebook in folder.glob("*.ipynb"):
             if not (root / place / notebook.name).exists():
                 shutil.copyfile(notebook, root / place / notebook.name)
-    command = [sys.executable, "-m", "jupyterlab", f"--LabApp.default_url=/lab/tree/{place}"]
-    return subprocess.call([*command, *options.jupyter], cwd=root)
+    chosen = [f"--LabApp.default_url=/lab/tree/{place}", "--LabApp.news_url=None"]
+    command = [sys.executable, "-m", "jupyterlab", *chosen, *options.jupyter]
+    return subprocess.call(command, cwd=root)
 
 
 def _lab_arguments(parser):
@@ -134,7 +136,7 @@ def readme(options):
     inserted too. With --check nothing is written; the exit status is 1 where the README differs.
     """
     from mmqa_lab.run import pages
-    from mmqa_lab.studies.catalogue import STUDIES, notebooks_folder, results_folder
+    from mmqa_lab.studies import STUDIES, notebooks_folder, results_folder
 
     notebooks = notebooks_folder()
     folder = options.results or results_folder(notebooks)
@@ -149,24 +151,32 @@ def _readme_arguments(parser):
 
 
 def student(options):
-    """Write copies of the notebooks for a class: without the answers, with their assertions.
+    """Write copies of the notebooks for a class: without the answers, with checks of the work.
 
-    Each exercise keeps the assertions of its answer; they fail with a sentence until the work is
-    done. The teacher's lesson plan and stored outputs stay in the original notebook. --quick sets
-    small parameters, so that a class reaches the first exercise soon. A folder that already
-    contains such notebooks is refused.
+    Each exercise says names, types and units of what is asked for. Its check says in a sentence
+    what is wrong; it is compressed, so that the answer cannot be read at a glance. The teacher's
+    lesson plan and stored outputs stay in the original notebook. --quick sets small parameters, so
+    that a class reaches the first exercise soon. --sheets writes, for the teacher, a handout and a
+    sheet of solutions of each study: PDF where Chromium is installed, else HTML pages to print. A
+    folder that already contains such notebooks is refused.
     """
-    from mmqa_lab.run.notebooks import write_student_notebooks
-    from mmqa_lab.studies.catalogue import chosen
+    from mmqa_lab.run.students import write_sheets, write_student_notebooks
+    from mmqa_lab.studies import chosen
 
-    for path in write_student_notebooks(chosen(options.name), options.out, quick=options.quick):
-        print(path)
+    studies = chosen(options.name)
+    paths = write_student_notebooks(studies, options.out, quick=options.quick)
+    if options.sheets:
+        paths += write_sheets(studies, options.sheets)
+    print(*paths, sep="\n")
 
 
 def _student_arguments(parser):
     """Declare the arguments."""
     parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
     parser.add_argument("--quick", action="store_true", help="small parameters")
+    parser.add_argument(
+        "--sheets", type=Path, metavar="FOLDER", help="handouts and solutions, for the teacher"
+    )
     parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
 
 
@@ -182,7 +192,7 @@ def studies(options):
     from tqdm import tqdm
 
     from mmqa_lab.run import notebooks, pages
-    from mmqa_lab.studies.catalogue import STUDIES, chosen, notebooks_folder, results_folder
+    from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
@@ -211,7 +221,7 @@ def _studies_arguments(parser):
 
 
 def test(options):
-    """Run the whole test suite: style checks by ruff, then every test by pytest.
+    """Run the whole test suite: style checks by ruff, then every test by pytest on all cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
@@ -225,7 +235,7 @@ def test(options):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", "--durations=15", *options.pytest],
+        ["pytest", "-q", "-ra", "--durations=15", "-n=auto", "--maxprocesses=4", *options.pytest],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
@@ -267,6 +277,7 @@ COMMANDS = {
         "write notebooks without the answers, for students",
         "course",
         "course anisotropy mimic --quick",
+        "course --sheets mine",
     ),
     "studies": _command(
         studies,

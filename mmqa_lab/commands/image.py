@@ -40,7 +40,7 @@ def add_arguments(parser):
         "--chart",
         default="grey",
         metavar="LAYOUT",
-        help="grey (default), black, or a JSON file that mmqa chart wrote",
+        help="grey (default), black, revised, or a JSON file that mmqa chart wrote",
     )
     parser.add_argument("--corners", metavar="'X,Y; ...'", help="the chart's corners, pixels")
     parser.add_argument("--orientation", type=Path, metavar="FILE", help="JSON, see above")

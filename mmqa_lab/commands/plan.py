@@ -214,8 +214,8 @@ def _flag(name):
 def _preset(name):
     """A profile scanner of the simulator."""
     from mmqa_lab._checks import check_choice
-    from mmqa_lab.simulate.presets import PRESETS
     from mmqa_lab.simulate.scanners import ProfileScanner
+    from mmqa_lab.simulate.systems import PRESETS
 
     profilers = {key: s for key, s in PRESETS.items() if isinstance(s, ProfileScanner)}
     return profilers[check_choice(name, "scanner", tuple(profilers))]

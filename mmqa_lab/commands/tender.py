@@ -9,9 +9,9 @@ f does not matter where d1_mm and d4_mm of the same place are small enough for t
 status 1 when no system qualifies.
 
 CRITERIA may be pfeifer2021:test, pfeifer2021:1 or pfeifer2021:2, the test and the two scenarios of
-Pfeifer et al. 2021 (doi 10.3390/rs13020237). RESULTS may be pfeifer2021, their Tables 1 and 2;
-pfeifer2021:pixels judges text of 60 mm by its pixels; pfeifer2021:repeated adds the repeatability
-that they print.
+Pfeifer et al. 2021 (doi 10.3390/rs13020237), or pfeifer2021:g, the test with g in place of f.
+RESULTS may be pfeifer2021, their Tables 1 and 2; pfeifer2021:pixels judges text of 60 mm by its
+pixels; pfeifer2021:repeated adds the repeatability that they print.
 """
 
 import argparse
@@ -51,12 +51,12 @@ def run(options):
     """Print the verdicts; return 1 when no system qualifies."""
     from mmqa_lab import tender
 
-    sets = {"pfeifer2021:test": "test"}
+    sets = {"pfeifer2021:test": "test", "pfeifer2021:g": "test with g"}
     sets |= {f"pfeifer2021:{number}": f"scenario {number}" for number in (1, 2)}
     if options.criteria in sets:
         criteria = tender.published_criteria(sets[options.criteria])
     else:
-        criteria = _read(options.criteria, "criteria")
+        criteria = read_table(options.criteria, "criteria")
     if options.rho0 is not None:
         criteria = criteria.assign(rho0_per_m2=options.rho0)
     choices = {
@@ -67,14 +67,14 @@ def run(options):
     if options.results in choices:
         results = tender.published_results(**choices[options.results])
     else:
-        results = _read(options.results, "results")
+        results = read_table(options.results, "results")
     table = tender.verdicts(criteria, results)
     summary = tender.qualification(table)
     print_rows(table if options.details else summary, options)
     return 0 if (summary["verdict"] == "qualifies").any() else 1
 
 
-def _read(file, what):
+def read_table(file, what):
     """A table from CSV or JSON."""
     import json
 

@@ -41,6 +41,15 @@ VLR_HEADER, EVLR_HEADER = 54, 60
 LASZIP_CHUNK = 50_000
 """Points in a chunk where the writer does not choose."""
 
+LAYERED = 3
+"""The compressor of point formats 6-10 in a LASzip record."""
+
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of the items of a point (point, RGB, RGB and NIR, wave packet); else one a byte."""
+
+BOX_STEPS, BOX_M = 2.0, 0.02
+"""Steps of the coordinates, and metres, by which the points may differ from the header's box."""
+
 
 def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
     """Read a cloud file whole.
@@ -73,7 +82,9 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Warns
     -----
     UserWarning
-        If points with non-finite coordinates were dropped; says how many.
+        If points with non-finite coordinates were dropped; says how many. If the header of a LAS
+        or LAZ file contradicts itself or its points: another count, another box, bytes that
+        nothing describes.
 
     Examples
     --------
@@ -225,21 +236,31 @@ def las_tables(path, chunk, *, bare=False):
     wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z if bare else kinds.all()
     with laspy.open(path, decompression_selection=wanted) as reader:
         header = reader.header
+        if not (np.isfinite([*header.scales, *header.offsets]).all() and min(header.scales) > 0):
+            raise ValueError(f"scales {header.scales} and offsets {header.offsets}")
         if header.are_points_compressed:
             _check_compression(path, header)
+        doubts = _doubts(path, header)
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         names = [] if bare else names
         about = {"resolution": float(max(header.scales)), "crs": _las_crs(path, header)}
-        read = 0
+        read, low, high = 0, np.full(3, np.inf), np.full(3, -np.inf)
         for part in reader.chunk_iterator(chunk):
             read += len(part)
             attributes = {name: np.array(part[name]) for name in names}
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
             points = np.stack([np.asarray(axis) for axis in (part.x, part.y, part.z)], 1)
+            if len(points):
+                low, high = np.fmin(low, points.min(axis=0)), np.fmax(high, points.max(axis=0))
             yield points, attributes, about
         if read < header.point_count:
             raise ValueError(f"{read} points where the header says {header.point_count}")
+        off = np.maximum(np.abs(low - header.mins), np.abs(high - header.maxs))
+        if read and not (off <= _box_limits(header)).all():
+            doubts.append(f"its points leave or do not fill the header's box, by {off.max():.6g} m")
+    for doubt in doubts:
+        warnings.warn(f"{path} may be damaged: {doubt}.", stacklevel=2)
 
 
 def las_data(cloud, scale):
@@ -287,8 +308,43 @@ def _check_header(path):
         raise ValueError(f"{records} records before byte {points_at} of {size}")
     if head[25] >= 4 and len(head) >= 247:
         start, extended = struct.unpack_from("<QI", head, 235)
-        if extended and start + EVLR_HEADER * extended > size:
+        if extended and not points_at <= start <= size - EVLR_HEADER * extended:
             raise ValueError(f"{extended} extended records from byte {start} of {size}")
+        _check_extended(path, start, extended, size)
+
+
+def _check_extended(path, start, count, size):
+    """Whether extended records end within the file; a damaged length would fill the memory."""
+    with open(path, "rb") as file:
+        for _ in range(count):
+            file.seek(start + 20)
+            start += EVLR_HEADER + int.from_bytes(file.read(8), "little")
+            if start > size:
+                raise ValueError(f"an extended record that ends at byte {start} of {size}")
+
+
+def _doubts(path, header):
+    """What in a LAS header does not agree with the file or with itself."""
+    doubts, by_return = [], int(np.sum(header.number_of_points_by_return, dtype=np.int64))
+    if by_return and by_return != header.point_count:
+        doubts.append(f"the returns are {by_return}, the points {header.point_count}")
+    if not header.are_points_compressed:
+        end = header.start_of_first_evlr if header.number_of_evlrs else path.stat().st_size
+        room = (end - header.offset_to_point_data) // header.point_format.size
+        if room < header.point_count:  # before memory for them is asked for
+            raise ValueError(f"room for {room} points where the header says {header.point_count}")
+        if room > header.point_count:
+            doubts.append(f"it has room for {room} points, the header says {header.point_count}")
+    undescribed = header.point_format.num_extra_bytes and not header.vlrs.get("ExtraBytesVlr")
+    if undescribed:
+        doubts.append(f"{header.point_format.num_extra_bytes} bytes a point are not described")
+    return doubts
+
+
+def _box_limits(header):
+    """By how much the points' extent may differ from the box in a header, along each axis."""
+    rounding = 4 * np.spacing(np.abs([header.mins, header.maxs]).max(axis=0))
+    return np.fmin(BOX_STEPS * header.scales, BOX_M) + rounding
 
 
 def _check_compression(path, header):
@@ -318,6 +374,28 @@ def _check_compression(path, header):
         lengths = [length for _, length in lazrs.read_chunk_table(file, record) or []]
     if sum(lengths) > table - first:
         raise ValueError(f"chunks of {sum(lengths)} bytes in {table - first}")
+    _check_layers(path, header.vlrs.get("LasZipVlr")[0].record_data, first, lengths)
+
+
+def _check_layers(path, record, first, lengths):
+    """Whether the layers of each chunk are as long as it; a damaged length would fill the memory.
+
+    A chunk of point formats 6-10 has its first point, the count of points and the lengths of its
+    layers before the layers themselves (LAZ specification 1.4 R1, layered compression).
+    """
+    if int.from_bytes(record[:2], "little") != LAYERED:
+        return
+    items = np.frombuffer(record[34:], "<u2")[: 3 * int.from_bytes(record[32:34], "little")]
+    kinds, sizes = items[::3].tolist(), items[1::3].tolist()
+    layers = sum(LAYERS.get(kind, size) for kind, size in zip(kinds, sizes, strict=True))
+    head = sum(sizes) + 4
+    with open(path, "rb") as file:
+        for length in lengths:
+            file.seek(first + head)
+            found = np.frombuffer(file.read(4 * layers), "<u4").sum(dtype=np.int64)
+            if head + 4 * layers + found > length:
+                raise ValueError(f"layers of {found} bytes in a chunk of {length}")
+            first += length
 
 
 def _extra_type(name, values):

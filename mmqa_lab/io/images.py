@@ -62,6 +62,19 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
     return grey
 
 
+def image_size(path):
+    """Return columns and rows of an image file from its header; nothing is decoded."""
+    import rasterio
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        try:
+            with rasterio.open(_checked_path(path)) as file:
+                return file.width, file.height
+        except rasterio.errors.RasterioError:
+            raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF.") from None
+
+
 @dataclass(frozen=True, eq=False)
 class Bands:
     """The bands of an image: ``values`` (bands, rows, columns), their names ``bands``, and

@@ -5,6 +5,7 @@ The layout of a text file is found out from its first lines, its columns from th
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import warnings
@@ -16,8 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_points, coordinate_columns
-from mmqa_lab._polygons import polygon_parts
+from mmqa_lab._checks import (
+    check_choice,
+    check_crs,
+    check_metres,
+    check_points,
+    coordinate_columns,
+)
+from mmqa_lab._polygons import CrsNotCompared, polygon_parts
 from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
 
 if TYPE_CHECKING:
@@ -36,9 +43,6 @@ TRAJECTORY_COLUMNS = {
     "pitch_deg": ("pitch_deg", "pitch"),
     "heading_deg": ("heading_deg", "heading", "yaw"),
 }
-
-IN_DEGREES = ("CRS84", "4326", "4979")
-"""Parts of the names of coordinate systems in degrees that GeoJSON files state most often."""
 
 
 def read_trajectory(
@@ -128,12 +132,13 @@ def read_polygon(source: str | os.PathLike) -> np.ndarray | Polygon | MultiPolyg
     FileNotFoundError
         If there is no such file.
     ValueError
-        If there is no polygon, or its coordinate system is in degrees.
+        If there is no polygon, or its coordinate system is not in metres.
 
     Warns
     -----
     UserWarning
-        If a GeoJSON file states a coordinate system: clouds are not compared with it.
+        If a GeoJSON file states a coordinate system: the vertices do not carry it. Where a cloud is
+        evaluated with the path itself, both are compared.
 
     Examples
     --------
@@ -213,15 +218,32 @@ def _from_geojson(path):
     return polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
 
 
-def _remark_on_crs(path, crs):
-    """Say that a stated coordinate system is not looked at, or refuse one in degrees."""
-    if crs is None:
+def stated_crs(path):
+    """The coordinate reference system that a GeoJSON file names; None where none, or not known."""
+    path = Path(path)
+    if path.suffix.lower() in (".json", ".geojson") and path.is_file():
+        with contextlib.suppress(
+            ValueError, KeyError, AttributeError, TypeError
+        ):  # told where vertices are read
+            return check_crs(_crs_name(json.loads(path.read_text(encoding="utf-8"))["crs"]))
+    return None
+
+
+def _crs_name(member):
+    """The name in a GeoJSON member ``crs``."""
+    return str(member.get("properties", {}).get("name", member))
+
+
+def _remark_on_crs(path, member):
+    """Say that a stated coordinate system is not compared here, or refuse one not in metres."""
+    if member is None:
         return
-    stated = str(crs.get("properties", {}).get("name", crs))
-    if any(part in stated for part in IN_DEGREES):
-        raise ValueError(f"Invalid polygon {path} in {stated}. Must be projected, in metres.")
+    stated = _crs_name(member)
+    known = stated_crs(path)
+    check_metres(known, f"polygon {path}")
     warnings.warn(
         f"{path} states the coordinate system {stated}; it is taken for that of the cloud.",
+        CrsNotCompared,
         stacklevel=4,
     )
 

@@ -7,8 +7,15 @@ from mmqa_lab.lines.comparisons import study
 from mmqa_lab.lines.displacement import fit_displacement, match_displaced
 from mmqa_lab.lines.edges import extract_edges, fit_outline
 from mmqa_lab.lines.hausdorff import LHD, hausdorff, lhd
-from mmqa_lab.lines.pairing import correspond, mixture_threshold, pairing_scores, peak_threshold
-from mmqa_lab.lines.segments import Segments, components, distance_matrix
+from mmqa_lab.lines.segments import (
+    Segments,
+    components,
+    correspond,
+    distance_matrix,
+    otsu_threshold,
+    pairing_scores,
+    peak_threshold,
+)
 
 __all__ = [
     "LHD",
@@ -22,7 +29,7 @@ __all__ = [
     "hausdorff",
     "lhd",
     "match_displaced",
-    "mixture_threshold",
+    "otsu_threshold",
     "pairing_scores",
     "peak_threshold",
     "study",

@@ -1,7 +1,5 @@
 """A whole study of edges: all comparisons of several clouds and a reference, and its report."""
 
-from __future__ import annotations
-
 import base64
 import inspect
 import io
@@ -12,23 +10,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines.displacement import match_displaced
 from mmqa_lab.lines.edges import extract_edges
 from mmqa_lab.lines.hausdorff import lhd
-from mmqa_lab.lines.pairing import pairing_scores
-from mmqa_lab.lines.segments import Segments, distance_matrix
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from mmqa_lab.cloud import Cloud
+from mmqa_lab.lines.segments import Segments, distance_matrix, pairing_scores
 
 LINE_ENDINGS = (".csv", ".txt", ".geojson", ".json", ".dxf")
 TRUTH_COLUMNS = ["test_set", "model_set", "test_segment", "model_segment"]
@@ -40,13 +34,6 @@ VERDICTS = {
     "several partners": "#CC79A7",
 }
 """Colours of pairs: the first three where the truth is known, the others where it is not."""
-
-
-FIGURES = {
-    "matrices": "Similarity matrices: the distance of every test to every model segment.",
-    "thresholds": "Sorted nearest distances, their second differences, and the threshold.",
-    "pairs": "Lines from above, coloured by the verdict on their pairs; dots are upright lines.",
-}
 
 
 def _settings_of(function):
@@ -422,9 +409,8 @@ def write_report(found, folder):
         files[f"{'-'.join(names)}_matrix_m.csv"] = pd.DataFrame(distances)
         files[f"{'-'.join(names)}_pairs.csv"] = found.verdicts(*names)
     files = {name: table.to_csv(index=False).encode() for name, table in files.items()}
-    pictures = {name: _picture(draw, found) for name, draw in DRAWINGS.items()}
-    files |= {f"{name}.png": picture for name, picture in pictures.items()}
-    files["index.html"] = _page(found, parts, pictures, sorted(files)).encode()
+    files |= {f"{draw.__name__}.png": _picture(draw, found) for draw in DRAWINGS}
+    files["index.html"] = _page(found, parts, files).encode()
     for name, content in files.items():
         write_atomically(
             Path(folder) / name, lambda file, content=content: file.write_bytes(content)
@@ -432,7 +418,7 @@ def write_report(found, folder):
     return list(files)
 
 
-def _page(found, parts, pictures, files):
+def _page(found, parts, files):
     """The page: tables, pictures, a view that can be turned, links."""
     from jinja2 import Environment, PackageLoader
 
@@ -446,10 +432,10 @@ def _page(found, parts, pictures, files):
         )
         for title, table in tables.items()
     }
-    figures = {text: base64.b64encode(pictures[name]).decode() for name, text in FIGURES.items()}
-    return page.render(
-        tables=shown, figures=figures, files=files, scenes=json.dumps(_scenes(found))
-    )
+    pictures = {draw: files[f"{draw.__name__}.png"] for draw in DRAWINGS}
+    figures = {draw.__doc__: base64.b64encode(one).decode() for draw, one in pictures.items()}
+    scenes = json.dumps(_scenes(found))
+    return page.render(tables=shown, figures=figures, files=sorted(files), scenes=scenes)
 
 
 def _scenes(found):
@@ -469,7 +455,7 @@ def _picture(draw, found):
     """A figure with a panel for each comparison as PNG."""
     from mmqa_lab import plots
 
-    columns = 1 if draw is _draw_pairs else min(3, len(found.results))
+    columns = 1 if draw is pairs else min(3, len(found.results))
     rows = -(-len(found.results) // columns)
     height = rows * (90 if columns == 1 else 60)
     picture = io.BytesIO()
@@ -485,8 +471,8 @@ def _picture(draw, found):
     return picture.getvalue()
 
 
-def _draw_matrix(ax, found, names):
-    """The similarity matrix, dark where segments are near."""
+def matrices(ax, found, names):
+    """Similarity matrices: the distance of every test to every model segment."""
     result = found.results[names]
     distances = distance_matrix(result.test, result.model, weight=result.weight)
     image = ax.imshow(np.log10(np.maximum(distances, 1e-3)), cmap="gray", aspect="auto")
@@ -494,8 +480,8 @@ def _draw_matrix(ax, found, names):
     ax.figure.colorbar(image, ax=ax, label="log10 of distance (m)")
 
 
-def _draw_threshold(ax, found, names):
-    """The sorted nearest distances, their second differences and the threshold."""
+def thresholds(ax, found, names):
+    """Sorted nearest distances, their second differences, and the threshold."""
     threshold = found.results[names].test_model.threshold
     ax.plot(threshold.nearest, "k.-", ms=3, label="nearest distance")
     ax.plot(np.diff(threshold.nearest, 2), color="#CC79A7", label="second difference")
@@ -506,9 +492,10 @@ def _draw_threshold(ax, found, names):
     ax.legend()
 
 
-def _draw_pairs(ax, found, names):
-    """The pairs by verdict."""
+def pairs(ax, found, names):
+    """Lines from above, coloured by the verdict on their pairs; dots are upright lines."""
     found.plot(ax=ax, test=names[0], model=names[1])
 
 
-DRAWINGS = {"matrices": _draw_matrix, "thresholds": _draw_threshold, "pairs": _draw_pairs}
+DRAWINGS = matrices, thresholds, pairs
+"""The pictures of the report, each named by its function and explained by its docstring."""

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from mmqa_lab._checks import check_count, check_positive
-from mmqa_lab.lines.pairing import LinePairs, by_stretches
-from mmqa_lab.lines.segments import Segments, check_segments, components
+from mmqa_lab.lines.segments import LinePairs, Segments, by_stretches, check_segments, components
 
 DRIFT_LENGTH_M = 60.0
 CONSTANT_M = 1.0

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull
 
 from mmqa_lab._checks import check_number, check_points
+from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import Segments
 from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
@@ -27,7 +28,7 @@ LONGEST_GAP = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class Edges(Shown):
     """Edges of a cloud and how well they are known.
 
     Parameters
@@ -80,9 +81,6 @@ class Edges:
         frame[["sigma_first_mm", "sigma_second_mm"]] = 1000 * self.sigma
         frame[["sigma_along_first_mm", "sigma_along_second_mm"]] = 1000 * self.sigma_along
         return frame
-
-    def _repr_html_(self):
-        return self.to_frame()._repr_html_()
 
 
 def extract_edges(

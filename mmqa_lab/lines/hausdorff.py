@@ -11,14 +11,24 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.lines.displacement import (
     Displacement,
     across_pairs,
     fit_displacement,
     match_displaced,
 )
-from mmqa_lab.lines.pairing import MATCHERS, Threshold, correspond, peak_threshold
-from mmqa_lab.lines.segments import Segments, check_segments, components, distance_matrix
+from mmqa_lab.lines.segments import (
+    MATCHERS,
+    Components,
+    Segments,
+    Threshold,
+    check_segments,
+    components,
+    correspond,
+    distance_matrix,
+    peak_threshold,
+)
 
 NORMS = ("pairs", "matched", "all")
 APART_M = 100.0
@@ -43,8 +53,8 @@ class Directed:
         Its delta is NaN for the displaced matcher, which has none.
     pairs : array of bool, shape (p, q)
         Test segments in rows, model segments in columns, in either direction.
-    angle, parallel, perpendicular : array, shape (k,)
-        The parts of the k pairs' distances in the order of ``np.nonzero(pairs)``, m.
+    parts : Components
+        Of the k pairs' distances in the order of ``np.nonzero(pairs)``.
     length : array, shape (k,)
         Length of each pair's target, its weight in the mean, m.
     source : array of int, shape (k,)
@@ -57,9 +67,7 @@ class Directed:
 
     threshold: Threshold
     pairs: np.ndarray
-    angle: np.ndarray
-    parallel: np.ndarray
-    perpendicular: np.ndarray
+    parts: Components
     length: np.ndarray
     source: np.ndarray
     coverage: float
@@ -70,23 +78,19 @@ class Directed:
         """Number of pairs."""
         return len(self.length)
 
-    def distances(self, weight):
-        """Distances d(W) of the pairs, shape (k,), m."""
-        return np.sqrt(weight * self.angle**2 + self.parallel**2 + self.perpendicular**2)
-
     def olhd(self, weight):
         """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (equation 7)."""
-        return self._mean(self.distances(weight))
+        return self._mean(self.parts.distance(weight))
 
     @property
     def perpendicular_only(self):
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
-        return self._mean(self.perpendicular)
+        return self._mean(self.parts.perpendicular)
 
     def resampled(self, weight, repeats, rng):
         """Bootstrap values of :meth:`olhd`, source segments drawn with their pairs, (repeats,)."""
         _, cluster = np.unique(self.source, return_inverse=True)
-        sums = np.bincount(cluster, self.length * self.distances(weight))
+        sums = np.bincount(cluster, self.length * self.parts.distance(weight))
         lengths = np.bincount(cluster, self.length)
         draws = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=repeats)
         return (draws @ sums) / (draws @ lengths) * (lengths.sum() / self.total)
@@ -96,7 +100,7 @@ class Directed:
 
 
 @dataclass(frozen=True, eq=False)
-class LHD:
+class LHD(Shown):
     """Line-segment Hausdorff distance between a test and a model set.
 
     Parameters
@@ -205,9 +209,9 @@ class LHD:
         across = np.linalg.cholesky(covariance) @ rng.normal(size=(3, repeats + 1))
         across[:, 0] = 0
         steps = np.zeros((3, len(rows)))
-        steps[0] = side.perpendicular
-        steps[1] = np.hypot(steps[0], np.sqrt(self.weight) * side.angle)
-        steps[2] = np.hypot(steps[1], side.parallel)
+        steps[0] = side.parts.perpendicular
+        steps[1] = np.hypot(steps[0], np.sqrt(self.weight) * side.parts.angle)
+        steps[2] = np.hypot(steps[1], side.parts.parallel)
         _, cluster = np.unique(side.source, return_inverse=True)
         n = cluster.max() + 1
         found = []
@@ -248,23 +252,18 @@ class LHD:
 
     def to_frame(self):
         """Return one row per direction: segments, pairs, threshold, distances, coverage."""
-        rows = []
-        for name, part in (("test to model", self.test_model), ("model to test", self.model_test)):
-            rows.append(
-                {
-                    "direction": name,
-                    "pairs": part.n,
-                    "threshold_m": part.threshold.delta,
-                    "olhd_m": part.olhd(self.weight),
-                    "olhd_w0_m": part.olhd(0),
-                    "perpendicular_m": part.perpendicular_only,
-                    "coverage": part.coverage,
-                }
-            )
-        return pd.DataFrame(rows)
-
-    def _repr_html_(self):
-        return self.to_frame()._repr_html_()
+        both = [self.test_model, self.model_test]
+        return pd.DataFrame(
+            {
+                "direction": ["test to model", "model to test"],
+                "pairs": [part.n for part in both],
+                "threshold_m": [part.threshold.delta for part in both],
+                "olhd_m": [part.olhd(self.weight) for part in both],
+                "olhd_w0_m": [part.olhd(0) for part in both],
+                "perpendicular_m": [part.perpendicular_only for part in both],
+                "coverage": [part.coverage for part in both],
+            }
+        )
 
     def plot(self, *, ax=None):
         """Draw both sets from above and a line between the midpoints of each pair."""
@@ -438,8 +437,13 @@ def lhd(
     thresholds = [_threshold(threshold, values) for values in distances]
     _refuse_apart(thresholds[0], *sets)
     if pairs is not None:
-        used = matcher = "given"
-        both = _given(pairs, distances[0].shape)
+        pairs, used = np.asarray(pairs), "given"
+        matcher, both = used, (pairs, pairs.T)
+        if pairs.dtype != bool or pairs.shape != distances[0].shape:
+            raise ValueError(
+                f"Invalid pairs of type {pairs.dtype} and shape {pairs.shape}. "
+                f"Must be Boolean of shape {distances[0].shape}."
+            )
     else:
         used, both = _pairs(matcher, orders, distances, thresholds, radius)
     if used in ("displaced", "given"):
@@ -476,17 +480,6 @@ def _pairs(matcher, orders, distances, thresholds, radius):
     return matcher, both
 
 
-def _given(pairs, shape):
-    """Known pairs of both directions, each (source, target)."""
-    pairs = np.asarray(pairs)
-    if pairs.dtype != bool or pairs.shape != shape:
-        raise ValueError(
-            f"Invalid pairs of type {pairs.dtype} and shape {pairs.shape}. "
-            f"Must be Boolean of shape {shape}."
-        )
-    return pairs, pairs.T
-
-
 def _directed(threshold, pairs, parts, order, norm, turned=False):
     """One direction; ``pairs`` are (test, model), turned where the model is the source."""
     source, target = order
@@ -501,9 +494,7 @@ def _directed(threshold, pairs, parts, order, norm, turned=False):
     return Directed(
         threshold=threshold,
         pairs=pairs,
-        angle=parts.angle[here],
-        parallel=parts.parallel[here],
-        perpendicular=parts.perpendicular[here],
+        parts=Components(*(part[here] for part in vars(parts).values())),
         length=target.lengths[here[1]],
         source=here[0],
         coverage=float(source.lengths[matched].sum() / whole) if whole else np.nan,

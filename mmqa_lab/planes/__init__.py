@@ -1,6 +1,5 @@
 """Planes: the regression plane of points, their dispersion, and the planes of whole clouds."""
 
-from mmqa_lab.planes.detection import detect_planes
 from mmqa_lab.planes.regression import (
     CONSISTENT_SCALE,
     PAPER_SCALE,
@@ -27,3 +26,12 @@ __all__ = [
     "sigma_mad",
     "turned_axes",
 ]
+
+
+def __getattr__(name):
+    """The detection when it is asked for: it is compiled, and importing numba takes a while."""
+    if name == "detect_planes":
+        from mmqa_lab.planes.detection import detect_planes
+
+        return detect_planes
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,13 +4,11 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the pl
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import (
@@ -20,11 +18,7 @@ from mmqa_lab._checks import (
     coordinate_columns,
     is_table,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from mmqa_lab.cloud import Cloud
+from mmqa_lab.cloud import Cloud
 
 CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""

@@ -304,7 +304,7 @@ def parameter_names(notebook):
 
     Examples
     --------
-    >>> from mmqa_lab.studies.catalogue import chosen
+    >>> from mmqa_lab.studies import chosen
     >>> parameter_names(chosen(["mimic"])[0].path)[:2]
     ['ranges_m', 'seeds']
     """

@@ -1,11 +1,5 @@
-"""Notebooks run without a screen, in a kernel of their own, and copied for a class.
+"""Notebooks run without a screen, in a kernel of their own."""
 
-Cells tagged ``solution`` contain an answer and the assertions that test it; cells tagged ``lesson``
-are for the teacher. A student's copy keeps only the assertions: they fail until the names in them
-are worked out. It has no stored outputs.
-"""
-
-import ast
 import asyncio
 import hashlib
 import json
@@ -19,8 +13,6 @@ from pathlib import Path
 
 import nbformat
 
-from mmqa_lab.bench._tables import split_unit
-from mmqa_lab.io import write_atomically
 from mmqa_lab.run import read_record, write_text
 from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page, read_outcome
 
@@ -38,7 +30,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
 
     Parameters
     ----------
-    study : mmqa_lab.studies.catalogue.Study
+    study : mmqa_lab.studies.Study
     folder : path
         Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
     quick : bool
@@ -138,9 +130,9 @@ def _let_interrupt(interrupted):
 def _code(study, quick):
     """A hash of what determines a study's results: package, notebook, mode and real data."""
     package = Path(__file__).parents[1]
-    files = [path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    files = [path for path in package.rglob("*.*") if path.parent.name != "__pycache__"]
     digest = hashlib.sha256(f"{quick} {os.environ.get('MMQA_DATA')}".encode())
-    for path in [study.path, *sorted(files)]:
+    for path in [study.path, *sorted(filter(Path.is_file, files))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -148,132 +140,3 @@ def _code(study, quick):
 def _write(outcome, folder):
     """Write the outcome beside the results."""
     write_text(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
-
-
-def student_cell(source):
-    """Return an answer's cell as a student gets it: the names to work out, and the checks.
-
-    Parameters
-    ----------
-    source : str
-        Code of a cell tagged ``solution``; its first line is a comment that begins with the
-        exercise's number.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ValueError
-        If nothing in it is checked, or nothing that is checked comes from the answer.
-
-    Examples
-    --------
-    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 2 * 2\\nassert area_m2 == 4"))
-    # 1: your work
-    area_m2 = ...  # m2
-    <BLANKLINE>
-    assert area_m2 is not ..., "1: give area_m2 a value."
-    assert area_m2 == 4, "1: not right yet. Check the formula, and the unit of area_m2."
-    """
-    body = ast.parse(source).body
-    checks = [node for node in body if isinstance(node, ast.Assert)]
-    read = {name for check in checks for name in _names(check, ast.Load)}
-    read -= {name for check in checks for name in _names(check, ast.Store)}
-    answers = [name for name in _names(ast.Module(body, []), ast.Store) if name in read]
-    if not answers:
-        raise ValueError(
-            f"Invalid answer {source.splitlines()[0]!r}. Must be checked by an assert."
-        )
-    number = source.split(":")[0].lstrip("# ")
-    answers = list(dict.fromkeys(answers))
-    listed = ", ".join(answers)
-    said = f'"{number}: not right yet. Check the formula, and the unit of {listed}."'
-    work = [f"# {number}: your work", *map(_blank, answers)]
-    asked = [f'assert {name} is not ..., "{number}: give {name} a value."' for name in answers]
-    kept = [ast.get_source_segment(source, check) for check in checks]
-    told = [
-        text if check.msg else f"{text}, {said}" for text, check in zip(kept, checks, strict=True)
-    ]
-    return "\n".join([*work, "", *asked, *told])
-
-
-def _blank(name):
-    """The line in which a student gives a name its value, with the unit that the name ends with."""
-    unit = split_unit(name)[1]
-    return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
-
-
-def _exercise(number, source):
-    """An answer as a student's two cells, work and checks, as nbgrader knows them."""
-    for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
-        grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
-        grading |= {"solution": part == "work", "grade": part == "check"}
-        grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
-        cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
-        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check"]
-        yield cell
-
-
-def _student_notebook(notebook):
-    """Return a copy of a notebook without answers, outputs and the teacher's cells."""
-    cells = []
-    for number, cell in enumerate(notebook.cells):
-        tags = cell.metadata.get("tags", [])
-        if "solution" in tags:
-            cells += _exercise(number, cell.source)
-        elif cell.cell_type == "code":
-            cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
-        elif "lesson" not in tags:
-            cells.append(cell)
-    return nbformat.from_dict({**notebook, "cells": cells})
-
-
-def write_student_notebooks(studies, folder, *, quick=False):
-    """Write students' copies of studies' notebooks into a folder.
-
-    Parameters
-    ----------
-    studies : list of mmqa_lab.studies.catalogue.Study
-    folder : path
-        Made where missing.
-    quick : bool
-        With the small parameters that each study's module calls QUICK.
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    ValueError
-        If a notebook of that name is there already: it may be a student's work.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from mmqa_lab.studies.catalogue import chosen
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
-    ['05_mimic.ipynb']
-    """
-    targets = [Path(folder) / study.path.name for study in studies]
-    there = [path for path in targets if path.exists()]
-    if there:
-        raise ValueError(
-            f"Invalid folder {folder}: it contains {there[0].name}, which may be a student's work. "
-            "Must be a folder without notebooks of these names."
-        )
-    for study, target in zip(studies, targets, strict=True):
-        copy = _student_notebook(nbformat.read(study.path, as_version=4))
-        if quick:
-            inject(copy, study.module.QUICK)
-        write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
-    return targets
-
-
-def _names(node, context):
-    """Names that a piece of code reads or sets, in the order of their places."""
-    found = [n for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, context)]
-    return [n.id for n in sorted(found, key=lambda n: (n.lineno, n.col_offset))]

@@ -6,6 +6,9 @@ and ``<!-- end NAME -->``; nothing there is typed.
 """
 
 import base64
+import copy
+import csv
+import html
 import io
 import json
 import re
@@ -13,7 +16,9 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 import pandas as pd
+from matplotlib.font_manager import FontProperties
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import FORMATS, read_record, write_text
@@ -30,6 +35,11 @@ LEDGER_FIGURE = "![Verdicts on the printed results of each source](notebooks/led
 HEAD = "| study | question | answer | source |\n|---|---|---|---|\n"
 
 VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
+
+FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
+"""A formula that stands alone, or one within a text."""
+
+FORMULA_PT = 12.5
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
@@ -69,13 +79,13 @@ def read_outcome(folder):
 
 
 def write_pages(folder, studies):
-    """Write ``index.html`` and, where a study left a ledger, ``ledger.html``.
+    """Write ``index.html``, ``glossary.html`` and, where a study left a ledger, ``ledger.html``.
 
     Parameters
     ----------
     folder : path
         Of all results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
     """
     folder = Path(folder)
@@ -83,12 +93,19 @@ def write_pages(folder, studies):
     cards = [card for card in cards if card["outcome"] is not None]
     ledger = _ledger(folder)
     if ledger is not None:
-        write_text(folder / "ledger.html", _filled("ledger.html", ledger=ledger))
-    text = _filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
+        write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
+    write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
+    text = filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
     write_text(folder / "index.html", text)
 
 
-def notebook_page(notebook, title, *, figures):
+def glossary_rows():
+    """Return the glossary, a list of dicts: english, german, meaning, studies (stems)."""
+    with (TEMPLATES / "glossary.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def notebook_page(notebook, title, *, figures, alone=False):
     """Return an executed notebook as a page.
 
     Parameters
@@ -97,11 +114,16 @@ def notebook_page(notebook, title, *, figures):
     title : str
     figures : dict
         Of the run record; what is seen in a figure becomes the text in place of the picture.
+    alone : bool
+        Without a link to the index of all studies.
     """
     from nbconvert import HTMLExporter
     from pygments.formatters import HtmlFormatter
 
+    notebook = copy.deepcopy(notebook)
     for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            cell.source = FORMULA.sub(_typeset, cell.source)
         names = [name for name in SAVED_FIGURE.findall(cell.source) if name in figures]
         seen = ". ".join(figures[name]["seen"] for name in names)
         cell.metadata["alt"] = seen or f"Figure of {title}"
@@ -110,12 +132,32 @@ def notebook_page(notebook, title, *, figures):
     )
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
-    return _filled("notebook.html", title=title, body=body, style=style)
+    body = body.replace("<table ", '<table tabindex="0" ')  # wide ones scroll, by keys too
+    return filled("notebook.html", title=title, body=body, style=style, alone=alone)
+
+
+def _typeset(found):
+    """A formula of LaTeX as a picture, with its source for readers without the picture."""
+    from matplotlib import mathtext
+
+    formula, picture = (found[1] or found[2]).replace("\n", " "), io.BytesIO()
+    formula = re.sub(r"\\[lr]vert(?![a-z])", "|", formula)  # mathtext has no such name
+    size = FORMULA_PT * (1.2 if found[1] else 1)
+    font = FontProperties(size=size)
+    with mpl.rc_context({"mathtext.fontset": "cm", "svg.fonttype": "path"}):
+        try:
+            depth = mathtext.math_to_image(f"${formula}$", picture, prop=font, dpi=72, format="svg")
+        except ValueError:
+            return found[0]
+    coded = base64.b64encode(picture.getvalue()).decode()
+    text, place = html.escape(formula, quote=True), f"vertical-align: -{depth:.1f}pt"
+    image = f'<img src="data:image/svg+xml;base64,{coded}" alt="{text}" style="{place}">'
+    return f'<p style="text-align: center">{image}</p>' if found[1] else image
 
 
 def report_page(picture, *, title, table, inputs, record):
     """Return a report with a figure, given as PNG, and a table as one HTML page."""
-    return _filled(
+    return filled(
         "report.html",
         title=title,
         picture=base64.b64encode(picture).decode(),
@@ -150,8 +192,8 @@ def report_sheet(picture, *, title, table, inputs, record):
     return sheet
 
 
-def _filled(name, **values):
-    """A template with its values."""
+def filled(name, **values):
+    """Return a template of ``templates/`` with its values."""
     from jinja2 import Environment, FileSystemLoader
 
     environment = Environment(
@@ -218,7 +260,7 @@ def update_readme(notebooks, folder, studies, *, write=True):
         Folder of the notebooks, where the figures go; the README is beside it.
     folder : path
         Of the results.
-    studies : list of mmqa_lab.studies.catalogue.Study
+    studies : list of mmqa_lab.studies.Study
     write : bool
         Without it nothing is written.
 

@@ -26,10 +26,19 @@ profiles with time.
 """
 
 from mmqa_lab.scan_pattern import mimic
-from mmqa_lab.scan_pattern.lattice import QUANTITIES, Patch, ScanSetup, Target, scan_lattice
+from mmqa_lab.scan_pattern.lattice import (
+    QUANTITIES,
+    Patch,
+    ScanSetup,
+    Target,
+    explain_error,
+    largest_speed,
+    propagate,
+    scan_lattice,
+    sensitivities,
+)
 from mmqa_lab.scan_pattern.measure import fit_scan_planes, measure_pattern
 from mmqa_lab.scan_pattern.numbering import revolutions_from_time
-from mmqa_lab.scan_pattern.planning import explain_error, largest_speed, propagate, sensitivities
 
 __all__ = [
     "QUANTITIES",

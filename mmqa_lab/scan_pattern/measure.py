@@ -5,14 +5,13 @@ profiles of a patch are fitted at once, and every figure comes with its standard
 times of a whole street give the moving plane of the scanner.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
 from mmqa_lab._checks import check_points
@@ -29,9 +28,6 @@ from mmqa_lab.scan_pattern.numbering import (
     revolutions_from_time,
     solve_groups,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 ROUNDS = 20  # of leaving out points off the moving plane, at most

@@ -1,18 +1,14 @@
 """Which profile and which pulse a point belongs to: from time, or from the pattern alone."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.fft import next_fast_len, rfft2
 from scipy.optimize import minimize
 
 from mmqa_lab._checks import check_positive
 from mmqa_lab.planes import sigma_mad
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 PAUSE = 20  # of the typical step of time: longer ones separate runs of points
 FEW = 16  # runs whose beginnings are compared for the period

@@ -19,13 +19,11 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
     cloud = simulate.scan_all(scene, scanner, path, seed=1)
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
-Real scanners are in ``presets``; ``dataclasses.replace(presets.ROAMER, lever_arm_m=(0, 0, 2.5))``
-mounts one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
+Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_deg=30)`` varies
+one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
-from mmqa_lab.simulate import presets
-from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.scan import scan, scan_all
+from mmqa_lab.simulate.scan import MatchingCamera, match, scan, scan_all
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
@@ -39,7 +37,7 @@ from mmqa_lab.simulate.surfaces import (
     rectangle,
     wall,
 )
-from mmqa_lab.simulate.systems import System, system
+from mmqa_lab.simulate.systems import PRESETS, System, system
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
     Trajectory,
@@ -49,6 +47,7 @@ from mmqa_lab.simulate.trajectories import (
 )
 
 __all__ = [
+    "PRESETS",
     "MatchingCamera",
     "MultiBeamScanner",
     "NavigationErrors",
@@ -65,7 +64,6 @@ __all__ = [
     "match",
     "measured",
     "polygon",
-    "presets",
     "rectangle",
     "scan",
     "scan_all",

@@ -76,7 +76,8 @@ class Sensor:
     shot_share : float
         Share of the variance there that is proportional to the signal; the rest is constant.
     bayer : bool
-        One colour per pixel, interpolated by OpenCV's edge-aware method.
+        One colour per pixel, interpolated by OpenCV's edge-aware method. Without, the sensor sees
+        the luminance of colours.
     sharpening : float
         Amount of an unsharp mask of 1 px.
     gamma : {"linear", "srgb"}
@@ -227,7 +228,9 @@ def photograph(
     fine = check_count(supersampling, "supersampling")
     low, size = _window(layout, chart_map, check_count(margin, "margin", low=0))
     inside = chart_map.within(*low)
-    tones = _exposed(layout, inside, size, optics, fine, surround)
+    tones = _exposed(layout, inside, size, optics, fine, surround, colour=sensor.bayer)
+    if sensor.bayer:
+        tones = _mosaic(tones)
     signal = sensor.black + (sensor.white - sensor.black) * tones
     origin = tuple(int(place) for place in low)
     return Photo(_recorded(signal, sensor, np.random.default_rng(seed)), inside, origin)
@@ -249,13 +252,13 @@ def _window(layout, chart_map, margin):
     return low, size
 
 
-def _exposed(layout, chart_map, size, optics, fine, surround):
+def _exposed(layout, chart_map, size, optics, fine, surround, colour=False):
     """The mean tone in each pixel after motion, point spread and integration."""
     import cv2
 
     centre = np.array([[layout.width / 2, layout.height / 2]])
     cell = max(chart_map.pixel_sizes_mm(centre).min() / fine, max(layout.corners()[2]) / 12_000)
-    printed = reflectance(layout, cell=cell)
+    printed = reflectance(layout, cell=cell, colour=colour)
     travel = np.asarray(optics.travel, dtype=float)
     instants = 1
     if travel.any():
@@ -270,7 +273,7 @@ def _exposed(layout, chart_map, size, optics, fine, surround):
         samples = cv2.GaussianBlur(samples, (0, 0), fine * np.sqrt(left))
     if optics.defocus_px > 0:
         samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * fine))
-    return samples.reshape(size[1], fine, size[0], fine).mean(axis=(1, 3))
+    return samples.reshape(size[1], fine, size[0], fine, *samples.shape[2:]).mean(axis=(1, 3))
 
 
 def _sampling_variance(fine):
@@ -300,7 +303,7 @@ def _sampled(printed, cell, chart_map, size, fine, surround):
     # within a pixel the map is straight to 1e-4 px; resizing interpolates between centres
     dense = cv2.resize(places, None, fx=fine, fy=fine, interpolation=cv2.INTER_LINEAR)
     dense = np.ascontiguousarray(dense[fine:-fine, fine:-fine])
-    samples = np.empty(dense.shape[:2], dtype=np.float32)
+    samples = np.empty((*dense.shape[:2], *printed.shape[2:]), dtype=np.float32)
     # remap addresses at most 32,767 rows at once
     for first in range(0, len(dense), 16_384):
         part = slice(first, first + 16_384)
@@ -310,7 +313,7 @@ def _sampled(printed, cell, chart_map, size, fine, surround):
             None,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=surround,
+            borderValue=(surround,) * 3,
         )
     return samples
 
@@ -344,8 +347,15 @@ def _recorded(signal, sensor, rng):
     return values if sensor.jpeg_quality is None else _compressed(values, sensor.jpeg_quality)
 
 
+def _mosaic(tones):
+    """Of red, green and blue the one that each pixel sees: the first pixel is blue."""
+    mosaic = tones[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = tones[::2, ::2, 2], tones[1::2, 1::2, 0]
+    return mosaic
+
+
 def _demosaiced(values):
-    """Blue, green and red from a mosaic of neutral light, through OpenCV's 16-bit interpolation."""
+    """Blue, green and red from a mosaic, through OpenCV's 16-bit interpolation."""
     import cv2
 
     mosaic = np.clip(np.round((values + 0.25) * 40_000), 0, 65_535).astype(np.uint16)

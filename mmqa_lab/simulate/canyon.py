@@ -7,7 +7,7 @@ and so is every displacement. ``canyon_cloud`` covers the faces of the houses wi
 """
 
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ import pandas as pd
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines import Segments
+from mmqa_lab.simulate.trajectories import gauss_markov
 
 COMPARISONS = {
     "repeatability": (("C1", "C2"), ("C1", "C3"), ("C2", "C3")),
@@ -276,7 +277,10 @@ def canyon_faces(scene):
         for house in houses:
             rows += _house_faces(house)
         rows += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
-    return pd.DataFrame(rows, columns=["kind", "street", "corner", "along", "up"])
+    kinds, streets, places = zip(*rows, strict=True)
+    corner, along, up = _located(np.array(streets), np.array(places)).swapaxes(0, 1)
+    sides = {"corner": list(corner), "along": list(along - corner), "up": list(up - corner)}
+    return pd.DataFrame({"kind": kinds, "street": streets} | sides)
 
 
 def canyon_edges(scene):
@@ -288,9 +292,9 @@ def canyon_edges(scene):
         In the order of the buildings, four each: foot, eave, corner at the start, corner at the
         end.
     """
-    houses = scene.buildings.itertuples()
-    lines = [_on_facade(house, line) for house in houses for line in _outline(house)]
-    return Segments(np.array(lines), name="canyon")
+    lines = np.array([_outline(house) for house in scene.buildings.itertuples()])
+    streets = np.repeat(scene.buildings["street"].to_numpy(), lines.shape[1])
+    return Segments(_located(streets, lines.reshape(-1, 2, 3)), name="canyon")
 
 
 def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
@@ -361,54 +365,47 @@ def _buildings(rng):
 
 def _edges(buildings, conditions, rng):
     """End points (n, 2, 3) of the true edges and the street of each."""
-    ends, streets = [], []
-    for house in buildings.itertuples():
-        lines = _building_edges(house, conditions, rng)
-        ends += [_on_facade(house, line) for line in lines]
-        streets += [house.street] * len(lines)
-    ends, streets = np.array(ends), np.array(streets)
+    lines = [_building_edges(house, conditions, rng) for house in buildings.itertuples()]
+    streets = np.repeat(buildings["street"].to_numpy(), [len(one) for one in lines])
+    ends = _located(streets, np.array(list(chain(*lines))))
     twin = rng.random(len(ends)) < conditions.twins
     return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
 
 
 def _building_edges(house, conditions, rng):
-    """The edges of a facade that a detector can find, as (station, height) of both ends."""
-    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
+    """The edges of a facade that a detector can find, as ``_outline`` gives them."""
+    left, right, top, offset = _extent(house)
     level = rng.uniform(3.5, 4.5)
     foot, eave, *corners = _outline(house)
-    candidates = [foot, eave, ((left, level), (right, level)), *corners]
+    candidates = [foot, eave, ((left, offset, level), (right, offset, level)), *corners]
     pairs = zip(candidates, EDGE_SHARES, strict=True)
     lines = [line for line, share in pairs if rng.random() < share]
     for _ in range(rng.poisson(conditions.jambs)):
         station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
-        lines.append(((station, sill), (station, sill + rng.uniform(1.5, 2.5))))
+        head = sill + rng.uniform(1.5, 2.5)
+        lines.append(((station, offset, sill), (station, offset, head)))
     return lines
 
 
 def _outline(house):
-    """Foot, eave and both corners of a facade, as (station, height) of both ends."""
-    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
-    low, high = ((left, 0.0), (right, 0.0)), ((left, top), (right, top))
+    """Foot, eave and both corners of a facade, as (station, offset, height) of both ends."""
+    left, right, top, offset = _extent(house)
+    low = (left, offset, 0.0), (right, offset, 0.0)
+    high = (left, offset, top), (right, offset, top)
     return [low, high, *zip(low, high, strict=True)]
 
 
-def _on_facade(house, line):
-    """Scene coordinates (2, 3) of a line on a house's facade."""
-    station, height = np.array(line).T
-    return _located(house.street, station, np.full(2, _offset(house)), height)
+def _extent(house):
+    """First and last station of a facade, its height, and its signed offset from the axis, m."""
+    offset = house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
+    return house.start_m, house.start_m + house.width_m, house.height_m, offset
 
 
-def _offset(house):
-    """Distance of a facade from the axis of its street, signed, m."""
-    return house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
-
-
-def _located(street, station, offset, height):
-    """Point(s) (..., 3) from station along a street, offset from its axis and height, m."""
-    frame = STREETS.loc[street]
-    if frame["axis"] == "x":
-        return np.stack([frame["x_m"] + station, frame["y_m"] + offset, height], axis=-1)
-    return np.stack([frame["x_m"] + offset, frame["y_m"] + station, height], axis=-1)
+def _located(street, places):
+    """Coordinates of places (n, m, 3): station along a street (n,), offset from it, height."""
+    turned = (STREETS["axis"] == "y").to_numpy()[street, None, None]
+    origin = STREETS[["x_m", "y_m"]].assign(z_m=0.0).to_numpy()[street, None]
+    return origin + np.where(turned, places[..., [1, 0, 2]], places)
 
 
 def _station(points, street):
@@ -442,7 +439,8 @@ def _positionings(conditions, rng):
     for name in ("C1", "C2", "C3"):
         shared = length + (conditions.course2_m if name == "C2" else 0.0)
         own = conditions.own_m * _unit_vector(rng)
-        drift = conditions.drift_m * _gauss_markov(nodes, rng)
+        shape = len(STREETS), nodes, 3
+        drift = conditions.drift_m * gauss_markov(shape, DRIFT_STEP_M, DRIFT_LENGTH_M, rng, axis=1)
         turned = np.radians(rng.normal(0, YAW_DEG))
         errors[name] = Positioning(shared * towards + own, drift, turned)
     still = np.zeros((len(STREETS), nodes, 3))
@@ -452,15 +450,6 @@ def _positionings(conditions, rng):
 def _unit_vector(rng):
     vector = rng.normal(size=3)
     return vector / np.linalg.norm(vector)
-
-
-def _gauss_markov(nodes, rng):
-    """Unit-variance first-order Gauss-Markov processes, shape (streets, nodes, 3)."""
-    keep = np.exp(-DRIFT_STEP_M / DRIFT_LENGTH_M)
-    noise = rng.normal(size=(len(STREETS), nodes, 3))
-    for node in range(1, nodes):
-        noise[:, node] = keep * noise[:, node - 1] + np.sqrt(1 - keep**2) * noise[:, node]
-    return noise
 
 
 def _survey(name, ends, street, rows, positioning, conditions, rng):
@@ -530,32 +519,24 @@ def _noisy(ends, angle_deg, position, end, rng):
 
 
 def _house_faces(house):
-    """Front, pavement and eave of a house."""
-    left, right, top = house.start_m, house.start_m + house.width_m, house.height_m
-    offset = _offset(house)
+    """Front, pavement and eave of a house: kind, street, a corner and the ends of both sides."""
+    left, right, top, offset = _extent(house)
     eave = offset - house.side * EAVE_M
-    return [
-        _face("front", house.street, (left, offset, 0), (right, offset, 0), (left, offset, top)),
-        _face("pavement", house.street, (left, 0, 0), (right, 0, 0), (left, offset, 0)),
-        _face("eave", house.street, (left, offset, top), (right, offset, top), (left, eave, top)),
-    ]
+    front = (left, offset, 0), (right, offset, 0), (left, offset, top)
+    pavement = (left, 0, 0), (right, 0, 0), (left, offset, 0)
+    soffit = (left, offset, top), (right, offset, top), (left, eave, top)
+    faces = {"front": front, "pavement": pavement, "eave": soffit}
+    return [(kind, house.street, face) for kind, face in faces.items()]
 
 
 def _side_face(a, b):
     """The wall between neighbours of different setback, or the gable at the end of a row."""
     if a is None or b is None:
         house = b if a is None else a
-        station = house.start_m if a is None else house.start_m + house.width_m
-        near, top = _offset(house), house.height_m
-        far = near + house.side * GABLE_M
+        left, right, top, near = _extent(house)
+        station, far = left if a is None else right, near + house.side * GABLE_M
     else:
         house, station = b, b.start_m
-        near, far = sorted((_offset(a), _offset(b)), key=abs)
-        top = a.height_m if near == _offset(a) else b.height_m
-    return _face("side", house.street, (station, near, 0), (station, far, 0), (station, near, top))
-
-
-def _face(kind, street, corner, along, up):
-    """A rectangle from a corner and the ends of both sides, each (station, offset, height)."""
-    corner, along, up = (_located(street, *place) for place in (corner, along, up))
-    return kind, street, corner, along - corner, up - corner
+        near, far = sorted((_extent(one)[3] for one in (a, b)), key=abs)
+        top = a.height_m if near == _extent(a)[3] else b.height_m
+    return "side", house.street, ((station, near, 0), (station, far, 0), (station, near, top))

@@ -13,9 +13,8 @@ import numpy as np
 from numba import njit, prange
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab._threads import enough_threads
 from mmqa_lab.scan_pattern.lattice import rotations
-from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, TASK, describe, mapped, nearest
+from mmqa_lab.simulate.scenes import STACK, TASK, describe, mapped, nearest
 
 FOOTPRINT = 7
 """Rays a beam: its axis and a ring."""
@@ -48,10 +47,6 @@ class Firing(NamedTuple):
     elevation: np.ndarray
     scan_line: np.ndarray
     ring: np.ndarray = None
-
-    def select(self, which):
-        """Return the pulses of a mask."""
-        return Firing(*(None if values is None else values[which] for values in self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,18 +308,12 @@ def _turned(state, x, y, z):
     return c * x + s * y, c * y - s * x, z
 
 
+@njit(cache=True, parallel=True)
 def beam_rays(states, lever_arm, mounting, beams):
     """Origins and directions of beams in a mounted scanner's frame on a vehicle in given states.
 
     ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
     """
-    with enough_threads(len(beams), RAYS_A_THREAD):
-        return _beam_rays(states, lever_arm, mounting, beams)
-
-
-@njit(cache=True, parallel=True)
-def _beam_rays(states, lever_arm, mounting, beams):
-    """The arrays of ``beam_rays``."""
     n = len(beams)
     origins, directions = np.empty((n, 3)), np.empty((n, 3))
     matrix = np.ascontiguousarray(mounting).ravel()
@@ -426,13 +415,15 @@ class Echoes(NamedTuple):
     signal: np.ndarray
     mixed: np.ndarray
 
-    def select(self, which):
-        """Return the echoes of a mask."""
-        return Echoes(*(values[which] for values in self))
+
+def chosen(columns, which):
+    """The rows of a mask of a ``Firing`` or of ``Echoes``."""
+    return type(columns)(*(None if values is None else values[which] for values in columns))
 
 
-def echoes(tree, origins, directions, *, radius, growth, turn, separation, axis=None):
-    """Return the ``Echoes`` of pulses along unit directions.
+@njit(cache=True, parallel=True, error_model="numpy")
+def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
+    """The arrays of the ``Echoes`` of pulses along unit directions.
 
     A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a
     ring of six rays, each an equal share of its energy, turned by ``turn`` (0 to 1) at random. Hits
@@ -441,14 +432,6 @@ def echoes(tree, origins, directions, *, radius, growth, turn, separation, axis=
     where they belong to several surfaces. A beam that is not round is wider along ``axis`` (n, 3),
     by the length of that vector as much again.
     """
-    axis = np.zeros((1, 3)) if axis is None else axis
-    with enough_threads(len(directions), RAYS_A_THREAD):
-        return Echoes(*_echoes(tree, origins, directions, radius, growth, turn, separation, axis))
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _echoes(tree, origins, directions, radius, growth, turn, separation, axis):
-    """The arrays of ``Echoes``."""
     n = len(origins)
     wide = radius > 0.0 or growth > 0.0
     ranges, surface = np.full(n, np.nan), np.full(n, -1, np.int32)

@@ -13,24 +13,16 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.simulate import surfaces
-from mmqa_lab.simulate.presets import PRESETS
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, foliage, group, rectangle
+from mmqa_lab.simulate.systems import PRESETS, read_tables
 from mmqa_lab.simulate.trajectories import straight
 
 FAR_M = 12.5
 LEAF_RADIUS_M = 0.07
 LEAVES_PER_M = 0.8
 """Leaves that a ray meets on a metre of its way through foliage of density 1, on average."""
-
-SCANNERS = {
-    "roamer": replace(PRESETS["roamer"], lever_arm_m=(0.0, 0.0, 2.5)),
-    "dense-profiler": replace(PRESETS["roamer-dense"], lever_arm_m=(0.0, 0.0, 2.5)),
-    "vq-450": replace(PRESETS["vq-450"], lever_arm_m=(0.0, 0.0, 2.5)),
-    "push-broom": replace(PRESETS["push-broom"], lever_arm_m=(0.0, 0.0, 2.0)),
-}
-"""Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,42 +102,16 @@ class Plan:
         check_number(high, "setback_m", low=check_number(low, "setback_m", low=5), unit="m")
 
 
-PLANS = {
-    "table-4-1": Plan(
-        trees_per_100m=12.0,
-        others_per_100m=9.0,
-        shrub_share=0.45,
-        thicket_share=0.6,
-        thicket_density=(10.0, 30.0),
-        thicket_height_m=(1.0, 5.0),
-        low_crown_share=0.1,
-        low_branch_share=0.45,
-        hedges_per_100m=6.0,
-        balcony_share=0.12,
-    ),
-    "quiet": Plan(
-        shrub_share=0.1,
-        thicket_share=0.1,
-        low_crown_share=0.1,
-        low_branch_share=0.1,
-        balcony_share=0.0,
-        hedges_per_100m=0.5,
-        columns_per_100m=0.5,
-        pipes_per_100m=0.5,
-    ),
-    "balconies": Plan(
-        building_share=0.9,
-        setback_m=(9.0, 15.0),
-        balcony_share=0.8,
-        columns_per_100m=10.0,
-        pipes_per_100m=10.0,
-        far_share=0.2,
-    ),
-    "green": Plan(shrub_share=0.7, low_crown_share=0.6, low_branch_share=0.8, hedges_per_100m=5.0),
+_TABLES = read_tables("streets.toml")
+
+PLANS = {name: Plan(**rates) for name, rates in _TABLES["plans"].items()}
+"""Streets by name. ``table-4-1`` was chosen so that its rates come near those of that table."""
+
+SCANNERS = {
+    name: replace(PRESETS[one["like"]], lever_arm_m=one["lever_arm_m"])
+    for name, one in _TABLES["scanners"].items()
 }
-"""Streets by name. ``table-4-1`` was CHOSEN, on other seeds than those of the study and by the
-scan-line method alone, so that its rates come near Table 4-1, by class too, and that the cloud
-shows about three in four poles, as in the field."""
+"""Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
 
 
 @dataclass(frozen=True, eq=False)

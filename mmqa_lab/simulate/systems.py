@@ -7,15 +7,15 @@ parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL
 matching).
 """
 
+import tomllib
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
 
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate import presets
-from mmqa_lab.simulate.matching import MatchingCamera, match
-from mmqa_lab.simulate.scan import scan
+from mmqa_lab.simulate.scan import MatchingCamera, match, scan
 from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import chart, chart_corners
@@ -39,7 +39,7 @@ class System:
 
     Examples
     --------
-    >>> System("one head", (presets.VQ_250,)).assumed_lever_arms.tolist()
+    >>> System("one head", (PRESETS["vq-250"],)).assumed_lever_arms.tolist()
     [[0.0, 0.0, 0.0]]
     """
 
@@ -56,114 +56,46 @@ class System:
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
 
 
-def _two_heads(base, height, **numbers):
-    """Two heads of one kind, turned by 45 degrees to either side, 0.8 m apart."""
-    return tuple(
-        replace(
-            base,
-            heading_deg=-45 * side,
-            tilt_deg=45,
-            lever_arm_m=(0.4 * side, -0.6, height),
-            **numbers,
-        )
-        for side in (-1, 1)
-    )
+def read_tables(name):
+    """The tables of a file beside this module; its lists are tuples."""
+    tables = tomllib.loads(files(__package__).joinpath(name).read_text("utf-8"))
+    return _with_tuples(tables)
 
 
-def _drift(plan_m, height_m, level_deg, heading_deg):
-    """Navigation whose errors change over a minute."""
-    errors = {"drift_m": (plan_m, plan_m, height_m)}
-    return NavigationErrors(**errors, drift_deg=(level_deg, level_deg, heading_deg))
+def _with_tuples(value):
+    """A value of TOML with tuples for lists, all the way down."""
+    if isinstance(value, dict):
+        return {name: _with_tuples(one) for name, one in value.items()}
+    return tuple(value) if isinstance(value, list) else value
 
 
-RIEGL_HEADS = _two_heads(
-    presets.VQ_250,
-    0.3,
-    name="RIEGL VQ-250",
-    range_noise_m=0.010,
-    exit_diameter_m=0.007,
-    divergence_mrad=0.3,
-    max_range_m=500,
-    source="Table 3-2: 300 kHz, 100 profiles a second, 500 m, 0.3 mrad, 7 mm, 10 mm at 150 m",
-)
+def _with_scanners(entries, known=()):
+    """Scanners by name, known ones and those of entries, each perhaps ``like`` one before it."""
+    found = dict(known)
+    for name, entry in entries.items():
+        kind = MultiBeamScanner if "elevations_deg" in entry else ProfileScanner
+        like = entry.pop("like", None)
+        found[name] = replace(found[like], **entry) if like else kind(**entry)
+    return found
 
-LYNX_HEADS = _two_heads(
-    presets.LYNX_M1,
-    0.5,
-    name="Optech Lynx",
-    pulse_rate_hz=200_000,
-    mirror_frequency_hz=200,
-    range_noise_m=0.008,
-    max_range_m=200,
-    source="Table 3-2: 200 kHz, 200 profiles a second, 200 m, 8 mm; beam N/A, so a line",
-)
 
-IBEO_LUX = MultiBeamScanner(
-    name="Ibeo Lux",
-    pulse_rate_hz=38_000 * 360 / 110,
-    spin_hz=50,
-    elevations_deg=(-1.2, -0.4, 0.4, 1.2),
-    field_of_view_deg=(35.0, 145.0),
-    tilt_deg=90.0,
-    lever_arm_m=(0.4, -0.5, 0.3),
-    range_noise_m=0.1,
-    divergence_mrad=1.4,
-    divergence_axial_mrad=14.0,
-    min_range_m=0.3,
-    max_range_m=50.0,
-    max_range_reflectance=0.1,
-    source="Table 3-2, section 3.1.3.4: 38 kHz, 50 scans a second, four layers, 1.4 x 14 mrad, "
-    "100 mm, 0.3 to 200 m, 50 m at 10 %; the body upright on one side, so that the 14 mrad lie "
-    "along the track; layers 0.8 degrees apart and 110 degrees of view assumed",
-)
+def _systems(tables):
+    """Systems by name."""
+    scanners = _with_scanners(tables["heads"], PRESETS)
+    found = {}
+    for name, entry in tables["systems"].items():
+        heads = tuple(scanners[head] for head in entry.pop("heads"))
+        navigation = NavigationErrors(**entry.pop("navigation", {}))
+        found[name] = System(heads=heads, navigation=navigation, **entry)
+    return found
 
-MOUNTED = "Mounting of 45/45 degrees, lever arms and correlation of 60 s assumed."
-SHEET = "as usually quoted from the maker's sheet, which was not seen"
 
-SYSTEMS = {
-    "roamer": System(
-        "ROAMER",
-        (replace(presets.ROAMER, lever_arm_m=(0.0, -0.5, 0.4)),),
-        _drift(0.02, 0.04, 0.013, 0.027),
-        source="EuroSDR 2013, section 3.1.3.2, Table 3-2. Navigation SPAN with HG1700: positions "
-        "by VRS, 2 cm and 4 cm (section 3.1.2.2); heading 0.027 degrees (3.1.2.1); roll and pitch "
-        f"0.013 degrees {SHEET}. Lever arm and correlation of 60 s assumed.",
-    ),
-    "vmx-250": System(
-        "RIEGL VMX-250",
-        RIEGL_HEADS,
-        _drift(0.02, 0.02, 0.005, 0.015),
-        source="EuroSDR 2013, section 3.1.3.3, Table 3-2. Navigation: 20 mm, 0.005 and 0.015 "
-        f"degrees {SHEET}. {MOUNTED}",
-    ),
-    "streetmapper-360": System(
-        "Streetmapper 360",
-        RIEGL_HEADS,
-        _drift(0.017, 0.017, 0.004, 0.010),
-        source="EuroSDR 2013, section 3.1.3.5, Table 3-2. Navigation AEROcontrol: 30 mm of points "
-        "(3D) with good GNSS (Haala et al. 2008 in section 2.2), 17 mm an axis; 0.004 and 0.010 "
-        f"degrees {SHEET}. {MOUNTED}",
-    ),
-    "lynx": System(
-        "Optech Lynx",
-        LYNX_HEADS,
-        _drift(0.02, 0.05, 0.015, 0.02),
-        source="EuroSDR 2013, section 3.1.3.6, Table 3-2, heads 2.7 m up. Navigation POS LV 420: "
-        f"20 mm, 50 mm, 0.015 and 0.020 degrees {SHEET}. {MOUNTED}",
-    ),
-    "sensei": System(
-        "Sensei",
-        (IBEO_LUX,),
-        _drift(0.02, 0.04, 0.015, 0.03),
-        source="EuroSDR 2013, section 3.1.3.4, Table 3-2. Navigation SPAN-CPT: positions by VRS, "
-        f"2 cm and 4 cm (section 3.1.2.2); 0.015 and 0.030 degrees {SHEET}. Lever arm and "
-        "correlation of 60 s assumed.",
-    ),
-    "xp1": System("XP1", (presets.VQ_250,), source=presets.VQ_250.source),
-    "lynx-m1": System(
-        "Lynx M1", (presets.LYNX_M1, presets.LYNX_M1_SECOND), source=presets.LYNX_M1.source
-    ),
-}
+PRESETS = _with_scanners(read_tables("presets.toml"))
+"""Scanners as their makers describe them, by the name that the command line knows. Mount and vary
+them with ``dataclasses.replace``. Each says where its numbers come from and whether they are
+nominal or calibrated."""
+
+SYSTEMS = _systems(read_tables("systems.toml"))
 """Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the
 others."""
 
@@ -224,10 +156,14 @@ FACING_THE_ROAD = 270.0
 REACH = 5
 """Chart distances to either side from which points are looked for; 2 % come from beyond."""
 
-SYSTEM_A = replace(presets.ZF_9012, tilt_deg=45)
+STEPS_A_VIEW = 4
+"""Steps of a drive that are scanned at once: more take more pulses beside the chart, fewer more
+calls."""
+
+SYSTEM_A = replace(PRESETS["zf-9012"], tilt_deg=45)
 """1 MHz and 200 Hz are stated, an inclined plane too, its angle is not: 45 degrees, as is usual."""
 
-SYSTEM_B = presets.HDL_32E
+SYSTEM_B = PRESETS["hdl-32e"]
 """0.7 MHz are stated, the mounting is not: upright, as most are."""
 
 SYSTEM_C = MatchingCamera(
@@ -292,27 +228,38 @@ def pass_chart(
         return next(match(scene, sensor, path, times=[path.duration_s / 2], seed=seed))
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
     path = straight(2 * REACH * distance, speed, start=(0, shift - REACH * distance, height))
+    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
+    return scan_chart(scene, sensor, path, corners, seed=seed, rounding_m=rounding_m)
+
+
+def scan_chart(scene, scanner, path, corners, **options):
+    """Scan from a straight drive what lies about a chart: pulses that cannot meet it are not cast.
+
+    Parameters
+    ----------
+    scene, scanner, path, **options
+        As :func:`mmqa_lab.simulate.scan` takes them.
+    corners : array, shape (4, 3)
+        Of the chart, metres.
+    """
     parts = []
-    for between, angles in _views(sensor, path, distance):
-        looking = replace(sensor, field_of_view_deg=angles)
-        parts += scan(
-            scene, looking, path, seed=seed, between=between, block_s=1.0, rounding_m=rounding_m
-        )
+    for between, angles in _views(scanner, path, corners):
+        looking = replace(scanner, field_of_view_deg=angles)
+        parts += scan(scene, looking, path, between=between, block_s=1.0, **options)
     return Cloud.concatenate(parts)
 
 
-def _views(scanner, path, distance):
-    """Parts of a drive from which beams reach the chart, in seconds, and the scan angles they need.
-
-    Not needed for the result: pulses that can meet nothing are not cast.
-    """
-    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
+def _views(scanner, path, corners):
+    """Parts of a drive from which beams reach a chart (s), and the scan angles they need."""
     times = np.linspace(0, path.duration_s, 40 * REACH + 1)
     vectors = corners - path.at(times)[0][:, None]
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     seen = (elevation.min(axis=1) <= high + 1) & (elevation.max(axis=1) >= low - 1)
-    for k in np.flatnonzero(seen[:-1] | seen[1:]):
-        ends = angle[k : k + 2]
-        view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
-        yield (times[k], times[k + 1]), tuple(view)
+    steps = np.flatnonzero(seen[:-1] | seen[1:])
+    for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
+        for k in range(0, len(run), STEPS_A_VIEW):
+            first, last = run[k], run[min(k + STEPS_A_VIEW, len(run)) - 1] + 1
+            ends = angle[first : last + 1]
+            view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
+            yield (times[first], times[last]), tuple(view)

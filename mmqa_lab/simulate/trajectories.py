@@ -5,19 +5,14 @@ Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: hea
 vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.scan_pattern.lattice import rotations
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,14 +306,14 @@ def measured(
     return Trajectory(trajectory.time[0] + since, position, *angles.T)
 
 
-def gauss_markov(n, interval, correlation, rng):
-    """Return ``n`` values of a first-order Gauss-Markov process of standard deviation one."""
+def gauss_markov(shape, interval, correlation, rng, axis=0):
+    """Return first-order Gauss-Markov processes of standard deviation one along an axis."""
     from scipy.signal import lfilter
 
     keep = np.exp(-interval / check_positive(correlation, "correlation_s", unit="s"))
-    white = rng.standard_normal(n)
-    white[1:] *= np.sqrt(1 - keep**2)
-    return lfilter([1.0], [1.0, -keep], white)
+    white = rng.standard_normal(shape)
+    np.moveaxis(white, axis, 0)[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], white, axis=axis)
 
 
 def _errors(bias, drift, white, since, errors, rng):

@@ -9,6 +9,7 @@ which points lie closest, divided by the spacing along it.
 95 % intervals; :func:`exempt` says where f does not matter.
 """
 
+import sys
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -39,8 +40,17 @@ _ONE_AT_A_TIME = threading.Lock()
 STEP_DEG = 4.0
 """Distance between the directions that are tried."""
 
+AT_ONCE = 1_000_000
+"""Neighbours that are searched together: bounds the memory."""
+
 SECTOR_STEPS = 15
 """Width of a sector in those steps: 60 degrees, a third of all directions."""
+
+FEW = 10_000
+"""Points that are searched without numba, whose import would take longest."""
+
+MOST_PAIRS = 2_000_000
+"""Points times neighbours up to which that is so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +59,7 @@ class Spacing(Shown):
 
     Parameters
     ----------
-    d : array, shape (4,)
+    d : array, shape (4,), or as many as there are sectors
         Medians d1..d4 of the sorted quadrant distances, m; NaN where no point has a neighbour of
         that rank.
     counts : array of int, shape (4,)
@@ -62,6 +72,8 @@ class Spacing(Shown):
         The points, m.
     distances : array, shape (n, 4)
         The sorted quadrant distances of each point, NaN where a quadrant is empty, m.
+    statistic : float
+        The percentile that d is of the distances: 50 for medians.
 
     Examples
     --------
@@ -77,6 +89,7 @@ class Spacing(Shown):
     coincident: int
     xy: np.ndarray = field(repr=False)
     distances: np.ndarray = field(repr=False)
+    statistic: float = 50.0
 
     @property
     def n(self) -> int:
@@ -86,7 +99,7 @@ class Spacing(Shown):
     @property
     def f(self) -> float:
         """Inhomogeneity d4 / d1, equation (1); NaN where one of them is not measurable."""
-        return float(self.d[3] / self.d[0])
+        return float(self.d[-1] / self.d[0])
 
     @cached_property
     def intervals(self) -> np.ndarray:
@@ -94,18 +107,20 @@ class Spacing(Shown):
 
         See :func:`mmqa_lab.stats.median_interval`.
         """
-        block = stats.blocks(self.xy)
-        ends = [stats.median_interval(distances, block) for distances in self.distances.T]
-        d1, _, _, d4 = self.distances.T
-        return np.array([*ends, stats.median_ratio_interval(d4, d1, block)])
+        block, share = stats.blocks(self.xy), self.statistic / 100
+        ranks = self.distances.T
+        ends = [stats.median_interval(distances, block, share=share) for distances in ranks]
+        ratio = stats.median_ratio_interval(ranks[-1], ranks[0], block, share=share)
+        return np.array([*ends, ratio])
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
         values = np.column_stack([[*self.d, self.f], self.intervals])
-        values[:4] *= 1000
+        values[:-1] *= 1000
         table = pd.DataFrame(values, columns=["value", "low", "high"])
-        table.insert(0, "figure", ["d1", "d2", "d3", "d4", "f"])
-        return table.assign(unit=["mm"] * 4 + ["1"], n=[*self.counts, self.counts[3]])
+        ranks = len(self.d)
+        table.insert(0, "figure", [*(f"d{k + 1}" for k in range(ranks)), "f"])
+        return table.assign(unit=["mm"] * ranks + ["1"], n=[*self.counts, self.counts[-1]])
 
 
 def quadrant_distances(
@@ -158,19 +173,22 @@ def quadrant_distances(
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
     _check_width(xy)
-    from mmqa_lab.spacing._search import nearest_per_quadrant
-
     of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
     if of.dtype != bool or of.shape != (len(xy),):
         raise ValueError(
             f"Invalid of, {of.dtype} of shape {of.shape}. Must be bool of shape ({len(xy)},)."
         )
-    with _ONE_AT_A_TIME:
-        return nearest_per_quadrant(_turned(xy, angle), radius, of)
+    return _nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
 def quadrants(
-    xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, complete: bool = False
+    xy: ArrayLike,
+    *,
+    radius: float = 0.5,
+    angle: float = 0.0,
+    complete: bool = False,
+    sectors: int | str = 4,
+    statistic: float = 50.0,
 ) -> Spacing:
     """Medians d1..d4 of the sorted quadrant distances, and their ratio f.
 
@@ -185,6 +203,11 @@ def quadrants(
     complete : bool
         Use only the points with a neighbour in all four quadrants. By default each median is over
         the points that have a neighbour of that rank, as the histogram of an attribute would be.
+    sectors : int or "nearest"
+        Equal sectors in place of the four quadrants, the first from the first axis on; "nearest"
+        takes the four nearest points in any direction. The source has quadrants only.
+    statistic : float
+        The percentile of the distances; 50 is the median, which the source has.
 
     Returns
     -------
@@ -193,7 +216,7 @@ def quadrants(
     Raises
     ------
     ValueError
-        As :func:`quadrant_distances`.
+        As :func:`quadrant_distances`, or if there are not 4 to 36 sectors, or no such percentile.
 
     Notes
     -----
@@ -211,20 +234,29 @@ def quadrants(
     >>> found = quadrants(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
+    >>> quadrants([[0, 0], [0.02, 0], [0, 0.04], [0.06, 0]], sectors="nearest").distances[0]
+    array([0.02, 0.04, 0.06,  nan])
     """
     xy = flat_points(xy)
-    distances = quadrant_distances(xy, radius=radius, angle=angle)
+    share = check_number(statistic, "statistic", low=0, high=100, unit="%") / 100
+    if sectors == 4:
+        distances = quadrant_distances(xy, radius=radius, angle=angle)
+    else:
+        radius = check_positive(radius, "radius", unit="m")
+        distances = _sector_distances(xy, radius, check_number(angle, "angle"), sectors)
     known = ~np.isnan(distances)
-    full = known[:, 3]
+    full = known[:, -1]
     if complete:
-        known = np.repeat(full[:, None], 4, axis=1)
+        known &= full[:, None]
+    ranks = zip(distances.T, known.T, strict=True)
     return Spacing(
-        d=np.array([_median(distances[known[:, k], k]) for k in range(4)]),
+        d=np.array([_quantile(values[here], share) for values, here in ranks]),
         counts=known.sum(axis=0),
         incomplete_share=float(1 - full.mean()),
         coincident=_count_coincident(xy),
         xy=xy,
         distances=distances,
+        statistic=float(statistic),
     )
 
 
@@ -498,14 +530,100 @@ def _turned(xy, angle):
     return (xy - xy.min(axis=0)) @ np.array([[c, -s], [s, c]])
 
 
-def _median(values):
-    """Median, NaN of nothing."""
-    return float(np.median(values)) if len(values) else np.nan
+def _quantile(values, share):
+    """Quantile, NaN of nothing."""
+    if share == 0.5:
+        return float(np.median(values)) if len(values) else np.nan
+    return float(np.quantile(values, share)) if len(values) else np.nan
+
+
+def _sector_distances(xy, radius, angle, sectors):
+    """Sorted distances to the nearest point in each sector, or to the four nearest; NaN last."""
+    from scipy.spatial import cKDTree
+
+    if sectors != "nearest" and sectors not in range(4, 37):
+        raise ValueError(f"Invalid sectors {sectors!r}. Must be 4 to 36, or 'nearest'.")
+    tree, ranks = cKDTree(xy), 4 if sectors == "nearest" else sectors
+    found, waiting = np.empty((len(xy), ranks)), _portions(np.arange(len(xy)), 4 * ranks)
+    while waiting:
+        rows, reach = waiting.pop()
+        away, other = tree.query(xy[rows], k=np.arange(1, reach + 1))
+        away[away > radius] = np.inf
+        all_seen = np.isinf(away[:, -1])
+        away[away == 0] = np.inf
+        if sectors != "nearest":
+            offset = xy[np.minimum(other, len(xy) - 1)] - xy[rows, None]
+            away = _nearest_in_sectors(away, offset, angle, sectors)
+        found[rows] = np.sort(away)[:, :ranks]
+        waiting += _portions(rows[~all_seen & np.isinf(found[rows, -1])], 2 * reach)
+    found[np.isinf(found)] = np.nan
+    return found
+
+
+def _portions(rows, reach):
+    """Rows whose ``reach`` nearest points fit into the memory together, and that number."""
+    parts = np.array_split(rows, 1 + len(rows) * reach // AT_ONCE)
+    return [(part, reach) for part in parts if len(part)]
+
+
+def _nearest_in_sectors(away, offset, angle, sectors):
+    """The least distance in each sector, shape (n, sectors)."""
+    turn = np.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) - angle / 360
+    sector = np.floor(turn * sectors) % sectors
+    near = [np.where(sector == k, away, np.inf).min(axis=1) for k in range(sectors)]
+    return np.column_stack(near)
 
 
 def _directions():
     """The directions that are tried, degrees."""
     return np.arange(0, 180, STEP_DEG)
+
+
+def _nearest_per_quadrant(xy, radius, of):
+    """The compiled search, but for small clouds where numba is not imported yet."""
+    if len(xy) <= FEW and "numba" not in sys.modules:
+        found = _nearest_of_few(xy, radius, of)
+        if found is not None:
+            return found
+    from mmqa_lab.spacing._search import nearest_per_quadrant
+
+    with _ONE_AT_A_TIME:
+        return nearest_per_quadrant(xy, radius, of)
+
+
+def _nearest_of_few(xy, radius, of):
+    """What the compiled search gives, bit for bit, from more and more neighbours of each point.
+
+    None where that would take longer than importing numba.
+    """
+    from scipy.spatial import cKDTree
+
+    tree, found = cKDTree(xy), np.full((len(xy), 4), np.nan)
+    rows, count = np.flatnonzero(of), min(32, len(xy))
+    while len(rows):
+        if len(rows) * count > MOST_PAIRS:
+            return None
+        far, near = tree.query(xy[rows], k=np.arange(1, count + 1))
+        best = _best_per_quadrant(*(xy[near] - xy[rows, None]).transpose(2, 0, 1))
+        # the tree may round otherwise
+        settled = np.minimum(best[:, 3], radius) < (1 - 1e-12) * far[:, -1]
+        settled |= count == len(xy)
+        found[rows[settled]] = np.where(best <= radius, best, np.nan)[settled]
+        rows, count = rows[~settled], min(4 * count, len(xy))
+    return found
+
+
+def _best_per_quadrant(dx, dy):
+    """Sorted distances to the nearest neighbour in each quadrant, infinite where there is none."""
+    distances = np.sqrt(dx * dx + dy * dy)
+    quadrants = [
+        (dx > 0) & (dy >= 0),
+        (dx <= 0) & (dy > 0),
+        (dx < 0) & (dy <= 0),
+        (dx >= 0) & (dy < 0),
+    ]
+    best = [np.where(inside, distances, np.inf).min(axis=1) for inside in quadrants]
+    return np.sort(best, axis=0).T
 
 
 def _nearest_by_sector(xy, radius):

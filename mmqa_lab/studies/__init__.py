@@ -1,1 +1,86 @@
-"""The studies: one module per notebook, and the catalogue that lists them."""
+"""The studies, one module per notebook, and their list and notes, which stand in TOML files."""
+
+import tomllib
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from mmqa_lab import _shipped
+from mmqa_lab._checks import check_choice
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study: a notebook, the module behind it, and what it asks."""
+
+    number: int
+    stem: str
+    title: str
+    question: str
+    source: str
+
+    @property
+    def notebook(self):
+        """Name of the notebook without its ending."""
+        return f"{self.number:02d}_{self.stem}"
+
+    @property
+    def path(self):
+        """Path of the notebook."""
+        return notebooks_folder() / f"{self.notebook}.ipynb"
+
+    @property
+    def module(self):
+        """The imported module of the study."""
+        return import_module(f"mmqa_lab.studies.{self.stem}")
+
+
+def _read(name):
+    """The tables of a file beside this module."""
+    return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
+
+
+NOTES = _read("notes.toml")
+"""What the studies say in words beside their numbers, by study."""
+
+_LISTED = _read("catalogue.toml")
+
+STUDIES = tuple(Study(**one) for one in _LISTED["studies"])
+
+TOOLS = tuple(Study(**one) for one in _LISTED["tools"])
+"""Notebooks that are tools: they have no answer, no checks and no module."""
+
+
+def notebooks_folder():
+    """Return the folder of the notebooks.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package was installed without them.
+    """
+    folder = _shipped("notebooks")
+    if not folder.is_dir():
+        raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be installed.")
+    return folder
+
+
+def results_folder(notebooks):
+    """Return where full runs go: beside the notebooks, or here where these are installed."""
+    own = (notebooks.parent / "pyproject.toml").is_file()
+    return (notebooks if own else Path.cwd()) / "results"
+
+
+def chosen(names=()):
+    """Return the studies with these stems or notebook names, in the catalogue's order; all if none.
+
+    Examples
+    --------
+    >>> [study.notebook for study in chosen(["chart_tables"])]
+    ['01_chart_tables']
+    """
+    known = tuple(study.stem for study in STUDIES)
+    stems = [Path(name).stem.lstrip("0123456789_") for name in names]
+    for stem in stems:
+        check_choice(stem, "study", known)
+    return [study for study in STUDIES if study.stem in stems or not stems]

@@ -6,6 +6,7 @@ report (EuroSDR 2013, image radiometry) are airborne.
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,7 @@ from mmqa_lab.simulate.targets import (
     render_edge,
     render_star,
 )
+from mmqa_lab.studies import NOTES
 
 QUICK = {
     "sigmas_px": (0.5, 1.0),
@@ -38,7 +40,7 @@ QUICK = {
 }
 """Small parameters for the tests."""
 
-SOURCE = "eurosdr2013_radiometry"
+SOURCE, TOLD = "eurosdr2013_radiometry", NOTES["image_radiometry"]
 
 LOW, HIGH = 0.1, 0.6
 """Levels of all targets of resolution; their noise is a share of the difference."""
@@ -365,84 +367,36 @@ def ledger_entries(*, corner, sensors, stable, reflectance, laboratory):
     laboratory : DataFrame
         Errors in percent that 10 and 20 % of radiance make: ``target_class``, ``low``, ``high``.
     """
-    found = [("resolution_results", "corner_factor", corner.value, corner, PREDICTED, "predicted")]
+    tables = ("resolution", "calibration", "reflectance")
+    resolution, calibration, other = (partial(_entry, f"{name}_results") for name in tables)
+    found = [resolution("corner_factor", corner.value, corner, TOLD["predicted"], "predicted")]
     lines = [1000 / pixel for pixel in (12.0, 12.5, 11.5)]
-    found.append(
-        ("resolution_results", "theoretical_resolution", *_split(lines), PIXELS, "predicted")
-    )
+    found.append(resolution("theoretical_resolution", *_split(lines), TOLD["pixels"], "predicted"))
     r2 = _split(sensors["r_squared"].quantile([0.025, 0.025, 0.975]))
-    found += [("calibration_results", f"dmc_r2_{site}", *r2, LINEAR) for site in SITES]
+    found += [calibration(f"dmc_r2_{site}", *r2, TOLD["linear"]) for site in SITES]
     offset, std = sensors[["offset_dn", "offset_std_dn"]].mean() - [OFFSET, 0]
-    found.append(
-        ("calibration_results", "dmc_intercept", offset, (offset - 2 * std, offset + 2 * std), DARK)
-    )
+    ends = offset - 2 * std, offset + 2 * std
+    found.append(calibration("dmc_intercept", offset, ends, TOLD["dark"]))
     between = _split([stable.mean(), *stable.quantile([0.025, 0.975])])
-    for name, (band, note) in itertools.product(CHANGES, LABEL_NOTES.items()):
-        found.append(("calibration_results", f"stability_{band}_{name}", *between, note, "fitted"))
-    for cell, (method, name, note) in COMPARABLE.items():
-        errors = reflectance.loc[reflectance["method"] == method, f"{name}_percent"]
+    for name, band in itertools.product(CHANGES, ("rgb", "nir")):
+        note = TOLD[f"stability_{band}"]
+        found.append(calibration(f"stability_{band}_{name}", *between, note, "fitted"))
+    for cell, ours in TOLD["comparable"].items():
+        rows = reflectance[reflectance["method"] == ours["method"]]
+        errors = rows[f"{ours['target_class']}_percent"]
         ends = errors.quantile([0.025, 0.975])
-        found.append(("reflectance_results", cell, np.sqrt((errors**2).mean()), ends, note))
+        found.append(other(cell, np.sqrt((errors**2).mean()), ends, ours["note"]))
     for cell, name in LABORATORY.items():
         ends = laboratory.set_index("target_class").loc[name, ["low", "high"]]
-        found.append(("reflectance_results", cell, ends.mean(), ends, PASSED_ON))
+        found.append(other(cell, ends.mean(), ends, TOLD["passed_on"]))
     corner_deg = np.degrees(np.arctan2(np.hypot(*DMC_PIXELS) / 2 * 0.012, 120.0))
     ends = (corner_deg - 0.1, corner_deg + 0.1)
-    found.append(
-        ("reflectance_results", "brf_view_angles", corner_deg, ends, DATA_SHEET, "predicted")
-    )
-    return [_entry(*row) for row in found]
+    return [*found, other("brf_view_angles", corner_deg, ends, TOLD["data_sheet"], "predicted")]
 
 
-PREDICTED = (
-    "Bars 3 to 12 cm wide at 5 cm per pixel, 1.6 times that in the corner, as printed; read in "
-    "simulated images and regressed on the distance. Blur (0.5 px) and places are assumed."
-)
 DMC_PIXELS = (13_824, 7_680)
-DATA_SHEET = (
-    "The camera's data sheet: images of 13,824 x 7,680 pixels of 12 um behind 120 mm; the angle is "
-    "that of the corner."
-)
-PIXELS = "One line on each pixel of 12 um, which prints as 83; the interval is that of 12, rounded."
-LINEAR = (
-    "A simulated linear sensor without error of the reference: such R2 says little of accuracy."
-)
-DARK = "Offset less the simulated dark signal; the report subtracts dark pixels. The unit is DN."
-FITTED = (
-    "One error of the exposure labels, fitted to the range for the same aperture. It is enough for "
-    "all three ranges in R, G, B, which does not prove that labels are the cause."
-)
-NEAR_INFRARED = (
-    "The error of the exposure labels that is enough for R, G, B is common to all bands. It cannot "
-    "explain larger differences in the near infrared; the report could not separate the causes."
-)
-LABEL_NOTES = {"rgb": FITTED, "nir": NEAR_INFRARED}
 CHANGES = ("same_aperture", "other_aperture", "other_day")
 SITES = ("sjokulla", "banyoles")
-SIMULATED = "Targets are simulated; clean air is known to the method exactly: a lower bound."
-PASSED_ON = (
-    "What the difference of 10 to 20 % in radiance that the report prints for this sensor (section "
-    "4.4) becomes in reflectance by equation 4 with assumed clean air."
-)
-COMPARABLE = {
-    "empirical_line_rmse": (
-        "empirical line",
-        "uniform",
-        "Three portable targets (nominal 0.20, 0.30, 0.50) are assumed to be known to 3 %. This "
-        "dominates the error on uniform surfaces; noise and clean air add less than 1 %.",
-    ),
-    "xpro_uniform": (
-        "dark pixel",
-        "uniform",
-        "Dark pixel subtraction stands for XPro: no ground targets, no BRDF, clean air assumed.",
-    ),
-    "atcor_bright_vicarious": ("equation 4", "bright_tarps", SIMULATED),
-    "atcor_bright_1km": ("equation 4", "bright_tarps", SIMULATED),
-    "atcor_dark_1km": ("equation 4", "black_tarp", SIMULATED),
-    "black_tarp_vicarious": ("equation 4", "black_tarp", SIMULATED),
-}
-"""Cells of the report: our method, our class of targets, and how comparable they are."""
-
 LABORATORY = {"bright_laboratory": "bright tarps", "black_tarp_laboratory": "black tarp"}
 
 

@@ -179,7 +179,7 @@ METHODS = {
     "first differences": partial(measured, threshold=partial(lines.peak_threshold, order=1)),
     "sensitivity 0.1 m": partial(measured, sensitivity=0.1),
     "sensitivity 2 m": partial(measured, sensitivity=2.0),
-    "mixture threshold": partial(measured, threshold=lines.mixture_threshold),
+    "Otsu's threshold": partial(measured, threshold=lines.otsu_threshold),
     "shorter line turned": partial(measured, rotate="shorter"),
     "any overlap": partial(measured, within="overlap"),
     "all targets": partial(measured, norm="all"),

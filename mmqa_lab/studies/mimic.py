@@ -21,8 +21,9 @@ from mmqa_lab.scan_pattern import (
     mimic,
     scan_lattice,
 )
+from mmqa_lab.studies import NOTES
 
-SOURCE = "cahalane2014"
+SOURCE, TOLD = "cahalane2014", NOTES["mimic"]
 QUICK = {"ranges_m": (8.0,), "seeds": range(2), "surfaces": 4, "step_m": 1.0, "draws": 2000}
 
 MIRROR_HZ = 100.0
@@ -43,28 +44,6 @@ SYSTEMS = (
     {"pulse_rate_khz": 500.0, "mirror_hz": 200.0},
 )
 """Rates of the XP1 and of the two settings of the Lynx M1 (section 4.2.2)."""
-
-READINGS = (
-    "The scanner is tilted by -45 degrees and walls turn about a line 3.2 m below it (fitted): the "
-    "axes of turning are not printed, and no reading that was tried gives more than six rows.",
-    "The scanner is turned by 45 degrees about one axis, walls turn about a line 2.76 m below it "
-    "and the point lies 1.82 m above it (four fitted lengths): six rows agree, 8 and 9 among them.",
-)
-"""What is assumed in the two readings of Table 4."""
-
-CAST_NOTE = "Rays cast on the walls of Tables 3 and 4 in place of the constructed models."
-
-TABLE_6_NOTE = {
-    "d_PrSH": "At 150 Hz and 7.7 m/s, scanner turned by 11.45, wall by 50.45 degrees, all fitted.",
-    "d_PrSV": "At 100 Hz and 8.54 m/s, scanner at 41.3/32, wall turned by 8 degrees, all fitted; "
-    "where beta_targ is 0, a change of 1.5 % needs at most 0.44 degrees of gamma_scan.",
-}
-
-FIELD_NOTE = (
-    "Five distances clicked on simulated surfaces within the printed limits; mountings of 45/45 "
-    "degrees and 5 mm of range noise are assumed, since the paper prints neither; differences may "
-    "come from them."
-)
 
 
 @dataclass(frozen=True)
@@ -497,21 +476,20 @@ def ledger_entries(*, table_3, still, readings, field, table_6):
         yield entry("table_3", f"{wall} mimic", row.predicted_m, kind=kind, note=note)
         error = abs(row.ray_cast_m - row.predicted_m)
         for what, value in (("cad", row.ray_cast_m), ("error", error)):
-            yield entry("table_3", f"{wall} {what}", value, kind="measured", note=CAST_NOTE)
-    for reading, note in zip(readings[::-1], READINGS[::-1], strict=True):
+            yield entry("table_3", f"{wall} {what}", value, kind="measured", note=TOLD["cast"])
+    for reading, note in zip(readings[::-1], TOLD["readings"][::-1], strict=True):
         for row in reading.dropna(subset="fitted_mm").itertuples():
             for what in ("mimic", "cad"):
                 value, cell = row.fitted_mm / 1000, f"wall {row.no} {what}"
                 yield entry("table_4", cell, value, kind="fitted", note=note)
     for place, error in enumerate(still["point_mm"].abs().iloc[-9:] / 1000, start=1):
-        yield entry("table_4", f"wall {place} error", error, kind="measured", note=CAST_NOTE)
+        yield entry("table_4", f"wall {place} error", error, kind="measured", note=TOLD["cast"])
     yield from _entries_of_table_5(still, field)
     for row in table_6.dropna(subset=["change_fitted"]).itertuples():
         cell, change = f"{row.output} {row.name}", abs(row.change_fitted)
-        yield entry("table_6", cell, change, kind="fitted", note=TABLE_6_NOTE[row.output])
+        yield entry("table_6", cell, change, kind="fitted", note=TOLD[row.output])
     for output, error in table_6.groupby("output")["error_fitted"].first().items():
-        note = TABLE_6_NOTE[output]
-        yield entry("table_6", f"{output} error", error, kind="fitted", note=note)
+        yield entry("table_6", f"{output} error", error, kind="fitted", note=TOLD[output])
     yield from _entries_of_text(field)
 
 
@@ -523,9 +501,9 @@ def _entries_of_table_5(still, field):
         clicks = np.abs(_clicked_less_predicted(field, name)) / 1000
         for what in ("min", "mean", "max"):
             cell, value = f"Constructed {output} {what}", getattr(part, what)()
-            yield _measured_entry("table_5", cell, [value], CAST_NOTE)
+            yield _measured_entry("table_5", cell, [value], TOLD["cast"])
             values = getattr(clicks, what)("case").values
-            yield _measured_entry("table_5", f"Real World {output} {what}", values, FIELD_NOTE)
+            yield _measured_entry("table_5", f"Real World {output} {what}", values, TOLD["field"])
 
 
 def _measured_entry(name, cell, values, note):
@@ -561,7 +539,7 @@ def _entries_of_text(field):
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),
     }
     for key, found in values.items():
-        yield _measured_entry("numbers", key, found.values, FIELD_NOTE)
+        yield _measured_entry("numbers", key, found.values, TOLD["field"])
 
 
 def answer(*, counted, speed):

@@ -15,8 +15,9 @@ from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.published import ledger
 from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern.lattice import rotations
-from mmqa_lab.simulate import NavigationErrors, System, measured, presets, system
+from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
+from mmqa_lab.studies import NOTES
 from mmqa_lab.testfield import (
     height_accuracy,
     height_differences,
@@ -28,10 +29,11 @@ QUICK = {
     "length_m": 48.0,
     "pulses_per_s": 30_000.0,
     "ground_spacing_m": 2.0,
+    "draws": 16,
     "repeats": 2,
-    "calibration_length_m": 60.0,
+    "calibration_length_m": 40.0,
     "calibration_reference_std_m": [0.003],
-    "calibration_pulses_per_s": 60_000.0,
+    "calibration_pulses_per_s": 40_000.0,
     "real_spacing_m": 0.5,
 }
 """Small parameters for the tests."""
@@ -44,31 +46,10 @@ SOURCE = "eurosdr2013_mls"
 DIRECTIONS = {"there": "CCW", "back": "CW"}
 """Directions of Tables 3-3 and 3-4 for the simulated ones; the assignment is our choice."""
 
-STANDS_FOR = {
-    "ROAMER I": "roamer I",
-    "ROAMER II": "roamer",
-    "Sensei": "sensei",
-    "RIEGL VMX-250 I": "vmx-250",
-    "RIEGL VMX-250 II": "vmx-250",
-    "Streetmapper 360": "streetmapper-360",
-    "Optech Lynx": "lynx",
-}
-"""The simulated system of each data set of Tables 3-3 and 3-4. RIEGL I and II differ in what the
-report does not specify, so one system stands for both."""
+TOLD = NOTES["test_field"]
 
 TOLERANCE, ENOUGH = 0.25, 20
 """How close to print a prediction should be, and in how many of the 26 columns."""
-
-MISSING = {
-    "ROAMER I": "a heading or pitch error of the mounting beside the roll fitted to heights",
-    "ROAMER II": "what the fine-tuning of the mounting left",
-    "Sensei": "the noise of the Ibeo Lux about its mean: the sheet's 100 mm may contain a bias",
-    "RIEGL VMX-250 I": "measurement by hand, and gross errors: largest distances of 11.7 cm",
-    "RIEGL VMX-250 II": "measurement by hand, and gross errors: largest distances of 11.5 cm",
-    "Streetmapper 360": "its accuracy on the field, which no source prints",
-    "Optech Lynx": "two heads that disagree, or a trajectory worse than its sheet says",
-}
-"""What a prediction far from print may miss; a guess, not a finding."""
 
 BORESIGHT_DEG = ((0.12, -0.08, 0.20), (-0.10, 0.15, -0.25))
 LEVER_ARM_ERROR_M = ((0.030, -0.040, 0.020), (-0.020, 0.030, -0.030))
@@ -87,15 +68,6 @@ REACH_M = 15.6
 
 INTERVAL_S = 0.1
 """Of the paths drawn for predictions; navigation drifts over tens of seconds."""
-
-NOTES = {
-    "predicted": "Predicted from Table 3-2, section 3.1.3 and the sheets of the navigation units, "
-    "against a reference of 11 mm in height and 2 cm in plan; errors of navigation change over an "
-    "assumed minute. No ray is cast; the ground reaches as far as the reference of the report.",
-    "fitted": "Roll of the mounting fitted to the std of heights of ROAMER I CCW alone; Table 3-4 "
-    "is predicted from it.",
-}
-"""Of the rows in the ledger, by kind."""
 
 
 def places(street, tested, reach=REACH_M):
@@ -297,7 +269,7 @@ def against_published(predictions, measured_mm):
         ``high_mm``, ``measured_mm``, ``off`` (predicted over published, less 1).
     """
     rows = published_rows()
-    rows["simulated"] = rows["system"].map(STANDS_FOR)
+    rows["simulated"] = rows["system"].map(TOLD["stands_for"])
     fitted = (rows["system"] == "ROAMER I") & (rows["figure"] == "height_std")
     rows["kind"] = np.where(fitted, "fitted", "predicted")
     for table in (predictions, measured_mm):
@@ -322,7 +294,7 @@ def columns(compared):
     """
     rows = compared[compared["figure"].isin(["height_std", "plan_rmse"])].copy()
     rows["close"] = rows["off"].abs() <= TOLERANCE
-    rows["missing"] = rows["system"].map(MISSING).where(~rows["close"], "")
+    rows["missing"] = rows["system"].map(TOLD["missing"]).where(~rows["close"], "")
     return rows.drop(columns=["table", "cell"])
 
 
@@ -341,7 +313,7 @@ def ledger_entries(compared):
     entries = []
     for row in compared[compared["predicted_mm"].notna()].itertuples():
         values = {"value": row.predicted_mm / 10, "low": row.low_mm / 10, "high": row.high_mm / 10}
-        told = {"kind": row.kind, "note": NOTES[row.kind]}
+        told = {"kind": row.kind, "note": TOLD[row.kind]}
         entries.append(ledger.entry(SOURCE, row.table, row.cell, **values, **told))
     return entries
 
@@ -372,7 +344,7 @@ class TwoDrives:
 
 def two_heads(navigation):
     """Return a system of two heads with its wrong mounting."""
-    base = replace(presets.VQ_450, divergence_mrad=0.0)
+    base = replace(PRESETS["vq-450"], divergence_mrad=0.0)
     heads = tuple(
         replace(base, lever_arm_m=(0.4 * side, -0.6, 0.3), heading_deg=-45 * side, boresight_deg=b)
         for side, b in zip((-1, 1), BORESIGHT_DEG, strict=True)

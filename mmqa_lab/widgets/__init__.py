@@ -21,12 +21,12 @@ from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.views import is_headless
-from mmqa_lab.widgets.selection import select_polygon
+from mmqa_lab.widgets.selection import pick_plane, select_polygon
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["JuryForm", "choice", "explore", "select_polygon", "slider"]
+__all__ = ["JuryForm", "choice", "explore", "pick_plane", "select_polygon", "slider"]
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 

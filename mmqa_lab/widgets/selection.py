@@ -1,16 +1,17 @@
-"""Selecting a surface by a polygon in the notebook: draw it, drag its vertices, keep it as a file.
+"""Selecting a surface in the notebook: pick its plane in the scene, draw a polygon, keep it.
 
-The cloud is seen at right angles to its plane. Whatever the polygon selects is evaluated at once,
-as ``mmqa evaluate --polygon`` does with the saved file.
+For the polygon the cloud is seen at right angles to its plane. Whatever the polygon selects is
+evaluated at once, as ``mmqa evaluate --polygon`` does with the saved file.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import ipywidgets
 import numpy as np
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points
@@ -32,6 +33,14 @@ FEW_TICKS = 4
 """On each axis: most of the time of drawing goes into ticks."""
 
 SIZE_INCHES = (9.0, 4.6)
+
+SCENE_INCHES = (7.0, 5.0)
+
+NEAR_PX = 8
+"""A click means the foremost of the points so near to it."""
+
+CLICK_PX = 3
+"""A mouse that moves farther while its button is down turns the scene."""
 
 
 class _View:
@@ -60,9 +69,7 @@ def select_polygon(
     cloud: Cloud | ArrayLike,
     *,
     polygon: ArrayLike | None = None,
-    thickness: float = 0.1,
-    axes: str | float = "principal",
-    radius: float = 0.5,
+    **choices: Any,
 ) -> SelectionTool | Figure:
     """Show a cloud with a polygon whose vertices can be dragged, and what it selects.
 
@@ -72,8 +79,8 @@ def select_polygon(
         A surface and what is around it, metres.
     polygon : array_like, shape (m, 3), optional
         Where to start; by default a rectangle about the middle.
-    thickness, axes, radius
-        See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+    **choices
+        Thickness, axes, radius, sectors and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
 
     Returns
     -------
@@ -97,7 +104,6 @@ def select_polygon(
     """
     points = check_points(cloud, minimum=3)
     polygon = None if polygon is None else polygon_vertices(polygon)
-    choices = {"thickness": thickness, "axes": axes, "radius": radius}
     if not is_headless():
         return SelectionTool(points, polygon=polygon, **choices)
     view = _View(points)
@@ -118,7 +124,7 @@ class SelectionTool:
     ----------
     points : array_like, shape (n, 3)
         Metres.
-    polygon, thickness, axes, radius
+    polygon, **choices
         See :func:`select_polygon`.
 
     Attributes
@@ -143,21 +149,18 @@ class SelectionTool:
     ((4, 3), 2.0)
     """
 
-    def __init__(self, points, *, polygon=None, thickness=0.1, axes="principal", radius=0.5):
+    def __init__(self, points, *, polygon=None, **choices):
         from matplotlib.widgets import PolygonSelector
 
-        Canvas, FigureManager = _ipympl()
         self.points = check_points(points, minimum=3)
-        self.choices = {"thickness": thickness, "axes": axes, "radius": radius}
+        self.choices = choices
         self.view = _View(self.points)
         middle = self.view.middle_polygon(self.points)
         self.vertices = middle if polygon is None else polygon_vertices(polygon)
         self.quality = None
         self.text = ipywidgets.HTML()
         figure = Figure(figsize=SIZE_INCHES, dpi=100)
-        self.canvas = Canvas(figure)
-        self._manager = FigureManager(self.canvas, 0)
-        self.canvas.header_visible = False
+        self.canvas, self._manager = _canvas(figure)
         _, self._panels = _panels(figure, self.view.to_plane(self.points))
         look = {"color": plots.COLOURS["vermilion"], "linewidth": 1.5}
         self._selector = PolygonSelector(self._panels[0], self._moved, props=look)
@@ -219,8 +222,136 @@ def _summary(quality):
     )
 
 
-def _ipympl():
-    """Canvas and manager of ipympl, which on import takes over the figures of the whole session."""
+def pick_plane(cloud: Cloud | ArrayLike, patches: list, *, chosen: int = 0) -> PlanePicker | Figure:
+    """Show a scene in 3-D with the planes found in it; a click on one of them chooses it.
+
+    Parameters
+    ----------
+    cloud : Cloud or array_like, shape (n, 3)
+        Metres.
+    patches : list of Patch
+        Of :func:`mmqa_lab.planes.detect_planes`.
+    chosen : int
+        The plane to start with.
+
+    Returns
+    -------
+    PlanePicker or matplotlib.figure.Figure
+        Its ``chosen`` is the place of the plane in ``patches``; a picture where there is no screen.
+
+    Raises
+    ------
+    ValueError
+        If there is no such plane.
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> from mmqa_lab.planes import detect_planes
+    >>> flat = np.random.default_rng(0).uniform(0, 5, (1500, 3))
+    >>> cloud = np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]])
+    >>> with patch.dict("os.environ", MMQA_HEADLESS="1"):
+    ...     figure = pick_plane(cloud, detect_planes(cloud))
+    >>> figure.axes[0].get_title().split(":")[0]
+    'plane 0 of 2'
+    """
+    points = check_points(cloud)
+    if chosen not in range(len(patches)):
+        raise ValueError(f"Invalid plane {chosen}. Must be one of the {len(patches)} planes found.")
+    picker = PlanePicker(points, patches, chosen, shown=not is_headless())
+    return picker.figure if is_headless() else picker
+
+
+class PlanePicker:
+    """A scene with its planes, one of them chosen, see :func:`pick_plane`.
+
+    Attributes
+    ----------
+    chosen : int
+        Place of the chosen plane among the patches.
+    box : ipywidgets.VBox
+        What is shown.
+    """
+
+    def __init__(self, points, patches, chosen, *, shown):
+        self.patches = patches
+        self.figure = Figure(figsize=SCENE_INCHES, dpi=100)
+        self.ax = self.figure.add_axes((0, 0.08, 0.96, 0.84), projection="3d")
+        local = points - points.mean(axis=0)
+        step = max(1, len(local) // SHOWN)
+        self._rows = np.arange(0, len(local), step)
+        self._local, self._owner = local[::step], np.full(len(local), -1)
+        for number, patch in enumerate(patches):
+            self._owner[patch.index] = number
+        self._owner = self._owner[::step]
+        self._lines = [self._drawn(number) for number in range(-1, len(patches))]
+        self.ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)")
+        self.ax.set_aspect("equal")
+        self.choose(chosen)
+        if shown:
+            self._show()
+
+    def choose(self, number):
+        """Choose a plane by its place among the patches."""
+        self.chosen = number
+        for k, line in enumerate(self._lines[1:]):
+            line.set_color(plots.COLOURS["vermilion"] if k == number else _shade(k))
+        patch = self.patches[number]
+        slope = np.degrees(np.arccos(min(1.0, abs(patch.plane.normal[2]))))
+        self.ax.set_title(
+            f"plane {number} of {len(self.patches)}: {len(patch)} points, slope {slope:.0f} "
+            f"degrees, std {1000 * patch.sigma:.1f} mm",
+            fontsize=9,
+        )
+        self.figure.canvas.draw_idle()
+
+    def plane_at(self, x, y):
+        """The plane under a place of the canvas (pixels from its lower left corner), or None."""
+        across, up, depth = proj_transform(*self._local.T, self.ax.get_proj())
+        places = self.ax.transData.transform(np.column_stack([across, up]))
+        away = np.hypot(*(places - [x, y]).T)
+        near = np.flatnonzero((away <= NEAR_PX) & (self._owner >= 0))
+        return int(self._owner[near[np.argmin(depth[near])]]) if len(near) else None
+
+    def _ipython_display_(self):
+        """Show the scene where it is the last value of a cell."""
+        from IPython.display import display
+
+        display(self.box)
+
+    def _drawn(self, number):
+        """The points of a plane, or of none."""
+        points = self._local[self._owner == number]
+        colour = plots.COLOURS["grey"] if number < 0 else _shade(number)
+        return self.ax.plot(*points.T, ".", ms=1 if number < 0 else 2, color=colour)[0]
+
+    def _show(self):
+        """The canvas with the mouse: a click chooses, a drag turns."""
+        self.canvas, self._manager = _canvas(self.figure)
+        self.box = ipywidgets.VBox([self.canvas])
+        self.canvas.mpl_connect("button_press_event", self._pressed)
+        self.canvas.mpl_connect("button_release_event", self._released)
+
+    def _pressed(self, event):
+        """Note where the mouse's button went down."""
+        self._down = event.x, event.y
+
+    def _released(self, event):
+        """Choose the plane where the mouse has not moved."""
+        if np.hypot(event.x - self._down[0], event.y - self._down[1]) <= CLICK_PX:
+            number = self.plane_at(event.x, event.y)
+            if number is not None:
+                self.choose(number)
+
+
+def _shade(number):
+    """A colour for a plane that is not chosen."""
+    return ("#0072B2", "#56B4E9", "#009E73", "#E69F00", "#CC79A7")[number % 5]
+
+
+def _canvas(figure):
+    """A canvas of ipympl, which on import takes over the figures of the whole session, and its
+    manager."""
     import matplotlib
 
     backend = matplotlib.get_backend()
@@ -228,7 +359,9 @@ def _ipympl():
 
     if matplotlib.get_backend() != backend:
         matplotlib.use(backend)
-    return Canvas, FigureManager
+    canvas = Canvas(figure)
+    canvas.header_visible = False
+    return canvas, FigureManager(canvas, 0)
 
 
 def _panels(figure, xy):
@@ -253,7 +386,6 @@ def _draw_histograms(panels, quality):
     spacings.clear()
     measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
     plots.draw_residual_histogram(1000 * quality.plane.residuals, ax=residuals, **measures)
-    spread = {"d1_mm": quality.d1_mm, "d4_mm": quality.d4_mm}
-    plots.draw_spacing_histogram(quality.distances_mm, ax=spacings, **spread)
+    plots.draw_spacing_histogram(quality.spacing, ax=spacings)
     for panel in (residuals, spacings):
         panel.locator_params(nbins=FEW_TICKS)

@@ -11,7 +11,7 @@ import tracemalloc
 import numpy as np
 
 from mmqa_lab import lines
-from mmqa_lab.lines.pairing import MATCHERS
+from mmqa_lab.lines.segments import MATCHERS
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud
 
 

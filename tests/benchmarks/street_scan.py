@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mmqa_lab import simulate
-from mmqa_lab.simulate import presets
+from mmqa_lab.simulate import PRESETS
 from mmqa_lab.simulate.surfaces import foliage
 
 LENGTH = 400.0
@@ -86,7 +86,9 @@ def main(pulses):
         f"scene: {len(scene.surfaces)} surfaces, {len(scene.tree.kind)} primitives, "
         f"{time.perf_counter() - began:.1f} s"
     )
-    thin = replace(presets.VQ_450, pulse_rate_hz=1e6, lever_arm_m=(0, 0, 2.5), divergence_mrad=0.0)
+    thin = replace(
+        PRESETS["vq-450"], pulse_rate_hz=1e6, lever_arm_m=(0, 0, 2.5), divergence_mrad=0.0
+    )
     wide = replace(thin, divergence_mrad=0.3)
     drive(scene, wide, 1e5)
     for name, scanner in (("lines", thin), ("beams of seven rays", wide)):

@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 
+import nbformat
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -12,7 +13,7 @@ from playwright.sync_api import expect
 
 from mmqa_lab.io import read_polygon
 from mmqa_lab.plots import COLOURS
-from mmqa_lab.studies.catalogue import TOOLS
+from mmqa_lab.studies import TOOLS
 
 RUN_MS = 400_000
 """Studies run with small parameters, but the machine may be busy."""
@@ -32,6 +33,17 @@ def outline_corner(picture):
     rows, columns = rows[inside], columns[inside]
     best = np.argmax(columns - rows)
     return int(columns[best]), int(rows[best])
+
+
+PLACES = {"upper": 0.38, "lower": 0.72}
+"""Where the planes of the scene are, as a share of the picture's height."""
+
+
+def reds(picture):
+    """The mean row of the picture's vermilion pixels."""
+    image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=float)
+    colour = 255 * np.array(to_rgb(COLOURS["vermilion"]))
+    return np.nonzero(np.abs(image - colour).max(axis=2) < 40)[0].mean()
 
 
 def test_dragging_a_vertex_changes_numbers_and_picture(ran):
@@ -69,6 +81,35 @@ def test_ones_own_cloud_from_file_to_report(ran, lab_folder):
     results = lab_folder.parent / "results" / TOOLS[0].stem
     assert read_polygon(results / "selection.geojson").shape == (4, 3)
     assert (results / "report.html").is_file()
+
+
+SCENE = """
+import numpy as np
+from mmqa_lab import planes, widgets
+
+flat = np.random.default_rng(0).uniform(0, 4, (3000, 3))
+points = np.concatenate([flat * [1, 1, 0] + [0, 0, z] for z in (0, 2)])
+picker = widgets.pick_plane(points, planes.detect_planes(points))
+print("started with", picker.chosen)
+picker
+"""
+
+
+def test_a_click_picks_a_plane(ran, lab_folder):
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)"}}
+    cells = [nbformat.v4.new_code_cell(SCENE)]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), lab_folder / "s.ipynb")
+    page = ran("s")
+    canvas = page.locator(".jupyter-matplotlib-canvas-div").first
+    expect(canvas).to_be_visible(timeout=RUN_MS)
+    page.wait_for_timeout(3000)
+    pictures = []
+    for place in ("upper", "lower"):
+        box = canvas.bounding_box()
+        page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + PLACES[place] * box["height"])
+        page.wait_for_timeout(3000)
+        pictures.append(reds(canvas.screenshot()))
+    assert pictures[0] < pictures[1] - 50  # rows of the picture in which the chosen plane is
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,301 @@
+"""Notebooks for a class: copies without answers, checks that answer in sentences, sheets to print.
+
+Cells tagged ``solution`` contain an answer and the assertions that test it; cells tagged ``lesson``
+are for the teacher. A student's copy has the assertions compressed, so that they cannot be read at
+a glance, and no stored outputs.
+"""
+
+import ast
+import base64
+import json
+import math
+import shutil
+import subprocess
+import textwrap
+import zlib
+from numbers import Real
+from pathlib import Path
+
+import nbformat
+
+from mmqa_lab.bench._tables import split_unit
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run.notebooks import inject
+from mmqa_lab.run.pages import glossary_rows, notebook_page
+
+ASKED = "# asked for: "
+"""Begins the line of an answer that says names, types and units; students get it too."""
+
+SCALES = (
+    {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
+    {"ms": 1e-3, "s": 1.0},
+    {"degrees": math.pi / 180, "radians": 1.0},
+    {"%": 0.01, "as a share": 1.0},
+)
+"""Units that are taken for one another."""
+
+UNITS = {"deg": "degrees", "percent": "%"}
+"""Units as a sentence has them."""
+
+PYTHON = {"name": "python", "pygments_lexer": "ipython3"}
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+
+def student_cell(source):
+    """Return an answer's cell as a student gets it: the names to work out, and the check.
+
+    Parameters
+    ----------
+    source : str
+        Code of a cell tagged ``solution``; its first line is a comment that begins with the
+        exercise's number.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        If nothing in it is checked, or nothing that is checked comes from the answer.
+
+    Examples
+    --------
+    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 2 * 2\\nassert area_m2 == 4")[:70])
+    # 1: your work
+    area_m2 = ...  # m2
+    <BLANKLINE>
+    from mmqa_lab.run.students import
+    """
+    body = ast.parse(source).body
+    checks = [node for node in body if isinstance(node, ast.Assert)]
+    read = {name for check in checks for name in _names(check, ast.Load)}
+    read -= {name for check in checks for name in _names(check, ast.Store)}
+    answers = [name for name in _names(ast.Module(body, []), ast.Store) if name in read]
+    if not answers:
+        raise ValueError(
+            f"Invalid answer {source.splitlines()[0]!r}. Must be checked by an assert."
+        )
+    answers = list(dict.fromkeys(answers))
+    imports = [ast.unparse(node) for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
+    number = source.split(":")[0].lstrip("# ")
+    asked = [line for line in source.splitlines() if line.startswith(ASKED)]
+    work = [f"# {number}: your work", *asked, *imports, *map(_blank, answers)]
+    kept = [ast.unparse(check) for check in checks]
+    sealed = _sealed({"number": number, "answers": answers, "imports": imports, "checks": kept})
+    check = ["from mmqa_lab.run.students import check_answer", "", f"check_answer({sealed})"]
+    return "\n".join([*work, "", *check])
+
+
+def check_answer(sealed, scope):
+    """Check a student's work, and say in a sentence what is wrong with it.
+
+    Parameters
+    ----------
+    sealed : str
+        The checks as :func:`student_cell` compresses them.
+    scope : dict
+        The notebook's ``globals()``.
+
+    Raises
+    ------
+    AssertionError
+        If a name has no value yet, or a check does not hold; in a unit taken for another it is
+        named.
+    """
+    task = json.loads(zlib.decompress(base64.b64decode(sealed)))
+    number, scope = task["number"], dict(scope)
+    missing = [name for name in task["answers"] if scope.get(name, ...) is ...]
+    if missing:
+        raise AssertionError(f"{number}: give {missing[0]} a value.")
+    exec("\n".join(task["imports"]), scope)
+    wrong = _wrong(task["checks"], scope)
+    if wrong is None:
+        print(f"{number}: right.")
+        return
+    said = [_other_unit(name, task["checks"], scope) for name in task["answers"]]
+    listed = ", ".join(task["answers"])
+    said = [sentence for sentence in (*said, wrong) if sentence]
+    said = said or [f"not right yet. Check the formula, and the unit of {listed}."]
+    raise AssertionError(f"{number}: {said[0]}")
+
+
+def _wrong(checks, scope):
+    """What the first check that does not hold says, perhaps nothing; None where all hold."""
+    for check in checks:
+        try:
+            exec(check, scope)
+        except AssertionError as error:
+            return str(error)
+        except Exception as error:  # of any kind: the work may be of any type
+            return f"the check cannot be worked out with this: {type(error).__name__}: {error}."
+    return None
+
+
+def _other_unit(name, checks, scope):
+    """A sentence where a number would be right in another unit."""
+    value, unit = scope[name], split_unit(name)[1]
+    unit = UNITS.get(unit, unit)
+    scales = next((each for each in SCALES if unit in each), {})
+    if isinstance(value, Real):
+        for other, scale in scales.items():
+            if _wrong(checks, scope | {name: value * scale / scales[unit]}) is None:
+                return f"{name} is expected in {unit}; {value:g} looks like {other}."
+    return ""
+
+
+def _sealed(task):
+    """A dict as the arguments of a call: text that is not read at a glance, and the scope."""
+    text = base64.b64encode(zlib.compress(json.dumps(task).encode(), 9)).decode()
+    lines = "\n".join(f'    "{part}"' for part in textwrap.wrap(text, 80))
+    return f"\n{lines},\n    globals(),\n"
+
+
+def _blank(name):
+    """The line in which a student gives a name its value, with the unit that the name ends with."""
+    unit = split_unit(name)[1]
+    return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
+
+
+def _exercise(number, source):
+    """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
+        grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
+        grading |= {"solution": part == "work", "grade": part == "check"}
+        grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
+        cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
+        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check"]
+        yield cell
+
+
+def _student_notebook(notebook):
+    """Return a copy of a notebook without answers, outputs and the teacher's cells."""
+    cells = []
+    for number, cell in enumerate(notebook.cells):
+        tags = _tags(cell)
+        if "solution" in tags:
+            cells += _exercise(number, cell.source)
+        elif cell.cell_type == "code":
+            cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
+        elif "lesson" not in tags:
+            cells.append(cell)
+    return nbformat.from_dict({**notebook, "cells": cells})
+
+
+def write_student_notebooks(studies, folder, *, quick=False):
+    """Write students' copies of studies' notebooks into a folder.
+
+    Parameters
+    ----------
+    studies : list of mmqa_lab.studies.Study
+    folder : path
+        Made where missing.
+    quick : bool
+        With the small parameters that each study's module calls QUICK.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ValueError
+        If a notebook of that name is there already: it may be a student's work.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab.studies import chosen
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
+    ['05_mimic.ipynb']
+    """
+    targets = [Path(folder) / study.path.name for study in studies]
+    there = [path for path in targets if path.exists()]
+    if there:
+        raise ValueError(
+            f"Invalid folder {folder}: it contains {there[0].name}, which may be a student's work. "
+            "Must be a folder without notebooks of these names."
+        )
+    for study, target in zip(studies, targets, strict=True):
+        copy = _student_notebook(nbformat.read(study.path, as_version=4))
+        if quick:
+            inject(copy, study.module.QUICK)
+        write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
+    return targets
+
+
+def write_sheets(studies, folder):
+    """Write a handout and a solution sheet of each study, to print.
+
+    Parameters
+    ----------
+    studies : list of mmqa_lab.studies.Study
+    folder : path
+        The teacher's; made where missing.
+
+    Returns
+    -------
+    list of Path
+        PDF where Chromium is installed, else HTML pages that a browser prints.
+    """
+    written = []
+    for study in studies:
+        cells = nbformat.read(study.path, as_version=4).cells
+        tagged = [k for k, cell in enumerate(cells) if "solution" in _tags(cell)]
+        task = next(k for k in reversed(range(tagged[0])) if cells[k].cell_type == "markdown")
+        asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
+        words = nbformat.v4.new_markdown_cell(_words(study.stem))
+        lesson = [cell for cell in cells if "lesson" in _tags(cell)]
+        answers = [cells[k] for k in tagged]
+        sheets = {
+            "handout": [*cells[:2], cells[task], *asked, words],
+            "solutions": [cells[0], cells[task], *answers, *lesson],
+        }
+        for kind, chosen in sheets.items():
+            book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
+            page = notebook_page(book, f"{study.title}: {kind}", figures={}, alone=True)
+            written.append(_printed(page, Path(folder) / f"{study.notebook}_{kind}.html"))
+    return written
+
+
+def _printed(page, file):
+    """Write a page, as PDF where a browser can print it."""
+    write_atomically(file, lambda path: path.write_text(page, encoding="utf-8"))
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        return file
+    sheet = file.with_suffix(".pdf")
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer")
+    command = [browser, *options, f"--print-to-pdf={sheet}", file.resolve().as_uri()]
+    done = subprocess.run(command, capture_output=True)
+    if done.returncode or not sheet.is_file():
+        return file
+    file.unlink()
+    return sheet
+
+
+def _asked(source):
+    """An exercise's number and what is asked for, as a line of Markdown."""
+    number = source.split(":")[0].lstrip("# ")
+    line = next((line for line in source.splitlines() if line.startswith(ASKED)), ASKED)
+    return f"**{number}**, asked for: {line.removeprefix(ASKED)}"
+
+
+def _words(stem):
+    """The study's words in English and German, as Markdown."""
+    rows = [row for row in glossary_rows() if stem in row["studies"].split()]
+    lines = [f"| {row['english']} | {row['german']} | {row['meaning']} |" for row in rows]
+    return "\n".join(["## Words", "", "| English | German | meaning |", "|---|---|---|", *lines])
+
+
+def _tags(cell):
+    """The tags of a cell."""
+    return cell.metadata.get("tags", [])
+
+
+def _names(node, context):
+    """Names that a piece of code reads or sets, in the order of their places."""
+    found = [n for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, context)]
+    return [n.id for n in sorted(found, key=lambda n: (n.lineno, n.col_offset))]

@@ -1,0 +1,301 @@
+"""The test site of Pfeifer et al. 2021, driven past twice by each of three systems.
+
+Sections 4.1 and 4.3: six boards on a line, drives 5 m and 10 m beside it at 40 km/h or faster,
+panoramas and clouds of systems A, B and C. :func:`write_site` writes what a tender would receive: a
+folder for each system and drive with trajectory, oriented images and LAZ. The paper prints neither
+how often images are taken nor exposure, noise, errors of the navigation and heights: these are
+assumptions, named below.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import charts
+from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera, Pose
+from mmqa_lab.chart_image.rules import blind_name, chart_site, choose_images
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import write_atomically, write_cloud
+from mmqa_lab.simulate.cameras import Optics, Sensor, photograph
+from mmqa_lab.simulate.scan import MatchingCamera, match
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.surfaces import chart
+from mmqa_lab.simulate.systems import DISTANCES, SYSTEM_A, SYSTEM_B, SYSTEM_C, scan_chart
+from mmqa_lab.simulate.trajectories import (
+    NavigationErrors,
+    Trajectory,
+    measured,
+    straight,
+    with_speed_variation,
+)
+
+CRS = "EPSG:31256"
+
+ORIGIN = np.array([2600.0, 341_200.0, 171.0])
+"""Of the site in Vienna's coordinates; the line of boards runs north from here."""
+
+HEIGHT_M = 2.0
+"""Of boards, cameras and scanners above the ground; not printed."""
+
+BEFORE_M, AFTER_M = 30.0, 50.0
+"""A drive begins and ends so far from the first pair of boards."""
+
+STATION_STEP_M = 3.0
+"""Between images; not printed."""
+
+OBLIQUE_M = 10.0
+"""Least distance of the forward and the backward image (section 4.1)."""
+
+NAVIGATION = NavigationErrors(drift_m=(0.01, 0.01, 0.01), drift_deg=(0.005, 0.005, 0.01))
+
+EXPOSURE_S = 0.0005
+
+SPREAD_PX = 0.8
+"""Point spread that explains most widths of Table 1 (study chart_images)."""
+
+SUPERSAMPLING = 4
+
+SENSOR = Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=95)
+
+LEGIBLE_PX = {"a": 11.0, "b": 9.0}
+"""Pixels per capital from which a text has a mark: the simulated jury's rule. It gives all twelve
+marks of Table 1."""
+
+JUROR_SIGMA_PX = 0.15
+"""By which simulated jurors differ."""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What a system carries: what its points come from, and the size of its panorama."""
+
+    sensor: object
+    megapixels: float
+
+    @property
+    def camera(self):
+        """The panorama camera."""
+        return PanoramaCamera.of_megapixels(self.megapixels)
+
+
+VEHICLES = {
+    "A": Vehicle(SYSTEM_A, 24),
+    "B": Vehicle(SYSTEM_B, 250),
+    "C": Vehicle(replace(SYSTEM_C, width_px=420, height_px=420), 30),
+}
+"""Section 4.3."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One pass: the path driven, the path that the navigation reports, and its images' places."""
+
+    distance_m: float
+    path: Trajectory
+    reported: Trajectory
+    stations: pd.DataFrame
+
+
+def site_boards() -> pd.DataFrame:
+    """The six boards with ``layout``: the targets of each imaging chart have their own numbers."""
+    boards = chart_site(height=HEIGHT_M).rename(columns={"chart": "board"})
+    boards["corners"] = [corners + ORIGIN for corners in boards["corners"]]
+    numbers = boards.groupby("kind").cumcount()
+    boards["layout"] = [
+        charts.imaging_chart(first_marker=4 * k) if kind == "image" else charts.point_chart(seed=k)
+        for k, kind in zip(numbers, boards["kind"], strict=True)
+    ]
+    return boards
+
+
+def make_drive(distance_m, *, seed, speed_kmh=44.0, wander=0.01) -> Drive:
+    """Drive north past the boards; the speed wanders by this share."""
+    rng = np.random.default_rng([seed, int(distance_m)])
+    start = ORIGIN + [-distance_m, -BEFORE_M + rng.uniform(-0.5, 0.5), HEIGHT_M]
+    path = straight(BEFORE_M + AFTER_M, speed_kmh / 3.6, start=start)
+    path = with_speed_variation(path, share=wander, seed=seed)
+    reported = measured(path, NAVIGATION, seed=seed + int(distance_m))
+    step = STATION_STEP_M * 3.6 / speed_kmh
+    times = np.arange(rng.uniform(0, step), path.duration_s, step)
+    return Drive(distance_m, path, reported, _table(reported, times))
+
+
+def drive_cloud(vehicle, drive, boards, *, seed) -> Cloud:
+    """The points that a drive lays on the point charts."""
+    parts = []
+    for number, board in enumerate(boards.query("kind == 'point'").itertuples()):
+        front = np.cross(*np.diff(board.corners[:3], axis=0))
+        heading = np.degrees(np.arctan2(front[0], front[1]))
+        middle = board.corners.mean(axis=0)
+        scene = Scene([chart(middle, heading=heading, layout=board.layout)])
+        choices = {"seed": [seed, number, int(drive.distance_m)]}
+        choices["seed"] = int(np.random.default_rng(choices["seed"]).integers(2**31))
+        if isinstance(vehicle.sensor, MatchingCamera):
+            parts.append(_matched(scene, vehicle.sensor, drive, board, **choices))
+        else:
+            choices["measured"] = drive.reported
+            parts.append(scan_chart(scene, vehicle.sensor, drive.path, board.corners, **choices))
+    cloud = Cloud.concatenate([part for part in parts if len(part)])
+    order = np.argsort(cloud["gps_time"], kind="stable")
+    columns = {name: cloud[name][order] for name in ("gps_time", "intensity")}
+    return Cloud(cloud.points[order], columns, crs=CRS)
+
+
+def station_map(vehicle, drive, time, board) -> ChartMap:
+    """Where a board truly is in the panorama that was taken at a time."""
+    position, turn = drive.path.at([time])
+    right, ahead, up = turn[0].T
+    pose = Pose(position[0], np.stack([right, -up, ahead]))
+    return ChartMap.from_orientation(vehicle.camera, pose, board.corners, board.layout)
+
+
+def take_photo(vehicle, drive, time, board, *, seed, sensor=SENSOR):
+    """The panorama's part around a board: a :class:`mmqa_lab.simulate.cameras.Photo`."""
+    position, turn = drive.path.at([time - EXPOSURE_S / 2, time + EXPOSURE_S / 2])
+    right, ahead, up = turn.mean(axis=0).T
+    travel = np.stack([right, -up, ahead]) @ (position[1] - position[0])
+    optics = Optics(SPREAD_PX, travel=tuple(travel))
+    there = station_map(vehicle, drive, time, board)
+    choices = {"optics": optics, "sensor": sensor, "margin": 40, "supersampling": SUPERSAMPLING}
+    return photograph(board.layout, there, **choices, seed=seed)
+
+
+def photographed(drive, boards) -> pd.DataFrame:
+    """Which board is photographed from which station: the one to choose, and the next nearer one.
+
+    Forward and backward views come from the nearest drive; the paper does not print which.
+    """
+    rows = []
+    for board in boards.query("kind == 'image'").itertuples():
+        if drive.distance_m > min(DISTANCES) and board.view != "orthogonal":
+            continue
+        least = drive.distance_m if board.view == "orthogonal" else OBLIQUE_M
+        found = choose_images(drive.stations, board.corners, distance=least).iloc[0]
+        step = -1 if board.view == "backward" else 1
+        rows += [(board.board, int(found["station"])), (board.board, int(found["station"]) + step)]
+    return pd.DataFrame(rows, columns=["board", "station"])
+
+
+def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
+    """Write the site, its criteria, and what systems deliver, with the marks of a simulated jury.
+
+    Parameters
+    ----------
+    folder : path
+    systems : str
+        Of A, B and C.
+    seed : int
+    speed_kmh : float
+    """
+    folder, boards = Path(folder), site_boards()
+    _write_plan(folder, boards)
+    marks = []
+    for system in systems:
+        for distance in DISTANCES:
+            drive = make_drive(distance, seed=seed + 1000 * ord(system), speed_kmh=speed_kmh)
+            place = folder / system / f"drive_{distance:02.0f}m"
+            _write_path(place, drive)
+            cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)
+            write_cloud(place / "cloud.laz", cloud, scale=0.0001)
+            marks += _write_images(place, VEHICLES[system], drive, boards, seed)
+    jury = [f"juror_{number}" for number in (1, 2, 3)]
+    table = pd.DataFrame(marks, columns=["crop", *jury]).sort_values("crop")
+    _write_table(folder / "marks.csv", table)
+
+
+def _matched(scene, camera, drive, board, seed):
+    """Points of one pair of images, aimed at a board from its own side of it."""
+    middle = board.corners.mean(axis=0)
+    front = np.cross(*np.diff(board.corners[:3], axis=0))
+    along = middle[1] + 1.5 * drive.distance_m * front[1] / np.linalg.norm(front)
+    time = np.interp(along, drive.path.position[:, 1], drive.path.time)
+    position = drive.path.at([time])[0][0]
+    away = middle - position
+    camera = replace(camera, heading_deg=float(np.degrees(np.arctan2(away[0], away[1]))))
+    cloud = next(match(scene, camera, drive.path, times=[time], seed=seed))
+    shift = drive.reported.at([time])[0][0] - position
+    return Cloud(cloud.points + shift, cloud.columns)
+
+
+def _table(path, times):
+    """Time, place and attitude of a path at times, as trajectory files have them."""
+    states = path.states(np.asarray(times) - path.time[0])
+    names = ("easting_m", "northing_m", "height_m")
+    columns = dict(zip(names, (path.origin + states[:, :3]).T, strict=True))
+    angles = dict(zip(("roll_deg", "pitch_deg", "heading_deg"), states[:, 3:].T, strict=True))
+    turns = {name: np.degrees(angle) for name, angle in angles.items()}
+    return pd.DataFrame({"time_s": times, **columns, **turns})
+
+
+def _write_plan(folder, boards):
+    """The files that the site's owner hands out: boards, control points, drives."""
+    for board in boards.itertuples():
+        text = board.layout.to_json()
+        file = folder / "charts" / f"{board.board.replace(' ', '_')}.json"
+        write_atomically(file, lambda path, text=text: path.write_text(text, encoding="utf-8"))
+    rows = [
+        {
+            "board": board.board,
+            "kind": board.kind,
+            "layout": f"charts/{board.board.replace(' ', '_')}.json",
+            "corners": board.corners.round(4).tolist(),
+        }
+        for board in boards.itertuples()
+    ]
+    control = [ORIGIN + [3.0, north, height] for north in (0, 10, 20) for height in (0.0, 3.0)]
+    site = {
+        "crs": CRS,
+        "distances_m": list(DISTANCES),
+        "oblique_distance_m": OBLIQUE_M,
+        "speed_kmh": 40.0,
+        "boards": rows,
+        "control_points": [place.tolist() for place in control],
+    }
+    text = json.dumps(site, indent=1)
+    write_atomically(folder / "site.json", lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _write_path(place, drive):
+    """The trajectory that a drive delivers, twenty rows a second."""
+    times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
+    _write_table(place / "trajectory.csv", _table(drive.reported, times))
+
+
+def _write_images(place, vehicle, drive, boards, seed):
+    """Images with their orientations; return the crops' names and marks."""
+    import cv2
+
+    rows, marks = [], []
+    boards = boards.set_index("board", drop=False)
+    for number, shot in enumerate(photographed(drive, boards).itertuples()):
+        station, board = drive.stations.iloc[shot.station], boards.loc[shot.board]
+        draw = [seed, number, int(drive.distance_m), int(vehicle.megapixels)]
+        noise = int(np.random.default_rng(draw).integers(2**31))
+        photo = take_photo(vehicle, drive, station["time_s"], board, seed=noise)
+        file = f"image_{shot.station:03d}_{number}.jpg"
+        quality = [cv2.IMWRITE_JPEG_QUALITY, SENSOR.jpeg_quality]
+        data = cv2.imencode(".jpg", photo.image, quality)[1].tobytes()
+        write_atomically(place / file, lambda path, data=data: path.write_bytes(data))
+        window = {"first_column": photo.origin[0], "first_row": photo.origin[1]}
+        rows.append({"file": file, **station, **window, "exposure_s": EXPOSURE_S})
+        crop = blind_name(place / file, board["board"])
+        marks.append((crop, *_judged(photo, np.random.default_rng(noise))))
+    _write_table(place / "images.csv", pd.DataFrame(rows))
+    camera = json.dumps({"width": vehicle.camera.width})
+    write_atomically(place / "camera.json", lambda path: path.write_text(camera, encoding="utf-8"))
+    return marks
+
+
+def _judged(photo, rng):
+    """The marks of three simulated jurors for text of 40 mm."""
+    pixels = 40 / photo.chart_map.pixel_sizes_mm([[500.0, 500.0]])[0, 1]
+    for juror in pixels + JUROR_SIGMA_PX * rng.standard_normal(3):
+        yield next((mark for mark, least in LEGIBLE_PX.items() if juror >= least), "c")
+
+
+def _write_table(file, table):
+    """A table as CSV, whole or not at all."""
+    write_atomically(file, lambda path: table.to_csv(path, index=False))

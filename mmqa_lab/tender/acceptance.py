@@ -1,0 +1,220 @@
+"""The acceptance of drives past the test site: what is found, checked, evaluated and judged.
+
+Pfeifer et al. 2021 (doi:10.3390/rs13020237), sections 3.3, 4.1 and 4.2. What cannot be judged has
+its sentence and no value; nothing is guessed.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
+from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, board_frame, board_view
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import CLOUD_ENDINGS
+from mmqa_lab.io.clouds import iterate_cloud
+from mmqa_lab.tender.criteria import qualification, verdicts
+from mmqa_lab.tender.photographs import image_rows
+from mmqa_lab.tender.site import doubt, find_drives
+
+AROUND_M = 0.5
+"""Points so far beyond a board's corners are kept with it."""
+
+FIGURES = {
+    "density": "density_per_m2",
+    "sigma_mad": "sigma_mad_mm",
+    "d1": "d1_mm",
+    "d4": "d4_mm",
+    "f": "f",
+    "g": "g",
+}
+"""Figures of a cloud and the quantities that criteria name."""
+
+VIEWS = (AHEAD, ALONG, BEHIND)
+
+
+@dataclass(eq=False)
+class Acceptance:
+    """Everything that was found: figures, verdicts, and what could not be judged."""
+
+    drives: list = field(default_factory=list)
+    clouds: list = field(default_factory=list)
+    photographs: list = field(default_factory=list)
+    results: pd.DataFrame = None
+    verdicts: dict = field(default_factory=dict)
+    summaries: dict = field(default_factory=dict)
+    problems: list = field(default_factory=list)
+    files: list = field(default_factory=list)
+
+    def say(self, where, sentence):
+        """Keep a sentence about what could not be judged, once."""
+        row = {"where": where, "what": str(sentence)}
+        if row not in self.problems:
+            self.problems.append(row)
+
+
+def accept(folder, site, criteria, *, marks=None, progress=list):
+    """Judge all drives in a folder.
+
+    Parameters
+    ----------
+    folder : path
+    site : Site
+    criteria : dict of DataFrame
+        By name, as :func:`mmqa_lab.tender.verdicts` takes them.
+    marks : DataFrame, optional
+        Of :func:`read_marks`.
+    progress : callable
+        Takes a list of drives and gives them back one after the other.
+
+    Returns
+    -------
+    Acceptance
+
+    Raises
+    ------
+    ValueError
+        If the folder has no drive past this site.
+    """
+    done = Acceptance()
+    done.drives = find_drives(Path(folder), site, done)
+    if not done.drives:
+        said = "; ".join(problem["what"] for problem in done.problems)
+        raise ValueError(f"Invalid folder {folder}: no drive past the site. {said}".strip())
+    rows = []
+    for drive in progress(done.drives):
+        rows += _cloud_rows(drive, site, done)
+        rows += image_rows(drive, site, marks, done)
+    if marks is None:
+        done.say("jury", "No marks of a jury: no text is judged. Give them with --marks.")
+    rows = sorted(_with_gaps(rows, site, done), key=_place)
+    done.results = pd.DataFrame(rows)
+    for name, table in criteria.items():
+        found = _doubted(verdicts(table, done.results), done.results)
+        done.verdicts[name], done.summaries[name] = found, qualification(found)
+    return done
+
+
+def _doubted(table, results):
+    """Verdicts, undecided where the drive was against the rules and may have caused them."""
+    keys = ["system", "quantity", "distance_m", "view", "direction"]
+    doubts = results[[*keys, "too_good", "too_bad"]].drop_duplicates(keys)
+    doubts = table[keys].merge(doubts, how="left", on=keys).set_axis(table.index)
+    good = doubts["too_good"].eq(True) & table["verdict"].isin(["met", "exempt"])
+    bad = doubts["too_bad"].eq(True) & (table["verdict"] == "not met")
+    return table.assign(verdict=table["verdict"].mask(good | bad, "undecided"))
+
+
+def _cloud_rows(drive, site, done):
+    """Figures of the point chart along the path; the other point charts only for the report."""
+    boards = site.boards[site.boards["kind"] == "point"]
+    points = _points_on(boards, drive, site, done)
+    rows = []
+    for board in boards.itertuples():
+        view = board_view(board.corners, drive.path)
+        if board.board not in points:
+            if view == ALONG:
+                done.say(drive.name, f"No points on the board {board.board!r}.")
+            continue
+        try:
+            quality = evaluate_cloud(points[board.board], polygon=chart_polygon(board.corners))
+        except ValueError as error:
+            done.say(drive.name, f"Board {board.board!r}: {error}")
+            continue
+        middle, _, normal = board_frame(board.corners)
+        offset = 1000 * float((quality.plane.centre - middle) @ normal)
+        about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
+        done.clouds.append((drive, about, quality))
+        for remark in quality.remarks:
+            done.say(drive.name, f"Board {board.board!r}: {remark}")
+        if view == ALONG:
+            rows += _cloud_figures(drive, quality)
+    return rows
+
+
+def _cloud_figures(drive, quality):
+    """A row for each figure that criteria may name."""
+    table = quality.intervals().set_index("figure")
+    place = {"system": drive.system, "distance_m": drive.distance_m, "view": "", "direction": ""}
+    place |= doubt(drive, ALONG)
+    return [
+        {**place, "quantity": quantity, **table.loc[figure, ["value", "low", "high"]].to_dict()}
+        for figure, quantity in FIGURES.items()
+    ]
+
+
+def _points_on(boards, drive, site, done):
+    """Points near each board, of all clouds of a drive that are in the site's coordinates."""
+    parts = {}
+    endings = {file for file in drive.folder.iterdir() if file.suffix.lower() in CLOUD_ENDINGS}
+    for file in sorted(endings - set(drive.folder.glob("*.csv"))):
+        done.files.append(file)
+        try:
+            found = _points_of(file, boards, site)
+        except (ValueError, OSError) as error:
+            done.say(f"{drive.name}/{file.name}", error)
+            continue
+        for name, cloud in found.items():
+            parts.setdefault(name, []).append(cloud)
+    return {name: Cloud.concatenate(clouds) for name, clouds in parts.items()}
+
+
+def _points_of(file, boards, site):
+    """Points near each board in one file; an error where it is in other coordinates."""
+    parts, low, high = {}, np.full(3, np.inf), np.full(3, -np.inf)
+    for cloud in iterate_cloud(file, columns=()):
+        if None not in (cloud.crs, site.crs) and not _same_crs(cloud.crs, site.crs):
+            raise ValueError(f"The cloud is in {cloud.crs.name}, the site in {site.crs.name}.")
+        low, high = np.fmin(low, cloud.points.min(axis=0)), np.fmax(high, cloud.points.max(axis=0))
+        for board in boards.itertuples():
+            near = board.corners.min(axis=0) - AROUND_M, board.corners.max(axis=0) + AROUND_M
+            inside = ((cloud.points >= near[0]) & (cloud.points <= near[1])).all(axis=1)
+            if inside.any():
+                parts.setdefault(board.board, []).append(cloud[inside])
+    if not parts:
+        extent = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in zip(low, high, strict=True))
+        raise ValueError(f"The cloud has no points on any board; it extends over {extent} m.")
+    return {name: Cloud.concatenate(clouds) for name, clouds in parts.items()}
+
+
+def _same_crs(one, other):
+    """Whether two coordinate systems have the same plan, whatever they say of heights."""
+    plans = [crs.sub_crs_list[0] if crs.is_compound else crs for crs in (one, other)]
+    return plans[0].equals(plans[1], ignore_axis_order=True)
+
+
+def _with_gaps(rows, site, done):
+    """All rows, and one without a value for each figure that the test asks for and is missing."""
+    known = {(r["system"], r["quantity"], r["distance_m"], r["view"], r["direction"]) for r in rows}
+    blank = {"value": None, "too_good": False, "too_bad": False}
+    systems = dict.fromkeys(drive.system for drive in done.drives)
+    for system in systems:
+        own = {drive.distance_m for drive in done.drives if drive.system == system}
+        for distance in sorted(set(site.distances_m) - own):
+            done.say(system, f"No drive {distance:g} m beside the boards.")
+        for quantity, distance, view, direction in _expected(site):
+            if (system, quantity, distance, view, direction) not in known:
+                place = {"system": system, "quantity": quantity, "distance_m": distance}
+                rows = [*rows, {**place, "view": view, "direction": direction, **blank}]
+    return rows
+
+
+def _place(row):
+    """What figures are sorted by; those of one place stay in their order."""
+    views = ("", *VIEWS)
+    return row["system"], row["distance_m"], views.index(row["view"])
+
+
+def _expected(site):
+    """Quantity, distance, view and direction of every figure of Tables 1 and 2."""
+    for distance in site.distances_m:
+        yield from ((quantity, distance, "", "") for quantity in FIGURES.values())
+    places = {(distance, ALONG) for distance in site.distances_m}
+    places |= {(site.oblique_m, view) for view in VIEWS if view != ALONG}
+    for distance, view in sorted(places):
+        yield "legibility_40mm", distance, view, ""
+        for direction in "hv":
+            yield "pixel_mm", distance, view, direction
+            yield "w_mm", distance, view, direction

@@ -1,0 +1,363 @@
+"""The photographs of a delivered drive: which image counts for which board, and what it says.
+
+Pfeifer et al. 2021 (doi:10.3390/rs13020237), sections 3.2 and 4.1. ``images.csv`` says where and
+when images were taken and how the camera was turned, ``camera.json`` which camera it was. Each file
+is decoded once, whatever it shows.
+"""
+
+import json
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
+from mmqa_lab.chart_image.rules import (
+    ALONG,
+    MARKS,
+    PLACE,
+    agreement,
+    blind_name,
+    board_frame,
+    board_view,
+    choose_images,
+)
+from mmqa_lab.charts import LinePairs, Marker
+from mmqa_lab.io import read_grey
+from mmqa_lab.io.images import image_size
+from mmqa_lab.tender.site import Drive, doubt
+
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+
+ANGLES = ["heading_deg", "pitch_deg", "roll_deg"]
+
+LIMIT_SHARE = 0.08
+"""Share by which the width at which line pairs vanish is uncertain."""
+
+CAP_MM = 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A board in an image: where, how far, and what was measured."""
+
+    drive: Drive
+    board: str
+    view: str
+    distance_m: float
+    file: Path
+    found: dict
+    quality: object
+
+
+def read_marks(path):
+    """Return a jury's marks as ``juror``, ``element``, ``mark``.
+
+    The file has ``crop`` and a column for each juror, or the three columns that the form of
+    :mod:`mmqa_lab.widgets` writes. Empty cells are no marks.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid marks {path}: no such file. Must exist.")
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    if "crop" in table:
+        table = table.melt("crop", var_name="juror", value_name="mark")
+        table = table.rename(columns={"crop": "element"})
+    missing = {"juror", "element", "mark"} - set(table)
+    if missing:
+        raise ValueError(f"Invalid marks {path}: no column {sorted(missing)[0]!r}. Must have one.")
+    table = table[table["mark"].str.strip() != ""]
+    agreement(table)  # refuses other marks, and two of one juror
+    return table
+
+
+def image_rows(drive, site, marks, done):
+    """Figures of the imaging charts that this drive is to show."""
+    wanted = _wanted(drive, site, done)
+    images = _images(drive, done)
+    if not wanted:
+        return []
+    if images.empty:
+        done.say(drive.name, "There are no images.")
+        return []
+    camera, gamma = _camera(drive, done)
+    chosen = _chosen(drive, images, wanted, camera, done)
+    rows = []
+    for file, choices in groupby(sorted(chosen, key=_file_of), key=_file_of):
+        photos = _photographs(drive, file, list(choices), camera, gamma, done)
+        for photo in photos:
+            rows += _image_figures(photo, marks, done)
+        done.photographs += photos
+    return rows
+
+
+def _file_of(choice):
+    """What choices are sorted by."""
+    return str(choice["file"])
+
+
+def _photographs(drive, file, choices, camera, gamma, done):
+    """All boards that one file is to show."""
+    try:
+        grey = read_grey(file)
+    except (ValueError, OSError) as error:
+        done.say(drive.name, error)
+        return []
+    done.files.append(Path(file))
+    photos = []
+    for choice in choices:
+        board, row = choice["board"].board, choice["found"]
+        try:
+            quality = _evaluated(grey, choice, camera, gamma)
+        except ValueError as error:
+            done.say(drive.name, f"Board {board!r}: {error}")
+            continue
+        about = (board, row["view"], choice["distance"], choice["file"], row)
+        photos.append(Photograph(drive, *about, quality))
+    return photos
+
+
+def _wanted(drive, site, done):
+    """Boards that a drive is to show, with the distance asked for.
+
+    Forward and backward views count from the nearest drive of a system; which drive the paper took
+    is not printed.
+    """
+    own = [one.distance_m for one in done.drives if one.system == drive.system]
+    wanted = []
+    for board in site.boards[site.boards["kind"] == "image"].itertuples():
+        view = board_view(board.corners, drive.path)
+        if view == ALONG:
+            wanted.append((board, drive.distance_m))
+        elif drive.distance_m == min(own):
+            wanted.append((board, site.oblique_m))
+    return wanted
+
+
+def _images(drive, done):
+    """Images of a drive with what is known of them; their places from the path where needed."""
+    table, listed = (
+        drive.folder / "images.csv",
+        [file for file in sorted(drive.folder.iterdir()) if file.suffix.lower() in IMAGE_ENDINGS],
+    )
+    if not table.is_file():
+        if listed:
+            done.say(drive.name, "No images.csv: boards are looked for by their coded targets.")
+        return pd.DataFrame({"file": [file.name for file in listed]})
+    done.files.append(table)
+    images = pd.read_csv(table)
+    if "file" not in images:
+        done.say(drive.name, "Invalid images.csv: no column 'file'. Must have one.")
+        return pd.DataFrame({"file": []})
+    there = [(drive.folder / str(file)).is_file() for file in images["file"]]
+    for file in images.loc[~np.array(there, dtype=bool), "file"]:
+        done.say(drive.name, f"Image {file}: no such file.")
+    images = images[there].reset_index(drop=True)
+    if not set(PLACE) <= set(images) and "time_s" in images:
+        for name in PLACE:
+            images[name] = np.interp(images["time_s"], drive.path["time_s"], drive.path[name])
+    return images
+
+
+def _camera(drive, done):
+    """The camera of a drive's images, None where it is not described, and their gamma."""
+    file = drive.folder / "camera.json"
+    if not file.is_file():
+        return None, "srgb"
+    done.files.append(file)
+    try:
+        fields = json.loads(file.read_text(encoding="utf-8"))
+        gamma = fields.pop("gamma", "srgb")
+        return (FrameCamera if "focal_px" in fields else PanoramaCamera)(**fields), gamma
+    except (ValueError, TypeError, AttributeError) as error:
+        done.say(drive.name, f"Invalid camera.json: {error}")
+        return None, "srgb"
+
+
+def _chosen(drive, images, wanted, camera, done):
+    """For each wanted board the image that the rules ask for, and where the board is in it."""
+    oriented = camera is not None and set(PLACE + ANGLES) <= set(images)
+    maps = {}
+    if oriented:
+        maps = {board.board: _predicted(images, board, camera, drive) for board, _ in wanted}
+    elif not set(PLACE) <= set(images):
+        images, maps = _searched(drive, images, wanted, camera, done)
+    chosen = []
+    for board, distance in wanted:
+        shown = maps.get(board.board, dict.fromkeys(images.index))
+        found = _nearest(drive, images, board, distance, shown)
+        if found["station"] is None:
+            done.say(drive.name, _nothing_shown(board, found["view"], distance, shown))
+            continue
+        image = images.loc[found["station"]]
+        origin = tuple(int(image.get(name, 0)) for name in ("first_column", "first_row"))
+        place = {"file": drive.folder / image["file"], "origin": origin}
+        place |= {"map": shown[found["station"]], "distance": distance, "board": board}
+        chosen.append(place | {"found": found.to_dict()})
+    return chosen
+
+
+def _nearest(drive, images, board, distance, shown):
+    """The image that the rules choose among those that show a board."""
+    ends = drive.path[PLACE].iloc[[0, -1]].set_axis(["first", "last"])
+    stations = pd.concat([ends[:1], images.reindex(columns=PLACE), ends[1:]])
+    among = stations.index.isin(list(shown)) & stations.notna().all(axis=1)
+    return choose_images(stations, board.corners, distance=distance, among=among).iloc[0]
+
+
+def _nothing_shown(board, view, distance, shown):
+    """Why no image counts for a board."""
+    if not shown:
+        return f"No image shows the board {board.board!r}."
+    rule = "from its front" if view == ALONG else f"from {distance:g} m or farther"
+    return f"None of the {len(shown)} images that may show the board {board.board!r} is {rule}."
+
+
+def _predicted(images, board, camera, drive):
+    """Maps of a board in the images whose pixels it lies in, by row."""
+    maps = {}
+    for index, image in images.iterrows():
+        pose = Pose.of_angles(image[PLACE].to_numpy(float), *image[ANGLES])
+        try:
+            there = ChartMap.from_orientation(camera, pose, board.corners, board.layout)
+            size = image_size(drive.folder / image["file"])
+        except (ValueError, OSError):  # behind the camera, or no image: the others count
+            continue
+        there = there.within(image.get("first_column", 0), image.get("first_row", 0))
+        pixels = there.outline(board.layout.corners())
+        if ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all():
+            maps[index] = there
+    return maps
+
+
+def _searched(drive, images, wanted, camera, done):
+    """Images without places: boards by their coded targets, the camera's place from the board."""
+    maps = {board.board: {} for board, _ in wanted}
+    if camera is None:
+        done.say(drive.name, "No camera.json: images without orientation tell no distance.")
+        return images.iloc[:0], maps
+    same = _same_targets([board for board, _ in wanted])
+    if same:
+        done.say(drive.name, same)
+        return images.iloc[:0], maps
+    images = images.assign(**dict.fromkeys(PLACE, np.nan))
+    for index, image in images.iterrows():
+        origin = tuple(int(image.get(name, 0)) for name in ("first_column", "first_row"))
+        try:
+            grey = read_grey(drive.folder / image["file"])
+            found = find_markers(grey, [board.layout for board, _ in wanted])
+        except (ValueError, OSError) as error:
+            done.say(f"{drive.name}/{image['file']}", error)
+            continue
+        for board, _ in wanted:
+            bent = {"camera": camera, "offset": origin}
+            try:
+                there = map_of_markers(found, board.layout, **bent)
+            except ValueError:  # not in this image
+                continue
+            maps[board.board][index] = there
+            images.loc[index, PLACE] = _camera_place(there, board)
+    return images, maps
+
+
+def _same_targets(boards):
+    """A sentence where coded targets cannot tell two boards apart."""
+    owners = {}
+    for board in boards:
+        for marker in board.layout.of_kind(Marker):
+            other = owners.setdefault((marker.dictionary, marker.identifier), board.board)
+            if other != board.board:
+                return (
+                    f"Boards {other!r} and {board.board!r} have the same targets: images "
+                    "without orientation cannot tell them apart."
+                )
+    return ""
+
+
+def _camera_place(there, board):
+    """Where the camera stands in the world, from the map of a board of known size and place."""
+    import cv2
+
+    layout = board.layout
+    places = layout.corners() - [layout.width / 2, layout.height / 2]
+    rays = np.column_stack([layout.corners(), np.ones(4)]) @ there.matrix.T
+    turn = Rotation.align_vectors([[0, 0, 1]], rays.mean(axis=0)[None])[0]
+    rays = turn.apply(rays)
+    solid, flat = np.column_stack([places / 1000, np.zeros(4)]), rays[:, :2] / rays[:, 2:]
+    # a rigid board: the tilt that a few targets leave open does not change its distance
+    _, turned, away = cv2.solvePnP(solid, flat, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE)
+    local = -Rotation.from_rotvec(turned.ravel()).inv().apply(away.ravel())
+    centre, right, normal = board_frame(board.corners)
+    return centre + local @ np.stack([right, np.cross(normal, right), normal])
+
+
+def _evaluated(grey, choice, camera, gamma):
+    """What one image of a board says; by its targets where the orientation is not good enough."""
+    layout, there = choice["board"].layout, choice["map"]
+    if there is not None:
+        try:
+            return evaluate_window(grey, layout, there, gamma=gamma)
+        except ValueError:
+            pass
+    there = locate(grey, layout, camera=camera, offset=choice["origin"])
+    return evaluate_window(grey, layout, there, gamma=gamma)
+
+
+def _image_figures(photo, marks, done):
+    """Rows of pixel size, line pairs and legibility of one photograph."""
+    drive, quality = photo.drive, photo.quality
+    place = {"system": drive.system, "distance_m": photo.distance_m, "view": photo.view}
+    place |= doubt(drive, photo.view)
+    rows = []
+    for direction in "hv":
+        here = {**place, "direction": direction}
+        size, sigma = quality.pixel_size(direction)
+        rows.append({**here, "quantity": "pixel_mm", "value": size, "sigma": sigma})
+        rows.append({**here, "quantity": "w_mm", **width_interval(quality, direction)})
+    rows += _legibility(photo, place, marks, done)
+    return rows
+
+
+def width_interval(quality, direction):
+    """The finest resolved width and its neighbours that a slightly other limit would give."""
+    ladder = sorted({p.pair for p in quality.layout.of_kind(LinePairs) if p.direction == direction})
+    found = quality.resolution(direction)
+    width, limit = found.width_mm, found.limit_mm
+    if np.isnan(width):  # coarser than the chart's coarsest pattern
+        return {"value": np.nan, "low": float(np.nextafter(ladder[-1], np.inf)), "high": np.inf}
+    limit = width if np.isnan(limit) else limit
+    ends = [
+        next((rung for rung in ladder if rung >= share * limit), np.inf)
+        for share in (1 - LIMIT_SHARE, 1 + LIMIT_SHARE)
+    ]
+    return {"value": width, "low": min(ends[0], width), "high": max(ends[1], width)}
+
+
+def _legibility(photo, place, marks, done):
+    """The jury's mark of a photograph; text of 60 mm is as legible where that of 40 mm is."""
+    crop = blind_name(photo.file, photo.board)
+    photo.found["crop"] = crop
+    pixels = photo.quality.pixel_size("v")[0]
+    photo.found["cap_px"] = CAP_MM / pixels
+    rows = {"value": None, "low": np.nan, "high": np.nan}
+    given = [] if marks is None else marks.loc[marks["element"] == crop, "mark"].tolist()
+    if marks is not None and not given:
+        done.say(photo.drive.name, f"Board {photo.board!r}: the jury did not mark crop {crop}.")
+    if given:
+        ranks = sorted(MARKS.index(mark) for mark in given)
+        mark = agreement(marks[marks["element"] == crop]).verdict["mark"].item()
+        rows = {"value": mark, "low": float(ranks[0]), "high": float(ranks[-1])}
+    photo.found.update(mark=rows["value"] or "", marks="".join(sorted(given)))
+    place = {**place, "direction": ""}
+    texts = [{**place, "quantity": "legibility_40mm", **rows}]
+    larger = rows if rows["high"] < MARKS.index("c") else dict.fromkeys(rows)
+    if photo.view == ALONG:
+        texts.append({**place, "quantity": "legibility_60mm", **larger})
+        if given and larger["value"] is None:
+            done.say(photo.drive.name, "Text of 60 mm is not on the chart, and 40 mm is no proof.")
+    return texts

@@ -1,0 +1,426 @@
+"""The report of an acceptance: one page as HTML, the same as PDF, its tables as CSV, the crops.
+
+Nothing in it depends on the hour: two runs on the same files write the same bytes.
+"""
+
+import base64
+import io
+import platform
+import textwrap
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import plots
+from mmqa_lab.chart_image.rules import ALONG
+from mmqa_lab.io import write_atomically
+from mmqa_lab.io.images import encode
+from mmqa_lab.run.pages import filled
+from mmqa_lab.tender.acceptance import VIEWS
+from mmqa_lab.tender.site import sha256
+
+LIBRARIES = ("numpy", "scipy", "pandas", "opencv-python-headless", "laspy", "matplotlib")
+
+A4_INCHES = (8.27, 11.69)
+
+ROWS_A_SHEET = 52
+
+WIDEST_CELL = 46
+
+COLUMNS = {
+    "system": "system",
+    "criterion": "criterion",
+    "distance_m": "distance (m)",
+    "view": "view",
+    "direction": "direction",
+    "value": "value",
+    "interval": "95 % interval",
+    "asked": "asked",
+    "margin": "margin",
+    "verdict": "verdict",
+}
+"""Of a table of verdicts, with their headings."""
+
+
+def write_report(done, site, folder, *, criteria, root, inputs):
+    """Write everything that an acceptance says.
+
+    Parameters
+    ----------
+    done : Acceptance
+    site : Site
+    folder : path
+        Gets ``report.html``, ``report.pdf``, ``verdicts.csv``, ``results.csv``, ``crops`` and
+        ``jury.csv``.
+    criteria : dict of DataFrame
+    root : path
+        Files of the report are named from here.
+    inputs : list of path
+        Files that count beside those of the drives.
+
+    Returns
+    -------
+    list of path
+        The report as HTML and as PDF.
+    """
+    folder = Path(folder)
+    jury = _write_crops(done, folder / "crops")
+    _write_csv(folder / "jury.csv", jury)
+    rows = [table.assign(criteria=name) for name, table in done.verdicts.items()]
+    _write_csv(folder / "verdicts.csv", pd.concat(rows))
+    _write_csv(folder / "results.csv", done.results.drop(columns=["too_good", "too_bad"]))
+    with plots.style():
+        pictures = {title: _png(figure) for title, figure in _figures(done)}
+    parts = _parts(done, site, criteria, _hashes(root, [*inputs, *site.files, *done.files]))
+    texts = {"title": "Acceptance of mobile mapping data", "lines": _lines(done, site)}
+    page = filled("acceptance.html", parts=parts, pictures=_encoded(pictures), **texts)
+    files = [folder / "report.html", folder / "report.pdf"]
+    write_atomically(files[0], lambda path: path.write_text(page, encoding="utf-8"))
+    write_atomically(files[1], lambda path: _write_pdf(path, parts, pictures, **texts))
+    return files
+
+
+def table_1(done):
+    """Image quality as in Table 1 of the paper: a row per system, distance and quantity."""
+    figures = done.results.set_index(["system", "distance_m", "quantity", "direction", "view"])
+    rows = []
+    for system in done.results["system"].unique():
+        for distance in sorted(done.results["distance_m"].unique()):
+            for label, quantity, direction in TABLE_1:
+                key = (system, distance, quantity, direction)
+                cells = {view: _cell(figures, (*key, view)) for view in VIEWS}
+                rows.append({"system": system, "distance (m)": f"{distance:g}", "": label, **cells})
+    return pd.DataFrame(rows)
+
+
+TABLE_1 = (
+    ("legibility of 40 mm text", "legibility_40mm", ""),
+    ("pixel size (mm), horizontal 600", "pixel_mm", "h"),
+    ("pixel size (mm), vertical 800", "pixel_mm", "v"),
+    ("line pairs (mm), horizontal", "w_mm", "h"),
+    ("line pairs (mm), vertical", "w_mm", "v"),
+)
+"""Rows for each system and distance: label, quantity and direction."""
+
+TABLE_2 = {
+    "density_per_m2": "density (1/m2)",
+    "sigma_mad_mm": "precision (mm)",
+    "d1_mm": "d1 (mm)",
+    "d4_mm": "d4 (mm)",
+    "f": "f",
+    "g": "g",
+}
+
+
+def table_2(done):
+    """Cloud quality as in Table 2 of the paper, of the chart parallel to the path, and g."""
+    figures = done.results.set_index(["system", "distance_m", "quantity", "direction", "view"])
+    rows = []
+    for system in done.results["system"].unique():
+        for distance in sorted(done.results["distance_m"].unique()):
+            cells = {
+                label: _cell(figures, (system, distance, quantity, "", ""))
+                for quantity, label in TABLE_2.items()
+            }
+            rows.append({"system": system, "distance (m)": f"{distance:g}", **cells})
+    rows = pd.DataFrame(rows)
+    return rows[(rows[list(TABLE_2.values())] != "").any(axis=1)]
+
+
+def _cell(figures, key):
+    """A figure with its interval; a dash where it could not be measured, empty where not asked."""
+    if key not in figures.index:
+        return ""
+    row = figures.loc[[key]].iloc[0]
+    value, low, high = row["value"], row["low"], row["high"]
+    if isinstance(value, str):
+        return value
+    if pd.isna(value):
+        return "–" if pd.isna(low) or np.isfinite(high) else f"– (> {low:.3g})"
+    if pd.notna(row.get("sigma")):
+        reach = 1.96 * row["sigma"]
+        return f"{value:.2f} ± {max(reach, 0.01):.2f}"
+    low, high = _short(low), _short(high)
+    return _short(value) if low == high else f"{_short(value)} ({low} to {high})"
+
+
+def _short(number):
+    """A number with four figures, whole where it is large."""
+    return f"{number:.0f}" if abs(number) >= 1000 else f"{number:.4g}"
+
+
+def _lines(done, site):
+    """What the report begins with."""
+    drives = ", ".join(drive.name for drive in done.drives)
+    return [
+        f"Drives: {drives}.",
+        f"Asked: {' m and '.join(f'{d:g}' for d in site.distances_m)} m beside the boards, at "
+        f"least {site.speed_kmh:g} km/h; forward and backward images from {site.oblique_m:g} m or "
+        "farther, of the nearest drive.",
+        "A verdict is undecided where its threshold lies within the 95 % interval, or where the "
+        "drive was against the rules and may have caused it.",
+        "All figures are measured on the delivered data, after Pfeifer et al. 2021, "
+        "doi:10.3390/rs13020237.",
+    ]
+
+
+def _parts(done, site, criteria, hashes):
+    """Tables of the report by their titles."""
+    parts = {"Who qualifies": _overview(done)}
+    for name, table in done.verdicts.items():
+        parts[f"Verdicts: {name}"] = _verdict_table(table)
+    parts["Could not be judged, or only with doubt"] = pd.DataFrame(
+        done.problems, columns=["where", "what"]
+    )
+    parts["Table 1: image quality (measured)"] = table_1(done)
+    parts["Table 2: cloud quality of the chart parallel to the path (measured)"] = table_2(done)
+    parts["Drives"] = _drive_table(done)
+    parts["Images"] = _image_table(done)
+    parts["Clouds on all point charts"] = _cloud_table(done)
+    for name, table in criteria.items():
+        parts[f"Criteria: {name}"] = table.map(_plain)
+    parts["Boards and control points"] = _board_table(site)
+    parts["Files and their SHA-256"] = pd.DataFrame(hashes, columns=["file", "SHA-256"])
+    names = {"mmqa_lab": metadata.version("mmqa_lab"), "Python": platform.python_version()}
+    names |= {name: metadata.version(name) for name in LIBRARIES if _installed(name)}
+    parts["Versions"] = pd.DataFrame(names.items(), columns=["name", "version"])
+    return {title: table for title, table in parts.items() if len(table)}
+
+
+def _overview(done):
+    """A row per set of criteria and system."""
+    parts = [table.assign(criteria=name) for name, table in done.summaries.items()]
+    table = pd.concat(parts).rename(columns={"because": "not met, or open"})
+    names = ["criteria", "system", "verdict", "not met, or open", "met", "exempt", "not_met"]
+    table = table[[*names, "undecided", "not_measured"]]
+    return table.rename(columns=lambda name: name.replace("_", " ")).map(_plain)
+
+
+def _verdict_table(table):
+    """Verdicts with margin and interval as texts."""
+    ends = zip(table["low"], table["high"], strict=True)
+    shown = table.assign(
+        interval=["" if a == b or pd.isna(a) else f"{_short(a)} to {_short(b)}" for a, b in ends],
+        asked=table["relation"] + " " + table["threshold"].map(_plain),
+        value=table["value"].map(_plain),
+        margin=table["margin"].map(_plain),
+        distance_m=table["distance_m"].map(_plain),
+    )
+    return shown[list(COLUMNS)].rename(columns=COLUMNS)
+
+
+def _plain(value):
+    """A cell as text; empty for none."""
+    if isinstance(value, str):
+        return value
+    if value is None or pd.isna(value):
+        return ""
+    return _short(value) if isinstance(value, float) else str(value)
+
+
+def _drive_table(done):
+    """What each drive did beside what is asked."""
+    rows = []
+    for drive in done.drives:
+        for row in drive.checks.itertuples():
+            asked = f"{row.at_least:g} to {row.at_most:g}".replace("to inf", "or more")
+            seen = {"low": f"{row.low:.2f}", "high": f"{row.high:.2f}", "asked": asked}
+            kept = "yes" if row.passed else "no"
+            rows.append({"drive": drive.name, "quantity": row.quantity, **seen, "kept": kept})
+    return pd.DataFrame(rows)
+
+
+def _image_table(done):
+    """Which image counts for which board, from where, and how it was found."""
+    rows = [
+        {
+            "drive": photo.drive.name,
+            "image": photo.file.name,
+            "board": photo.board,
+            "view": photo.view,
+            "distance (m)": f"{photo.found['distance_m']:.2f}",
+            "off normal (deg)": f"{photo.found['off_normal_deg']:.1f}",
+            "found by": photo.quality.chart_map.source,
+            "px per 40 mm": f"{photo.found['cap_px']:.1f}",
+            "crop": photo.found["crop"],
+            "marks": photo.found["marks"],
+            "remark": photo.quality.to_frame()["remark"].item(),
+        }
+        for photo in done.photographs
+    ]
+    return pd.DataFrame(rows)
+
+
+def _cloud_table(done):
+    """Figures of every point chart, those across the path too."""
+    rows = []
+    for drive, about, quality in done.clouds:
+        figures = {
+            "points": str(about["n"]),
+            "density (1/m2)": _short(quality.density_polygon_per_m2),
+            "precision (mm)": _short(quality.sigma_mad_mm),
+            "d1 (mm)": _short(quality.d1_mm),
+            "d4 (mm)": _short(quality.d4_mm),
+            "f": _short(quality.f),
+            "before its surveyed plane (mm)": f"{about['offset_mm']:.1f}",
+        }
+        place = {"board": about["board"], "view": about["view"]}
+        rows.append({"drive": drive.name, **place, **figures})
+    return pd.DataFrame(rows)
+
+
+def _board_table(site):
+    """Places of the boards' middles and of the control points."""
+    boards = site.boards
+    rows = [(one.board, one.kind, one.corners.mean(axis=0)) for one in boards.itertuples()]
+    rows += [(f"control point {k}", "control", place) for k, place in enumerate(site.control, 1)]
+    names = ["name", "kind", "easting (m)", "northing (m)", "height (m)"]
+    texts = [(name, kind, *(f"{x:.3f}" for x in place)) for name, kind, place in rows]
+    return pd.DataFrame(texts, columns=names)
+
+
+def _figures(done):
+    """Title and figure of the clouds and of the photographs of each system."""
+    for system in dict.fromkeys(drive.system for drive in done.drives):
+        clouds = [one for one in done.clouds if one[0].system == system]
+        clouds = [one for one in clouds if one[1]["view"] == ALONG]
+        if clouds:
+            title = f"System {system}: points on the chart parallel to the path"
+            yield title, _cloud_figure(clouds)
+        photos = [photo for photo in done.photographs if photo.drive.system == system]
+        if photos:
+            yield f"System {system}: photographs, with resolved line pairs", _photo_figure(photos)
+
+
+def _cloud_figure(clouds):
+    """The points of each drive by their distance from the plane."""
+    figure, axes = plots.subplots(1, len(clouds), width="double", height_mm=75, squeeze=False)
+    for ax, (drive, _, quality) in zip(axes[0], clouds, strict=True):
+        reach = 3 * quality.sigma_mad_mm
+        shades = {"label": "distance from plane (mm)", "cmap": plots.DIVERGING_MAP}
+        residuals = 1000 * quality.plane.residuals
+        plots.draw_points(quality.xy, ax=ax, values=residuals, limits=(-reach, reach), **shades)
+        ax.set_title(f"{drive.distance_m:g} m, {quality.n} points")
+    return figure
+
+
+def _photo_figure(photos):
+    """The photographs of a system with their line pairs, resolved or refused."""
+    columns = min(len(photos), 4)
+    rows = -(-len(photos) // columns)
+    figure, axes = plots.subplots(rows, columns, width="double", height_mm=62 * rows, squeeze=False)
+    for ax in axes.flat[len(photos) :]:
+        ax.set_axis_off()
+    for ax, photo in zip(axes.flat, photos, strict=False):
+        photo.quality.plot(ax=ax)
+        ax.get_legend().remove()
+        ax.set_title(f"{photo.view}, {photo.found['distance_m']:.1f} m", fontsize=7)
+    axes.flat[0].figure.legend(*_legend(axes.flat[0]), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _legend(ax):
+    """Lines with names and their names."""
+    return ax.get_legend_handles_labels()
+
+
+def _png(figure):
+    """A figure as PNG without the program's version."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _encoded(pictures):
+    """Pictures as a page embeds them."""
+    return {title: base64.b64encode(picture).decode() for title, picture in pictures.items()}
+
+
+def _write_crops(done, folder):
+    """Crops under names that tell nothing, and the form for three jurors."""
+    import cv2
+
+    names = []
+    for photo in done.photographs:
+        grey = np.round(255 * encode(photo.quality.image, "srgb")).astype(np.uint8)
+        data = cv2.imencode(".png", grey)[1].tobytes()
+        names.append(photo.found["crop"])
+        file = folder / f"{names[-1]}.png"
+        write_atomically(file, lambda path, data=data: path.write_bytes(data))
+    empty = dict.fromkeys(("juror_1", "juror_2", "juror_3"), "")
+    return pd.DataFrame({"crop": sorted(names)}).assign(**empty)
+
+
+def _write_csv(file, table):
+    """A table as CSV, whole or not at all."""
+    write_atomically(file, lambda path: table.to_csv(path, index=False))
+
+
+def _hashes(root, files):
+    """Each file, named from a folder, with its SHA-256."""
+    root = Path(root).resolve()
+    named = {}
+    for file in files:
+        whole = Path(file).resolve()
+        name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else whole.name
+        named[name] = whole
+    return [(name, sha256(file)) for name, file in sorted(named.items())]
+
+
+def _installed(name):
+    """Whether a library is there under this name."""
+    try:
+        return bool(metadata.version(name))
+    except metadata.PackageNotFoundError:
+        return False
+
+
+def _write_pdf(path, parts, pictures, *, title, lines):
+    """The report as sheets of A4: tables, then figures."""
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+    from matplotlib.image import imread
+
+    with PdfPages(path, metadata={"CreationDate": None, "Title": title}) as file:
+        for sheet in _sheets(parts, title, lines):
+            file.savefig(sheet)
+        for caption, picture in pictures.items():
+            sheet = Figure(figsize=A4_INCHES, layout="none")
+            sheet.text(0.07, 0.95, caption, fontsize=11)
+            ax = sheet.add_axes((0.05, 0.05, 0.9, 0.88), frame_on=False, xticks=[], yticks=[])
+            ax.imshow(imread(io.BytesIO(picture)))
+            ax.set_anchor("N")
+            file.savefig(sheet)
+
+
+def _sheets(parts, title, lines):
+    """Sheets with as many rows of text as fit; tables in letters of one width."""
+    from matplotlib.figure import Figure
+
+    text = [title, ""]
+    text += [row for line in lines for row in textwrap.wrap(line, 118)]
+    for name, table in parts.items():
+        text += ["", "", name, "", *_rows(table)]
+    for first in range(0, len(text), ROWS_A_SHEET):
+        sheet = Figure(figsize=A4_INCHES, layout="none")
+        shown = "\n".join(text[first : first + ROWS_A_SHEET])
+        choices = {"family": "DejaVu Sans Mono", "fontsize": 6.3, "va": "top", "linespacing": 1.9}
+        sheet.text(0.05, 0.97, shown, parse_math=False, **choices)
+        yield sheet
+
+
+def _rows(table):
+    """A table as lines of text, its long cells wrapped."""
+    wrapped = []
+    for row in table.astype(str).to_numpy():
+        cells = [textwrap.wrap(cell, WIDEST_CELL) or [""] for cell in row]
+        depth = max(map(len, cells))
+        wrapped += zip(*(cell + [""] * (depth - len(cell)) for cell in cells), strict=True)
+    columns = list(zip(map(str, table.columns), *wrapped, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return [
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

@@ -1,0 +1,164 @@
+"""The test site of a tender and the drives past it: read, found, and checked against the rules.
+
+A drive is a folder with a ``trajectory.csv`` (Pfeifer et al. 2021, section 4.1).
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_crs, check_positive
+from mmqa_lab.chart_image.evaluation import read_layout
+from mmqa_lab.chart_image.geometry import four_corners
+from mmqa_lab.chart_image.rules import ALONG, PLACE, board_frame, board_view, check_drive
+from mmqa_lab.io import read_trajectory
+
+NEAR_SITE_M = 100.0
+"""A drive that stays farther away from all boards belongs to another site."""
+
+RULES = {"oblique_distance_m": 10.0, "speed_kmh": 40.0}
+"""Of section 4.1, where the site's file does not say otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """The test site: its boards with ``board``, ``kind``, ``corners`` and ``layout``, its rules."""
+
+    boards: pd.DataFrame
+    distances_m: tuple
+    oblique_m: float
+    speed_kmh: float
+    crs: object
+    control: tuple
+    files: tuple
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One delivered drive: its files, its path, and what the rules say of it."""
+
+    system: str
+    name: str
+    folder: Path
+    path: pd.DataFrame
+    distance_m: float
+    checks: pd.DataFrame
+
+
+def read_site(path):
+    """Return the site that a JSON file describes.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        If there is no such file, or a field is missing or wrong.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"Invalid site {path}: no such file. Must exist.")
+    try:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        rows = [_board(board, path) for board in whole["boards"]]
+        distances = [check_positive(d, "distance", unit="m") for d in whole["distances_m"]]
+        control = tuple(np.array(place, dtype=float) for place in whole.get("control_points", []))
+        rules = [float(whole.get(name, usual)) for name, usual in RULES.items()]
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"Invalid site {path}: {error}. Must have all fields.") from None
+    boards = pd.DataFrame(rows)
+    if boards.empty or boards["board"].duplicated().any():
+        raise ValueError(
+            f"Invalid site {path}: boards. Must have one or more, each with its own name."
+        )
+    crs = check_crs(whole["crs"]) if whole.get("crs") else None
+    layouts = [path.parent / one["layout"] for one in whole["boards"] if "layout" in one]
+    files = (path, *(file for file in layouts if file.is_file()))
+    return Site(boards, tuple(sorted(distances)), *rules, crs, control, files)
+
+
+def find_drives(folder, site, done):
+    """The drives in a folder: each has a trajectory that passes the site."""
+    drives = []
+    for file in sorted(folder.rglob("trajectory.csv")):
+        parts = file.parent.relative_to(folder).parts
+        system = parts[0] if len(parts) > 1 else folder.resolve().name
+        name = "/".join(parts) or folder.resolve().name
+        try:
+            drives.append(_drive(system, name, file, site, done))
+        except (ValueError, OSError) as error:
+            done.say(name, error)
+    if not drives and not done.problems:
+        done.say(str(folder), "It has no trajectory.csv.")
+    return drives
+
+
+def sha256(path):
+    """The SHA-256 of a file, read piece by piece."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def doubt(drive, view):
+    """Which verdicts a drive against the rules cannot bear: it makes figures better or worse."""
+    broken = drive.checks[~drive.checks["passed"]].set_index("quantity")
+    better, worse = "speed_kmh" in broken.index, False
+    if view == ALONG and "distance_m" in broken.index:
+        row = broken.loc["distance_m"]
+        better |= row["low"] < row["at_least"]
+        worse |= row["high"] > row["at_most"]
+    return {"too_good": bool(better), "too_bad": bool(worse)}
+
+
+def _board(board, path):
+    """A row of the site's boards, checked."""
+    kind = board["kind"]
+    if kind not in ("image", "point"):
+        raise ValueError(f"Invalid kind {kind!r} of board in {path}. Must be image or point.")
+    source = board.get("layout", "grey")
+    file = path.parent / source
+    layout = read_layout(file if file.is_file() else source) if kind == "image" else None
+    corners = four_corners(board["corners"], columns=3)
+    return {"board": str(board["board"]), "kind": kind, "corners": corners, "layout": layout}
+
+
+def _drive(system, name, file, site, done):
+    """A drive whose distance, speed and attitude are compared with the rules."""
+    path = read_trajectory(file)
+    done.files.append(file)
+    along = _along(site, path)
+    middle, right, normal = board_frame(along)
+    away = path[PLACE].to_numpy() - middle
+    nearest = np.linalg.norm(away, axis=1).min()
+    if nearest > NEAR_SITE_M:
+        raise ValueError(
+            f"The drive stays {nearest:.0f} m away from the boards: is it of another site?"
+        )
+    # where it passes the board
+    beside = float((away @ normal)[np.argmin(np.abs(away @ right))])
+    distance = min(site.distances_m, key=lambda one: abs(one - beside))
+    checks = check_drive(path, along, distance=distance, speed_kmh=site.speed_kmh)
+    for row in checks[~checks["passed"]].itertuples():
+        done.say(name, _broken_rule(row))
+    return Drive(system, name, file.parent, path, distance, checks)
+
+
+def _along(site, path):
+    """Corners of a board that stands along a drive."""
+    for board in site.boards.itertuples():
+        if board_view(board.corners, path) == ALONG:
+            return board.corners
+    raise ValueError("No board stands along the drive: its distance cannot be checked.")
+
+
+def _broken_rule(row):
+    """What a drive did against a rule."""
+    name, unit = row.quantity.rsplit("_", 1)
+    unit = {"kmh": "km/h", "deg": "degrees"}.get(unit, unit)
+    limits = f"at least {row.at_least:g}"
+    if np.isfinite(row.at_most):
+        limits = f"between {row.at_least:g} and {row.at_most:g}"
+    what = name.replace("_", " ").capitalize()
+    return f"{what} was {row.low:.2f} to {row.high:.2f} {unit}; must be {limits}."

@@ -1,0 +1,83 @@
+"""Measure commands beside another version of this package, and write the table of the README.
+
+Processor time (user and system) of whole processes and their children: warm, the least of the
+repeats, and once with an empty cache of compiled code. Both versions run in this environment.
+
+    git worktree add /tmp/before a7a4e3e
+    python tests/benchmarks/versions.py /tmp/before --markdown README.md
+"""
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from mmqa_lab.run.pages import replaced
+
+HERE = Path(__file__).resolve().parents[2]
+
+SAMPLES = HERE / "data_samples"
+
+CALLS = {
+    "mmqa --help": ["--help"],
+    "mmqa evaluate, 4,014 points": ["evaluate", str(SAMPLES / "chart_a_5m.laz")],
+    "mmqa evaluate, 28,185 points": ["evaluate", str(SAMPLES / "road_patch.laz")],
+    "mmqa map": ["map", str(SAMPLES / "road_patch.laz"), "--out", "map.nc"],
+    "mmqa lhd": ["lhd", str(SAMPLES / "road_patch.laz"), str(SAMPLES / "road_patch.laz")],
+    "mmqa poles": ["poles", str(SAMPLES / "road_patch.laz")],
+}
+
+
+def spent(root, words, cache):
+    """Processor seconds of a command in a version, children included."""
+    place = {**os.environ, "PYTHONPATH": str(root), "NUMBA_CACHE_DIR": cache}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "mmqa_lab", *words]
+        subprocess.run(command, cwd=folder, env=place, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def compare(before, repeats):
+    """Rows (command, state, seconds before, seconds now); both versions in turn."""
+    for name, words in CALLS.items():
+        with tempfile.TemporaryDirectory() as old, tempfile.TemporaryDirectory() as new:
+            versions = ((before, old), (HERE, new))
+            first = [spent(root, words, cache) for root, cache in versions]
+            warm = [[spent(root, words, cache) for root, cache in versions] for _ in range(repeats)]
+        least = [min(costs) for costs in zip(*warm, strict=True)]
+        for state, cost in (("first call", first), ("warm", least)):
+            print(f"{name:32}{state:12}{cost[0]:7.2f} s{cost[1]:7.2f} s", flush=True)
+            yield name, state, *cost
+
+
+def markdown(rows):
+    """The rows as a table for the README."""
+    lines = ["| command | call | 0.1 (s) | now (s) | ratio |", "|---|---|---|---|---|"]
+    lines += [
+        f"| `{name}` | {state} | {old:.2f} | {new:.2f} | {new / old:.2f} |"
+        for name, state, old, new in rows
+    ]
+    return "\n".join(lines)
+
+
+def main():
+    """Print the rows, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("before", type=Path, metavar="FOLDER", help="checkout of the other version")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write between its marks")
+    options = parser.parse_args()
+    rows = list(compare(options.before.resolve(), options.repeats))
+    if options.markdown:
+        text = options.markdown.read_text(encoding="utf-8")
+        text = replaced(text, "versions", markdown(rows))
+        options.markdown.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

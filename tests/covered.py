@@ -1,0 +1,364 @@
+"""Simulations that count how often 95 % intervals contain the truth: for the tests and the README.
+
+Each estimate is a function of a seed. It simulates data whose truth is known, and returns a dict of
+figures, each with the ends of its stated interval and the truth: (low, high, truth). Where an
+estimate states a standard deviation, the ends are 1.96 of them from the value, or Student's t where
+its docstring says so. An ellipsoid has the ends 0 and the 95 % quantile of chi-squared, and as truth
+the squared distance in its metric. A truth of None is the mean of the values of all draws, which
+come as a fourth number: what an interval of a random pattern is about.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from mmqa_lab.radiometry.block import adjust_block
+from scipy.stats import chi2, t
+
+from mmqa_lab import bench, lines, simulate, stats, testfield
+from mmqa_lab.boresight import calibrate
+from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.mtf import fit_edge, measure_star
+from mmqa_lab.planes import fit_circle
+from mmqa_lab.radiometry import empirical_line, fit_sensor
+from mmqa_lab.repeatability import repeatability
+from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
+from mmqa_lab.simulate.canyon import canyon
+from mmqa_lab.simulate.point_patterns import point_pattern
+from mmqa_lab.simulate.targets import PointSpread, render_edge, render_star
+from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+from mmqa_lab.studies import test_field
+from mmqa_lab.studies.mimic import simulate_patch
+
+Z = 1.959964
+
+SETUP = ScanSetup(
+    pulse_rate_hz=300e3,
+    mirror_frequency_hz=100,
+    speed_m_s=8,
+    scanner_heading_deg=45,
+    scanner_tilt_deg=45,
+)
+WALL = Target(heading_deg=5, tilt_deg=3, range_m=5)
+
+
+def around(value, std, truth, reach=Z):
+    """The interval of a value with a standard deviation."""
+    return value - reach * std, value + reach * std, truth
+
+
+def ellipsoid(error, covariance):
+    """The 95 % ellipsoid of a vector."""
+    return 0.0, chi2.ppf(0.95, len(error)), error @ np.linalg.solve(covariance, error)
+
+
+def chart(seed, kind):
+    """Every figure of a chart; the points of half a square metre on a wall, 5 mm of noise."""
+    xy = point_pattern(kind, density=3000, size=0.71, seed=seed, ratio=3, angle=20, noise=0.001)
+    off = np.random.default_rng([seed, 1]).normal(0, 0.005, len(xy))
+    corners = 0.71 * np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
+    upright = np.column_stack([xy[:, 0], off, xy[:, 1]])
+    table = evaluate_cloud(upright, polygon=corners, axes="horizontal").intervals()
+    return {row.figure: (row.low, row.high, None, row.value) for row in table.itertuples()}
+
+
+def rate(seed, share, n):
+    """A rate, such as recall, of independent trials."""
+    found = stats.wilson(int(np.random.default_rng(seed).binomial(n, share)), n)
+    return {"rate": (found.low, found.high, share)}
+
+
+def mean_of(seed, n):
+    """The bootstrap of a mean and of a median of exponential values."""
+    values = np.random.default_rng(seed).exponential(size=n)
+    found = {}
+    for name, truth in (("mean", 1.0), ("median", np.log(2))):
+        one = stats.bootstrap(getattr(np, name), values, repeats=400, seed=seed)
+        found[name] = one.low, one.high, truth
+    return found
+
+
+def selections(seed, scans):
+    """Repeatability and intraclass correlation of 12 selections of each scan."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0, 1, (scans, 12)) + rng.normal(0, 1, (scans, 1))
+    table = pd.DataFrame({"scan": np.repeat(np.arange(scans), 12), "f": values.ravel() + 100})
+    found = repeatability(table, "f", draws=300, seed=seed)
+    return {
+        "s_r": (found.s_r_low, found.s_r_high, 1.0),
+        "icc": (found.icc_low, found.icc_high, 0.5),
+    }
+
+
+def trend(seed, n):
+    """The growth of errors with distance."""
+    rng = np.random.default_rng(seed)
+    distance = rng.uniform(2, 35, n)
+    found = testfield.trend(distance, 5 + 0.3 * distance + rng.normal(0, 3, n))
+    return {"slope": (found["slope_low"], found["slope_high"], 0.3)}
+
+
+def pole(seed, known):
+    """The position of a pole of 10 cm, of which 150 degrees are seen by 40 points, 4 mm of noise."""
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(-1.3, 1.3, 40)
+    points = (0.05 + rng.normal(0, 0.004, 40))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
+    found = fit_circle(points, diameter=0.1 if known else None)
+    return {name: around(found.centre[k], found.std, 0.0) for k, name in enumerate("xy")}
+
+
+def pattern(seed, timed):
+    """The scan pattern of a wall, 1 m x 1 m, from a vehicle whose speed wanders by 1 %."""
+    cloud, truth = simulate_patch(SETUP, WALL, size=1.0, seed=seed)
+    time = {"gps_time": cloud["gps_time"]} if timed else {}
+    table = measure_pattern(cloud, reference=truth.beam, **time).to_frame()
+    return {
+        row.quantity.rsplit("_", 1)[0]: around(row.measured, row.std, truth.quantity(row.quantity))
+        for row in table.itertuples()
+    }
+
+
+def prediction(seed, by):
+    """What a set-up known to 1 % and half a degree predicts, beside what it truly gives."""
+    rng = np.random.default_rng(seed)
+    sigmas = {"speed_m_s": 0.08, "scanner_heading_deg": 0.5, "range_m": 0.05}
+    choices = {"draws": 2000, "seed": seed} if by == "monte_carlo" else {}
+    table = propagate(SETUP, WALL, sigmas=sigmas, method=by, **choices)
+    off = {name: std * rng.standard_normal() for name, std in sigmas.items()}
+    setup = SETUP.__class__(
+        **vars(SETUP)
+        | {name: getattr(SETUP, name) + off[name] for name in ("speed_m_s", "scanner_heading_deg")}
+    )
+    wall = Target(heading_deg=5, tilt_deg=3, range_m=5 + off["range_m"])
+    lattice = scan_lattice(setup, wall.patch(setup))
+    return {
+        row.quantity: (row.low, row.high, float(lattice.quantity(row.quantity)))
+        for row in table.itertuples()
+        if np.isfinite(row.low) and row.quantity.split("_")[0] in ("profile", "point", "density")
+    }
+
+
+def displaced(seed, matched):
+    """The displacement of the lines of a street: of given pairs, or of those that are found."""
+    scene = canyon(2 if not matched else 5000 + seed)
+    if not matched:
+        rng, shift = np.random.default_rng(seed), np.array([0.4, -0.3, 0.2])
+        moved = scene.edges.moved(rng.normal(0, 0.05, (len(scene.edges), 3)) + shift)
+        found = lines.fit_displacement(moved, scene.edges, np.eye(len(moved), dtype=bool))
+        return {"vector": ellipsoid(found.vector - shift, found.covariance)}
+    test, model = (scene.surveys[name].segments for name in ("C1", "TLS"))
+    found = lines.match_displaced(test, model).displacement
+    error = found.vector - scene.displacements("C1", "TLS").mean(axis=0)
+    return {"vector": ellipsoid(error, found.covariance)}
+
+
+def edge_of_walls(seed, angle_deg):
+    """Both ends of the line in which two walls of 4 m x 3 m meet, across the line."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(0, 1, (2, 12_000, 2)) * [4, 3]
+    off = rng.normal(0, 0.005, (2, 12_000))
+    way = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    first = np.column_stack([u[0, :, 0], off[0], u[0, :, 1]])
+    plan = u[1, :, :1] * way + off[1][:, None] * [-way[1], way[0]]
+    found = lines.extract_edges(np.vstack([first, np.column_stack([plan, u[1, :, 1]])]))
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} edges")
+    ends, covariance = found.segments.ends[0], found.covariance[0]
+    return {f"end {k + 1}": ellipsoid(ends[k, :2], covariance[k, :2, :2]) for k in range(len(ends))}
+
+
+def edge_of_image(seed, sigma_px):
+    """MTF50 of a slanted edge behind a Gaussian, 1 % of noise."""
+    spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
+    angle = float(rng.uniform(4, 12))
+    image = render_edge(
+        (80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5))
+    )
+    found = fit_edge(image + 0.005 * rng.standard_normal(image.shape))
+    return {"MTF50": around(found.mtf50, found.mtf50_sigma, spread.mtf50(angle))}
+
+
+def star_of_image(seed, sigma_px):
+    """MTF50 of a Siemens star behind a Gaussian, 1 % of noise."""
+    spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
+    image = render_star(
+        (170, 170), spread, cycles=24, radius_px=80, centre=rng.uniform(-0.5, 0.5, 2)
+    )
+    image = image + 0.005 * rng.standard_normal(image.shape)
+    found = measure_star(image, (84.5, 84.5), cycles=24, radius_px=80)
+    fine = np.linspace(0.05, 0.9, 2000)
+    truth = fine[np.argmax(spread.mtf_mean(fine) < 0.5)]
+    return {"MTF50": around(found.mtf50, found.mtf50_sigma, truth)}
+
+
+def sensor(seed, n):
+    """Gain and offset of a sensor from targets, Student's t as its p-values."""
+    rng, radiance = np.random.default_rng(seed), np.linspace(10, 90, n)
+    found = fit_sensor(radiance, 20 + 8 * radiance + rng.normal(0, 4, n))
+    reach = t.ppf(0.975, n - 2)
+    return {
+        "gain": around(found.gain, found.std[0], 8.0, reach),
+        "offset": around(found.offset, found.std[1], 20.0, reach),
+    }
+
+
+def reflectance(seed, n):
+    """Reflectance by the empirical line, targets with known standard errors."""
+    rng, truth = np.random.default_rng(seed), np.linspace(0.05, 0.5, n)
+    dn = (truth + 0.05) / 0.0005 + rng.normal(0, 8, n)
+    line = empirical_line(dn, truth + rng.normal(0, 0.01, n), std_dn=8.0, std=0.01)
+    seen = (0.3 + 0.05) / 0.0005 + rng.normal(0, 8)
+    found = float(line.reflectance(seen)), float(line.std(seen, std_dn=8.0))
+    return {"reflectance": around(*found, 0.3)}
+
+
+def block(seed, noise):
+    """Gains and haze of a block of 8 images, gains relative to their geometric mean."""
+    rng = np.random.default_rng(seed)
+    images, ties = np.repeat(np.arange(8), 60), np.tile(np.arange(60), 8)
+    ground, gain = rng.uniform(0.05, 0.5, 60), np.exp(rng.normal(0, 0.05, 8))
+    sun = np.cos(np.radians(40.0))
+    radiance = gain[images] * (ground[ties] * sun + 0.02) * (1 + rng.normal(0, noise, 480))
+    seen = pd.DataFrame({"image": images, "tie": ties, "radiance": radiance})
+    seen = seen.assign(sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
+    control = pd.DataFrame({"tie": range(10), "reflectance": ground[:10], "std": 0.001})
+    found = adjust_block(
+        seen, control=control, anisotropy_std=0.0, haze=(0.0, np.inf), relative_std=noise
+    )
+    relative = found.gains["gain_std_percent"].to_numpy() / 100 * found.gains["gain"].to_numpy()
+    gains = zip(found.gains["gain"], relative, gain, strict=True)
+    ends = {f"gain {k}": around(*values) for k, values in enumerate(gains)}
+    return ends | {"haze": around(*found.haze, 0.02)}
+
+
+def mounting(seed, drift):
+    """Boresight and lever arms of two heads from a drive each way past 48 m of street."""
+    navigation = simulate.NavigationErrors()
+    if drift:
+        navigation = simulate.NavigationErrors(
+            drift_m=(0.008,) * 3, drift_deg=(0.004, 0.004, 0.012)
+        )
+    street = make_testfield(length_m=48, seed=1)
+    system = test_field.two_heads(navigation)
+    drives = drive_testfield(street, system, seed=seed, pulses_per_s=60_000)
+    control = street.ground(spacing_m=4.0, seed=seed)
+    known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
+    found = calibrate(drives, control=control, patches=200, rounds=1, seed=seed, **known)
+    truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
+    rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
+    return {f"{row.parameter} {row.head}": around(row.value, row.std, true) for row, true in rows}
+
+
+def average(seed, n):
+    """The mean of a method over cells, as the bench sums it up."""
+    values = np.random.default_rng(seed).normal(3, 1, n)
+    data = iter(values)
+    results = bench.run([{"case": 1}], {"one": lambda _: next(data)}, make=_nothing, seeds=range(n))
+    found = bench.summary(results).iloc[0]
+    return {"mean": (found["low"], found["high"], 3.0)}
+
+
+def _nothing(case, seed):
+    """No data."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate: what it is called, its simulation, its cases, draws in CI and in full."""
+
+    name: str
+    draw: object
+    cases: tuple
+    few: int
+    many: int
+
+
+ESTIMATES = (
+    Estimate(
+        "figures of a chart",
+        chart,
+        tuple({"kind": kind} for kind in ("poisson", "scan_lines", "clusters")),
+        *(10, 300),
+    ),
+    Estimate("rates", rate, bench.grid(share=(0.7, 0.95), n=(20, 100)), 50, 1000),
+    Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 10, 300),
+    Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
+    Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 20, 500),
+    Estimate("pole position", pole, bench.grid(known=(True, False)), 10, 300),
+    Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
+    Estimate(
+        "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 5, 200
+    ),
+    Estimate("displacement, pairs given", displaced, ({"matched": False},), 10, 200),
+    Estimate("displacement, pairs found", displaced, ({"matched": True},), 2, 60),
+    Estimate("edge of a cloud", edge_of_walls, bench.grid(angle_deg=(90, 60)), 3, 60),
+    Estimate("edge of an image", edge_of_image, bench.grid(sigma_px=(0.5, 0.9)), 5, 150),
+    Estimate("Siemens star", star_of_image, bench.grid(sigma_px=(0.6,)), 3, 60),
+    Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 30, 500),
+    Estimate("reflectance", reflectance, bench.grid(n=(4, 12)), 30, 500),
+    Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 3, 80),
+    Estimate("mounting, exact path", mounting, ({"drift": False},), 1, 20),
+    Estimate("mounting, path with drift", mounting, ({"drift": True},), 0, 20),
+    Estimate("mean over cells", average, bench.grid(n=(6, 20)), 5, 100),
+)
+
+
+def simulated(estimate, draws, folder=None):
+    """A row for each draw, case and figure: whether the interval contains the truth."""
+    names = list(estimate.cases[0])
+
+    def ends(given):
+        """Ends and truth of every figure, as the bench keeps numbers."""
+        seed, case = given
+        found = estimate.draw(seed, **case)
+        parts = ("low", "high", "truth", "value")
+        return {
+            f"{name}|{part}": np.nan if number is None else float(number)
+            for name, numbers in found.items()
+            for part, number in zip(parts, numbers, strict=False)
+        }
+
+    def make(seed, **case):
+        """The seed and the case; each draw simulates its own."""
+        return (seed, case), None
+
+    results = bench.run(
+        list(estimate.cases), {"ours": ends}, make=make, seeds=range(draws), folder=folder
+    )
+    table = bench.cell_table(results)
+    figures = dict.fromkeys(name.split("|")[0] for name in table if "|" in name)
+    rows = []
+    for figure in figures:
+        part = pd.DataFrame(
+            {p: table.get(f"{figure}|{p}") for p in ("low", "high", "truth", "value")}
+        )
+        part[names] = table[names]
+        if part["truth"].isna().all():
+            part["truth"] = part.groupby(names)["value"].transform("mean")
+        part["inside"] = (part["low"] <= part["truth"]) & (part["truth"] <= part["high"])
+        known = part["low"].notna() & part["high"].notna()
+        rows.append(part[known].assign(figure=figure))
+    return pd.concat(rows, ignore_index=True)
+
+
+def shares(estimate, rows):
+    """Coverage of each figure over all cases, with the least and the largest of a case."""
+    table = []
+    by_case = list(estimate.cases[0])
+    for figure, part in rows.groupby("figure", sort=False):
+        found = stats.wilson(int(part["inside"].sum()), len(part))
+        cases = part.groupby(by_case)["inside"].mean()
+        table.append(
+            {
+                "estimate": estimate.name,
+                "figure": figure,
+                "cases": len(cases),
+                "draws": len(part),
+                "coverage": found.value,
+                "low": found.low,
+                "high": found.high,
+                "least case": cases.min(),
+                "largest case": cases.max(),
+            }
+        )
+    return pd.DataFrame(table)

@@ -1,0 +1,254 @@
+"""The acceptance: figures and verdicts against the truth of a simulation, and faulty deliveries."""
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab.__main__ import main
+from mmqa_lab.chart_image.placing import find_markers, map_of_markers
+from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
+from mmqa_lab.simulate import site as simulated
+from mmqa_lab.tender import photographs, published_criteria
+from mmqa_lab.tender.acceptance import accept
+from mmqa_lab.tender.site import read_site
+
+CRITERIA = {"test": published_criteria("test")}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The site, and what system A delivers."""
+    place = tmp_path_factory.mktemp("site")
+    simulated.write_site(place, systems="A", seed=1)
+    return place
+
+
+@pytest.fixture(scope="module")
+def done(folder):
+    """The acceptance of that delivery."""
+    marks = photographs.read_marks(folder / "marks.csv")
+    return accept(folder, read_site(folder / "site.json"), CRITERIA, marks=marks)
+
+
+@pytest.fixture
+def bare(folder, tmp_path):
+    """A copy without images, which is judged at once."""
+    place = tmp_path / "site"
+    shutil.copytree(folder, place, ignore=shutil.ignore_patterns("*.jpg", "images.csv"))
+    return place
+
+
+def judged(place, marks=None):
+    """The acceptance of a folder, and its sentences."""
+    found = accept(place, read_site(place / "site.json"), CRITERIA, marks=marks)
+    return found, [problem["what"] for problem in found.problems]
+
+
+def test_images_are_those_the_rules_ask_for_and_measure_their_true_pixels(done):
+    assert [(p.view, p.distance_m) for p in done.photographs] == [
+        ("forward", 10.0),
+        ("orthogonal", 5.0),
+        ("backward", 10.0),
+        ("orthogonal", 10.0),
+    ]
+    camera = simulated.VEHICLES["A"].camera
+    for photo in done.photographs:
+        near = photo.found["distance_m"]
+        assert near >= 10 if photo.view != "orthogonal" else abs(near - photo.distance_m) < 0.5
+        # a panorama's pixel at this distance, along the board's vertical
+        size, sigma = photo.quality.pixel_size("v")
+        assert size == pytest.approx(camera.pixel_size_mm(near), rel=0.1)
+        drive = simulated.make_drive(photo.drive.distance_m, seed=1 + 1000 * ord("A"))
+        board = simulated.site_boards().set_index("board", drop=False).loc[photo.board]
+        time = drive.stations.iloc[int(photo.file.stem.split("_")[1])]["time_s"]
+        there = simulated.station_map(simulated.VEHICLES["A"], drive, time, board)
+        true = there.pixel_sizes_mm([[154.0, 500.0], [856.0, 500.0]])[:, 1].mean()
+        assert abs(size - true) < max(4 * sigma, 0.003 * true)
+
+
+def test_clouds_are_those_of_the_chart_along_the_path(done):
+    table = done.results.set_index(["quantity", "distance_m"])
+    assert table.loc[("sigma_mad_mm", 5.0), "value"] == pytest.approx(1.0, abs=0.15)  # 1 mm noise
+    # two drives of one scanner: as many pulses for half the angle
+    density = table.loc["density_per_m2", "value"]
+    assert density[5.0] / density[10.0] == pytest.approx(2, rel=0.1)
+    # lines follow each other at the vehicle's speed over 200 Hz, turned by 45 degrees
+    spacing = 1000 * 44 / 3.6 / 200 / np.sqrt(2)
+    assert table.loc[("d4_mm", 5.0), "value"] == pytest.approx(spacing, rel=0.05)
+    assert (table["low"].dropna() <= table["high"].dropna()).all()
+
+
+def test_verdicts_name_margin_and_uncertainty(done):
+    table = done.verdicts["test"].set_index("criterion")
+    density = table.loc["point density"]
+    assert density["verdict"] == "met"
+    assert density["margin"] == pytest.approx(density["value"] - 3000)
+    assert density["low"] < density["value"] < density["high"]
+    assert set(table.loc["pixel size", "verdict"]) == {"not met"}  # 9 to 13 mm, 5 are asked
+    assert len(table.loc["pixel size"]) == 6  # three views, two directions
+    assert set(table.loc["legibility", "value"]) == {"c"}
+    assert done.summaries["test"]["verdict"].tolist() == ["fails"]
+
+
+def test_missing_points_and_images_leave_gaps_with_reasons(bare):
+    (bare / "A" / "drive_10m" / "cloud.laz").unlink()
+    found, said = judged(bare)
+    assert said.count("There are no images.") == 2
+    assert "No points on the board 'point orthogonal'." in said
+    assert any("No marks of a jury" in one for one in said)
+    table = found.verdicts["test"].set_index("criterion")["verdict"]
+    assert table["point density"] == "met"  # at 5 m
+    assert set(table["pixel size"]) == set(table["legibility"]) == {"not measured"}
+    shutil.rmtree(bare / "A" / "drive_10m")
+    assert "No drive 10 m beside the boards." in judged(bare)[1]
+
+
+def test_a_site_without_a_board_is_judged_by_the_others(bare):
+    file = bare / "site.json"
+    whole = json.loads(file.read_text())
+    whole["boards"] = [b for b in whole["boards"] if b["board"] != "point orthogonal"]
+    file.write_text(json.dumps(whole))
+    table = judged(bare)[0].verdicts["test"].set_index("criterion")["verdict"]
+    assert table["point density"] == "not measured"
+    whole["boards"] = []
+    file.write_text(json.dumps(whole))
+    with pytest.raises(ValueError, match="Must have one or more"):
+        read_site(file)
+
+
+def test_a_slow_drive_proves_nothing_good(bare):
+    for file in bare.rglob("trajectory.csv"):
+        path = pd.read_csv(file)
+        path["time_s"] *= 44 / 36
+        path.to_csv(file, index=False)
+    found, said = judged(bare)
+    assert any("Speed was 3" in one and "at least 40" in one for one in said)
+    table = found.verdicts["test"].set_index("criterion")["verdict"]
+    assert table["point density"] == "undecided"  # slower is denser
+    assert table["homogeneity"] == "not met"
+
+
+def test_a_drive_too_far_away_proves_nothing_bad(bare):
+    shutil.rmtree(bare / "A" / "drive_10m")
+    file = bare / "A" / "drive_05m" / "trajectory.csv"
+    path = pd.read_csv(file)
+    path["easting_m"] -= 1.2
+    path.to_csv(file, index=False)
+    found, said = judged(bare)
+    assert any("Distance was 6.2" in one and "between 4.5 and 5.5" in one for one in said)
+    table = found.verdicts["test"].set_index("criterion")["verdict"]
+    assert table["homogeneity"] == "undecided"
+    assert table["point density"] == "met"
+
+
+def test_clouds_in_other_coordinates_are_named(bare):
+    file = bare / "A" / "drive_05m" / "cloud.laz"
+    cloud = read_cloud(file)
+    write_cloud(file, type(cloud)(cloud.points, crs="EPSG:25833"))
+    assert any("in ETRS89 / UTM zone 33N, the site in MGI / Austria" in s for s in judged(bare)[1])
+    write_cloud(file, type(cloud)(cloud.points + [3000, 0, 0]))
+    assert any("no points on any board; it extends over 56" in one for one in judged(bare)[1])
+    file.write_bytes(file.read_bytes()[:500])
+    assert any("Must be a complete LAS" in one for one in judged(bare)[1])
+
+
+def test_the_site_of_another_place_is_refused_in_one_sentence(bare, capsys):
+    file = bare / "site.json"
+    whole = json.loads(file.read_text())
+    for board in whole["boards"]:
+        board["corners"] = (np.array(board["corners"]) + [5000, 0, 0]).tolist()
+    file.write_text(json.dumps(whole))
+    assert main(["accept", str(bare)]) == 2
+    said = capsys.readouterr().err
+    assert "stays 5005 m away from the boards: is it of another site?" in said
+    assert not (bare / "report").exists()
+    file.write_text("{}")
+    assert main(["accept", str(bare)]) == 2
+    assert "'boards'" in capsys.readouterr().err
+    assert main(["accept", str(bare / "none")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+
+
+def test_two_boards_in_one_image_without_orientation_are_told_apart_by_their_targets(tmp_path):
+    boards = simulated.site_boards()
+    other = boards.iloc[2]["layout"]  # its targets have other numbers
+    boards = boards[:2].assign(layout=[boards.iloc[0]["layout"], other])  # side by side
+    vehicle = simulated.Vehicle(None, 120)
+    drive = simulated.make_drive(5.0, seed=1)
+    time = float(np.interp(simulated.ORIGIN[1] - 7, drive.path.position[:, 1], drive.path.time))
+    photos = [simulated.take_photo(vehicle, drive, time, b, seed=1) for b in boards.itertuples()]
+    low = np.min([photo.origin for photo in photos], axis=0)
+    high = np.max([np.add(p.origin, p.image.shape[::-1]) for p in photos], axis=0)
+    canvas = np.full((high - low)[::-1], 128, np.uint8)
+    for photo in photos:
+        column, row = photo.origin - low
+        canvas[row:, column:][: photo.image.shape[0], : photo.image.shape[1]] = photo.image
+    found = find_markers(canvas, list(boards["layout"]))
+    position = drive.path.at([time])[0][0]
+    for board in boards.itertuples():
+        there = map_of_markers(found, board.layout, camera=vehicle.camera, offset=tuple(low))
+        place = photographs._camera_place(there, board)
+        assert np.linalg.norm((place - position)[:2]) < 0.3  # targets tell the plan, not the tilt
+    cv2.imwrite(str(tmp_path / "both.png"), canvas)
+    window = {"first_column": low[0], "first_row": low[1]}
+    images = pd.DataFrame([{"file": "both.png", **window}])
+    ends = drive.path.position[[0, -1]]
+    path = pd.DataFrame(ends, columns=["easting_m", "northing_m", "height_m"])
+    here = SimpleNamespace(name="drive", folder=tmp_path, path=path)
+    wanted, said = [(board, 7.0) for board in boards.itertuples()], []
+    note = SimpleNamespace(say=lambda *words: said.append(words))
+    chosen = photographs._chosen(here, images, wanted, vehicle.camera, note)
+    assert [one["found"]["view"] for one in chosen] == ["forward", "forward"]
+    away = np.linalg.norm(boards.iloc[0]["corners"].mean(axis=0) - position)
+    assert chosen[0]["found"]["distance_m"] == pytest.approx(away, rel=0.03)
+    same = [SimpleNamespace(board=name, layout=boards.iloc[0]["layout"]) for name in ("a", "b")]
+    assert "Boards 'a' and 'b' have the same targets" in photographs._same_targets(same)
+    assert not said
+
+
+def test_the_command_writes_the_same_bytes_again(folder, done, tmp_path, monkeypatch, capsys):
+    """Without evaluating the photographs a second time."""
+    monkeypatch.setattr("mmqa_lab.tender.acceptance.accept", lambda *_, **__: done)
+    for name in ("one", "two"):
+        assert main(["accept", str(folder), "--out", str(tmp_path / name)]) == 1
+    assert "scenario" not in capsys.readouterr().err
+    written = sorted(f.relative_to(tmp_path / "one") for f in (tmp_path / "one").rglob("*.*"))
+    assert {"report.html", "report.pdf", "verdicts.csv", "jury.csv"} <= {f.name for f in written}
+    for file in written:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+    page = (tmp_path / "one" / "report.html").read_text()
+    for title in ("Table 1", "Table 2", "SHA-256", "Could not be judged", "A/drive_05m/cloud.laz"):
+        assert title in page
+    crops = pd.read_csv(tmp_path / "one" / "jury.csv")["crop"]
+    assert len(crops) == 4 == len(list((tmp_path / "one" / "crops").glob("*.png")))
+    assert not [name for name in crops if "A" in name or "drive" in name]
+
+
+def test_marks_of_three_jurors_in_both_forms(folder, tmp_path):
+    wide = pd.read_csv(folder / "marks.csv")
+    marks = photographs.read_marks(folder / "marks.csv")
+    assert len(marks) == 3 * len(wide)
+    marks.to_csv(tmp_path / "long.csv", index=False)
+    assert photographs.read_marks(tmp_path / "long.csv").equals(marks.reset_index(drop=True))
+    (tmp_path / "bad.csv").write_text("crop,juror_1\n0a,d\n")
+    with pytest.raises(ValueError, match="Invalid mark 'd'"):
+        photographs.read_marks(tmp_path / "bad.csv")
+
+
+def test_the_example_is_not_written_over_anything(folder, capsys):
+    assert main(["accept", "--example", str(folder)]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_a_simulated_drive_keeps_the_rules(folder):
+    for file in folder.rglob("trajectory.csv"):
+        path = read_trajectory(file)
+        speed = 3.6 * np.diff(path["northing_m"]) / np.diff(path["time_s"])
+        assert speed.min() > 40
+        beside = simulated.ORIGIN[0] - path["easting_m"].mean()
+        assert beside == pytest.approx(float(file.parent.name[6:8]), abs=0.1)
