@@ -10,7 +10,7 @@ from rendered import centre_contrast, grey, pattern_case, slanted_edge, true_mtf
 
 from mmqa_lab import chart_image, charts, samples
 from mmqa_lab.chart_image import ChartMap, FrameCamera, PanoramaCamera, reading
-from mmqa_lab.chart_image.evaluation import align
+from mmqa_lab.chart_image.placing import align
 from mmqa_lab.charts import Bar, Layout
 from mmqa_lab.mtf.edges import fit_edge, spread_edge
 from mmqa_lab.simulate import cameras

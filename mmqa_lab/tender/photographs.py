@@ -14,13 +14,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab.chart_image.evaluation import (
-    evaluate_window,
-    find_markers,
-    locate,
-    map_of_markers,
-)
+from mmqa_lab.chart_image.evaluation import evaluate_window
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
 from mmqa_lab.chart_image.rules import (
     ALONG,
     MARKS,
