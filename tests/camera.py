@@ -296,7 +296,8 @@ def _printed(layout):
 
 
 def _light(tone):
-    return tone if tone in (0.0, 1.0) else ((tone + 0.055) / 1.055) ** 2.4
+    colour = isinstance(tone, tuple)
+    return tone if colour or tone in (0.0, 1.0) else ((tone + 0.055) / 1.055) ** 2.4
 
 
 def _ground(size, background, rng, scene):

@@ -92,7 +92,8 @@ def test_ends_of_bars_three_pixels_wide_are_found_in_noise():
     # a step of ten times the noise behind a spread of 0.67 px, integrated over the ends
     share = 3.07 - 2 * 0.67 / np.sqrt(np.pi)
     bound = 0.1 * np.sqrt(2 * 2 * np.sqrt(np.pi) * 0.67 / share)
-    assert (table["length_sigma_px"] < 1.4 * bound).all()
+    # six ends tell how far they scatter to a third
+    assert (table["length_sigma_px"] < 2 * bound).all()
 
 
 def test_a_bar_outside_the_image_is_not_measured():

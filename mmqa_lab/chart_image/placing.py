@@ -75,8 +75,8 @@ STEPS = ((60, 6), (160, 8), (800, 12))
 LARGEST_DIFFERENCE = 0.15
 """Share of the printed blocks that may differ before a remark says so."""
 
-LARGEST_MOVE = 0.06
-"""Share of the chart's side by which the alignment may move a corner."""
+LARGEST_MOVE, LARGEST_STEP = 0.06, 0.25
+"""Share of the chart's side by which the alignment may move a corner, and in one step."""
 
 EDGE_SPREADS = 2.5
 """Closer to the chart's edge, in point spreads, pixels see what is beyond."""
@@ -412,7 +412,7 @@ class _Comparison:
             change = np.linalg.inv(to_units) @ (np.eye(3) + change) @ to_units
             better = chart_map.corrected(np.linalg.inv(change))
             moved = _apart(better, chart_map, self.layout)
-            if not np.isfinite(moved).all():
+            if not (moved < LARGEST_STEP * self.layout.width / self.pixel_mm).all():
                 break
             chart_map = better
             if moved.max() < 0.02:

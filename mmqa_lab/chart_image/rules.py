@@ -145,6 +145,8 @@ def text_crops(
         if (pixels < 0).any() or (pixels > np.array(image.shape[::-1]) - 1).any():
             continue
         sizes = chart_map.pixel_sizes_mm((low + high)[None] / 2)[0]
+        # a pixel more on each side, as blur reaches farther than ink
+        low, high = low - sizes.min(), high + sizes.min()
         columns, rows = np.ceil((high - low) / sizes.min()).astype(int)
         x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows)[::-1] + 0.5)
         places = low + np.column_stack([x.ravel(), y.ravel()]) * sizes.min()
