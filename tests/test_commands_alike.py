@@ -31,7 +31,7 @@ CASES = {
     "tender": ("tender pfeifer2021:2 pfeifer2021", 3, None),
     "lhd": ("lhd course.csv model.csv", 1, "edges"),
     "plan": (PLAN, 1, None),
-    "poles": ("poles street.xyz --method itc", 1, "poles.json"),
+    "poles": ("poles street.xyz --method itc", 1, "poles.geojson"),
     "map": ("map PATCH --out m.nc --cell 1 --metrics density --workers 1", None, "m.nc"),
     "accuracy": ("accuracy PATCH levelled.csv", 2, "differences.csv"),
     "calibrate": (CALIBRATE, 6, "corrected"),
@@ -171,7 +171,7 @@ def test_no_rows_are_said_to_be_none(call):
     status, printed, _ = call("poles PATCH --method itc")
     assert status == 0
     assert printed.splitlines()[1] == "none"
-    assert printed.startswith("x_m y_m z_base_m height_m")
+    assert printed.startswith("id x_m y_m class")
 
 
 def test_same_seed_same_interval(call):
