@@ -192,7 +192,7 @@ def star_of_image(seed, sigma_px):
     image = image + 0.005 * rng.standard_normal(image.shape)
     found = measure_star(image, (84.5, 84.5), cycles=24, radius_px=80)
     fine = np.linspace(0.05, 0.9, 2000)
-    truth = fine[np.argmax(spread.mtf_mean(fine) < 0.5)]
+    truth = float(np.interp(-0.5, -spread.mtf_mean(fine), fine))
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, truth)}
 
 
@@ -249,9 +249,7 @@ def mounting(seed, drift, stated):
     drives = drive_testfield(street, system, seed=seed, pulses_per_s=60_000)
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
-    found = calibrate(
-        drives, control=control, patches=200, seed=seed, **known, **path_std
-    )
+    found = calibrate(drives, control=control, patches=200, seed=seed, **known, **path_std)
     truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
     kinds = {"deg": "boresight", "m": "lever arm"}
