@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.chart_image.evaluation import find_markers, map_of_markers
+from mmqa_lab.chart_image.placing import find_markers, map_of_markers
 from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
 from mmqa_lab.simulate import site as simulated
 from mmqa_lab.tender import photographs, published_criteria

@@ -10,7 +10,7 @@ from rendered import centre_contrast, grey, pattern_case, slanted_edge, true_mtf
 
 from mmqa_lab import chart_image, charts, samples
 from mmqa_lab.chart_image import ChartMap, FrameCamera, PanoramaCamera, reading
-from mmqa_lab.chart_image.evaluation import align
+from mmqa_lab.chart_image.placing import align
 from mmqa_lab.charts import Bar, Layout
 from mmqa_lab.mtf.edges import fit_edge, spread_edge
 from mmqa_lab.simulate import cameras
@@ -92,7 +92,8 @@ def test_ends_of_bars_three_pixels_wide_are_found_in_noise():
     # a step of ten times the noise behind a spread of 0.67 px, integrated over the ends
     share = 3.07 - 2 * 0.67 / np.sqrt(np.pi)
     bound = 0.1 * np.sqrt(2 * 2 * np.sqrt(np.pi) * 0.67 / share)
-    assert (table["length_sigma_px"] < 1.4 * bound).all()
+    # six ends tell how far they scatter to a third
+    assert (table["length_sigma_px"] < 2 * bound).all()
 
 
 def test_a_bar_outside_the_image_is_not_measured():

@@ -147,6 +147,17 @@ def test_a_polygon_in_plan_can_be_written_in_the_command(capsys):
     assert "The polygon has no heights" in row["remarks"]
 
 
+def test_lab_asks_nobody_about_news(monkeypatch):
+    from jupyter_server.services.config.manager import ConfigManager
+
+    called = {}
+    monkeypatch.setattr(subprocess, "call", lambda command, **choices: called.update(choices) or 0)
+    assert main(["lab"]) == 0
+    monkeypatch.setenv("JUPYTER_CONFIG_PATH", called["env"]["JUPYTER_CONFIG_PATH"])
+    settings = ConfigManager(config_dir_name="labconfig").get("default_setting_overrides")
+    assert settings["@jupyterlab/apputils-extension:notification"] == {"fetchNews": "false"}
+
+
 def test_unknown_study_is_named(capsys):
     assert main(["studies", "nowhere"]) == 2
     assert "Invalid study 'nowhere'. Must be one of chart_tables" in capsys.readouterr().err

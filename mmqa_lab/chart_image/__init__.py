@@ -14,8 +14,9 @@ files, :func:`mmqa_lab.io.read_grey` their grey values. The check list of a jury
 photograph and what stands in for a jury are in :mod:`mmqa_lab.chart_image.legibility`.
 """
 
-from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image, locate
+from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera
+from mmqa_lab.chart_image.placing import locate
 from mmqa_lab.chart_image.reading import read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,

@@ -233,6 +233,12 @@ class ChartMap:
         Column and row that count as (0, 0), for a window of an image.
     source : str
         What the map was made from.
+    bend : array, shape (10, 2), optional
+        Of a chart that is not plane or a lens that distorts: what :func:`powers` of places are
+        multiplied with before the matrix, mm.
+    remark : str
+        What was noticed on the way to the map.
+
     Raises
     ------
     ValueError
@@ -249,6 +255,8 @@ class ChartMap:
     camera: object = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
+    bend: np.ndarray | None = None
+    remark: str = ""
 
     @classmethod
     def from_points(cls, xy, pixels, *, camera=None, offset=(0.0, 0.0), source="points"):
@@ -324,6 +332,8 @@ class ChartMap:
 
     def pixels(self, xy):
         """Return the pixels of chart places, shape (n, 2)."""
+        if self.bend is not None:
+            xy = xy + powers(xy) @ self.bend
         rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
         if self.camera is None:
             return rays[:, :2] / rays[:, 2:] - self.offset
@@ -337,7 +347,12 @@ class ChartMap:
         else:
             rays = self.camera.rays(pixels)
         places = rays @ np.linalg.inv(self.matrix).T
-        return places[:, :2] / places[:, 2:]
+        flat = places[:, :2] / places[:, 2:]
+        places = flat
+        # the bend changes slowly from place to place: each step leaves some tenth of the error
+        for _ in range(0 if self.bend is None else 8):
+            places = flat - powers(places) @ self.bend
+        return places
 
     def outline(self, corners):
         """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
@@ -363,6 +378,13 @@ class ChartMap:
     def pixel_sizes_mm(self, xy):
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
         return 1 / np.linalg.norm(self.scale(xy), axis=2)
+
+
+def powers(xy):
+    """Products of the powers of x and y up to the third, in half metres from (500, 500) mm."""
+    x, y = (np.asarray(xy, dtype=float).T - 500) / 500
+    both = [x**k * y ** (total - k) for total in range(4) for k in range(total, -1, -1)]
+    return np.stack(both, axis=1)
 
 
 def _same_orientation(homography, xy):

@@ -28,6 +28,13 @@ TYPICAL_SIGMA_PX = 0.65
 PLAIN_PIXELS = 30
 """So many black and white pixels each are enough for a level."""
 
+WHITE_REACHES, FEW_CELLS = (25.0, 8.0, 3.0), 0.5
+"""Reach of the white around a place in hundredths of the chart's side, from far to near, and how
+many of such cells outweigh what is farther away."""
+
+LEAST_SHADE = 0.15
+"""Relative standard deviation of the light from which on black is told to follow it."""
+
 SMALLEST_CONTRAST = 3.0
 """Multiples of the noise by which white must differ from black."""
 
@@ -47,8 +54,18 @@ LARGEST_PHASE_DEG = 50.0
 LARGEST_MISCOUNT = 0.6
 """Bars by which the number seen may differ from the number printed."""
 
+HIDDEN, SURE_CONTRAST = "hidden", 0.3
+"""Reason of patterns that something hides: a finer one is resolved with this contrast, or part of
+the gaps stands out as much."""
+
+HIDDEN_SHARE, HIDDEN_PX = 0.4, 4.0
+"""That part, and the width from which on it is no play of the pixels."""
+
 STRIPS, STRIP_PX = 8, 2.0
 """Strips along the bars read on their own, and their smallest height."""
+
+NOISE_SHARE = 30.0
+"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.2."""
 
 STRIP_SHARE = 0.75
 """Share of the strips in which all gaps must stand out."""
@@ -107,7 +124,7 @@ FREE_REACH_PX = 4.0
 
 EDGE_COLUMNS = (
     *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
-    *("n", "remark"),
+    *("n", "remark", "ground_px"),
 )
 
 
@@ -159,7 +176,8 @@ class Tones:
 def find_tones(image, layout, chart_map):
     """Bring an image into units of print by the plain areas of the chart.
 
-    White is a plane over the image, because light falls off across a chart; black is one level.
+    White is what the plain white around a place shows: light falls off across a chart, and shadows
+    lie on it. Black is a level and a share of that light.
 
     Parameters
     ----------
@@ -196,24 +214,25 @@ def find_tones(image, layout, chart_map):
             f"Invalid chart of {int(inside.sum())} pixels: too small for a plain black and a plain "
             "white area. Must be imaged larger."
         )
-    field = _plane(image, white)
-    spill = spilt[black].mean()
-    dark = float((image[black].mean() - spill * field[black].mean()) / (1 - spill))
-    printed = dark + (field - dark) * spilt
-    noise = max(_spread((image - printed)[mask]) for mask in (white, black))
+    field = _local(image, white, np.sqrt(inside.sum()))
+    dark = _darkness(image[black], field[black], spilt[black])
+    ground = dark[0] + dark[1] * field
+    contrast = np.maximum(field - ground, 1e-12)
+    values = np.where(inside, (image - ground) / contrast, np.nan)
+    noise = max(_spread((values - spilt)[mask]) for mask in (white, black))
     light = float(field[white].mean())
+    step = light - float(dark[0] + dark[1] * light)
     # rounding alone makes a contrast of a plain image without noise
-    least = SMALLEST_CONTRAST * noise + 1e-9 * abs(light)
-    if not light - dark > least or not (field > dark)[inside].all():
+    if not (step > 1e-9 * abs(light) and SMALLEST_CONTRAST * noise < 1):
         raise ValueError(
-            f"Invalid chart: white exceeds black by {light - dark:.3g} at a noise of {noise:.3g}. "
+            f"Invalid chart: white exceeds black by {step:.3g} at a noise of {noise * step:.3g}. "
             f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
         )
     plain = image[white | black]
     return Tones(
-        values=np.where(inside, (image - dark) / np.where(inside, field - dark, 1), np.nan),
-        noise=noise / (light - dark),
-        black=dark,
+        values=values,
+        noise=noise,
+        black=light - step,
         white=light,
         clipped_share=float(((plain >= 1) | (plain <= 0)).mean()),
     )
@@ -246,6 +265,8 @@ class PairReading:
     resolved : bool
     reason : str
         Why not; empty when resolved.
+    mean : float
+        Of black and white bars: a half, however blurred, if the grey values are linear in light.
 
     Examples
     --------
@@ -271,6 +292,7 @@ class PairReading:
     strip_share: float = 0.0
     resolved: bool = False
     reason: str = ""
+    mean: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -291,7 +313,7 @@ class Resolution:
         Width at which the contrast falls to the threshold, interpolated between patterns; NaN
         where the ladder does not enclose it.
     n : int
-        Patterns read.
+        Patterns that are not hidden.
 
     Examples
     --------
@@ -339,7 +361,13 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     readings = [read_pattern(tones, pairs, chart_map) for pairs in layout.of_kind(LinePairs)]
     table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
     order = ["direction", "width_mm"]
-    return table.sort_values(order, ascending=[True, False], ignore_index=True)
+    table = table.sort_values(order, ascending=[True, False], ignore_index=True)
+    for _, ladder in table.groupby("direction"):
+        # lobes of defocus and motion stay below that: what is coarser would be seen too
+        sure = ladder["resolved"] & (ladder["contrast"] >= SURE_CONTRAST)
+        behind = ~ladder["resolved"] & (ladder.index < sure[sure].index.max())
+        table.loc[behind[behind].index, "reason"] = HIDDEN
+    return table
 
 
 def read_pattern(tones, pairs, chart_map):
@@ -383,13 +411,18 @@ def read_pattern(tones, pairs, chart_map):
     shift = np.clip(phase / 360, -1 / 8, 1 / 8) * pairs.pair
     limit = 0.6 / width_px * pairs.pair
     shifted = across - np.clip(shift, -limit, limit)
-    strips = int(np.clip(length_px / STRIP_PX, 1, STRIPS))
-    gaps, limits, contrast = _gaps(shifted, along, values, pairs, strips, tones.noise)
+    # in strips so high that noise alone fails few of the gaps
+    height = max(STRIP_PX, (NOISE_SHARE * tones.noise) ** 2 / (width_px / 2))
+    strips = int(np.clip(length_px / height, 1, STRIPS))
+    gaps, limits, contrast, mean = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
     reason = _refusal(width_px, phase, bars, pairs.repeats, share)
+    clear = gaps >= np.maximum(SURE_CONTRAST, 3 * limits)
+    if reason and width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE:
+        reason = HIDDEN
     seen = contrast, modulation, worst, phase, bars, share
-    return PairReading(*known, *seen, resolved=not reason, reason=reason)
+    return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
 
 
 def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
@@ -414,6 +447,8 @@ def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     20.0
     """
     ladder = readings[readings["direction"] == direction].sort_values("width_mm", ascending=False)
+    if "reason" in ladder:
+        ladder = ladder[ladder["resolved"].astype(bool) | (ladder["reason"] != HIDDEN)]
     widths, resolved = ladder["width_mm"].to_numpy(), ladder["resolved"].to_numpy(dtype=bool)
     good = int(np.argmin(resolved)) if not resolved.all() else len(widths)
     return Resolution(
@@ -480,7 +515,8 @@ def pixel_sizes(tones, layout, chart_map):
     -------
     DataFrame
         A row per bar: ``name``, ``direction`` (h: along x, v: along y), ``length_mm`` as printed,
-        ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
+        ``length_px`` between the ends and its standard deviation ``length_sigma_px`` (of the fit,
+        and what the ends of all bars lie from the map beyond it),
         ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
         ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, ``expected_mm``, what
         ``chart_map`` says, and ``offset_px``, how far along the bar its ends lie from there (root
@@ -509,7 +545,13 @@ def pixel_sizes(tones, layout, chart_map):
     [800.0, 200.0, 4.0]
     """
     rows = [_measured(tones, layout, bar, chart_map) for bar in _long_bars(layout)]
-    return pd.DataFrame(rows, columns=SIZE_COLUMNS)
+    table = pd.DataFrame(rows, columns=SIZE_COLUMNS)
+    # ends meet the pixels at one phase: how far they lie from the map beyond noise tells their bias
+    ends = 2 * table["offset_px"] ** 2 - table["length_sigma_px"] ** 2
+    bias = np.nan_to_num(np.sqrt(max(ends.mean(), 0)))
+    table["length_sigma_px"] = np.hypot(table["length_sigma_px"], bias)
+    table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
+    return table
 
 
 def bar_edges(levels, layout, chart_map):
@@ -526,7 +568,8 @@ def bar_edges(levels, layout, chart_map):
     DataFrame
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
         standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
-        ``remark`` where the edge could not be measured.
+        ``remark`` where the edge could not be measured; ``ground_px``, how far the plain ground
+        reaches that was used.
 
     Examples
     --------
@@ -582,16 +625,38 @@ def _plainest(depth):
     return plain
 
 
-def _plane(image, white):
-    """The level of white at every pixel: a plane where there is enough of it, else one level."""
-    rows, columns = np.nonzero(white)
-    middle = rows.mean(), columns.mean()
-    design = np.column_stack([rows - middle[0], columns - middle[1], np.ones(len(rows))])
-    if len(rows) < 100:
-        return np.full(image.shape, image[white].mean())
-    fit = np.linalg.lstsq(design, image[white], rcond=None)[0]
-    all_rows, all_columns = np.indices(image.shape)
-    return fit[0] * (all_rows - middle[0]) + fit[1] * (all_columns - middle[1]) + fit[2]
+def _local(image, white, side):
+    """The level of white at every pixel: weighted means of the white pixels around it.
+
+    Near ones count, as far as there are some; the farther ones fill the gaps between them.
+    """
+    import cv2
+
+    # light changes slowly: a hundred cells along the chart tell enough
+    size = [max(int(100 * length / side), 2) for length in image.shape[::-1]]
+    small = {"dsize": [min(pair) for pair in zip(size, image.shape[::-1], strict=True)]}
+    small |= {"interpolation": cv2.INTER_AREA}
+    share = cv2.resize(white.astype(float), **small)
+    light = cv2.resize(np.where(white, image, 0.0), **small)
+    field = np.full(share.shape, image[white].mean())
+    for reach in WHITE_REACHES:
+        weight, total = (cv2.GaussianBlur(one, (0, 0), reach) for one in (share, light))
+        few = FEW_CELLS / (2 * np.pi * reach**2)
+        field = (total + few * field) / (weight + few)
+    return cv2.resize(field, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _darkness(seen, field, spilt):
+    """Level of black without light, and what it takes of white: two numbers."""
+    # the pixels see black and some white spilt into it
+    free = (seen - spilt * field) / (1 - spilt)
+    middle = field - field.mean()
+    share = (middle @ free) / max(middle @ middle, 1e-12)
+    # without shadows their light does not differ enough to tell
+    if not field.std() > LEAST_SHADE * field.mean():
+        share = 0.0
+    share = float(np.clip(share, 0, 0.5))
+    return float(free.mean() - share * field.mean()), share
 
 
 def _spread(residuals):
@@ -636,7 +701,7 @@ def _wave(across, values, pairs, width_px):
 
 
 def _gaps(across, along, values, pairs, strips, noise):
-    """How far each gap stands out in each strip, how far it must, and the mean contrast."""
+    """How far each gap stands out in each strip, how far it must, mean contrast, mean tone."""
     strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
     half = across / (pairs.pair / 2) - 0.5
     centre = np.round(half).astype(int)
@@ -655,8 +720,9 @@ def _gaps(across, along, values, pairs, strips, noise):
     around = np.maximum(variance[:, 0:-1:2], variance[:, 2::2])
     limits = np.maximum(SMALLEST_GAP, GAP_SIGMAS * np.sqrt(variance[:, 1::2] + around))
     known = np.isfinite(black).any() and np.isfinite(white).any()
-    contrast = float(np.nanmean(white) - np.nanmean(black)) if known else np.nan
-    return np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf), contrast
+    light, dark = (np.nanmean(white), np.nanmean(black)) if known else (np.nan, np.nan)
+    gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
+    return gaps, limits, float(light - dark), float(light + dark) / 2
 
 
 def _refusal(width_px, phase, bars, repeats, share):
@@ -730,7 +796,6 @@ def _measured(tones, layout, bar, chart_map):
     row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
     row["length_px"], row["length_sigma_px"] = length_px, float(sigma_px)
     row["pixel_mm"] = row["length_mm"] / length_px
-    row["pixel_sigma_mm"] = row["pixel_mm"] * sigma_px / length_px
     return row
 
 
@@ -852,17 +917,19 @@ def _bar_rows(levels, layout, bar, chart_map):
             found, margin = None, NEIGHBOUR_PX
             while found is None or NEIGHBOUR_WIDTHS * found.width_px > 1.05 * margin:
                 margin = max(margin, NEIGHBOUR_WIDTHS * found.width_px if found else 0)
-                found = _across(levels, layout, bar, chart_map, (axis, side, margin))
+                found, ground = _across(levels, layout, bar, chart_map, (axis, side, margin))
         except ValueError as error:
             row |= {"n": 0, "remark": str(error)}
         else:
-            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:]}
+            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:-1]}
+            row["ground_px"] = float(ground)
         rows.append(row)
     return rows
 
 
 def _across(levels, layout, bar, chart_map, where):
-    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours."""
+    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours, and
+    how far they reach."""
     axis, side, margin = where
     corners = bar.corners()
     low, size = corners[0], corners[2] - corners[0]
@@ -893,4 +960,4 @@ def _across(levels, layout, bar, chart_map, where):
     choices = {"method": "isogaussian" if outer >= FREE_REACH_PX else "sigmoid", "order": 2}
     if side is None:
         choices["gap"] = np.abs(gap)
-    return fit_pixels(distance, along, 1 - values[used], angle, **choices)
+    return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer

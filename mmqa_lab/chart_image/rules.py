@@ -51,9 +51,9 @@ class Crop:
     name, text : str
         Of the chart's element.
     image : array, shape (rows, columns)
-        Original pixels, linear light.
+        Linear light, upright however the photograph is turned, its cells as small as the pixels.
     cap_px : float
-        Height of the capitals, pixels.
+        Height of the capitals, pixels of the photograph.
 
     Examples
     --------
@@ -105,7 +105,7 @@ def text_crops(
     *,
     texts: Sequence[Text] | None = None,
 ) -> list[Crop]:
-    """Cut lines of text out of an image.
+    """Cut lines of text out of an image, upright as they are printed.
 
     Parameters
     ----------
@@ -131,6 +131,8 @@ def text_crops(
     >>> [crop.text for crop in text_crops(image, layout, there)][:2]
     ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
+    import cv2
+
     if texts is None:
         texts = [text for text in layout.of_kind(Text) if not text.name.startswith("label_")]
     crops = []
@@ -140,14 +142,17 @@ def text_crops(
         low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])
         outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         pixels = chart_map.pixels(outline)
-        first = np.floor(pixels.min(axis=0)).astype(int)
-        last = np.ceil(pixels.max(axis=0)).astype(int) + 1
-        if (first < 0).any() or (last > image.shape[1::-1]).any():
+        if (pixels < 0).any() or (pixels > np.array(image.shape[::-1]) - 1).any():
             continue
-        middle = (low + high)[None] / 2
-        cap_px = element.cap / chart_map.pixel_sizes_mm(middle)[0, 1]
-        part = image[first[1] : last[1], first[0] : last[0]]
-        crops.append(Crop(element.name, element.text, part, float(cap_px)))
+        sizes = chart_map.pixel_sizes_mm((low + high)[None] / 2)[0]
+        # a pixel more on each side, as blur reaches farther than ink
+        low, high = low - sizes.min(), high + sizes.min()
+        columns, rows = np.ceil((high - low) / sizes.min()).astype(int)
+        x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows)[::-1] + 0.5)
+        places = low + np.column_stack([x.ravel(), y.ravel()]) * sizes.min()
+        sought = chart_map.pixels(places).astype(np.float32).reshape(rows, columns, 2)
+        part = cv2.remap(np.asarray(image, dtype=np.float32), sought, None, cv2.INTER_CUBIC)
+        crops.append(Crop(element.name, element.text, part, float(element.cap / sizes[1])))
     return crops
 
 

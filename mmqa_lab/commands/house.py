@@ -45,10 +45,12 @@ def lab(options):
     copied to the folder notebooks of the current directory; those that are there already stay as
     they are.
     """
+    import os
     import shutil
     import subprocess
     import sys
 
+    from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
 
     folder = notebooks_folder()
@@ -61,7 +63,9 @@ def lab(options):
                 shutil.copyfile(notebook, root / place / notebook.name)
     chosen = [f"--LabApp.default_url=/lab/tree/{place}", "--LabApp.news_url=None"]
     command = [sys.executable, "-m", "jupyterlab", *chosen, *options.jupyter]
-    return subprocess.call(command, cwd=root)
+    config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
+    environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
+    return subprocess.call(command, cwd=root, env=environment)
 
 
 def _lab_arguments(parser):

@@ -5,7 +5,7 @@ deviations, the finest resolved line pairs w with the next finer ones and the in
 MTF50 from the long bars, noise and clipping as shares of the chart's contrast (Pfeifer et al. 2021,
 doi 10.3390/rs13020237). What cannot be measured is empty, and what speaks against the figures
 stands in remark. Of several images those that cannot be evaluated have their row too, the last.
-The chart is found by its coded targets, at --corners, or from --orientation.
+The chart is found by its coded targets and long bars, at --corners, or from --orientation.
 
 Corners are column and row of the printed chart's lower left, lower right, upper right and upper
 left corner. An orientation is a JSON file: position [east, north, height], heading_deg, pitch_deg,
@@ -88,6 +88,8 @@ def run(options):
         rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
     if not patterns:
+        if len(faults) > 1:
+            raise ValueError("; ".join(f"{file}: {error}" for file, error in faults.items()))
         raise next(iter(faults.values()))
     if options.patterns is not None:
         table = pd.concat(patterns)

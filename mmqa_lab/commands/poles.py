@@ -93,12 +93,15 @@ def run(options):
     from mmqa_lab._checks import check_positive
     from mmqa_lab.io import read_trajectory
     from mmqa_lab.poles.delivery import (
+        check_ending,
         read_decisions,
         read_table,
         with_decisions,
         write_report,
     )
 
+    if options.out is not None:
+        check_ending(options.out)
     path, gate = None, check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
         table = read_trajectory(options.trajectory)

@@ -1,6 +1,7 @@
 """How good the image measurements are, against known truth: run it, it prints.
 
-python tests/benchmarks/images.py [pairs] [steps] [edges] [sizes] [panorama] [real] [--full]
+python tests/benchmarks/images.py [photographs] [pairs] [steps] [edges] [sizes] [panorama] [real]
+    [--full]
 
 A few cases of each kind, or with --full as many as the stated figures rest on.
 """
@@ -17,12 +18,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import camera
 from photographed import RealPairs, real_edges
 from rendered import grey, pattern_case, slanted_edge, true_mtf50
 
-from mmqa_lab import chart_image, charts, mtf
+from mmqa_lab import chart_image, charts, io, mtf, samples
 from mmqa_lab.chart_image import reading
-from mmqa_lab.chart_image.evaluation import align
+from mmqa_lab.chart_image.placing import align
 from mmqa_lab.chart_image.reading import SMALLEST_GAP, SMALLEST_PAIR_PX
 from mmqa_lab.simulate import cameras
 
@@ -41,8 +43,58 @@ CAMERA_CHAINS = {
 SIZE_CASES = ((1.3, 0), (1.3, 45), (2.7, 30), (5.4, 0), (5.4, 45), (11, 0), (13, 0))
 """Pixel size at the middle of an orthogonal view, mm, and view, degrees."""
 
-COUNTS = {"pairs": (4, 60), "steps": (3, 100), "edges": (10, 100), "sizes": (2, 10)}
+COUNTS = {
+    "photographs": (8, 1),
+    "pairs": (4, 60),
+    "steps": (3, 100),
+    "edges": (10, 100),
+    "sizes": (2, 10),
+}
 """Cases of each line: usually, and in full."""
+
+
+def photographs(step):
+    """Every so many of the 242 photographs of the tests' own camera: found, read, and how well."""
+    layout, background = charts.imaging_chart(), None
+    if samples.has_real("images"):
+        background = io.read_grey(samples.real_path("images/panorama.jpg"))
+    found, steps, scores, spurious, began = Counter(), Counter(), [], 0, time.process_time()
+    for name, pixel_mm, seed in list(camera.cases())[::step]:
+        scene = camera.CONDITIONS[name]
+        shot = camera.shoot(layout, pixel_mm, seed=seed, background=background, **scene)
+        outline = shot.pixels(layout.corners())
+        if (outline < 0).any() or (outline > np.array(shot.image.shape[1::-1]) - 1).any():
+            continue
+        try:
+            there = chart_image.locate(_bytes(shot.image), layout)
+            quality = chart_image.evaluate_image(shot.linear, layout, there)
+        except ValueError as error:
+            print(f"{name}, {pixel_mm} mm, seed {seed}: {error}", flush=True)
+            found[False] += 1
+            continue
+        found[True] += 1
+        for direction in "hv":
+            width = quality.resolution(direction).width_mm
+            steps[shot.steps(layout, width, direction)] += 1
+        for row in quality.pairs[quality.pairs["resolved"]].itertuples():
+            contrast, width = shot.contrast(layout[row.name])
+            spurious += contrast < 0.05 or width < 2
+        for row in quality.sizes.dropna(subset=["length_px"]).itertuples():
+            truth = layout[row.name].corners()[[0, 1] if row.direction == "h" else [0, 3]]
+            truth = truth + (layout[row.name].corners().mean(axis=0) - truth.mean(axis=0))
+            length = np.linalg.norm(np.diff(shot.pixels(truth), axis=0))
+            scores.append((row.length_px - length) / row.length_sigma_px)
+    steps.pop(None, None)
+    near = sum(steps[one] for one in (-1, 0, 1))
+    print(f"found without corners {found[True]} of {found.total()}; w within one step {near} of")
+    print(f"{steps.total()}: {dict(sorted(steps.items()))} (positive: finer); spurious {spurious}")
+    print(f"pixel size within 1.96 sigma: {np.mean(np.abs(scores) < 1.96):.3f} of {len(scores)}")
+    print(f"processor time {time.process_time() - began:.0f} s, rendering included")
+
+
+def _bytes(image):
+    """One grey image of what a file holds."""
+    return image if image.ndim == 2 else image @ np.array([0.114, 0.587, 0.299])
 
 
 def pairs(count):
@@ -312,6 +364,7 @@ def real():
 def main():
     """Run the parts that the command line names."""
     known = {
+        "photographs": photographs,
         "pairs": pairs,
         "steps": steps,
         "edges": edges,

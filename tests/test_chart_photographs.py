@@ -1,0 +1,113 @@
+"""Charts in photographs by a camera of the tests' own: found, placed and read, or doubted."""
+
+import cv2
+import numpy as np
+import pytest
+from camera import CONDITIONS, linear, shoot
+
+from mmqa_lab import chart_image, charts
+from mmqa_lab.chart_image.placing import align
+
+CHART = charts.imaging_chart()
+
+PLACES = np.stack(np.meshgrid(np.linspace(60, 940, 7), np.linspace(60, 940, 7)), -1).reshape(-1, 2)
+
+
+def grey(image):
+    """One grey image of what a file holds."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def away(shot, chart_map):
+    """Distances of a map from the truth all over the chart, pixels."""
+    return np.linalg.norm(chart_map.pixels(PLACES) - shot.pixels(PLACES), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "pixel_mm"),
+    [
+        *(("base", 11.0), ("oblique 50", 8.0), ("shadow 75, two", 8.0), ("pole on bar", 8.0)),
+        *(("soiled", 8.0), ("bent, oblique", 5.4), ("lens corner", 8.0), ("street", 8.0)),
+        *(("noise 10", 8.0), ("pole lying", 4.0)),
+    ],
+)
+def test_charts_are_found_placed_and_read_without_corners(name, pixel_mm):
+    shot = shoot(CHART, pixel_mm, seed=1, **CONDITIONS[name])
+    there = chart_image.locate(grey(shot.image), CHART)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert np.median(away(shot, quality.chart_map)) < 0.2
+    for direction in "hv":
+        found = quality.resolution(direction).width_mm
+        assert abs(shot.steps(CHART, found, direction)) <= 1
+    for row in quality.sizes.dropna(subset=["length_px"]).itertuples():
+        axis, bar = "hv".index(row.direction), CHART[row.name]
+        ends = np.array([[bar.x, bar.y], [bar.x + bar.width, bar.y + bar.height]])
+        ends[:, 1 - axis] = ends[:, 1 - axis].mean()
+        truth = np.linalg.norm(np.diff(shot.pixels(ends), axis=0))
+        assert abs(row.length_px - truth) < 4 * row.length_sigma_px
+
+
+def test_shadow_moves_nothing():
+    # the same light without and with a shadow over half of the chart
+    plain, shaded = (
+        shoot(CHART, 5.4, seed=2, **CONDITIONS[name]) for name in ("base", "shadow 75")
+    )
+    there = chart_image.locate(None, CHART, corners=plain.pixels(CHART.corners()) + 1.0)
+    one, two = (align(shot.linear, CHART, there) for shot in (plain, shaded))
+    assert np.abs(one.pixels(PLACES) - two.pixels(PLACES)).max() < 0.15
+
+
+def test_what_a_pole_hides_is_called_hidden():
+    shot = shoot(CHART, 4.0, seed=0, **CONDITIONS["pole"])
+    there = chart_image.locate(grey(shot.image), CHART)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    hidden = quality.pairs[quality.pairs["reason"] == "hidden"]["name"].tolist()
+    # the pole stands from 470 to 530 mm
+    for name in hidden:
+        assert CHART[name].x < 530
+        assert CHART[name].x + CHART[name].width > 470
+    assert "pairs_h_40" in hidden
+    assert "hidden: pairs_h_40" in quality.to_frame()["remark"].item()
+
+
+def test_a_display_curve_taken_for_light_is_doubted():
+    shot = shoot(CHART, 5.4, seed=3, mono=True)
+    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()))
+    right = chart_image.evaluate_image(linear(shot.image), CHART, there)
+    wrong = chart_image.evaluate_image(shot.image / 255.0, CHART, there)
+    linear_taken_for_srgb = chart_image.evaluate_image(linear_again(shot), CHART, there)
+    assert "gamma" not in right.to_frame()["remark"].item()
+    for doubtful in (wrong, linear_taken_for_srgb):
+        assert "is gamma right?" in doubtful.to_frame()["remark"].item()
+
+
+def linear_again(shot):
+    """Linear light decoded as if it were a display's grey values."""
+    return linear(np.round(255 * shot.linear))
+
+
+def test_a_second_chart_is_said():
+    shots = [shoot(CHART, 8.0, seed=seed, margin=0.3) for seed in (0, 1)]
+    images = [grey(shot.image) for shot in shots]
+    rows = min(len(image) for image in images)
+    both = np.hstack([image[:rows] for image in images])
+    assert "another chart" in chart_image.locate(both, CHART).remark
+    assert chart_image.locate(images[0], CHART).remark == ""
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_texts_of_a_turned_photograph_are_upright(turns):
+    shot = shoot(CHART, 4.0, seed=1)
+    image, corners = shot.linear, shot.pixels(CHART.corners())
+    there = chart_image.locate(None, CHART, corners=corners)
+    for _ in range(turns):
+        corners = np.column_stack([corners[:, 1], image.shape[1] - 1 - corners[:, 0]])
+        image = np.rot90(image)
+    turned = chart_image.locate(None, CHART, corners=corners)
+    one = chart_image.text_crops(shot.linear, CHART, there)
+    two = chart_image.text_crops(image, CHART, turned)
+    assert len(one) == len(two) > 5
+    for upright, other in zip(one, two, strict=True):
+        rows, columns = (min(pair) for pair in np.stack([upright.image.shape, other.image.shape]).T)
+        pair = [crop.image[:rows, :columns].ravel() for crop in (upright, other)]
+        assert np.corrcoef(*pair)[0, 1] > 0.97
