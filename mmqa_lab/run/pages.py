@@ -344,6 +344,12 @@ def replaced(text, name, content):
     return f"{head}{start}\n{content}\n{end}{rest.split(end, 1)[1]}"
 
 
+def markdown_table(frame):
+    """Return a DataFrame as a table of the README, without its index."""
+    rows = [list(frame.columns), ["---"] * frame.shape[1], *frame.astype(str).to_numpy().tolist()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
 def _row(study, folder):
     """One study's row."""
     outcome = read_outcome(folder)

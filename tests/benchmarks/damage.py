@@ -29,7 +29,7 @@ import psutil
 import pyproj
 
 from mmqa_lab.io import read_cloud, write_atomically
-from mmqa_lab.run.pages import replaced
+from mmqa_lab.run.pages import markdown_table, replaced
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -257,9 +257,7 @@ def main():
     print(frame.to_string(index=False))
     if not options.no_readme:
         readme = ROOT / "README.md"
-        text = replaced(
-            readme.read_text(encoding="utf-8"), "damage", frame.to_markdown(index=False)
-        )
+        text = replaced(readme.read_text(encoding="utf-8"), "damage", markdown_table(frame))
         write_atomically(readme, lambda path: path.write_text(text, encoding="utf-8"))
 
 

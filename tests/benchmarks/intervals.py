@@ -12,7 +12,7 @@ import pandas as pd
 from covered import ESTIMATES, shares, simulated
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run.pages import replaced
+from mmqa_lab.run.pages import markdown_table, replaced
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 
@@ -35,7 +35,7 @@ def main():
     table = pd.concat(parts).rename(columns={"low": "from", "high": "to"})
     for name in ("coverage", "from", "to", "least case", "largest case"):
         table[name] = table[name].map("{:.3f}".format)
-    text = replaced(README.read_text(encoding="utf-8"), "coverage", table.to_markdown(index=False))
+    text = replaced(README.read_text(encoding="utf-8"), "coverage", markdown_table(table))
     write_atomically(README, lambda path: path.write_text(text, encoding="utf-8"))
 
 
