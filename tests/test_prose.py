@@ -5,11 +5,11 @@ import re
 import nbformat
 import numpy as np
 import pytest
-from mmqa_lab.studies.catalogue import STUDIES
 
 from mmqa_lab import published
 from mmqa_lab.simulate.point_patterns import point_pattern
 from mmqa_lab.spacing import turned_f
+from mmqa_lab.studies import STUDIES
 
 NUMBER = r"(\d+(?:\.\d+)?)"
 

@@ -7,10 +7,10 @@ import matplotlib.pyplot as plt
 import nbformat
 import pandas as pd
 import pytest
-from mmqa_lab.studies.catalogue import STUDIES
 
 from mmqa_lab.run import Check, Run, notebooks, pages
 from mmqa_lab.run.students import PYTHON
+from mmqa_lab.studies import STUDIES
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]
 
