@@ -157,7 +157,8 @@ class Repeatability(Shown):
     icc_low, icc_high : float
         Its 95 % interval (F distribution).
     s_r_low, s_r_high : float
-        95 % interval of s_r, bootstrap over the selections within each scan.
+        95 % interval of s_r, bootstrap over the selections within each scan. With 12 selections of
+        each of 4 or 10 scans it contains the true one in 88 % (simulated, normal values).
     groups, n : int
         Scans, and results in all.
 

@@ -1,4 +1,4 @@
-"""Files as a sceptical surveyor would try them: other units, other systems, wrong ends and names."""
+"""Files as a sceptical surveyor would try them: other units and systems, wrong ends and names."""
 
 import json
 

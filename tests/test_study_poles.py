@@ -322,7 +322,7 @@ def test_targets_have_the_class_that_users_know():
     assert training.kinds(bare).tolist() == [3, 0, 3, 4]
 
 
-@pytest.mark.parametrize("scanner", ["tilted profiler", "32 beams"])
+@pytest.mark.parametrize("scanner", ["tilted profiler", "16 beams"])
 def test_rates_on_streets_of_another_generator(scanner):
     street = other_street.make(301)
     points, time, line, pole, path = other_street.scan(street, scanner, 301)

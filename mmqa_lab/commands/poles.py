@@ -93,12 +93,15 @@ def run(options):
     from mmqa_lab._checks import check_positive
     from mmqa_lab.io import read_trajectory
     from mmqa_lab.poles.delivery import (
+        check_ending,
         read_decisions,
         read_table,
         with_decisions,
         write_report,
     )
 
+    if options.out is not None:
+        check_ending(options.out)
     path, gate = None, check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
         table = read_trajectory(options.trajectory)
@@ -145,6 +148,7 @@ def _read_clouds(options):
     clouds = []
     for number, file in enumerate(with_progress(options.cloud, "cloud")):
         cloud = read_cloud(file)
+        check_metres(cloud.crs, f"cloud {file}")
         columns = dict(cloud.columns)
         if len(options.cloud) > 1:
             columns.setdefault("head", np.full(len(cloud), number))

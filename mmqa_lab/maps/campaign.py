@@ -631,7 +631,7 @@ def _started(count, scheduler):
     import dask
     from distributed import Client, LocalCluster
 
-    quiet = {"memory_limit": 0, "dashboard_address": None, "silence_logs": logging.ERROR}
+    quiet = {"memory_limit": 0, "dashboard_address": ":0", "silence_logs": logging.ERROR}
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(KEEP_MEMORY))

@@ -334,7 +334,9 @@ class Circle:
     radius : float
         m; as given where it was.
     std : float
-        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open.
+        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open. With
+        a free diameter, 1.96 of them contain the truth along the line of sight in 83 % only
+        (simulated, 150 degrees of a pole of 10 cm).
     """
 
     centre: np.ndarray

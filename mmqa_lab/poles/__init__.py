@@ -13,6 +13,7 @@ Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud, sort_into_cells
 from mmqa_lab.poles.delivery import write_poles
 from mmqa_lab.poles.scores import Score, curve, match, score
 
@@ -117,9 +118,11 @@ def detect(
     check_choice(method, "method", METHODS)
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
+    from mmqa_lab.poles.profiles import scan_lines
+
     cloud = as_cloud(points)
     inside, origin = _within(cloud, trajectory, corridor, _CORRIDORS_M[method])
-    lines = _scan_lines(cloud)
+    lines = scan_lines(cloud)
     if method == "fgi" and lines is None:
         warnings.warn(
             "The scan-line method needs scan lines: columns scan_line and pulse or gps_time, or "
@@ -128,69 +131,49 @@ def detect(
             stacklevel=2,
         )
         method, thresholds = "itc", {}
-    module = import_module(f"mmqa_lab.poles.{method}")
+    settings = _settings(import_module(f"mmqa_lab.poles.{method}"), method, thresholds)
     choices = {"explain": explain} | ({"model": model} if method == "ours" else {})
-    one = _Detector(module, _settings(module, method, thresholds), choices)
+    search = partial(_search, method=method, settings=settings, choices=choices)
     local = cloud.points[inside] - origin
     lines = None if lines is None else tuple(values[inside] for values in lines)
-    if tile is None:
-        found = one.detect(local, lines)
+    if tile is None or not len(local):
+        found = search(local, lines)
     else:
-        found = one.detect_in_tiles(local, lines, check_positive(tile, "tile", unit="m"))
+        found = _in_tiles(local, lines, check_positive(tile, "tile", unit="m"), search)
+    found.insert(0, "id", np.arange(1, len(found) + 1))
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 
 
-class _Detector:
-    """A method with its settings."""
+def _search(points, lines, method, settings, choices):
+    """The poles of points near the origin, with their attributes."""
+    from mmqa_lab.poles.attributes import with_attributes
 
-    def __init__(self, module, settings, choices):
-        self.module, self.settings, self.choices = module, settings, choices
-
-    def detect(self, points, lines):
-        """The poles of points near the origin, with their attributes and numbers."""
-        from mmqa_lab.poles.attributes import with_attributes
-
-        name = self.module.__name__.rpartition(".")[2]
-        given = {"fgi": lines or (), "itc": ()}.get(name, ())
-        known = {"lines": lines} if name == "ours" else {}
-        found = self.module.detect(points, *given, self.settings, **known, **self.choices)
-        return _numbered(with_attributes(points, found, lines))
-
-    def detect_in_tiles(self, points, lines, side):
-        """The same, a square of that side after the other; those beyond its border are others'."""
-        parts = []
-        for low in _corners(points, side):
-            inside = ((points[:, :2] >= low - HALO_M) & (points[:, :2] < low + side + HALO_M)).all(
-                1
-            )
-            own = None if lines is None else tuple(values[inside] for values in lines)
-            found = self.detect(points[inside], own)
-            xy = found[["x_m", "y_m"]].to_numpy()
-            parts.append(found[((xy >= low) & (xy < low + side)).all(axis=1)])
-        return (
-            _numbered(pd.concat(parts, ignore_index=True)) if parts else self.detect(points, lines)
-        )
+    module = import_module(f"mmqa_lab.poles.{method}")
+    if method == "fgi":
+        found = module.detect(points, *lines, settings, **choices)
+    elif method == "itc":
+        found = module.detect(points, settings, **choices)
+    else:
+        found = module.detect(points, settings, lines=lines, **choices)
+    return with_attributes(points, found, lines)
 
 
-def _corners(points, side):
-    """Lower left corners of the squares with points, (k, 2)."""
-    return np.unique(np.floor(points[:, :2] / side), axis=0) * side
+def _in_tiles(points, lines, side, search):
+    """The same, a square of that side after the other; a pole belongs to the one it stands in."""
+    parts = []
+    for low in sort_into_cells(points[:, :2], side).places * side:
+        inside = _in_square(points[:, :2], low - HALO_M, side + 2 * HALO_M)
+        own = None if lines is None else tuple(values[inside] for values in lines)
+        found = search(points[inside], own)
+        parts.append(found[_in_square(found[["x_m", "y_m"]].to_numpy(), low, side)])
+    return pd.concat(parts).sort_values(["y_m", "x_m"], ignore_index=True)
 
 
-def _numbered(found):
-    """A table from south to north with numbers from 1."""
-    found = found.sort_values(["y_m", "x_m"], ignore_index=True)
-    return found.assign(id=np.arange(1, len(found) + 1))[
-        ["id", *found.columns.drop("id", errors="ignore")]
-    ]
-
-
-def _scan_lines(cloud):
-    """Scan line and place along it of each point, None where the cloud does not say."""
-    from mmqa_lab.poles.profiles import scan_lines
-
-    return scan_lines(cloud)
+def _in_square(xy, low, side):
+    """Which places lie in a square."""
+    x, y = xy.T
+    return (x >= low[0]) & (x < low[0] + side) & (y >= low[1]) & (y < low[1] + side)
 
 
 def settings_of(method: str) -> fgi.Settings | itc.Settings | ours.Settings:

@@ -81,12 +81,18 @@ def write_poles(path: str | os.PathLike, table: pd.DataFrame, *, crs: object = N
     ...     json.loads(Path(f"{folder}/poles.geojson").read_text())["features"][0]["geometry"]
     {'type': 'Point', 'coordinates': [2.0, 3.0, 0.5]}
     """
-    path = Path(path)
-    if path.suffix not in WRITERS:
-        raise ValueError(f"Invalid file {path}. Must end in {', '.join(WRITERS)}.")
+    path = check_ending(path)
     crs = None if crs is None else check_crs(crs)
     check_metres(crs, "poles")
     write_atomically(path, lambda temporary: WRITERS[path.suffix](temporary, table, crs))
+
+
+def check_ending(path):
+    """Return the path of a file that poles can be written to."""
+    path = Path(path)
+    if path.suffix not in WRITERS:
+        raise ValueError(f"Invalid file {path}. Must end in {', '.join(WRITERS)}.")
+    return path
 
 
 def _write_csv(path, table, crs):

@@ -22,8 +22,8 @@ from mmqa_lab.poles.attributes import CLASSES
 from mmqa_lab.poles.features import NAMES
 from mmqa_lab.poles.profiles import scan_lines
 from mmqa_lab.simulate import streets, surfaces
-from mmqa_lab.simulate.presets import PRESETS
 from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.systems import PRESETS
 
 EXAMPLES = 240
 FIRST_SEED = 9_000_000

@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BATCH = 50_000
 PATIENCE_S = 20.0
 MEMORY = 6 * 2**30
-"""Cases of a child; its processor time without progress that is a hang; its address space, bytes."""
+"""Cases of a child; its processor time without progress that is a hang; bytes of its memory."""
 
 POINTS = 40
 
