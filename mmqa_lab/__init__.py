@@ -5,6 +5,7 @@ need (``from mmqa_lab import chart_cloud``). Nothing heavy is imported here.
 """
 
 import sysconfig
+import tomllib
 from pathlib import Path
 
 __version__ = "0.2.0"
@@ -19,3 +20,14 @@ def _shipped(name):
     bases = [Path(sysconfig.get_path("data", scheme)) for scheme in schemes]
     there = [base / "share" / "mmqa_lab" / name for base in (*bases, root)]
     return next((folder for folder in there if folder.is_dir()), there[0])
+
+
+def _tables(path):
+    """The tables of a TOML file, with tuples in place of lists."""
+
+    def with_tuples(value):
+        if isinstance(value, dict):
+            return {name: with_tuples(one) for name, one in value.items()}
+        return tuple(map(with_tuples, value)) if isinstance(value, list) else value
+
+    return with_tuples(tomllib.loads(Path(path).read_text("utf-8")))

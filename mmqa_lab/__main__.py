@@ -44,7 +44,9 @@ that put the published metrics to the test, or open the notebooks.
 def main(arguments=None):
     """Run the command line and return its exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    options = parser().parse_args(arguments)
+    options, unknown = parser().parse_known_args(arguments)
+    if unknown:
+        of_command(options.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     wanted = TOOLS if options.command == "test" else ENVIRONMENT
     if not prepared(wanted):
         return subprocess.call([prepare(wanted), "-m", "mmqa_lab", *arguments])
@@ -80,6 +82,11 @@ def parser():
         command.add_arguments(one)
         one.set_defaults(run=command.run)
     return whole
+
+
+def of_command(name):
+    """Return the parser of one command, so that an error shows that command's usage."""
+    return parser()._subparsers._group_actions[0].choices[name]
 
 
 def _commands():

@@ -371,7 +371,8 @@ def evaluate_cloud(
     hull = _hull(xy)
     outline = hull if polygon is None else _outline(polygon, framed)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    step_mm = 1000 * np.fmax(cloud.resolution, _step(points))
+    steps = cloud.resolution, _step(points), np.spacing(np.abs(points).max())
+    step_mm = 1000 * np.fmax.reduce(steps)
     remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
     if sectors != 4 or statistic != 50:
         remarks.append(_remark_on_choices(sectors, gaps))
@@ -520,10 +521,15 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
             f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
             f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm."
         )
+    if gaps.incomplete_share == 1:
+        remarks.append(
+            "No point has neighbours in all four quadrants within the search radius: d4 and f are "
+            "not measured."
+        )
     if gaps.coincident:
         share = 100 * gaps.coincident / gaps.n
         remarks.append(
-            f"{gaps.coincident} points ({share:.2g} %) share their place with another: "
+            f"{gaps.coincident} points ({share:.3g} %) share their place with another: "
             "they raise the density."
         )
     return remarks

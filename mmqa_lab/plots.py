@@ -368,7 +368,7 @@ def draw_spacing_histogram(spacing: Spacing, *, ax: plt.Axes) -> plt.Axes:
     ):
         filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
         ax.hist(values[np.isfinite(values)], bins=bins, **filled)
-        measure = "median" if spacing.statistic == 50 else f"{spacing.statistic:g} % of"
+        measure = "median" if spacing.statistic == 50 else f"{spacing.statistic:g} % quantile"
         label = f"{measure} {name} = {median:.1f} mm"
         ax.axvline(median, color=COLOURS[colour], label=label)
     ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))

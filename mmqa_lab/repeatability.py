@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.stats import f as f_distribution
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab._polygons import polygon_vertices
@@ -156,7 +157,8 @@ class Repeatability(Shown):
     icc_low, icc_high : float
         Its 95 % interval (F distribution).
     s_r_low, s_r_high : float
-        95 % interval of s_r, bootstrap over the selections within each scan.
+        95 % interval of s_r, bootstrap over the selections within each scan. With 12 selections of
+        each of 4 or 10 scans it contains the true one in 88 % (simulated, normal values).
     groups, n : int
         Scans, and results in all.
 
@@ -343,8 +345,6 @@ def _pooled(parts):
 
 def _between(parts, within):
     """Variance between groups, ICC(1,1) and its 95 % interval; NaN for a single group."""
-    from scipy.stats import f as f_distribution
-
     groups, sizes = len(parts), np.array([len(part) for part in parts])
     if groups < 2:
         return np.nan, np.nan, (np.nan, np.nan)

@@ -1,13 +1,12 @@
 """The small clouds in ``data_samples`` and the larger public ones outside the repository."""
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab import _shipped
+from mmqa_lab import _shipped, _tables
 from mmqa_lab._checks import check_choice
 
 __all__ = ["has_real", "path", "real_path", "road_patch_heads"]
@@ -45,10 +44,7 @@ class Sample:
     contents: str
 
 
-SAMPLES = tuple(
-    Sample(**one)
-    for one in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["samples"]
-)
+SAMPLES = tuple(Sample(**one) for one in _tables(Path(__file__).with_suffix(".toml"))["samples"])
 
 
 def path(name: str) -> Path:

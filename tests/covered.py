@@ -1,18 +1,18 @@
 """Simulations that count how often 95 % intervals contain the truth: for the tests and the README.
 
 Each estimate is a function of a seed. It simulates data whose truth is known, and returns a dict of
-figures, each with the ends of its stated interval and the truth: (low, high, truth). Where an
-estimate states a standard deviation, the ends are 1.96 of them from the value, or Student's t where
-its docstring says so. An ellipsoid has the ends 0 and the 95 % quantile of chi-squared, and as truth
+figures, each with the ends of its stated interval and the truth: (low, high, truth). Where it
+states a standard deviation, the ends are 1.96 of them from the value, or Student's t where its
+docstring says so. An ellipsoid has the ends 0 and the 95 % quantile of chi-squared, and as truth
 the squared distance in its metric. A truth of None is the mean of the values of all draws, which
-come as a fourth number: what an interval of a random pattern is about.
+come as a fourth number: what an interval of a random pattern is about. Figures that differ behind a
+colon only are counted together.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from mmqa_lab.radiometry.block import adjust_block
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, lines, simulate, stats, testfield
@@ -20,7 +20,7 @@ from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
-from mmqa_lab.radiometry import empirical_line, fit_sensor
+from mmqa_lab.radiometry import adjust_block, empirical_line, fit_sensor
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
 from mmqa_lab.simulate.canyon import canyon
@@ -31,6 +31,9 @@ from mmqa_lab.studies import test_field
 from mmqa_lab.studies.mimic import simulate_patch
 
 Z = 1.959964
+
+PARTS = ("low", "high", "truth", "value")
+"""What is kept of each figure of a draw."""
 
 SETUP = ScanSetup(
     pulse_rate_hz=300e3,
@@ -99,7 +102,7 @@ def trend(seed, n):
 
 
 def pole(seed, known):
-    """The position of a pole of 10 cm, of which 150 degrees are seen by 40 points, 4 mm of noise."""
+    """The position of a pole of 10 cm, 150 degrees of it seen by 40 points, 4 mm of noise."""
     rng = np.random.default_rng(seed)
     turn = rng.uniform(-1.3, 1.3, 40)
     points = (0.05 + rng.normal(0, 0.004, 40))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
@@ -164,7 +167,9 @@ def edge_of_walls(seed, angle_deg):
     if len(found) != 1:
         raise ValueError(f"{len(found)} edges")
     ends, covariance = found.segments.ends[0], found.covariance[0]
-    return {f"end {k + 1}": ellipsoid(ends[k, :2], covariance[k, :2, :2]) for k in range(len(ends))}
+    return {
+        f"end: {k + 1}": ellipsoid(ends[k, :2], covariance[k, :2, :2]) for k in range(len(ends))
+    }
 
 
 def edge_of_image(seed, sigma_px):
@@ -227,38 +232,47 @@ def block(seed, noise):
     )
     relative = found.gains["gain_std_percent"].to_numpy() / 100 * found.gains["gain"].to_numpy()
     gains = zip(found.gains["gain"], relative, gain, strict=True)
-    ends = {f"gain {k}": around(*values) for k, values in enumerate(gains)}
+    ends = {f"gain: {k}": around(*values) for k, values in enumerate(gains)}
     return ends | {"haze": around(*found.haze, 0.02)}
 
 
-def mounting(seed, drift):
+def mounting(seed, drift, stated):
     """Boresight and lever arms of two heads from a drive each way past 48 m of street."""
-    navigation = simulate.NavigationErrors()
+    navigation, path_std = simulate.NavigationErrors(), {}
     if drift:
-        navigation = simulate.NavigationErrors(
-            drift_m=(0.008,) * 3, drift_deg=(0.004, 0.004, 0.012)
-        )
+        errors = {"m": (0.008,) * 3, "deg": (0.004, 0.004, 0.012)}
+        navigation = simulate.NavigationErrors(drift_m=errors["m"], drift_deg=errors["deg"])
+    if stated:
+        path_std = {f"path_std_{unit}": values for unit, values in errors.items()}
     street = make_testfield(length_m=48, seed=1)
     system = test_field.two_heads(navigation)
     drives = drive_testfield(street, system, seed=seed, pulses_per_s=60_000)
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
-    found = calibrate(drives, control=control, patches=200, rounds=1, seed=seed, **known)
+    found = calibrate(
+        drives, control=control, patches=200, seed=seed, **known, **path_std
+    )
     truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
-    return {f"{row.parameter} {row.head}": around(row.value, row.std, true) for row, true in rows}
+    kinds = {"deg": "boresight", "m": "lever arm"}
+    return {
+        f"{kinds[row.parameter.split('_')[1]]}: {row.parameter} {row.head}": around(
+            row.value, row.std, true
+        )
+        for row, true in rows
+    }
 
 
 def average(seed, n):
     """The mean of a method over cells, as the bench sums it up."""
     values = np.random.default_rng(seed).normal(3, 1, n)
     data = iter(values)
-    results = bench.run([{"case": 1}], {"one": lambda _: next(data)}, make=_nothing, seeds=range(n))
+    results = bench.run([{"only": 1}], {"one": lambda _: next(data)}, make=_nothing, seeds=range(n))
     found = bench.summary(results).iloc[0]
     return {"mean": (found["low"], found["high"], 3.0)}
 
 
-def _nothing(case, seed):
+def _nothing(only, seed):
     """No data."""
 
 
@@ -278,28 +292,29 @@ ESTIMATES = (
         "figures of a chart",
         chart,
         tuple({"kind": kind} for kind in ("poisson", "scan_lines", "clusters")),
-        *(10, 300),
+        *(5, 300),
     ),
-    Estimate("rates", rate, bench.grid(share=(0.7, 0.95), n=(20, 100)), 50, 1000),
-    Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 10, 300),
+    Estimate("rates", rate, bench.grid(share=(0.7, 0.95), n=(20, 100)), 20, 1000),
+    Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 5, 300),
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
-    Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 20, 500),
-    Estimate("pole position", pole, bench.grid(known=(True, False)), 10, 300),
+    Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 10, 500),
+    Estimate("pole position", pole, bench.grid(known=(True, False)), 3, 300),
     Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
     Estimate(
-        "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 5, 200
+        "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 3, 200
     ),
-    Estimate("displacement, pairs given", displaced, ({"matched": False},), 10, 200),
-    Estimate("displacement, pairs found", displaced, ({"matched": True},), 2, 60),
+    Estimate("displacement, pairs given", displaced, ({"matched": False},), 5, 200),
+    Estimate("displacement, pairs found", displaced, ({"matched": True},), 1, 30),
     Estimate("edge of a cloud", edge_of_walls, bench.grid(angle_deg=(90, 60)), 3, 60),
-    Estimate("edge of an image", edge_of_image, bench.grid(sigma_px=(0.5, 0.9)), 5, 150),
-    Estimate("Siemens star", star_of_image, bench.grid(sigma_px=(0.6,)), 3, 60),
-    Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 30, 500),
-    Estimate("reflectance", reflectance, bench.grid(n=(4, 12)), 30, 500),
-    Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 3, 80),
-    Estimate("mounting, exact path", mounting, ({"drift": False},), 1, 20),
-    Estimate("mounting, path with drift", mounting, ({"drift": True},), 0, 20),
-    Estimate("mean over cells", average, bench.grid(n=(6, 20)), 5, 100),
+    Estimate("edge of an image", edge_of_image, bench.grid(sigma_px=(0.5, 0.9)), 3, 60),
+    Estimate("Siemens star", star_of_image, bench.grid(sigma_px=(0.6,)), 1, 30),
+    Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 10, 300),
+    Estimate("reflectance", reflectance, bench.grid(n=(4, 12)), 10, 300),
+    Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 60),
+    Estimate("mounting, exact paths", mounting, ({"drift": False, "stated": False},), 0, 12),
+    Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 16),
+    Estimate("mounting, drift not stated", mounting, ({"drift": True, "stated": False},), 0, 8),
+    Estimate("mean over cells", average, bench.grid(n=(6, 20)), 3, 100),
 )
 
 
@@ -311,11 +326,11 @@ def simulated(estimate, draws, folder=None):
         """Ends and truth of every figure, as the bench keeps numbers."""
         seed, case = given
         found = estimate.draw(seed, **case)
-        parts = ("low", "high", "truth", "value")
         return {
-            f"{name}|{part}": np.nan if number is None else float(number)
+            f"{name}|{part}": float(number)
             for name, numbers in found.items()
-            for part, number in zip(parts, numbers, strict=False)
+            for part, number in zip(PARTS, numbers, strict=False)
+            if number is not None
         }
 
     def make(seed, **case):
@@ -329,15 +344,13 @@ def simulated(estimate, draws, folder=None):
     figures = dict.fromkeys(name.split("|")[0] for name in table if "|" in name)
     rows = []
     for figure in figures:
-        part = pd.DataFrame(
-            {p: table.get(f"{figure}|{p}") for p in ("low", "high", "truth", "value")}
-        )
+        part = pd.DataFrame({one: table.get(f"{figure}|{one}", np.nan) for one in PARTS})
         part[names] = table[names]
         if part["truth"].isna().all():
             part["truth"] = part.groupby(names)["value"].transform("mean")
         part["inside"] = (part["low"] <= part["truth"]) & (part["truth"] <= part["high"])
         known = part["low"].notna() & part["high"].notna()
-        rows.append(part[known].assign(figure=figure))
+        rows.append(part[known].assign(figure=figure.split(":")[0]))
     return pd.concat(rows, ignore_index=True)
 
 

@@ -1,8 +1,12 @@
-"""Finds texts in a figure that overlap one another or leave the figure."""
+"""Finds what one cannot read in a figure: texts on texts, names twice, lines alike in grey."""
 
+import itertools
 import json
 from pathlib import Path
 
+from matplotlib.colors import to_rgb
+
+from mmqa_lab import widgets
 from mmqa_lab.run import Run
 
 TOUCHING_PX = 1.5
@@ -30,17 +34,60 @@ def overlapping_texts(figure):
     return found
 
 
-def watch(file):
-    """Write what is found in every figure that a run saves from now on to a JSON file."""
-    save_figure, found = Run.save_figure, {}
+def doubled_names(figure):
+    """A sentence for each name that the legends of a figure give twice."""
+    legends = [*figure.legends, *filter(None, (ax.get_legend() for ax in figure.axes))]
+    names = [text.get_text() for legend in legends for text in legend.get_texts()]
+    return [
+        f"{name!r} is in the legend twice" for name in sorted(set(names)) if names.count(name) > 1
+    ]
 
-    def save(run, figure, name, **choices):
-        save_figure(run, figure, name, **choices)
-        if sentences := overlapping_texts(figure):
+
+def alike_in_grey(figure):
+    """A sentence for each two named lines of a panel that one cannot tell apart without colour."""
+    found = []
+    for ax in figure.axes:
+        lines = [line for line in ax.lines if not str(line.get_label()).startswith("_")]
+        for one, other in itertools.combinations(lines, 2):
+            dark, light = sorted(grey(line.get_color()) for line in (one, other))
+            if look(one) == look(other) and (light + 0.05) / (dark + 0.05) < 2:
+                found.append(f"{one.get_label()!r} and {other.get_label()!r} are alike in grey")
+    return found
+
+
+def look(line):
+    """What is seen of a line without its colour."""
+    dashes = str(line._dash_pattern) if line.get_linestyle() != "None" else ""
+    return dashes, str(line.get_marker()), line.get_markerfacecolor() == "none"
+
+
+def grey(colour):
+    """The relative luminance (WCAG 2.1) of a colour."""
+    red, green, blue = (
+        ((c + 0.055) / 1.055) ** 2.4 if c > 0.04 else c / 12.92 for c in to_rgb(colour)
+    )
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def watch(file):
+    """Write what is found in every figure that a run saves or explores to a JSON file."""
+    save_figure, explore, found = Run.save_figure, widgets.explore, {}
+
+    def look_at(figure, name):
+        if sentences := overlapping_texts(figure) + doubled_names(figure) + alike_in_grey(figure):
             found[name] = sentences
         Path(file).write_text(json.dumps(found), encoding="utf-8")
 
-    Run.save_figure = save
+    def save(run, figure, name, **choices):
+        save_figure(run, figure, name, **choices)
+        look_at(figure, name)
+
+    def explored(function, **controls):
+        figure = explore(function, **controls)
+        look_at(figure, f"explorer {function.__name__}")
+        return figure
+
+    Run.save_figure, widgets.explore = save, explored
 
 
 def _is_shown_text(artist):

@@ -150,7 +150,7 @@ def test_clouds_in_other_coordinates_are_named(bare):
     file = bare / "A" / "drive_05m" / "cloud.laz"
     cloud = read_cloud(file)
     write_cloud(file, type(cloud)(cloud.points, crs="EPSG:25833"))
-    assert any("in ETRS89 / UTM zone 33N, the site in MGI / Austria" in s for s in judged(bare)[1])
+    assert any("cloud in ETRS89 / UTM zone 33N" in one for one in judged(bare)[1])
     write_cloud(file, type(cloud)(cloud.points + [3000, 0, 0]))
     assert any("no points on any board; it extends over 56" in one for one in judged(bare)[1])
     file.write_bytes(file.read_bytes()[:500])
@@ -227,6 +227,30 @@ def test_the_command_writes_the_same_bytes_again(folder, done, tmp_path, monkeyp
     crops = pd.read_csv(tmp_path / "one" / "jury.csv")["crop"]
     assert len(crops) == 4 == len(list((tmp_path / "one" / "crops").glob("*.png")))
     assert not [name for name in crops if "A" in name or "drive" in name]
+
+
+def test_faulty_lists_of_images_are_named(folder, tmp_path):
+    table = pd.read_csv(folder / "A" / "drive_10m" / "images.csv", dtype=object)
+    said = []
+    note = SimpleNamespace(say=lambda _, what: said.append(what), files=[])
+    here = SimpleNamespace(name="drive", folder=tmp_path)
+    table.loc[0, "file"] = "gone.jpg"
+    shutil.copy(folder / "A" / "drive_10m" / table.loc[1, "file"], tmp_path)
+    table.loc[1, "heading_deg"] = "north"
+    table.to_csv(tmp_path / "images.csv", index=False)
+    assert photographs._images(here, note).empty
+    assert said[0] == "Image gone.jpg: no such file."
+    assert "a number is missing" in said[1]
+    (tmp_path / "images.csv").write_text("")
+    assert photographs._images(here, note).empty
+    assert "no column 'file'" in said[2]
+
+
+def test_a_second_drive_at_one_distance_does_not_count(bare):
+    shutil.copytree(bare / "A" / "drive_05m", bare / "A" / "drive_twice")
+    found, said = judged(bare)
+    assert len(found.drives) == 2
+    assert "It is 5 m beside the boards, as A/drive_05m is." in said
 
 
 def test_marks_of_three_jurors_in_both_forms(folder, tmp_path):

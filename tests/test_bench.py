@@ -396,7 +396,7 @@ def test_processes_give_the_same_bits_as_one():
     methods = {"product": product, "local": lambda x: np.exp(x).mean(), "raises": raises}
     here = quietly(CASES, methods, make=noisy, seeds=(0, 1))
     assert quietly(CASES, methods, make=noisy, seeds=(0, 1), workers=2).identical(here)
-    options = {"threads_per_worker": 2, "dashboard_address": None, "memory_limit": 0}
+    options = {"threads_per_worker": 2, "dashboard_address": ":0", "memory_limit": 0}
     with LocalCluster(n_workers=1, **options) as cluster, Client(cluster) as client:
         assert quietly(CASES, methods, make=noisy, seeds=(0, 1), client=client).identical(here)
 

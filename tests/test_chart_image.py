@@ -538,6 +538,16 @@ def test_images_are_chosen_as_a_search_by_hand_does(easting, heading):
         assert found["off_normal_deg"] == pytest.approx(off)
 
 
+def test_only_images_that_show_a_board_are_chosen():
+    drive = stations(np.arange(-40.0, 41, 4))
+    corners = SITE.loc["image forward", "corners"]
+    best = chart_image.choose_images(drive, corners, distance=10)["station"].item()
+    others = chart_image.choose_images(drive, corners, distance=10, among=drive.index != best)
+    assert others["station"].item() == best - 1  # the next one farther away
+    only = chart_image.choose_images(drive, corners, distance=10, among=drive.index == 2)
+    assert only[["view", "station"]].to_numpy().tolist() == [["forward", 2]]
+
+
 def test_a_board_that_no_image_shows_has_none():
     past = stations([20.0, 30.0, 40.0])
     none = chart_image.choose_images(past, SITE.loc["image forward", "corners"], distance=10)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from mmqa_lab import samples
+from mmqa_lab import __version__, samples
 from mmqa_lab.__main__ import COMPILED, main
 
 PATCH = str(samples.path("road_patch"))
@@ -103,6 +103,7 @@ def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
     assert row["area_polygon_m2"] == pytest.approx(1.0, rel=2e-3)  # the road is not quite level
     assert row["density_polygon_per_m2"] == pytest.approx(row["n"] / row["area_polygon_m2"])
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert f"mmqa_lab {__version__}".encode() in figure.read_bytes()
 
 
 def test_installed_command_and_module_are_the_same():
@@ -124,6 +125,37 @@ def test_every_command_explains_itself_with_an_example(capsys):
         assert stop.value.code == 0
         manual = capsys.readouterr().out
         assert f"mmqa {name}" in re.split("examples?:", manual)[1]
+
+
+def test_an_unknown_option_shows_the_usage_of_its_command(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["evaluate", PATCH, "--sector-count", "8"])
+    assert "usage: mmqa evaluate" in capsys.readouterr().err
+
+
+def test_a_folder_in_place_of_a_cloud_is_named(capsys, tmp_path):
+    assert main(["info", str(tmp_path)]) == 2
+    assert "a folder. Must be a file." in capsys.readouterr().err
+
+
+def test_a_polygon_in_plan_can_be_written_in_the_command(capsys):
+    x, y = 1423215.6, 4189097.6
+    plan = f"{x},{y}; {x + 0.5},{y}; {x + 0.5},{y + 0.5}; {x},{y + 0.5}"
+    assert main(["evaluate", PATCH, "--polygon", plan, "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["area_polygon_m2"] == pytest.approx(0.25, rel=5e-3)  # the road slopes a little
+    assert "The polygon has no heights" in row["remarks"]
+
+
+def test_lab_asks_nobody_about_news(monkeypatch):
+    from jupyter_server.services.config.manager import ConfigManager
+
+    called = {}
+    monkeypatch.setattr(subprocess, "call", lambda command, **choices: called.update(choices) or 0)
+    assert main(["lab"]) == 0
+    monkeypatch.setenv("JUPYTER_CONFIG_PATH", called["env"]["JUPYTER_CONFIG_PATH"])
+    settings = ConfigManager(config_dir_name="labconfig").get("default_setting_overrides")
+    assert settings["@jupyterlab/apputils-extension:notification"] == {"fetchNews": "false"}
 
 
 def test_unknown_study_is_named(capsys):

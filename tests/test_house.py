@@ -45,6 +45,7 @@ LAYERS = {
     "simulate": 3,
     "bench": 3,
     "samples": 3,
+    "_figures": 4,
     "plots": 4,
     "views": 4,
     "maps": 4,

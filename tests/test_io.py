@@ -381,7 +381,7 @@ def test_a_stated_coordinate_system_is_said_and_degrees_are_refused(tmp_path):
         (tmp_path / f"{name[-4:]}.geojson").write_text(json.dumps(node))
     with pytest.warns(UserWarning, match="EPSG::25832; it is taken for that of the cloud"):
         assert len(read_polygon(tmp_path / "5832.geojson")) == 3
-    with pytest.raises(ValueError, match=r"CRS84\)\)\. Must be projected, in metres\."):
+    with pytest.raises(ValueError, match=r"CRS84.*Must be projected, in metres\."):
         read_polygon(tmp_path / "RS84.geojson")
 
 

@@ -3,13 +3,16 @@
 The reference is one call of evaluate_tile over all points.
 """
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+import warnings
 
 import laspy
 import numpy as np
@@ -18,7 +21,7 @@ import pytest
 from mmqa_lab import maps, samples
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
-from mmqa_lab.maps.campaign import corner, fitting_tile, read_source
+from mmqa_lab.maps.campaign import _started, corner, fitting_tile, read_source
 from mmqa_lab.maps.tile import evaluate_tile
 
 CELL = 0.5
@@ -331,3 +334,14 @@ def test_quantiles_and_shares_count_by_area():
     )
     with pytest.raises(ValueError, match="Invalid figure with a threshold 'g'"):
         maps.summarise(xr.Dataset(cells).expand_dims(layer=["level"]), below={"g": 1})
+
+
+def test_two_maps_at_the_same_time_do_not_disturb_each_other():
+    """Dask's usual port for its pages may be taken; that is no news to a user."""
+    with socket.socket() as other, warnings.catch_warnings():
+        with contextlib.suppress(OSError):  # taken already
+            other.bind(("", 8787))
+            other.listen()
+        warnings.filterwarnings("error", message="Port 8787")
+        with _started(2, None) as run:
+            assert sorted(result for _, result in run(abs, [(-1,), (2,)])) == [1, 2]

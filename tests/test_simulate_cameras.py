@@ -208,6 +208,17 @@ def test_mosaics_keep_plain_areas_and_their_mean():
     assert photo.image[60:-60, 140:180] == pytest.approx(0.7, abs=1e-4)
 
 
+def test_mosaics_see_the_colours_of_a_chart():
+    red = (0.8, 0.1, 0.2)
+    layout = Layout("red", 400, 400, (Bar("a", 0, 0, 200, 400, red),))
+    photo = photograph(layout, flat_map(0.5, (0, 200)), sensor=Sensor(noise=0.0, bayer=True))
+    signal = 0.06 + 0.64 * np.array(red)[::-1]
+    assert photo.image[60:-60, 40:80].mean(axis=(0, 1)) == pytest.approx(signal, abs=1e-3)
+    grey = photograph(layout, flat_map(0.5, (0, 200)), sensor=Sensor(noise=0.0))
+    luminance = 0.06 + 0.64 * np.dot([0.2126, 0.7152, 0.0722], red)
+    assert grey.image[60:-60, 40:80] == pytest.approx(luminance, abs=1e-4)
+
+
 def test_sharpening_overshoots_at_edges_only():
     layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
     sensor = Sensor(noise=0.0, sharpening=0.5)

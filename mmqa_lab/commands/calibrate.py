@@ -5,7 +5,7 @@ as the points). Planes that two drives or heads show, poles, and points of known
 by least squares; the table has what is to be added to the assumed mounting with its standard error,
 and says what the drives do not determine (EuroSDR 2013, mobile laser scanning, section 3.3.3). With
 --out the corrected clouds and the covariance are written. An error of a path that lasts a whole
-drive looks like an error of the lever arm; standard errors do not contain it.
+drive looks like an error of the lever arm; standard errors contain it where --path-std is given.
 """
 
 from pathlib import Path
@@ -30,6 +30,12 @@ WEAK = 0.02
 """Degrees or metres: a parameter with a larger standard error is hardly determined."""
 
 
+NO_PATH_STD = (
+    "The standard errors do not contain errors of the paths, which can be many times larger: give "
+    "--path-std."
+)
+
+
 def add_arguments(parser):
     """Declare the arguments."""
     add = parser.add_argument
@@ -45,6 +51,8 @@ def add_arguments(parser):
     add("--keep", metavar="NAME,NAME", default="", help="parameters that stay as assumed")
     add("--cell", type=float, default=1.0, metavar="M", help="size of the planes, default 1 m")
     add("--patches", type=int, default=500, metavar="N", help="most planes used, default 500")
+    path_std = "standard deviations of the paths over a whole drive: metres, degrees"
+    add("--path-std", metavar="M,DEG", help=path_std)
     add("--out", type=Path, metavar="FOLDER", help="write corrected clouds and covariance here")
     add_output_arguments(parser)
 
@@ -61,6 +69,7 @@ def run(options):
         raise ValueError(
             "Invalid drives: one drive of one head. Must be two, there and back, or several heads."
         )
+    path_std = _path_std(options.path_std)
     keep = [name.strip() for name in options.keep.split(",") if name.strip()]
     found = calibrate(
         drives,
@@ -70,14 +79,29 @@ def run(options):
         keep=keep,
         cell=options.cell,
         patches=options.patches,
+        path_std_m=path_std[0],
+        path_std_deg=path_std[1],
     )
     if options.out is not None:
         _write(options, drives, found)
-    print_rows(_table(found, keep), options)
+    remarks = "" if any(path_std) else NO_PATH_STD
+    print_rows(_table(found, keep).assign(remarks=remarks), options)
+
+
+def _path_std(text):
+    """Standard deviations of the paths: metres, degrees."""
+    try:
+        metres, degrees = map(float, (text or "0,0").split(","))
+    except ValueError:
+        raise ValueError(
+            f"Invalid path-std {text!r}. Must be metres and degrees, such as 0.01,0.005."
+        ) from None
+    return metres, degrees
 
 
 def _drives(options):
     """Clouds with their trajectories."""
+    from mmqa_lab._checks import check_metres
     from mmqa_lab.io import read_cloud, read_trajectory
     from mmqa_lab.simulate import Trajectory
 
@@ -94,6 +118,7 @@ def _drives(options):
     drives = []
     for name, file, path in zip(with_progress(options.drives, "cloud"), files, paths, strict=True):
         cloud = read_cloud(name)
+        check_metres(cloud.crs, f"cloud {name}")
         time = cloud["gps_time"]
         if time.min() < path.time[0] or time.max() > path.time[-1]:
             raise ValueError(

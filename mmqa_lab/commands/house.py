@@ -8,6 +8,12 @@ from mmqa_lab.commands._output import add_output_arguments, print_rows
 NO_LIBRARY = ("__main__", "commands", "studies")
 """Modules of the package that make no names public."""
 
+CORES = ("-n=logical", "--maxprocesses=4")
+"""Tests run on all cores, up to four: each process has its own fixtures and libraries in memory."""
+
+LONGEST = ("poles", "anisotropy", "test_field")
+"""Studies that start first where several run at once, so that none is left over at the end."""
+
 
 def completion(options):
     """Print a script that lets the shell complete mmqa's commands, options and files.
@@ -39,10 +45,12 @@ def lab(options):
     copied to the folder notebooks of the current directory; those that are there already stay as
     they are.
     """
+    import os
     import shutil
     import subprocess
     import sys
 
+    from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
 
     folder = notebooks_folder()
@@ -55,7 +63,9 @@ def lab(options):
                 shutil.copyfile(notebook, root / place / notebook.name)
     chosen = [f"--LabApp.default_url=/lab/tree/{place}", "--LabApp.news_url=None"]
     command = [sys.executable, "-m", "jupyterlab", *chosen, *options.jupyter]
-    return subprocess.call(command, cwd=root)
+    config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
+    environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
+    return subprocess.call(command, cwd=root, env=environment)
 
 
 def _lab_arguments(parser):
@@ -191,22 +201,64 @@ def studies(options):
     """
     from tqdm import tqdm
 
-    from mmqa_lab.run import notebooks, pages
+    from mmqa_lab._checks import check_count
+    from mmqa_lab.run import pages
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
+    several = check_count(options.workers, "workers") > 1
+    run = _several_at_once if several else _one_by_one
     outcomes = []
-    with tqdm(chosen(options.name), unit="study", desc="studies") as bar:
-        for study in bar:
-            bar.set_description(study.stem)
-            how = {"quick": options.quick, "timeout": options.timeout, "resume": options.resume}
-            outcome = notebooks.run_study(study, folder, **how)
+    with tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar:
+        for study, outcome in run(chosen(options.name), folder, options, bar):
             pages.write_pages(folder, STUDIES)
             outcomes.append(outcome)
+            bar.update()
             bar.write(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}")
     print(f"Results: {folder / 'index.html'}")
     return 0 if all(outcome.ok and (outcome.quick or outcome.true) for outcome in outcomes) else 1
+
+
+def _one_by_one(studies, folder, options, bar):
+    """Run studies in turn; yield each with its outcome."""
+    from mmqa_lab.run.notebooks import run_study
+
+    how = {"quick": options.quick, "timeout": options.timeout, "resume": options.resume}
+    for study in studies:
+        bar.set_description(study.stem)
+        yield study, run_study(study, folder, **how)
+
+
+def _several_at_once(studies, folder, options, bar):
+    """Run studies in processes of their own, the longest first; yield each that has ended."""
+    import os
+    import subprocess
+    import sys
+    from concurrent.futures import ThreadPoolExecutor, as_completed
+
+    from mmqa_lab.run.pages import Outcome, read_outcome
+
+    command = [sys.executable, "-m", "mmqa_lab", "studies", "--out", str(folder)]
+    command += [f"--{name}" for name in ("quick", "resume") if getattr(options, name)]
+    command += [] if options.timeout is None else ["--timeout", str(options.timeout)]
+    threads = max(1, (os.cpu_count() or 1) // options.workers)
+    place = {"NUMBA_NUM_THREADS": str(threads), **os.environ}
+
+    def run(study):
+        subprocess.run([*command, study.stem], env=place, capture_output=True)
+
+    with ThreadPoolExecutor(options.workers) as pool:
+        order = sorted(studies, key=lambda study: study.stem not in LONGEST)
+        tasks = {pool.submit(run, study): study for study in order}
+        try:
+            for task in as_completed(tasks):
+                study = tasks[task]
+                empty = Outcome(study.stem, options.quick, "")
+                yield study, read_outcome(folder / study.stem) or empty
+        except KeyboardInterrupt:  # those that run have got it too
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _studies_arguments(parser):
@@ -217,11 +269,14 @@ def _studies_arguments(parser):
         "--resume", action="store_true", help="skip studies that ended with the same code"
     )
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="of a study; default none")
+    parser.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="studies at the same time, default 1"
+    )
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="default notebooks/results")
 
 
 def test(options):
-    """Run the whole test suite: style checks by ruff, then every test by pytest on all cores.
+    """Run the whole test suite: style checks by ruff, then every test on up to four cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
@@ -235,7 +290,7 @@ def test(options):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", "--durations=15", "-n=auto", "--maxprocesses=4", *options.pytest],
+        ["pytest", "-q", "-ra", "--durations=15", *CORES, *options.pytest],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
@@ -285,7 +340,7 @@ COMMANDS = {
         "run the studies and write their tables, figures and pages",
         "",
         "chart_tables anisotropy --quick",
-        "--resume",
+        "--resume --workers 4",
     ),
     "test": _command(
         test,

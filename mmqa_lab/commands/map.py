@@ -87,7 +87,13 @@ def run(options):
     import sys
 
     from mmqa_lab import maps
-    from mmqa_lab._checks import check_choice, check_crs, check_positive
+    from mmqa_lab._checks import (
+        check_choice,
+        check_crs,
+        check_metres,
+        check_positive,
+        check_same_crs,
+    )
     from mmqa_lab.maps.campaign import known_crs
     from mmqa_lab.maps.results import check_place, check_thresholds, write_report
     from mmqa_lab.maps.tile import variables
@@ -97,7 +103,9 @@ def run(options):
         check_positive(options.rho0, "rho0", unit="points per m2")
         check_choice("spacing", "metric for --rho0", options.metrics)
     if options.crs:
-        check_crs(options.crs)
+        given, stated = check_crs(options.crs), known_crs(options.cloud)
+        check_metres(given, "crs")
+        check_same_crs("crs", given, "files", check_crs(stated) if stated else None)
     lazily = options.out.suffix == ".tif" and not options.crs
     check_place(options.out, known_crs(options.cloud) if lazily else "given")
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")

@@ -1,14 +1,22 @@
-"""Detect poles in a cloud, and score them where a reference is given.
+"""Detect poles in a cloud, deliver them, and score them where a reference is given.
 
 Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as recorded,
-or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: the
-axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m, tilt_deg,
-score, method; of itc also is_tree. A reference is a CSV file with x_m, y_m and, where known, class,
-height_m (below 1 m: no target), diameter_m, visible and ignore (no target where False and True);
-detections and references are matched one to one within --gate. Where there is a trajectory, points,
-detections and references beyond the corridor do not count.
+or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: id,
+the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m,
+tilt_deg and lean_azimuth_deg (from north), score, method, class with class_probability,
+total_height_m, diameter_13_m (1.3 m above ground) with its interval, points on the shaft; of itc
+also is_tree. Clouds must be in metres; --crs says so where the files do not.
+
+--out writes CSV, GeoJSON or GeoPackage. --report writes a page with a map and a picture of each
+pole, the doubtful ones first, on which each is accepted or rejected; --decisions reads what the
+page saved and leaves out what was rejected. A reference is a CSV file with x_m, y_m and, where
+known, class, height_m (below 1 m: no target), diameter_m, visible and ignore (no target where False
+and True); detections and references are matched one to one within --gate. Where there is a
+trajectory, points, detections and references beyond the corridor do not count. More than five
+million points are searched in squares of 100 m; poles on borders are found once.
 """
 
+import sys
 from pathlib import Path
 
 from mmqa_lab.commands._output import (
@@ -26,14 +34,26 @@ EPILOG = """\
 example:
   mmqa poles street.laz --method fgi --trajectory path.csv --csv poles.csv
   mmqa poles street.laz --reference poles_field.csv --json
+  mmqa poles drive/*.laz --crs EPSG:25832 --out poles.gpkg --report poles.html
+  mmqa poles drive/*.laz --decisions decisions.csv --out poles.gpkg
 """
 
-COLUMNS = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"]
+SHOWN = [
+    *("id", "x_m", "y_m", "class", "class_probability", "total_height_m", "diameter_13_m"),
+    *("tilt_deg", "points", "score"),
+]
+"""Columns of the printed table; files and JSON have all."""
+
+MANY = 5_000_000
+TILE_M = 100.0
+"""Clouds with more points are searched in squares of that side."""
 
 
 def add_arguments(parser):
     """Declare the arguments."""
-    parser.add_argument("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
+    parser.add_argument(
+        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
+    )
     parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
     parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
     parser.add_argument(
@@ -50,40 +70,112 @@ def add_arguments(parser):
         "--explain", action="store_true", help="list every candidate and what rejected it"
     )
     parser.add_argument(
-        "--out", "--geojson", type=output_file, metavar="FILE", help="write the poles as GeoJSON"
+        "--out",
+        "--geojson",
+        type=output_file,
+        metavar="FILE",
+        help="write the poles as .csv, .geojson or .gpkg",
+    )
+    parser.add_argument("--crs", metavar="EPSG:N", help="of the clouds, where they do not say")
+    parser.add_argument("--report", type=output_file, metavar="FILE", help="a page to check them")
+    parser.add_argument(
+        "--decisions", type=Path, metavar="FILE", help="of a page: leave out what was rejected"
+    )
+    parser.add_argument(
+        "--tile", type=float, metavar="M", help="side of the squares that are searched in turn"
     )
     add_output_arguments(parser)
 
 
 def run(options):
-    """Detect, write, score and print."""
+    """Detect, decide, write, score and print."""
     from mmqa_lab import poles
     from mmqa_lab._checks import check_positive
-    from mmqa_lab.io import read_cloud, read_trajectory
+    from mmqa_lab.io import read_trajectory
+    from mmqa_lab.poles.delivery import (
+        check_ending,
+        read_decisions,
+        read_table,
+        with_decisions,
+        write_report,
+    )
 
+    if options.out is not None:
+        check_ending(options.out)
     path, gate = None, check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
         table = read_trajectory(options.trajectory)
         path = table[["easting_m", "northing_m"]].to_numpy()
-    reference = None if options.reference is None else _read_reference(options.reference)
-    corridor = options.corridor
-    if path is not None and corridor is None:
-        corridor = poles.CORRIDORS_M[options.method]
-    scope = {"trajectory": path, "corridor": corridor}
-    for file in with_progress([options.cloud], "cloud"):
-        found = poles.detect(
-            read_cloud(file), method=options.method, explain=options.explain, **scope
-        )
-    shown = found[[*COLUMNS, *found.columns.intersection(["is_tree", "rejected_by"])]]
-    if options.out is not None:
-        _write_geojson(options.out, shown)
-    if reference is None:
-        print_rows(shown, options)
-        return
+    reference = None
+    if options.reference is not None:
+        reference = read_table(options.reference, "reference", ("x_m", "y_m"))
+    decisions = None if options.decisions is None else read_decisions(options.decisions)
+    scope = {"trajectory": path, "corridor": options.corridor}
+    cloud = _read_clouds(options)
+    tile = TILE_M if options.tile is None and len(cloud) > MANY else options.tile
+    found = poles.detect(cloud, method=options.method, explain=options.explain, tile=tile, **scope)
+    found = found.drop(columns=["lean_x", "lean_y"])
     accepted = found[found["rejected_by"] == ""] if options.explain else found
-    scores = poles.score(accepted, reference, gate=gate, **scope)
+    if decisions is not None:
+        accepted, unused = with_decisions(accepted.reset_index(drop=True), decisions)
+        if unused:
+            print(f"mmqa poles: {unused} decisions are about no pole found here", file=sys.stderr)
+    if options.report is not None:
+        lines = _about(cloud, options)
+        write_report(options.report, cloud.points, accepted, title="Poles", lines=lines)
+    if decisions is not None:
+        found = accepted = accepted[accepted["decision"] != "reject"].reset_index(drop=True)
+    if options.out is not None:
+        poles.write_poles(options.out, found, crs=cloud.crs)
+    if reference is None:
+        _print_poles(found, options)
+        return
+    if path is not None and scope["corridor"] is None:
+        scope["corridor"] = 15.0 if options.method == "itc" else 30.0
+    _print_scores(found, poles.score(accepted, reference, gate=gate, **scope), reference, options)
+
+
+def _read_clouds(options):
+    """All clouds as one; the lines of different files are kept apart."""
+    import numpy as np
+
+    from mmqa_lab._checks import check_crs, check_metres
+    from mmqa_lab.cloud import Cloud
+    from mmqa_lab.io import read_cloud
+
+    crs = None if options.crs is None else check_crs(options.crs)
+    check_metres(crs, "coordinate system")
+    clouds = []
+    for number, file in enumerate(with_progress(options.cloud, "cloud")):
+        cloud = read_cloud(file)
+        check_metres(cloud.crs, f"cloud {file}")
+        columns = dict(cloud.columns)
+        if len(options.cloud) > 1:
+            columns.setdefault("head", np.full(len(cloud), number))
+        known = cloud.crs or crs
+        check_metres(known, f"cloud {file}")
+        clouds.append(Cloud(cloud.points, columns, cloud.name, cloud.resolution, known))
+    return Cloud.concatenate(clouds) if len(clouds) > 1 else clouds[0]
+
+
+def _about(cloud, options):
+    """What the page says at its top."""
+    names = ", ".join(Path(file).name for file in options.cloud)
+    crs = "not known" if cloud.crs is None else cloud.crs.name
+    return [f"{names}: {len(cloud)} points", f"Method {options.method}", f"Coordinates: {crs}"]
+
+
+def _print_poles(found, options):
+    """Print all as JSON, or the columns that fit a line; the file has all."""
+    shown = [*SHOWN, *found.columns.intersection(["rejected_by", "decision"])]
+    print_rows(found if options.json else found[shown], options)
+    write_rows(found, options)
+
+
+def _print_scores(found, scores, reference, options):
+    """Print the poles and their scores."""
     if not options.json:
-        print_rows(shown, options)
+        _print_poles(found, options)
         print(
             f"recall     {scores.recall}\nprecision  {scores.precision}\nF1         {scores.f1:.3f}"
         )
@@ -92,39 +184,5 @@ def run(options):
         return
     rates = {"recall": vars(scores.recall), "precision": vars(scores.precision), "f1": scores.f1}
     rates["duplicates"] = scores.duplicates
-    write_rows(shown, options)
-    print_json({"poles": shown.astype(object).to_dict(orient="records"), "scores": rates})
-
-
-def _read_reference(path):
-    """A reference table, with its columns checked."""
-    import pandas as pd
-
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid reference {path}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(path)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
-        raise ValueError(f"Invalid reference {path}: not a table. Must be a CSV file.") from None
-    if not {"x_m", "y_m"} <= set(table):
-        raise ValueError(
-            f"Invalid reference {path}: columns {', '.join(table)}. Must have x_m and y_m."
-        )
-    return table
-
-
-def _write_geojson(path, table):
-    """Write the poles as GeoJSON points in the coordinates of the cloud; null: not measurable."""
-    import json
-
-    from mmqa_lab.io import write_atomically
-
-    rows = table.astype(object).where(table.notna(), None).to_dict(orient="records")
-    features = []
-    for row in rows:
-        place = [round(float(row[name]), 4) for name in ("x_m", "y_m", "z_base_m")]
-        rest = {name: value for name, value in row.items() if name not in ("x_m", "y_m")}
-        geometry = {"type": "Point", "coordinates": place}
-        features.append({"type": "Feature", "geometry": geometry, "properties": rest})
-    text = json.dumps({"type": "FeatureCollection", "features": features}, indent=1)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_rows(found, options)
+    print_json({"poles": found.astype(object).to_dict(orient="records"), "scores": rates})

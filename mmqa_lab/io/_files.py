@@ -21,6 +21,11 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     write : callable
         Takes the path of the temporary file.
 
+    Raises
+    ------
+    OSError
+        If no file can be made there.
+
     Examples
     --------
     >>> import tempfile
@@ -30,13 +35,25 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     ['f.txt']
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    _check_writable(path, temporary)
     try:
         write(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _check_writable(path, temporary):
+    """Raise one sentence where no file can be made beside ``path``; folders are made."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.touch()
+        temporary.unlink()
+    except OSError as error:
+        raise OSError(
+            f"Invalid file {path}: {error.strerror}. Must lie in a folder that can be written to."
+        ) from error
 
 
 @contextlib.contextmanager

@@ -44,6 +44,13 @@ LASZIP_CHUNK = 50_000
 LAYERED = 3
 """The compressor of point formats 6-10 in a LASzip record."""
 
+ITEMS = {
+    **{0: (6,), 1: (6, 7), 2: (6, 8), 3: (6, 7, 8), 4: (6, 7, 9), 5: (6, 7, 8, 9)},
+    **{6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13)},
+}
+EXTRA_BYTES = (0, 14)
+"""Items of a LASzip record by the point format, and those of extra bytes."""
+
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Layers of the items of a point (point, RGB, RGB and NIR, wave packet); else one a byte."""
 
@@ -130,6 +137,8 @@ def iterate_cloud(
     """
     path = Path(path)
     chunk = check_count(chunk, "chunk")
+    if path.is_dir():
+        raise IsADirectoryError(f"Invalid cloud {path}: a folder. Must be a file.")
     if not path.is_file():
         raise FileNotFoundError(f"Invalid cloud {path}: no such file. Must exist.")
     ending = path.suffix.lower()
@@ -374,19 +383,25 @@ def _check_compression(path, header):
         lengths = [length for _, length in lazrs.read_chunk_table(file, record) or []]
     if sum(lengths) > table - first:
         raise ValueError(f"chunks of {sum(lengths)} bytes in {table - first}")
-    _check_layers(path, header.vlrs.get("LasZipVlr")[0].record_data, first, lengths)
+    _check_layers(path, header, first, lengths)
 
 
-def _check_layers(path, record, first, lengths):
-    """Whether the layers of each chunk are as long as it; a damaged length would fill the memory.
+def _check_layers(path, header, first, lengths):
+    """Whether points have the items of their format, and layers fit into their chunk.
 
-    A chunk of point formats 6-10 has its first point, the count of points and the lengths of its
-    layers before the layers themselves (LAZ specification 1.4 R1, layered compression).
+    A damaged length would fill the memory. A chunk of point formats 6-10
+    begins with its first point, the count of points and the lengths of its layers (LAZ
+    specification 1.4 R1, layered compression).
     """
+    record = header.vlrs.get("LasZipVlr")[0].record_data
+    count = int.from_bytes(record[32:34], "little")
+    items = np.frombuffer(record[34 : 34 + 6 * count], "<u2")
+    kinds, sizes = items[::3].tolist(), items[1::3].tolist()
+    wanted = ITEMS.get(header.point_format.id)
+    if tuple(kind for kind in kinds if kind not in EXTRA_BYTES) != wanted:
+        raise ValueError(f"items {kinds} in points of format {header.point_format.id}")
     if int.from_bytes(record[:2], "little") != LAYERED:
         return
-    items = np.frombuffer(record[34:], "<u2")[: 3 * int.from_bytes(record[32:34], "little")]
-    kinds, sizes = items[::3].tolist(), items[1::3].tolist()
     layers = sum(LAYERS.get(kind, size) for kind, size in zip(kinds, sizes, strict=True))
     head = sum(sizes) + 4
     with open(path, "rb") as file:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_points
-from mmqa_lab.io.clouds import CLOUD_ENDINGS, read_cloud
+from mmqa_lab._checks import check_crs, check_points
+from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, read_cloud
 
 RASTER_ENDINGS = (".asc", ".npz", ".tif", ".tiff")
 
@@ -64,6 +64,19 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
         listed = ", ".join(dict.fromkeys((*CLOUD_ENDINGS, *RASTER_ENDINGS)))
         raise ValueError(f"Invalid reference {path}. Must end in one of {listed}.")
     return check_points(points, name=f"reference {path}")
+
+
+def heights_crs(path):
+    """The coordinate reference system of a file that :func:`read_heights` reads; None without."""
+    import rasterio
+
+    path = Path(path)
+    if path.suffix.lower() in LAS_ENDINGS:
+        return read_cloud(path, columns=()).crs
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return None
+    with rasterio.open(path) as raster:
+        return None if raster.crs is None else check_crs(raster.crs.to_wkt())
 
 
 def is_raster(path):

@@ -21,7 +21,6 @@ from mmqa_lab._checks import (
     check_choice,
     check_crs,
     check_metres,
-    check_points,
     coordinate_columns,
 )
 from mmqa_lab._polygons import CrsNotCompared, polygon_parts
@@ -154,7 +153,6 @@ def read_polygon(source: str | os.PathLike) -> np.ndarray | Polygon | MultiPolyg
         return _from_geojson(Path(source))
     else:
         vertices, _ = next(text_tables(Path(source), 1_000_000))
-    vertices = check_points(vertices, name=f"polygon {text}")
     return polygon_parts(vertices, name=f"polygon {text}")[0][0]
 
 

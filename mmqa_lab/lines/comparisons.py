@@ -1,6 +1,5 @@
 """A whole study of edges: all comparisons of several clouds and a reference, and its report."""
 
-import base64
 import inspect
 import io
 import json
@@ -432,8 +431,7 @@ def _page(found, parts, files):
         )
         for title, table in tables.items()
     }
-    pictures = {draw: files[f"{draw.__name__}.png"] for draw in DRAWINGS}
-    figures = {draw.__doc__: base64.b64encode(one).decode() for draw, one in pictures.items()}
+    figures = {f"{draw.__name__}.png": draw.__doc__ for draw in DRAWINGS}
     scenes = json.dumps(_scenes(found))
     return page.render(tables=shown, figures=figures, files=sorted(files), scenes=scenes)
 

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from mmqa_lab._checks import check_count, check_positive
-from mmqa_lab.lines.segments import LinePairs, Segments, by_stretches, check_segments, components
+from mmqa_lab.lines.segments import LinePairs, Segments, check_segments, components
 
 DRIFT_LENGTH_M = 60.0
 CONSTANT_M = 1.0
@@ -478,12 +478,11 @@ def match_displaced(
 def _wider(test, model, radius):
     """The radius, or a larger one where far more lines come together beyond it."""
     few = [one.select(np.argsort(-one.lengths)[:WIDE_LINES]) for one in (test, model)]
-    rows, columns = _candidates(*few, WIDER * radius)
-    if len(rows) < 3:
+    lines = _candidates(*few, WIDER * radius)
+    if len(lines) < 3:
         return radius
-    lines = LinePairs(*few, rows, columns)
     rng = np.random.default_rng(0)
-    shifts, scores = _hypotheses(lines, rows, columns, WIDER * radius, WIDE_HYPOTHESES, rng)
+    shifts, scores = _hypotheses(lines, WIDER * radius, WIDE_HYPOTHESES, rng)
     lengths = np.linalg.norm(shifts, axis=1)
     within = scores[lengths <= radius].max(initial=0)
     if scores.max(initial=0) <= CLEARLY_MORE * within + 1:
@@ -493,24 +492,18 @@ def _wider(test, model, radius):
 
 def _outcomes(test, model, radius, rng):
     """Refined outcomes of the best hypotheses."""
-    rows, columns = _candidates(test, model, radius)
-    if len(rows) < 3:
+    lines = _candidates(test, model, radius)
+    if len(lines) < 3:
         return []
-    lines = LinePairs(test, model, rows, columns)
-    starts = _starts(*_hypotheses(lines, rows, columns, radius, HYPOTHESES, rng))
-    shape = len(test), len(model)
-    steady, drifting = (
-        _refined(starts, lines, rows, columns, shape, search) for search in (STEADY, DRIFTING)
-    )
-    return steady + drifting
+    starts = _starts(*_hypotheses(lines, radius, HYPOTHESES, rng))
+    return _refined(starts, lines, STEADY) + _refined(starts, lines, DRIFTING)
 
 
 class _Refinement:
     """Pairs and displacement field, each from the other by turns."""
 
-    def __init__(self, start, lines, rows, columns, shape, search):
+    def __init__(self, start, lines, search):
         self.start, self.lines, self.search = start, lines, search
-        self.rows, self.columns, self.shape = rows, columns, shape
         self.expected = np.broadcast_to(start, (len(lines), 3))
         uncertainty = search.start_m**2 * np.eye(3)
         self.covariance = np.broadcast_to(uncertainty, (len(lines), 3, 3))
@@ -525,10 +518,8 @@ class _Refinement:
         density = self._log_densities(seen) + self.ends
         clutter = self.search.clutter_per_m2 * min(1.0, self.search.ease * 2.0**self.rounds)
         allowed = np.flatnonzero(density > np.log(clutter))
-        stretches = [part[allowed] for part in self.lines.stretches(self.expected)]
-        rows, columns = self.rows[allowed], self.columns[allowed]
-        self.pairs = by_stretches(self.shape, rows, columns, -density[allowed], stretches)
-        members = np.flatnonzero(self.pairs[self.rows, self.columns])
+        self.pairs = self.lines.accepted(allowed, -density[allowed], self.expected)
+        members = np.flatnonzero(self.pairs[self.lines.rows, self.lines.columns])
         if len(members) < 3:
             return False
         self.settled = np.array_equal(members, self._accepted) if self.rounds else False
@@ -573,17 +564,16 @@ def _log_ratio_of_ends(gaps):
 
 
 def _candidates(test, model, radius):
-    """Rows and columns of nearly parallel lines within the radius of each other."""
-    if not len(test) or not len(model):
-        return np.empty(0, dtype=int), np.empty(0, dtype=int)
+    """The pairs of nearly parallel lines within the radius of each other."""
     parts = components(test, model)
     shorter = np.minimum(test.lengths[:, None], model.lengths)
     gap = np.abs(parts.shift) - (test.lengths[:, None] + model.lengths) / 2
     parallel = parts.angle < np.sin(np.radians(ANGLE_DEG)) * shorter
-    return np.nonzero(parallel & (parts.perpendicular < radius) & (gap < radius))
+    near = parallel & (parts.perpendicular < radius) & (gap < radius)
+    return LinePairs(test, model, *np.nonzero(near))
 
 
-def _hypotheses(lines, rows, columns, radius, most, rng):
+def _hypotheses(lines, radius, most, rng):
     """Displacements of pairs of crossing lines, and how many lines each brings together."""
     seen = lines.observe(np.zeros(3))
     normal = np.einsum("nkd,nke->nde", seen.frame, seen.frame)
@@ -591,11 +581,12 @@ def _hypotheses(lines, rows, columns, radius, most, rng):
     a, b = rng.integers(len(lines), size=(2, 8 * most))
     crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
     near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
-    usable = crossing & near & (rows[a] != rows[b]) & (columns[a] != columns[b])
+    usable = crossing & near & (lines.rows[a] != lines.rows[b])
+    usable &= lines.columns[a] != lines.columns[b]
     a, b = a[usable][:most], b[usable][:most]
     shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
-    return shifts, _scores(shifts, normal, right, lines, rows)
+    return shifts, _scores(shifts, normal, right, lines)
 
 
 def _starts(shifts, scores):
@@ -609,13 +600,13 @@ def _starts(shifts, scores):
     return starts
 
 
-def _scores(shifts, normal, right, lines, rows):
+def _scores(shifts, normal, right, lines):
     """How many test lines each shift brings to a model line, long ones counting more."""
     products = np.einsum("nd,ne->nde", shifts, shifts).reshape(-1, 9)
     unknowns = np.concatenate([np.ones((len(shifts), 1)), -2 * shifts, products], axis=1)
     knowns = np.concatenate([(right**2).sum(axis=1)[:, None], right, normal.reshape(-1, 9)], axis=1)
     weight = np.minimum(1, 2 * np.minimum(lines.test_half, lines.model_half) / 3)
-    first = np.flatnonzero(np.r_[True, np.diff(rows) > 0])
+    first = np.flatnonzero(np.r_[True, np.diff(lines.rows) > 0])
     scores = np.empty(len(shifts))
     for at in range(0, len(shifts), 200):
         squares = unknowns[at : at + 200] @ knowns.T
@@ -624,11 +615,11 @@ def _scores(shifts, normal, right, lines, rows):
     return scores
 
 
-def _refined(starts, lines, rows, columns, shape, search):
+def _refined(starts, lines, search):
     """The best outcomes of one search, a short trial of every start first."""
     trials = []
     for start in starts:
-        trial = _Refinement(start, lines, rows, columns, shape, search)
+        trial = _Refinement(start, lines, search)
         if all(trial.round() for _ in range(FIRST_ROUNDS)):
             trials.append(trial)
     trials.sort(key=lambda trial: -trial.evidence)

@@ -152,12 +152,13 @@ class LHD(Shown):
 
     def at_weight(self, weight):
         """The distance of the same pairs under another W, m; W = 0 leaves the angle out."""
-        return _larger(self.test_model.olhd(weight), self.model_test.olhd(weight))
+        return float(np.fmax(self.test_model.olhd(weight), self.model_test.olhd(weight)))
 
     @property
     def perpendicular_only(self):
         """The larger directed mean of the perpendicular distances alone, m."""
-        return _larger(self.test_model.perpendicular_only, self.model_test.perpendicular_only)
+        both = self.test_model.perpendicular_only, self.model_test.perpendicular_only
+        return float(np.fmax(*both))
 
     def interval(self, *, level=0.95, repeats=1000, seed=0):
         """Bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
@@ -541,8 +542,3 @@ def _warn(result, test, model):
         said.append(f"Too few pairs agree on one displacement: matcher {result.matcher!r} is used.")
     for sentence in said:
         warnings.warn(sentence, stacklevel=3)
-
-
-def _larger(a, b):
-    """The larger of two numbers, the other where one is NaN."""
-    return float(np.fmax(a, b))

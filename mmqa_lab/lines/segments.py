@@ -16,6 +16,8 @@ arccosine of a scalar product is lost below 1e-8 rad. Differences are taken befo
 """
 
 import warnings
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numba
@@ -26,11 +28,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab._threads import enough_threads
+from mmqa_lab.planes.regression import across
 
 ROTATE = ("test", "shorter")
 RANGE = ("containment", "overlap")
-PAIRS_A_THREAD = 500_000
+BLOCK_PAIRS = 500_000
+"""Pairs that one thread takes at a time."""
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 FRAGMENT_OVERLAP = 0.3
@@ -271,9 +274,10 @@ def components(
     >>> [float(part[0, 0]) for part in (parts.angle, parts.parallel, parts.perpendicular)]
     [4.0, 0.0, 0.0]
     """
-    pairs, arguments = _arguments(test, model, rotate, within)
-    with enough_threads(pairs, PAIRS_A_THREAD):
-        return Components(*_components(*arguments))
+    shape, arguments = _arguments(test, model, rotate, within)
+    parts = [np.empty(shape) for _ in range(4)]
+    _in_blocks(_components_block, shape, arguments, parts)
+    return Components(*parts)
 
 
 def distance_matrix(
@@ -313,13 +317,14 @@ def distance_matrix(
     12.649111
     """
     weight = check_number(weight, "weight", low=0)
-    pairs, arguments = _arguments(test, model, rotate, within)
-    with enough_threads(pairs, PAIRS_A_THREAD):
-        return _distances(*arguments, weight)
+    shape, arguments = _arguments(test, model, rotate, within)
+    distances = np.empty(shape)
+    _in_blocks(_distances_block, shape, (*arguments, weight), [distances])
+    return distances
 
 
 def _arguments(test, model, rotate, within):
-    """Number of pairs, and what the compiled loops over them read."""
+    """Shape of the matrix and the arrays that the compiled blocks read."""
     check_choice(rotate, "rotate", ROTATE)
     check_choice(within, "within", RANGE)
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
@@ -330,7 +335,23 @@ def _arguments(test, model, rotate, within):
         middles = ends[:, 0] + vectors / 2
         columns = [middles, vectors / lengths[:, None], lengths[:, None]]
         sides.append(np.ascontiguousarray(np.concatenate(columns, axis=1).T))
-    return len(test) * len(model), (*sides, rotate == "shorter", within == "overlap")
+    return (len(test), len(model)), (*sides, rotate == "shorter", within == "overlap")
+
+
+def _in_blocks(kernel, shape, arguments, outputs):
+    """Run a compiled kernel over blocks of rows, in threads when there are many pairs."""
+    rows = max(1, BLOCK_PAIRS // max(1, shape[1]))
+    starts = range(0, shape[0], rows)
+
+    def block(start):
+        kernel(start, min(start + rows, shape[0]), *arguments, *outputs)
+
+    if len(starts) > 1:
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(block, starts))
+    else:
+        for start in starts:
+            block(start)
 
 
 @numba.njit
@@ -354,30 +375,24 @@ def _parts(own, m, j, shorter, overlap):
     return angle2, parallel, px * px + py * py + pz * pz, s
 
 
-@numba.njit(cache=True, parallel=True)
-def _distances(t, m, shorter, overlap, weight):
-    """The matrix of distances d(W)."""
-    distances = np.empty((t.shape[1], m.shape[1]))
-    for i in numba.prange(t.shape[1]):
+@numba.njit(nogil=True, cache=True)
+def _distances_block(first, last, t, m, shorter, overlap, weight, distances):
+    for i in range(first, last):
         own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         row = distances[i]
         for j in range(m.shape[1]):
             angle2, along, across2, _ = _parts(own, m, j, shorter, overlap)
             row[j] = np.sqrt(weight * angle2 + along * along + across2)
-    return distances
 
 
-@numba.njit(cache=True, parallel=True)
-def _components(t, m, shorter, overlap):
-    """The matrices of :class:`Components` one behind the other."""
-    parts = np.empty((4, t.shape[1], m.shape[1]))
-    for i in numba.prange(t.shape[1]):
+@numba.njit(nogil=True, cache=True)
+def _components_block(first, last, t, m, shorter, overlap, angle, parallel, perpendicular, shift):
+    for i in range(first, last):
         own = t[0, i], t[1, i], t[2, i], t[3, i], t[4, i], t[5, i], t[6, i]
         for j in range(m.shape[1]):
             angle2, along, across2, s = _parts(own, m, j, shorter, overlap)
-            parts[0, i, j], parts[1, i, j] = np.sqrt(angle2), along
-            parts[2, i, j], parts[3, i, j] = np.sqrt(across2), s
-    return parts
+            angle[i, j], parallel[i, j] = np.sqrt(angle2), along
+            perpendicular[i, j], shift[i, j] = np.sqrt(across2), s
 
 
 @dataclass(frozen=True, eq=False)
@@ -565,29 +580,12 @@ def correspond(
     if matcher == "fragments":
         _check_given(distances, test, model)
         test, model = check_segments(test, name="test"), check_segments(model, name="model")
-        rows, columns = np.nonzero(near)
-        stretches = LinePairs(test, model, rows, columns).stretches(np.zeros(3))
-        return by_stretches(near.shape, rows, columns, distances[near], stretches)
+        lines = LinePairs(test, model, *np.nonzero(near))
+        return lines.accepted(slice(None), distances[near], np.zeros(3))
     if matcher == "hungarian":
         return _hungarian(distances, near, delta)
     nearest = near & _is_argmin(distances, 1)
     return nearest if matcher == "nearest" else nearest & _is_argmin(distances, 0)
-
-
-def by_stretches(shape, rows, columns, costs, stretches):
-    """Accept cells in the order of their costs while stretches stay apart; bool, of that shape.
-
-    ``stretches`` are those of :meth:`LinePairs.stretches`: on the test and on the model segments.
-    """
-    pairs = np.zeros(shape, dtype=bool)
-    taken = [[] for _ in range(shape[0])], [[] for _ in range(shape[1])]
-    for k in np.argsort(costs, kind="stable"):
-        on_test, on_model = taken[0][rows[k]], taken[1][columns[k]]
-        if _free(stretches[0][k], on_test) and _free(stretches[1][k], on_model):
-            pairs[rows[k], columns[k]] = True
-            on_test.append(stretches[0][k])
-            on_model.append(stretches[1][k])
-    return pairs
 
 
 def _check_given(distances, test, model):
@@ -659,8 +657,9 @@ class LinePairs:
 
     def __init__(self, test, model, rows, columns):
         test_ends, model_ends = relative_ends(test, model)
+        self.rows, self.columns, self.shape = rows, columns, (len(test), len(model))
         self.axis = model.directions[columns]
-        self.frame = _frames(self.axis)
+        self.frame = across(self.axis)
         direction = test.directions[rows]
         self.sense = np.where((direction * self.axis).sum(axis=1) < 0, -1.0, 1.0)
         self.test_axis = direction * self.sense[:, None]
@@ -694,6 +693,24 @@ class LinePairs:
         on_test[self.sense < 0] = on_test[self.sense < 0, ::-1]
         return on_test, on_model
 
+    def accepted(self, which, costs, expected):
+        """Accept chosen pairs in the order of their costs while stretches stay apart; bool (p, q).
+
+        ``which`` are the indices of the pairs, ``expected`` the displacement of all.
+        """
+        stretches = (part[which] for part in self.stretches(expected))
+        rows, columns = self.rows[which], self.columns[which]
+        pairs, taken = np.zeros(self.shape, dtype=bool), defaultdict(list)
+        places = list(zip(rows, columns, *stretches, strict=True))
+        for k in np.argsort(costs, kind="stable"):
+            row, column, on_test, on_model = places[k]
+            others = taken["test", row], taken["model", column]
+            if _free(on_test, others[0]) and _free(on_model, others[1]):
+                pairs[row, column] = True
+                others[0].append(on_test)
+                others[1].append(on_model)
+        return pairs
+
     def observe(self, expected):
         """The :class:`Offsets` of all pairs at their common stretches."""
         s, low, high = self.common(expected)
@@ -707,14 +724,6 @@ class LinePairs:
             variance=ANGLE_NOISE_RAD**2 * (arm**2 + middle**2),
             overlap=(high - low) / (2 * np.minimum(self.test_half, self.model_half)),
         )
-
-
-def _frames(axes):
-    """Two unit vectors across each axis: (n, 2, 3)."""
-    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
-    first = np.cross(axes, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(axes, first)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -764,20 +773,12 @@ class PairingScores:
         return _ratio(2 * self.tp, 2 * self.tp + self.fp + self.fn)
 
     @property
-    def mcc(self):
-        """Matthews correlation coefficient: 0 for chance, 1 for perfect; NaN when undefined."""
-        margins = [self.tp + self.fp, self.tp + self.fn, self.tn + self.fp, self.tn + self.fn]
-        product = float(np.prod([float(margin) for margin in margins]))
-        covariance = self.tp * self.tn - self.fp * self.fn
-        return covariance / product**0.5 if product else np.nan
-
-    @property
     def _cells(self):
         return self.tp + self.fp + self.fn + self.tn
 
     def to_frame(self):
         """Return one row with the counts and the rates."""
-        rates = ("detection_rate", "null_rate", "precision", "recall", "f1", "mcc")
+        rates = ("detection_rate", "null_rate", "precision", "recall", "f1")
         return pd.DataFrame([asdict(self) | {name: getattr(self, name) for name in rates}])
 
 

@@ -16,6 +16,7 @@ import json
 import logging
 import os
 import threading
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -330,7 +331,9 @@ class _Run:
         tasks = [(source, self.files, grid.origin) for source in missing]
         damaged = set()
         for (source, *_), problem in engine(_unpack_file, tasks, "files"):
-            if problem is not None:
+            if isinstance(problem, UserWarning):
+                self.remarks.append(str(problem))
+            elif problem is not None:
                 named = source.path in str(problem)
                 self.problems.append(str(problem) if named else f"{source.path}: {problem}")
                 damaged.add(source)
@@ -513,7 +516,7 @@ def _check_extent(sources, cell):
 
 
 def _unpack_file(source, folder, origin):
-    """Task: write a file's coordinates and its pieces' boxes; the problem, if there is one."""
+    """Task: write a file's coordinates and its pieces' boxes; the problem or doubt, or None."""
     boxes, counts = [], []
 
     def write(temporary):
@@ -528,12 +531,14 @@ def _unpack_file(source, folder, origin):
                 file.write(points.data)
 
     try:
-        write_atomically(folder / f"{source.key}.xyz", write)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            write_atomically(folder / f"{source.key}.xyz", write)
         index = {"boxes": np.array(boxes), "counts": np.array(counts)}
         write_atomically(folder / f"{source.key}.npz", lambda path: np.savez(path, **index))
     except (ValueError, OSError) as error:
         return error
-    return None
+    return UserWarning(" ".join(str(one.message) for one in said)) if said else None
 
 
 def _points(source):
@@ -626,7 +631,7 @@ def _started(count, scheduler):
     import dask
     from distributed import Client, LocalCluster
 
-    quiet = {"memory_limit": 0, "dashboard_address": None, "silence_logs": logging.ERROR}
+    quiet = {"memory_limit": 0, "dashboard_address": ":0", "silence_logs": logging.ERROR}
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(KEEP_MEMORY))

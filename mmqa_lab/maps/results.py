@@ -319,7 +319,7 @@ def check_thresholds(below, names):
     """Raise unless every threshold is a number for one of the variables ``names``."""
     for name, threshold in below.items():
         check_choice(name, "figure with a threshold", names)
-        check_number(threshold, f"threshold of {name}")
+        check_number(threshold, f"threshold of {name}", low=0)
 
 
 def check_place(path, crs):

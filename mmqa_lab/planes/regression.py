@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from mmqa_lab._checks import (
     check_number,
@@ -333,7 +334,9 @@ class Circle:
     radius : float
         m; as given where it was.
     std : float
-        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open.
+        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open. With
+        a free diameter, 1.96 of them contain the truth along the line of sight in 83 % only
+        (simulated, 150 degrees of a pole of 10 cm).
     """
 
     centre: np.ndarray
@@ -371,8 +374,6 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float
     >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
     ([5.0, 5.0], 0.1)
     """
-    from scipy.optimize import least_squares
-
     points = check_points(points, columns=2, minimum=3)
     origin = np.median(points, axis=0)
     xy = points - origin
@@ -451,3 +452,11 @@ def _reweighted(local, centre, vectors, rounds=50):
         centre, vectors = _principal(local, weights)
         previous = weights
     return centre, vectors
+
+
+def across(axes):
+    """Two unit vectors across each of n unit vectors and square to each other, shape (n, 2, 3)."""
+    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axes, first)], axis=1)

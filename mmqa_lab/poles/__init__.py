@@ -13,6 +13,7 @@ Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.cloud import Cloud, as_cloud, sort_into_cells
+from mmqa_lab.poles.delivery import write_poles
 from mmqa_lab.poles.scores import Score, curve, match, score
 
 if TYPE_CHECKING:
@@ -32,10 +34,13 @@ if TYPE_CHECKING:
 
 METHODS = ("ours", "fgi", "itc")
 
-CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
+_CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
 """Half width of the corridor where a trajectory comes without one: that of the report's tables."""
 
-__all__ = ["CORRIDORS_M", "METHODS", "Score", "curve", "detect", "match", "score", "settings_of"]
+HALO_M = 16.0
+"""Points so far around a tile decide with those in it."""
+
+__all__ = ["METHODS", "Score", "curve", "detect", "match", "score", "settings_of", "write_poles"]
 
 
 def detect(
@@ -46,6 +51,7 @@ def detect(
     corridor: float | None = None,
     explain: bool = False,
     model: Booster | None = None,
+    tile: float | None = None,
     **thresholds,
 ) -> pd.DataFrame:
     """Detect poles.
@@ -60,20 +66,28 @@ def detect(
     trajectory : array_like, shape (m, 2) or (m, 3), optional
         Points farther than ``corridor`` from it are left out.
     corridor : float, optional
-        Metres; ``CORRIDORS_M`` of the method where left out.
+        Metres; where left out 15 of the component method and 30 of the others.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
     model : lightgbm.Booster, optional
         Verifier of the learned method, one's own for instance; others have none.
+    tile : float, optional
+        Side of squares that are searched one after the other, metres: a large cloud then needs
+        little more memory than its points. Each square sees 16 m around it, and a pole on a border
+        is found once; poles of ``ours`` and ``fgi`` do not depend on it.
     **thresholds
         Fields of the method's settings, see :func:`settings_of`.
 
     Returns
     -------
     DataFrame
-        One row a pole, from south to north: ``x_m``, ``y_m`` (the axis at half the height),
-        ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (NaN where not
-        measurable), ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m); of
+        One row a pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
+        height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
+        ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m). Measured alike
+        for all methods: ``class`` and ``class_probability``; ``total_height_m``, from the ground to
+        the top of lantern, board or crown; ``diameter_13_m`` at 1.3 m above the ground with
+        ``diameter_13_low_m`` and ``diameter_13_high_m`` (95 %); ``lean_azimuth_deg``, towards which
+        it leans, clockwise from north; ``points`` seen on the shaft. NaN where not measurable. Of
         ``itc`` also ``is_tree``.
 
     Raises
@@ -87,6 +101,9 @@ def detect(
     The score of ``ours`` is the probability that its trees give on streets like the training ones;
     on others it is no probability. For the other methods it is the share of points in the inner
     cylinder and the share of slices that are pole-like, which order detections and no more.
+    Classes are lamp or utility pole, sign or signal, trunk, bollard or post, and other. Their trees
+    were trained on simulated streets too: on others nine in ten are right, on real ones of Oakland
+    six in ten, posts being taken for signs.
 
     Examples
     --------
@@ -101,13 +118,11 @@ def detect(
     check_choice(method, "method", METHODS)
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
-    cloud = as_cloud(points)
-    inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
-    lines = None
-    if method != "itc":
-        from mmqa_lab.poles.profiles import scan_lines
+    from mmqa_lab.poles.profiles import scan_lines
 
-        lines = scan_lines(cloud)
+    cloud = as_cloud(points)
+    inside, origin = _within(cloud, trajectory, corridor, _CORRIDORS_M[method])
+    lines = scan_lines(cloud)
     if method == "fgi" and lines is None:
         warnings.warn(
             "The scan-line method needs scan lines: columns scan_line and pulse or gps_time, or "
@@ -116,18 +131,49 @@ def detect(
             stacklevel=2,
         )
         method, thresholds = "itc", {}
-    module = import_module(f"mmqa_lab.poles.{method}")
-    settings = _settings(module, method, thresholds)
+    settings = _settings(import_module(f"mmqa_lab.poles.{method}"), method, thresholds)
+    choices = {"explain": explain} | ({"model": model} if method == "ours" else {})
+    search = partial(_search, method=method, settings=settings, choices=choices)
     local = cloud.points[inside] - origin
     lines = None if lines is None else tuple(values[inside] for values in lines)
-    if method == "fgi":
-        found = module.detect(local, *lines, settings, explain=explain)
-    elif method == "itc":
-        found = module.detect(local, settings, explain=explain)
+    if tile is None or not len(local):
+        found = search(local, lines)
     else:
-        found = module.detect(local, settings, lines=lines, explain=explain, model=model)
+        found = _in_tiles(local, lines, check_positive(tile, "tile", unit="m"), search)
+    found.insert(0, "id", np.arange(1, len(found) + 1))
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
+
+
+def _search(points, lines, method, settings, choices):
+    """The poles of points near the origin, with their attributes."""
+    from mmqa_lab.poles.attributes import with_attributes
+
+    module = import_module(f"mmqa_lab.poles.{method}")
+    if method == "fgi":
+        found = module.detect(points, *lines, settings, **choices)
+    elif method == "itc":
+        found = module.detect(points, settings, **choices)
+    else:
+        found = module.detect(points, settings, lines=lines, **choices)
+    return with_attributes(points, found, lines)
+
+
+def _in_tiles(points, lines, side, search):
+    """The same, a square of that side after the other; a pole belongs to the one it stands in."""
+    parts = []
+    for low in sort_into_cells(points[:, :2], side).places * side:
+        inside = _in_square(points[:, :2], low - HALO_M, side + 2 * HALO_M)
+        own = None if lines is None else tuple(values[inside] for values in lines)
+        found = search(points[inside], own)
+        parts.append(found[_in_square(found[["x_m", "y_m"]].to_numpy(), low, side)])
+    return pd.concat(parts).sort_values(["y_m", "x_m"], ignore_index=True)
+
+
+def _in_square(xy, low, side):
+    """Which places lie in a square."""
+    x, y = xy.T
+    return (x >= low[0]) & (x < low[0] + side) & (y >= low[1]) & (y < low[1] + side)
 
 
 def settings_of(method: str) -> fgi.Settings | itc.Settings | ours.Settings:

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.planes.regression import algebraic_circle
 
 ROW_M = 0.5
@@ -36,7 +37,9 @@ def rows(points):
     """Return the ``Rows`` of points (n, 3)."""
     row = np.floor(points[:, 1] / ROW_M).astype(np.int64)
     first = row.min() if len(row) else 0
-    order = np.lexsort([points[:, 0], row])
+    x = points[:, 0]
+    wide = 2 * np.ptp(x) + 1 if len(row) else 1
+    order = np.argsort((row - first) * wide + (x - x.min(initial=np.inf)))
     start = np.searchsorted(row[order], first + np.arange(np.ptp(row) + 2 if len(row) else 1))
     return Rows(np.ascontiguousarray(points[order]), start, float(first * ROW_M), order)
 
@@ -116,8 +119,20 @@ GROUND_SUPPORT = 3
 metre above it, itself included: single stray points below the road are none."""
 
 
-def height_above_ground(points, *, at=None, cell=GROUND_CELL_M):
-    """Return the height above the ground of each point, or of the points ``at``, metres.
+class Ground(NamedTuple):
+    """Heights of the ground at the centres of square cells: ``grid``, its corner, their side."""
+
+    grid: np.ndarray
+    low: np.ndarray
+    cell: float
+
+    def height(self, points):
+        """Height above the ground of points (n, 3), (n,), metres."""
+        return _above(points, *self)
+
+
+def fit_ground(points, cell=GROUND_CELL_M):
+    """Return the ``Ground`` under points.
 
     The lowest point of each cell is the ground, unless it lies more than 0.5 m above what a
     morphological opening leaves, or stands alone more than 0.5 m below one in five of the cells
@@ -127,38 +142,51 @@ def height_above_ground(points, *, at=None, cell=GROUND_CELL_M):
     Parameters
     ----------
     points : array, shape (n, 3)
-        Metres.
-    at : array, shape (m, 3), optional
+        Metres; one or more.
     cell : float
         Metres.
-
-    Returns
-    -------
-    array, shape (n,) or (m,)
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(0, 20, 0.2), np.arange(0, 20, 0.2))
     >>> street = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-    >>> float(height_above_ground(np.vstack([street, [[10, 10, 3]]]))[-1])
-    3.0
+    >>> fit_ground(street).height(np.array([[10.0, 10.0, 3.0]])).tolist()
+    [3.0]
     """
-    if not len(points):
-        return np.empty(0)
-    low = points[:, :2].min(axis=0)
-    place = (points[:, :2] - low) / cell
-    column, row = place.astype(np.int64).T
-    shape = int(row.max()) + 1, int(column.max()) + 1
-    number = row * shape[1] + column
-    lowest = np.full(shape[0] * shape[1], np.inf)
-    np.minimum.at(lowest, number, points[:, 2])
-    support = np.bincount(
-        number[points[:, 2] <= lowest[number] + GROUND_STEP_M], minlength=len(lowest)
-    )
-    ground = _opened(_without_strays(lowest.reshape(shape), support.reshape(shape)))
-    at = points if at is None else at
-    place = (at[:, 1::-1] - low[::-1]) / cell - 0.5
-    return at[:, 2] - ndimage.map_coordinates(ground, place.T, order=1, mode="nearest")
+    low, high = (np.array([end(axis) for axis in points[:, :2].T]) for end in (np.min, np.max))
+    low = np.floor(low / cell) * cell
+    shape = tuple(((high - low) / cell).astype(np.int64)[::-1] + 1)
+    return Ground(_opened(_without_strays(*_lowest(points, low, cell, shape))), low, cell)
+
+
+@njit(cache=True)
+def _lowest(points, low, cell, shape):
+    """Lowest height of each cell, inf without points, and the points within half a metre above."""
+    lowest, support = np.full(shape, np.inf), np.zeros(shape, np.int64)
+    for k in range(len(points)):
+        i, j = int((points[k, 1] - low[1]) / cell), int((points[k, 0] - low[0]) / cell)
+        lowest[i, j] = min(lowest[i, j], points[k, 2])
+    for k in range(len(points)):
+        i, j = int((points[k, 1] - low[1]) / cell), int((points[k, 0] - low[0]) / cell)
+        support[i, j] += points[k, 2] <= lowest[i, j] + GROUND_STEP_M
+    return lowest, support
+
+
+@njit(cache=True)
+def _above(points, ground, low, cell):
+    """Height above a grid of heights, bilinear between the centres of cells."""
+    out = np.empty(len(points))
+    last = ground.shape[0] - 1, ground.shape[1] - 1
+    for k in range(len(points)):
+        v = min(max((points[k, 1] - low[1]) / cell - 0.5, 0.0), float(last[0]))
+        u = min(max((points[k, 0] - low[0]) / cell - 0.5, 0.0), float(last[1]))
+        i, j = int(v), int(u)
+        v, u = v - i, u - j
+        below, right = min(i + 1, last[0]), min(j + 1, last[1])
+        near = (1 - u) * ground[i, j] + u * ground[i, right]
+        far = (1 - u) * ground[below, j] + u * ground[below, right]
+        out[k] = points[k, 2] - (1 - v) * near - v * far
+    return out
 
 
 def _without_strays(lowest, support):
@@ -230,10 +258,34 @@ def shaft_diameter(points, axis_direction, line):
     ----------
     The estimator is ours.
     """
+    shaft = shaft_chords(points, axis_direction, line)
+    if not len(shaft.chords):
+        return np.nan
+    upright = shaft.chords + shaft.taper * (shaft.heights - shaft.middle)
+    return float(upright.mean() + shaft.spacing)
+
+
+class Shaft(NamedTuple):
+    """Chords of a shaft that agree.
+
+    ``chords`` (k,) and ``heights`` (k,), none where fewer than five agree; ``taper`` m/m;
+    ``spacing`` of the rays and ``middle`` height of all chords, metres.
+    """
+
+    chords: np.ndarray
+    heights: np.ndarray
+    taper: float
+    spacing: float
+    middle: float
+
+
+def shaft_chords(points, axis_direction, line):
+    """Return the ``Shaft`` that the chords of scan lines show; as :func:`shaft_diameter` says."""
     chords, height, spacing = _chords(points, axis_direction, line)
-    best = 0, np.nan
+    best = 0.0, np.zeros(len(chords), bool), 0.0
+    middle = (height.min() + height.max()) / 2 if len(height) else np.nan
     for taper in TAPERS if len(chords) >= LEAST_CHORDS else ():
-        upright = chords + taper * (height - (height.min() + height.max()) / 2)
+        upright = chords + taper * (height - middle)
         ranked = np.sort(upright)
         last = np.searchsorted(ranked, ranked + 2 * spacing, side="right")
         agree = last - np.arange(len(ranked))
@@ -243,12 +295,13 @@ def shaft_diameter(points, axis_direction, line):
         shaft = np.abs(upright - np.median(ranked[first : last[first]])) <= 2 * spacing
         won = agree[first] - taper / TAPER_GAIN
         if won > best[0] and shaft.sum() >= LEAST_CHORDS:
-            best = won, upright[shaft].mean() + spacing
-    return float(best[1])
+            best = won, shaft, taper
+    _, shaft, taper = best
+    return Shaft(chords[shaft], height[shaft], float(taper), spacing, middle)
 
 
 def _chords(points, axis_direction, line):
-    """Length and height along the axis of each line's chord, and the median ray spacing.
+    """Length and height of each line's chord, and the median ray spacing.
 
     A chord is measured in the direction in which it and its two neighbours scatter the most: noise
     in depth would turn and lengthen a short one.
@@ -266,9 +319,39 @@ def _chords(points, axis_direction, line):
     scatter = np.pad([off.T @ off for off in offs], ((1, 1), (0, 0), (0, 0)))
     _, axes = np.linalg.eigh(scatter[:-2] + scatter[1:-1] + scatter[2:])
     chords = np.array([np.ptp(off @ wide) for off, wide in zip(offs, axes[:, :, 2], strict=True)])
-    height = np.array([(centred[part] @ axis_direction).mean() for part in parts])
+    height = np.array([points[part, 2].mean() for part in parts])
     spacing = np.median(chords / [len(part) - 1 for part in parts])
     return chords, height, spacing
+
+
+SLICE_M = 0.25
+LEAST_OF_SLICE = 4
+
+
+def slice_widths(off, z):
+    """Return the widths in plan of level slices of a shaft, metres.
+
+    Parameters
+    ----------
+    off : array, shape (n, 2)
+        Points from the axis, metres.
+    z : array, shape (n,)
+        Their heights; slices are 0.25 m high, those of fewer than four points are left out.
+
+    Notes
+    -----
+    The largest width of n points falls short of a uniform one by 2 / (n + 1) of it on average,
+    which is added.
+    """
+    level = np.floor(z / SLICE_M)
+    parts = [off[level == number] for number in np.unique(level)]
+    return np.array([_width(part) for part in parts if len(part) >= LEAST_OF_SLICE])
+
+
+def _width(off):
+    """Largest width in plan, with what is lost on average beyond the last points."""
+    wide = np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0]
+    return np.ptp(off @ wide) * (len(off) + 1) / (len(off) - 1)
 
 
 def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
@@ -302,6 +385,18 @@ def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, larg
             found.append(2 * algebraic_circle(part)[2])
     found = np.array([d for d in found if np.isfinite(d) and d <= largest])
     return float(np.median(found)) if len(found) else np.nan
+
+
+def thinned(points, voxel):
+    """Return the centre of the points of each occupied cube.
+
+    Examples
+    --------
+    >>> thinned(np.array([[0, 0, 0], [0.01, 0, 0], [1, 0, 0]]), 0.05).tolist()
+    [[0.005, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    """
+    order, starts, _ = sort_into_cells(points, voxel)
+    return np.add.reduceat(points[order], starts[:-1], axis=0) / np.diff(starts)[:, None]
 
 
 COLUMNS = (
@@ -383,12 +478,35 @@ def drop_duplicates(rows, distance):
     rows["rejected_by"][kept[gone]] = "duplicate"
 
 
+def moments(points, member, n):
+    """Count, centre and covariance of the points of each of ``n`` members."""
+    count = np.bincount(member, minlength=n)
+    weight = np.maximum(count, 1)[:, None]
+    centre = np.stack([np.bincount(member, axis, n) for axis in points.T], axis=1) / weight
+    off = points - centre[member]
+    covariance = np.empty((n, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            sums = np.bincount(member, off[:, i] * off[:, j], n) / weight[:, 0]
+            covariance[:, i, j] = covariance[:, j, i] = sums
+    return count, centre, covariance
+
+
+def extremes(values, member, n):
+    """Least and largest value of each of ``n`` members; inf and -inf of those without any."""
+    low = np.full((n, *values.shape[1:]), np.inf)
+    high = -low
+    np.minimum.at(low, member, values)
+    np.maximum.at(high, member, values)
+    return low, high
+
+
 def cells(points, size):
     """Number of the occupied cell of each point, and the cells' indices, (k, 3)."""
-    index = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    shape = index.max(axis=0) + 1
-    keys, cell = np.unique(np.ravel_multi_index(index.T, shape), return_inverse=True)
-    return cell, np.stack(np.unravel_index(keys, shape), axis=1)
+    order, starts, places = sort_into_cells(points - points.min(axis=0), size)
+    cell = np.empty(len(points), np.int64)
+    cell[order] = np.repeat(np.arange(len(places)), np.diff(starts))
+    return cell, places
 
 
 def joined(a, b, n):

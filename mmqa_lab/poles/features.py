@@ -7,6 +7,7 @@ in points: a denser scanner changes them little.
 import numpy as np
 from numba import njit, prange
 
+from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
 from mmqa_lab.poles.common import near_axis, rows
 
@@ -33,6 +34,13 @@ HOLLOW_TOP_M = 5.0
 HOLLOW_POINTS = 300
 """Cylinders that are tried: radii, shifts of the axis, thickness of the surface; points within
 0.7 m and 5 m above the ground, of more than 300 every second, third, ..."""
+
+RING_M = 0.005
+RINGS = 96
+HOLLOW_RINGS = np.round(
+    np.stack([HOLLOW_RADII_M - BAND_M, HOLLOW_RADII_M + BAND_M, HOLLOW_RADII_M + SHELL_M], axis=1)
+    / RING_M
+).astype(np.int64)
 
 MAX_LEAN = 0.27
 """Largest lean that an axis may take, m/m (15 degrees)."""
@@ -347,35 +355,42 @@ def _elongation(x, y, h, axis):
 
 @njit(cache=True)
 def _hollow(x, y, h, axis, out):
-    """Write how well a hollow cylinder near the axis explains the points: 5 numbers."""
+    """Write how well a hollow cylinder near the axis explains the points: 5 numbers.
+
+    Distances from each tried axis fall into rings of 5 mm, of which all radii are made.
+    """
     dx = x - axis[0] - axis[2] * (h - axis[4])
     dy = y - axis[1] - axis[3] * (h - axis[4])
     inside = (h < HOLLOW_TOP_M) & (dx * dx + dy * dy < HOLLOW_REACH_M**2)
     step = max(inside.sum() // HOLLOW_POINTS, 1)
     dx, dy, bins = dx[inside][::step], dy[inside][::step], (h[inside][::step] / BIN_M)
-    n, best = len(dx), -1.0
-    for r in HOLLOW_RADII_M:
-        for i in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
-            for j in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
-                u, v = i * HOLLOW_STEP_M, j * HOLLOW_STEP_M
-                on, within, beside, band, inner = 0, 0, 0, np.uint64(0), np.uint64(0)
-                for k in range(n):
-                    rho = np.sqrt((dx[k] - u) ** 2 + (dy[k] - v) ** 2)
-                    if rho > r + SHELL_M:
-                        continue
-                    bit = np.uint64(1) << np.uint64(bins[k])
-                    if rho < r - BAND_M:
-                        within += 1
-                        inner |= bit
-                    elif rho <= r + BAND_M:
-                        on += 1
-                        band |= bit
-                    else:
-                        beside += 1
-                value = set_bits(band & ~inner) + on / (on + within + beside + 1.0)
-                if value > best:
-                    best = value
-                    out[0], out[1], out[2] = set_bits(band & ~inner), on / max(on + within, 1), r
+    n, best, best_r = len(dx), -1.0, 0
+    bit = np.uint64(1) << bins.astype(np.uint64)
+    count, held = np.empty(RINGS, np.int64), np.empty(RINGS, np.uint64)
+    for i in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
+        for j in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
+            count[:] = 0
+            held[:] = 0
+            for k in range(n):
+                u, v = dx[k] - i * HOLLOW_STEP_M, dy[k] - j * HOLLOW_STEP_M
+                ring = int(np.sqrt(u * u + v * v) / RING_M)
+                if ring < RINGS:
+                    count[ring] += 1
+                    held[ring] |= bit[k]
+            for r in range(len(HOLLOW_RINGS)):
+                first, last, end = HOLLOW_RINGS[r]
+                on, within, beside = count[first:last].sum(), count[:first].sum(), 0
+                beside = count[last:end].sum()
+                band, inner = np.uint64(0), np.uint64(0)
+                for m in range(first):
+                    inner |= held[m]
+                for m in range(first, last):
+                    band |= held[m]
+                clean = set_bits(band & ~inner)
+                value = clean + on / (on + within + beside + 1.0)
+                if value > best or (value == best and r < best_r):
+                    best, best_r = value, r
+                    out[0], out[1], out[2] = clean, on / max(on + within, 1), HOLLOW_RADII_M[r]
                     out[3] = on / max(on + within + beside, 1)
     out[4] = np.log1p(n * step)
 
@@ -409,15 +424,12 @@ def tall_cells(points, height):
     [[0.1, 0.1, 16.0]]
     """
     used = (height > 0.1) & (height < BINS * BIN_M)
-    cell = np.floor(points[used, :2] / CELL_M).astype(np.int64)
-    low = cell.min(axis=0, initial=0)
-    wide = cell[:, 1].max(initial=0) - low[1] + 1
-    key = (cell[:, 0] - low[0]) * wide + cell[:, 1] - low[1]
-    held = np.unique(key * BINS + (height[used] / BIN_M).astype(np.int64))
-    place, bins = np.unique(held // BINS, return_counts=True)
+    if not used.any():
+        return np.empty((0, 3))
+    scaled = np.column_stack([points[used, :2] / CELL_M, height[used] / BIN_M])
+    place, bins = np.unique(sort_into_cells(scaled, 1.0).places[:, :2], axis=0, return_counts=True)
     tall = bins >= TALL_BINS
-    at = np.stack(np.divmod(place[tall], wide), axis=1) + low
-    return np.column_stack([(at + 0.5) * CELL_M, bins[tall]])
+    return np.column_stack([(place[tall] + 0.5) * CELL_M, bins[tall]])
 
 
 @njit(cache=True, parallel=True)

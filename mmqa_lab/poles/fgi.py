@@ -22,8 +22,10 @@ from mmqa_lab.poles.common import (
     axis_rows,
     circle_diameter,
     drop_duplicates,
+    extremes,
     first_reason,
     joined,
+    moments,
     near_axis,
     pole_table,
     rows,
@@ -171,28 +173,6 @@ def _clusters(groups, settings):
     return joined(a[linked], b[linked], n)
 
 
-def _moments(points, member):
-    """Count, centre and covariance of each member."""
-    count = np.bincount(member)
-    centre = np.stack([np.bincount(member, points[:, k]) for k in range(3)], axis=1)
-    centre /= np.maximum(count, 1)[:, None]
-    off = points - centre[member]
-    covariance = np.empty((len(count), 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            sums = np.bincount(member, off[:, i] * off[:, j]) / np.maximum(count, 1)
-            covariance[:, i, j] = covariance[:, j, i] = sums
-    return count, centre, covariance
-
-
-def _ends(values, member):
-    """Least and largest value of each member."""
-    low, high = np.full((2, member.max() + 1), [[np.inf], [-np.inf]])
-    np.minimum.at(low, member, values)
-    np.maximum.at(high, member, values)
-    return low, high
-
-
 def _features(points, line, member):
     """Axis, length, eigenvalue ratio and sweeps of each cluster, and its radius about the axis."""
     if not len(points):
@@ -200,15 +180,16 @@ def _features(points, line, member):
         names = ("length", "low", "ratio", "sweeps", "radius")
         vectors = {"centre": np.empty((0, 3)), "direction": np.empty((0, 3))}
         return vectors | dict.fromkeys(names, empty)
-    count, centre, covariance = _moments(points, member)
+    n = member.max() + 1
+    count, centre, covariance = moments(points, member, n)
     values, vectors = np.linalg.eigh(covariance)
     direction = vectors[:, :, 2] * np.where(vectors[:, 2, 2] < 0, -1.0, 1.0)[:, None]
     off = points - centre[member]
     along = np.einsum("ij,ij->i", off, direction[member])
-    low, high = _ends(along, member)
+    low, high = extremes(along, member, n)
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
     spread = np.bincount(member, across) / count
-    _, radius = _ends(np.where(across <= 3 * spread[member], across, 0), member)
+    _, radius = extremes(np.where(across <= 3 * spread[member], across, 0), member, n)
     seen = np.unique(np.stack([member, line]), axis=1)[0]
     return {
         "centre": centre,
@@ -226,8 +207,9 @@ def _merged(points, member, settings):
     kept = np.flatnonzero(member >= 0)
     if not len(kept):
         return member
-    count, centre, covariance = _moments(points[kept], member[kept])
-    low, high = _ends(points[kept, 2], member[kept])
+    n = member.max() + 1
+    count, centre, covariance = moments(points[kept], member[kept], n)
+    low, high = extremes(points[kept, 2], member[kept], n)
     direction = np.linalg.eigh(covariance)[1][:, :, 2]
     direction *= np.where(direction[:, 2] < 0, -1.0, 1.0)[:, None]
     tall = np.flatnonzero(high - low >= 2 * BIN_M)

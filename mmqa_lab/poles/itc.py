@@ -20,9 +20,11 @@ from scipy.spatial import cKDTree
 from mmqa_lab.poles.common import (
     cells,
     drop_duplicates,
+    extremes,
     first_reason,
-    height_above_ground,
+    fit_ground,
     joined,
+    moments,
     pole_table,
 )
 
@@ -249,7 +251,7 @@ def rough_classes(points, settings):
     rough = np.full(len(points), RAISED, dtype=np.int8)
     if not len(points):
         return rough
-    height = height_above_ground(points)
+    height = fit_ground(points).height(points)
     segment, normal, extent = planar_segments(points, settings)
     upright = np.abs(normal[:, 2]) < np.sin(np.radians(15))
     wall = upright & (extent[:, 0] >= settings.wall_length) & (extent[:, 1] >= settings.wall_height)
@@ -307,17 +309,7 @@ def planar_segments(points, settings):
 
 def _planes(off, cell, on):
     """Count, centre, variances (rising) and normal of the chosen points of each cell."""
-    n = int(cell.max()) + 1
-    cell, off = cell[on], off[on]
-    count = np.bincount(cell, minlength=n)
-    centre = np.stack([np.bincount(cell, off[:, k], n) for k in range(3)], axis=1)
-    centre /= np.maximum(count, 1)[:, None]
-    off = off - centre[cell]
-    covariance = np.empty((n, 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            sums = np.bincount(cell, off[:, i] * off[:, j], n) / np.maximum(count, 1)
-            covariance[:, i, j] = covariance[:, j, i] = sums
+    count, centre, covariance = moments(off[on], cell[on], int(cell.max()) + 1)
     values, vectors = np.linalg.eigh(covariance)
     return count, centre, values, vectors[:, :, 0]
 
@@ -380,9 +372,7 @@ def _seed(part, directions, thickness):
 
 def _extents(centre, part, n):
     """Horizontal diagonal and height of the cells of each part."""
-    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-    np.minimum.at(low, part, centre)
-    np.maximum.at(high, part, centre)
+    low, high = extremes(centre, part, n)
     size = np.maximum(high - low, 0)
     return np.column_stack([np.hypot(size[:, 0], size[:, 1]), size[:, 2]])
 

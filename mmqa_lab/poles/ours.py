@@ -3,13 +3,13 @@
 Works without scan lines: the cloud is thinned, columns that have points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
 stands around it (``features``), on scan lines also by how its points stack up (``groups``) and by
-the rays that it stops (``rays``), and a sum of small decision trees, trained on simulated streets
-alone, gives the probability that it is a pole.
+the rays that it stops (``rays``), and small decision trees, trained on simulated streets alone,
+give the probability that it is a pole.
 
 The trees stand in ``model.txt`` in the text format of LightGBM. They were grown on 240 simulated
 streets (393,102 candidates, 50,671 of them poles) by the histogram gradient boosting of
-scikit-learn and written in this format once; ``python -m mmqa_lab.studies.poles_training`` grows
-new ones on the same streets.
+scikit-learn and written in this format once; ``python -m mmqa_lab.studies.poles_training FOLDER``
+grows new ones on the same streets.
 """
 
 from dataclasses import dataclass
@@ -19,18 +19,26 @@ from importlib import resources
 import numpy as np
 
 from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.candidates import candidates
+from mmqa_lab.poles.candidates import BIN_M, candidates
 from mmqa_lab.poles.common import (
     beside,
     drop_duplicates,
     first_reason,
-    height_above_ground,
+    fit_ground,
     near_axis,
     pole_table,
     rows,
     shaft_diameter,
+    slice_widths,
+    thinned,
 )
-from mmqa_lab.poles.features import FACADE_NAMES, NAMES, describe, describe_facades
+from mmqa_lab.poles.features import (
+    FACADE_NAMES,
+    MAX_LEAN,
+    NAMES,
+    describe,
+    describe_facades,
+)
 from mmqa_lab.poles.profiles import in_order
 
 FEATURES = NAMES + FACADE_NAMES + groups.NAMES + rays.NAMES
@@ -38,6 +46,10 @@ FEATURES = NAMES + FACADE_NAMES + groups.NAMES + rays.NAMES
 
 WIDEST_M = 0.45
 """Radius about the axis in which scan lines are looked at for their chords, and longest chord."""
+
+WITHIN_M, STEPS, LEAST_SLICES = 0.15, 8, 4
+"""An accepted axis is straightened: a line through the middles of slices of 0.25 m, four or more,
+of the points within 0.15 m of it, or within the core where that is wider, eight times over."""
 
 GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
@@ -94,11 +106,11 @@ def detect(points, settings, *, lines=None, explain=False, model=None):
 
 
 @cache
-def read_model():
-    """Return the trees that come with the package, a ``lightgbm.Booster``."""
+def read_model(name="model.txt"):
+    """Return trees that come with the package, a ``lightgbm.Booster``."""
     from lightgbm import Booster
 
-    text = resources.files("mmqa_lab.poles").joinpath("model.txt").read_text(encoding="utf-8")
+    text = resources.files("mmqa_lab.poles").joinpath(name).read_text(encoding="utf-8")
     return Booster(model_str=text)
 
 
@@ -112,7 +124,7 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     )
     table = _rows(axes, ground, probability, reason)
     drop_duplicates(table, settings.apart)
-    table["diameter_m"] = _diameters(points, lines, table, axes[:, 7])
+    _measure(points, lines, table, axes[:, 7])
     return pole_table(table, "ours", explain=explain)
 
 
@@ -121,27 +133,28 @@ def described(points, settings, *, lines=None):
     if not len(points):
         return np.empty((0, len(FEATURES))), np.empty((0, 8)), np.empty(0)
     thin = thinned(points, settings.voxel)
-    height = height_above_ground(thin)
+    ground = fit_ground(thin)
+    height = ground.height(thin)
     xy = candidates(thin, height)
     given = np.full((len(xy), 5), np.nan)
     ordered = stacks = None
     if lines is not None:
         ordered = in_order(points, *lines)
-        stacks = groups.line_groups(ordered, lambda at: height_above_ground(thin, at=at))
+        stacks = groups.line_groups(ordered, ground.height)
         xy, given = _with_stacks(xy, given, stacks)
     sorted_thin = rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(*where, xy, given)
-    ground = _ground_at(thin, height, axes)
+    level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
     features = np.column_stack([features, describe_facades(thin, height, axes)])
     on_lines = np.full((len(xy), len(groups.NAMES + rays.NAMES)), -1.0)
     if stacks is not None:
         beside, ends = groups.describe(stacks, axes)
-        on_lines = np.column_stack([beside, rays.describe(ordered, axes, ground)])
+        on_lines = np.column_stack([beside, rays.describe(ordered, axes, level)])
         longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
         axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(np.column_stack([features, on_lines]), 5), axes, ground
+    return np.round(np.column_stack([features, on_lines]), 5), axes, level
 
 
 def _with_stacks(xy, given, stacks):
@@ -149,31 +162,6 @@ def _with_stacks(xy, given, stacks):
     more = groups.candidates(stacks)
     axes = groups.axes_of(*stacks[:4], more)
     return np.concatenate([xy, axes[:, :2]]), np.concatenate([given, axes])
-
-
-def thinned(points, voxel):
-    """Return the centre of the points of each occupied cube.
-
-    Examples
-    --------
-    >>> thinned(np.array([[0, 0, 0], [0.01, 0, 0], [1, 0, 0]]), 0.05).tolist()
-    [[0.005, 0.0, 0.0], [1.0, 0.0, 0.0]]
-    """
-    index = np.floor((points - points.min(axis=0)) / voxel).astype(np.int64)
-    spans = index.max(axis=0) + 1
-    key = (index[:, 0] * spans[1] + index[:, 1]) * spans[2] + index[:, 2]
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    count = np.diff(np.append(first, len(points)))
-    return np.add.reduceat(points[order], first, axis=0) / count[:, None]
-
-
-def _ground_at(thin, height, axes):
-    """Height of the ground at each axis: that under the nearest point."""
-    from scipy.spatial import cKDTree
-
-    _, nearest = cKDTree(thin[:, :2]).query(axes[:, :2])
-    return thin[nearest, 2] - height[nearest]
 
 
 def _rows(axes, ground, probability, reason):
@@ -193,33 +181,58 @@ def _rows(axes, ground, probability, reason):
     }
 
 
-def _diameters(points, lines, table, radius):
-    """Diameters of the accepted candidates, from chords of scan lines or from the width in plan."""
-    diameter = np.full(len(radius), np.nan)
+def _measure(points, lines, table, radius):
+    """Straighten the axes of the accepted candidates and write their diameters.
+
+    Diameters come from chords of scan lines, or from the narrowest quarter of the widths in plan:
+    boards are wider than their post.
+    """
+    table["diameter_m"] = np.full(len(radius), np.nan)
     accepted = np.flatnonzero(table["rejected_by"] == "")
     xy = np.column_stack([table["x_m"], table["y_m"]])[accepted]
-    reaches = WIDEST_M if lines is not None else radius
-    reaches = reaches + np.hypot(table["lean_x"], table["lean_y"]) * table["height_m"] / 2
+    reaches = WIDEST_M + np.hypot(table["lean_x"], table["lean_y"]) * table["height_m"] / 2
     chosen = beside(points, xy, reaches[accepted].max(initial=0))
     found = rows(points[chosen])
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
-        lean = np.array([table["lean_x"][k], table["lean_y"][k]])
         near = near_axis(found.points, found.start, found.base, x, y, reaches[k])
         part = found.points[near]
         inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
         part, number = part[inside], chosen[found.order[near[inside]]]
-        off = part[:, :2] - [x, y] - lean * (part[:, 2] - z - h / 2)[:, None]
+        axis = np.array([[x, y], [table["lean_x"][k], table["lean_y"][k]]])
+        rise = part[:, 2] - z - h / 2
+        axis = _straightened(part[:, :2], rise, axis, max(radius[k], WITHIN_M))
+        (table["x_m"][k], table["y_m"][k]), lean = axis
+        table["lean_x"][k], table["lean_y"][k] = lean
+        off = part[:, :2] - axis[0] - lean * rise[:, None]
         if lines is None:
-            diameter[k] = _width(off)
+            own = np.hypot(*off.T) <= max(radius[k], WITHIN_M)
+            widths = slice_widths(off[own], part[own, 2])
+            table["diameter_m"][k] = np.quantile(widths, 0.25) if len(widths) else np.nan
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
-            which, line = _shaft(part, off, *(values[number] for values in lines))
-            diameter[k] = shaft_diameter(part[which], direction, line)
-    return diameter
+            which, line = chord_points(part, off, *(values[number] for values in lines))
+            table["diameter_m"][k] = shaft_diameter(part[which], direction, line)
 
 
-def _shaft(points, off, line, place):
+def _straightened(xy, rise, axis, within):
+    """Axis (place and lean) through the middles of the slices of what lies within that distance."""
+    for _ in range(STEPS):
+        place, lean = axis
+        near = np.hypot(*(xy - place - lean * rise[:, None]).T) <= within
+        level = np.floor(rise[near] / BIN_M).astype(np.int64)
+        _, level, count = np.unique(level, return_inverse=True, return_counts=True)
+        if len(count) < LEAST_SLICES:
+            return axis
+        centre = [np.bincount(level, values) / count for values in (*xy[near].T, rise[near])]
+        lean, place = np.polyfit(centre[2], np.stack(centre[:2], axis=1), 1)
+        if np.abs(lean).max() > MAX_LEAN:
+            return axis
+        axis = np.array([place, lean])
+    return axis
+
+
+def chord_points(points, off, line, place):
     """Points of the group nearest to the axis on each scan line, and their lines.
 
     A group counts where the pulses right before and after it hit nothing nearby: what stands in
@@ -252,12 +265,3 @@ def _touched(line, place, first, last):
     left = (first > 0) & (line[before] == line[first]) & (place[first] - place[before] <= 2)
     right = (last < len(line) - 1) & (line[after] == line[last])
     return left | (right & (place[after] - place[last] <= 2))
-
-
-def _width(off):
-    """Largest width in plan, 5th to 95th percentile; NaN of fewer than five points."""
-    if len(off) < 5:
-        return np.nan
-    wide = np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0]
-    low, high = np.quantile(off @ wide, [0.05, 0.95])
-    return float((high - low) / 0.9)

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
+from mmqa_lab._figures import finish_figure
 from mmqa_lab.io import write_atomically
 
 __all__ = ["Check", "Run", "results_folder"]
@@ -166,9 +167,11 @@ class Run:
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
         What it shows is written as ``<name>.csv``: ``data``, a DataFrame, or else what the axes
-        contain, a row for each point. ``seen`` says in a sentence what one sees, for readers
+        contain, a row for each point. Its panels get letters, and its lines are told apart without
+        colour too. ``seen`` says in a sentence what one sees, for readers
         without the picture; without it the axes' labels and the legends do.
         """
+        finish_figure(figure)
         made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
         details = {
             "pdf": {"CreationDate": None, "Title": name, "Subject": self._record["study"]},
@@ -210,7 +213,8 @@ class Run:
         page = report_page(picture.getvalue(), **whole)
         self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
         sheet = report_sheet(picture.getvalue(), **whole)
-        metadata = {"CreationDate": None, "Title": title}
+        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
+        metadata = {"CreationDate": None, "Title": title, "Creator": made}
         self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
         return [self.folder / name for name in ("report.html", "report.pdf")]
 

@@ -9,7 +9,7 @@ with the motion of the vehicle in between. In the equations of Cahalane et al. 2
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -46,6 +46,9 @@ EXPLAINED = (
     *("mirror_frequency_hz", "speed_m_s"),
 )
 """The inputs of Table 6."""
+
+UNITS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_m_s": "m/s", "_m": "m"}
+"""Of inputs, by the ending of their names."""
 
 # Half steps of the central differences where 1e-4 (degree, degree/s, metre) is not apt.
 STEPS = {"pulse_rate_hz": 1.0, "mirror_frequency_hz": 1e-3, "speed_m_s": 1e-4}
@@ -422,9 +425,8 @@ class Lattice(Shown):
         On a level surface: across the track and along it.
         """
         level = np.cross([0.0, 0.0, 1.0], self.normal)
-        slope = np.linalg.norm(level, axis=-1, keepdims=True)
         across = np.cross([0.0, 1.0, 0.0], self.normal)
-        chosen = np.where(slope < LEVEL, across, level)
+        chosen = np.where(self._level[..., None], across, level)
         chosen = chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
         return np.stack([chosen, np.cross(self.normal, chosen)], axis=-2)
 
@@ -788,7 +790,13 @@ def largest_speed(
     if patch.points.ndim != 1:
         raise ValueError(f"Invalid patch of shape {patch.points.shape}. Must be a single spot.")
     speeds = np.geomspace(SLOWEST, FASTEST, SPEEDS)
-    margin = partial(_margin, setup, patch, quantity, limit)
+
+    def margin(speed):
+        """How far the quantity keeps to its limit, as a share of it; -1 if not defined."""
+        values = scan_lattice(replace(setup, speed_m_s=speed), patch).quantity(quantity)
+        share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
+        return np.where(np.isnan(share), -1.0, share)
+
     kept = np.flatnonzero(margin(speeds) >= 0)
     if not len(kept) or kept[-1] == SPEEDS - 1:
         fails, value = ("fails", SLOWEST) if not len(kept) else ("is kept", FASTEST)
@@ -797,13 +805,6 @@ def largest_speed(
             f"included. Must be reached between {SLOWEST} and {FASTEST} m/s."
         )
     return float(brentq(margin, *speeds[kept[-1] : kept[-1] + 2], xtol=1e-9))
-
-
-def _margin(setup, patch, quantity, limit, speeds):
-    """How far a quantity keeps to its limit at each speed, as a share of it; -1 if not defined."""
-    values = scan_lattice(replace(setup, speed_m_s=speeds), patch).quantity(quantity)
-    share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
-    return np.where(np.isnan(share), -1.0, share)
 
 
 def sensitivities(
@@ -977,41 +978,30 @@ def explain_error(
     rows = []
     for name in inputs:
         check_choice(name, "input", INPUTS)
-        lack = partial(_lack, setup, target, quantity, measured, name)
-        rows.append((name, _unit(name), _nearest_root(lack, _reach(setup, target, name))))
+        change = _change(setup, target, quantity, measured, name)
+        unit = next(unit for ending, unit in UNITS.items() if name.endswith(ending))
+        rows.append((name, unit, change))
     table = pd.DataFrame(rows, columns=["input", "unit", "change"])
     predicted = _predicted(setup, target, {}, [quantity])[quantity][0]
     return table.assign(predicted=predicted, measured=measured)
 
 
-def _lack(setup, target, quantity, measured, name, change):
-    """By how much the prediction exceeds the measurement once an input is changed."""
-    return _predicted(setup, target, {name: change}, [quantity])[quantity] - measured
-
-
-def _reach(setup, target, name):
-    """How far an input is changed at most."""
-    if name.endswith(("_deg", "_deg_s")):
-        return 15.0
+def _change(setup, target, quantity, measured, name):
+    """The smallest change of an input that does it; NaN where none does or all do."""
     given = getattr(target, TARGET_NAMES[name]) if name in TARGET_NAMES else getattr(setup, name)
-    return 0.2 * abs(given) or 1.0
+    reach = 15.0 if name.endswith(("_deg", "_deg_s")) else 0.2 * abs(given) or 1.0
 
+    def lack(change):
+        """By how much the prediction exceeds the measurement once the input is changed."""
+        return _predicted(setup, target, {name: change}, [quantity])[quantity] - measured
 
-def _unit(name):
-    """Unit of an input, from its name."""
-    endings = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_m_s": "m/s", "_m": "m"}
-    return next(unit for ending, unit in endings.items() if name.endswith(ending))
-
-
-def _nearest_root(lack, reach):
-    """The root of a function nearest to zero, NaN where it has none or is constant."""
     tried = np.linspace(-reach, reach, 601)
     values = lack(tried)
     crossed = np.flatnonzero(np.sign(values[1:]) * np.sign(values[:-1]) <= 0)
     if not len(crossed) or np.ptp(values) < 1e-12:
         return np.nan
     nearest = crossed[np.argmin(np.abs(tried[crossed] + tried[crossed + 1]))]
-    return float(brentq(lambda x: lack(np.array([x]))[0], tried[nearest], tried[nearest + 1]))
+    return float(brentq(lambda x: lack(x)[0], tried[nearest], tried[nearest + 1]))
 
 
 def _predicted(setup, target, errors, names=QUANTITIES):

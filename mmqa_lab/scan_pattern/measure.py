@@ -64,8 +64,8 @@ class PatternMeasurement(Shown):
     profile_angle_deg, point_spacing_m : float
         The angle from the horizontal line and the spacing of points along a profile at the
         reference point. NaN where not measurable.
-    profile_spacing_perpendicular_std, ..., point_spacing_std : float
-        Their standard deviations.
+    std : dict of str to float
+        The standard deviations of these five, by their names.
 
     Examples
     --------
@@ -87,20 +87,13 @@ class PatternMeasurement(Shown):
     profile_spacing_vertical_m: float
     profile_angle_deg: float
     point_spacing_m: float
-    profile_spacing_perpendicular_std: float
-    profile_spacing_horizontal_std: float
-    profile_spacing_vertical_std: float
-    profile_angle_std: float
-    point_spacing_std: float
+    std: dict
 
     def to_frame(self):
         """Return a DataFrame: ``quantity``, ``measured``, ``std``, ``n`` (profiles or points)."""
+        found = {"quantity": list(self.std), "measured": [getattr(self, one) for one in self.std]}
         counts = [self.profiles] * 4 + [self.points]
-        rows = [
-            (name, getattr(self, name), getattr(self, f"{name.rsplit('_', 1)[0]}_std"), n)
-            for name, n in zip(QUANTITIES, counts, strict=False)
-        ]
-        return pd.DataFrame(rows, columns=["quantity", "measured", "std", "n"])
+        return pd.DataFrame(found | {"std": self.std.values(), "n": counts})
 
 
 def measure_pattern(
@@ -360,9 +353,8 @@ def _figures(fit, flat, pulse):
     variances = [row @ covariance @ row for row in np.array(slopes)]
     variances += [noise + (slide * spacing) ** 2 * tilt[0, 0]]
     stds = np.sqrt(np.maximum(variances, 0.0)).tolist()
-    names = [name.rsplit("_", 1)[0] + "_std" for name in QUANTITIES[:5]]
-    figures = dict(zip((*QUANTITIES[:5], *names), map(float, values + stds), strict=True))
-    return {"direction": along, **figures}
+    figures = dict(zip(QUANTITIES, map(float, values), strict=False))
+    return {"direction": along, "std": dict(zip(QUANTITIES, stds, strict=False)), **figures}
 
 
 def _tilt(fit, slide):

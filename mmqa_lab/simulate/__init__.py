@@ -20,7 +20,8 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
 Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_deg=30)`` varies
-one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
+one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``;
+``site`` writes what three of them deliver from the test site of Pfeifer et al. 2021.
 """
 
 from mmqa_lab.simulate.scan import MatchingCamera, match, scan, scan_all

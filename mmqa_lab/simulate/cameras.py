@@ -14,6 +14,7 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
@@ -254,8 +255,6 @@ def _window(layout, chart_map, margin):
 
 def _exposed(layout, chart_map, size, optics, fine, surround, colour=False):
     """The mean tone in each pixel after motion, point spread and integration."""
-    import cv2
-
     centre = np.array([[layout.width / 2, layout.height / 2]])
     cell = max(chart_map.pixel_sizes_mm(centre).min() / fine, max(layout.corners()[2]) / 12_000)
     printed = reflectance(layout, cell=cell, colour=colour)
@@ -294,8 +293,6 @@ def _moved(chart_map, travel, t):
 
 def _sampled(printed, cell, chart_map, size, fine, surround):
     """The tones at a regular grid of samples, ``fine`` along each side of a pixel."""
-    import cv2
-
     columns, rows = size
     column, row = np.meshgrid(np.arange(-1, columns + 1.0), np.arange(-1, rows + 1.0))
     places = chart_map.chart(np.column_stack([column.ravel(), row.ravel()]))
@@ -334,8 +331,6 @@ def _recorded(signal, sensor, rng):
     if sensor.bayer:
         values = _demosaiced(values)
     if sensor.sharpening:
-        import cv2
-
         blurred = cv2.GaussianBlur(values, (0, 0), 1.0)
         values = values + sensor.sharpening * (values - blurred)
     values = encode(values, sensor.gamma)
@@ -356,8 +351,6 @@ def _mosaic(tones):
 
 def _demosaiced(values):
     """Blue, green and red from a mosaic, through OpenCV's 16-bit interpolation."""
-    import cv2
-
     mosaic = np.clip(np.round((values + 0.25) * 40_000), 0, 65_535).astype(np.uint16)
     colours = cv2.cvtColor(mosaic, cv2.COLOR_BayerRG2BGR_EA)
     return colours.astype(np.float32) / 40_000 - 0.25
@@ -365,7 +358,5 @@ def _demosaiced(values):
 
 def _compressed(values, quality):
     """What JPEG leaves of 8-bit values."""
-    import cv2
-
     _, buffer = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])
     return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)

@@ -6,7 +6,7 @@ et al. 2014, doi 10.3390/s140609471). A profile scanner spins about its own y, s
 tilt 0 is the vertical plane across the track; a multi-beam scanner spins about its own z.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -22,18 +22,11 @@ FOOTPRINT = 7
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
 
-NOT_NEGATIVE = [
-    "range_noise_m",
-    "range_noise_weak_m",
-    "angle_noise_deg",
-    "exit_diameter_m",
-    "divergence_mrad",
-    "divergence_axial_mrad",
-    "echo_separation_m",
-    "min_range_m",
-    "fading",
-]
-"""Fields of a scanner."""
+SIGNED = ("heading_deg", "tilt_deg", "max_range_m")
+"""Numbers of a scanner that are not checked: angles may have any sign, a range may be endless."""
+
+LIMITS = {"dropout_share": (0, 1), "max_range_reflectance": (0.01, 1)}
+"""Between which the others lie that have an upper limit."""
 
 
 class Firing(NamedTuple):
@@ -130,10 +123,11 @@ class Scanner:
         low, high = self.field_of_view_deg
         check_number(low, "field_of_view_deg", low=-180, high=180)
         check_number(high, "field_of_view_deg", low=low, high=180)
-        check_number(self.dropout_share, "dropout_share", low=0, high=1)
-        check_number(self.max_range_reflectance, "max_range_reflectance", low=0.01, high=1)
-        for name in NOT_NEGATIVE:
-            check_number(getattr(self, name), name, low=0)
+        numbers = [one.name for one in fields(Scanner) if isinstance(one.default, float)]
+        for name in numbers:
+            if name not in SIGNED:
+                least, most = LIMITS.get(name, (0, None))
+                check_number(getattr(self, name), name, low=least, high=most)
         for name in ("lever_arm_m", "boresight_deg"):
             check_points([getattr(self, name)], name=name)
 

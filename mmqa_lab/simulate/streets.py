@@ -7,16 +7,18 @@ random generator in a fixed order, so that two streets that differ in one settin
 
 import zlib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.simulate import surfaces
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, foliage, group, rectangle
-from mmqa_lab.simulate.systems import PRESETS, read_tables
+from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import straight
 
 FAR_M = 12.5
@@ -102,7 +104,7 @@ class Plan:
         check_number(high, "setback_m", low=check_number(low, "setback_m", low=5), unit="m")
 
 
-_TABLES = read_tables("streets.toml")
+_TABLES = _tables(Path(__file__).with_suffix(".toml"))
 
 PLANS = {name: Plan(**rates) for name, rates in _TABLES["plans"].items()}
 """Streets by name. ``table-4-1`` was chosen so that its rates come near those of that table."""

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import charts
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab.planes.regression import across
 
 PARALLELOGRAM, ELLIPSE, POLYGON, FRUSTUM, ELLIPSOID = range(5)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
@@ -233,7 +234,7 @@ def disc(centre, normal, radius, *, label="board", reflectance=0.5):
         raise ValueError(f"Invalid normal {normal.tolist()}. Must be > 0 m long.")
     normal = normal / np.linalg.norm(normal)
     radius = check_positive(radius, "radius", unit="m")
-    shape = _planar_shape(*radius * _perpendicular(normal[None])[0])
+    shape = _planar_shape(*radius * across(normal[None])[0])
     half = radius * np.sqrt(1 - normal**2)
     return _surface(label, ELLIPSE, _vector(centre, "centre"), shape, half, reflectance)
 
@@ -276,7 +277,7 @@ def polygon(
     rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
     middle = rings[0].mean(axis=0)
     normal = _plane_normal(rings[0] - middle)
-    u, v = _perpendicular(normal[None])[0]
+    u, v = across(normal[None])[0]
     off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
     if off > 1e-6:
         raise ValueError(f"Invalid vertices, {off:.2g} m off one plane. Must be flat to 1e-6 m.")
@@ -459,7 +460,7 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     radius = check_positive(leaf_radius, "leaf_radius", unit="m")
     ball = _unit_rows(rng.standard_normal((n, 3))) * rng.random((n, 1)) ** (1 / 3)
     normal = _unit_rows(rng.standard_normal((n, 3)))
-    dual = _perpendicular(normal) / radius
+    dual = across(normal) / radius
     shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
     half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
     points = _vector(centre, "centre") + ball * _radii(radii)
@@ -703,13 +704,6 @@ def _board_sides(centre, width, height, heading, lean):
 def _unit_rows(vectors):
     """Rows of length one."""
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-def _perpendicular(normal):
-    """Two unit vectors, shape (n, 2, 3), square to unit normals and to each other."""
-    helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
-    u = _unit_rows(np.cross(normal, helper))
-    return np.stack([u, np.cross(normal, u)], axis=1)
 
 
 def _planar_shape(u, v):

@@ -7,12 +7,12 @@ parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL
 matching).
 """
 
-import tomllib
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
+from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.scan import MatchingCamera, match, scan
@@ -56,19 +56,6 @@ class System:
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
 
 
-def read_tables(name):
-    """The tables of a file beside this module; its lists are tuples."""
-    tables = tomllib.loads(files(__package__).joinpath(name).read_text("utf-8"))
-    return _with_tuples(tables)
-
-
-def _with_tuples(value):
-    """A value of TOML with tuples for lists, all the way down."""
-    if isinstance(value, dict):
-        return {name: _with_tuples(one) for name, one in value.items()}
-    return tuple(value) if isinstance(value, list) else value
-
-
 def _with_scanners(entries, known=()):
     """Scanners by name, known ones and those of entries, each perhaps ``like`` one before it."""
     found = dict(known)
@@ -90,12 +77,12 @@ def _systems(tables):
     return found
 
 
-PRESETS = _with_scanners(read_tables("presets.toml"))
+PRESETS = _with_scanners(_tables(Path(__file__).with_name("presets.toml")))
 """Scanners as their makers describe them, by the name that the command line knows. Mount and vary
 them with ``dataclasses.replace``. Each says where its numbers come from and whether they are
 nominal or calibrated."""
 
-SYSTEMS = _systems(read_tables("systems.toml"))
+SYSTEMS = _systems(_tables(Path(__file__).with_name("systems.toml")))
 """Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the
 others."""
 

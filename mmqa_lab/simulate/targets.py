@@ -14,6 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, uniform_filter
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 
@@ -80,15 +84,11 @@ class PointSpread:
 
     def mtf50(self, angle_deg):
         """Frequency at which the contrast across an edge is halved."""
-        from scipy.optimize import brentq
-
         c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
         return float(brentq(lambda f: self.mtf(f * c, f * s) - 0.5, 0, 0.7))
 
     def fwhm(self, angle_deg):
         """Full width at half maximum (px) of the line spread function across an edge."""
-        from scipy.optimize import brentq
-
         c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
         f = np.linspace(0, 8, 4001)
         mtf = self.mtf(f * c, f * s)
@@ -214,8 +214,6 @@ def blur_over_image(scene, sigma):
     -----
     Interpolated between nine evenly blurred images, in the variance.
     """
-    from scipy.ndimage import gaussian_filter
-
     variance = np.asarray(sigma, dtype=np.float64) ** 2
     steps = np.linspace(variance.min(), variance.max() + 1e-9, 9)
     stack = np.stack([gaussian_filter(scene, np.sqrt(step), mode="reflect") for step in steps])
@@ -410,8 +408,6 @@ class ImageBlock:
 
     def radiance(self, image, row, column, *, window=1):
         """Mean radiance (DN less offset, over gain and labelled exposure) in windows of pixels."""
-        from scipy.ndimage import uniform_filter
-
         smooth = [uniform_filter(dn, window, mode="nearest") for dn in self.dn]
         exposure = self.stations["exposure"].to_numpy()[np.asarray(image)]
         return (np.stack(smooth)[image, row, column] - OFFSET_DN) / (GAIN_DN * exposure)
@@ -497,8 +493,6 @@ def fly_block(flight=None, *, seed):
 
 def _render(shape, spread, distance, low, high):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
     margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * np.sqrt(spread.blur.max())))
     fine = [next_fast_len((size + 2 * margin) * FINE, real=True) for size in (rows, columns)]
@@ -560,8 +554,6 @@ def _view(station, row, column, flight):
 
 def _fields(size, seed, fields=60):
     """Reflectance and surface class of the ground: fields nearest to random centres, textured."""
-    from scipy.spatial import cKDTree
-
     rng = np.random.default_rng([seed, 1])
     centres = rng.uniform(0, size, (fields, 2))
     kind = rng.permutation(np.arange(fields) % len(SURFACES))
@@ -574,7 +566,5 @@ def _fields(size, seed, fields=60):
 
 def _even_windows(surface, reflectance, window):
     """Where a window has one surface class, and the mean reflectance over it."""
-    from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
-
     even = maximum_filter(surface, window + 2) == minimum_filter(surface, window + 2)
     return even, uniform_filter(reflectance, window)

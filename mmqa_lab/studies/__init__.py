@@ -1,11 +1,10 @@
 """The studies, one module per notebook, and their list and notes, which stand in TOML files."""
 
-import tomllib
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from mmqa_lab import _shipped
+from mmqa_lab import _shipped, _tables
 from mmqa_lab._checks import check_choice
 
 
@@ -35,15 +34,15 @@ class Study:
         return import_module(f"mmqa_lab.studies.{self.stem}")
 
 
-def _read(name):
-    """The tables of a file beside this module."""
-    return tomllib.loads(Path(__file__).with_name(name).read_text("utf-8"))
+_FOLDER = Path(__file__).parent
 
-
-NOTES = _read("notes.toml")
+NOTES = _tables(_FOLDER / "notes.toml")
 """What the studies say in words beside their numbers, by study."""
 
-_LISTED = _read("catalogue.toml")
+SMALL = _tables(_FOLDER / "quick.toml")
+"""Small parameters of the notebooks, by study: for the tests and for copies for a class."""
+
+_LISTED = _tables(_FOLDER / "catalogue.toml")
 
 STUDIES = tuple(Study(**one) for one in _LISTED["studies"])
 

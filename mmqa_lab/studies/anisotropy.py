@@ -16,17 +16,9 @@ from mmqa_lab.simulate.point_patterns import (
     true_ratio,
 )
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
+from mmqa_lab.studies import SMALL
 
-QUICK = {
-    "stretches": (1, 5, 20),
-    "angles": (0, 30),
-    "counts": (500,),
-    "noises_mm": (0.5, 3),
-    "seeds": (1000, 1001),
-    "repeats": 6,
-    "step": 15.0,
-    "shares": (1, 9),
-}
+QUICK = SMALL["anisotropy"]
 
 F0 = float(number("pfeifer2021", "f_threshold")["value"])
 """Section 3.3 gives it as an example of a threshold."""

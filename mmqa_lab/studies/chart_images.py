@@ -6,12 +6,14 @@ by rendering, the search for point spreads, the photographs of the bench and the
 
 from dataclasses import replace
 from functools import lru_cache
+from importlib.util import find_spec
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from mmqa_lab import bench, chart_image, charts, plots, published
+from mmqa_lab.chart_image import legibility
 from mmqa_lab.chart_image.reading import (
     SMALLEST_GAP,
     SMALLEST_PAIR_PX,
@@ -405,6 +407,31 @@ def contrast_alone(seen):
     return seen.pairs["contrast"].abs() >= SMALLEST_GAP
 
 
+def score_mark(mark, truth):
+    """How many steps a mark is worse than the published one."""
+    return {"steps": "abc".index(mark) - "abc".index(truth["published"]["legibility"])}
+
+
+def by_pixels(seen):
+    """Mark a photograph by the pixels of capitals of 40 mm."""
+    pixel_mm = seen.pixel_size("v")[0]
+    return legibility.expected_marks(legibility.TEXT_MM / pixel_mm)["mark"].item()
+
+
+def by_program(seen):
+    """Mark a photograph by the letters of the lines of 40 mm that a program does not read."""
+    crops = chart_image.text_crops(seen.image, seen.layout, seen.chart_map)
+    crops = [crop for crop in crops if not crop.name.startswith(legibility.NOT_JUDGED)]
+    lines = legibility.read_texts(crops)
+    return legibility.mark_of_errors(np.average(lines["errors"], weights=lines["text"].str.len()))
+
+
+def markers():
+    """Return the methods that mark a photograph: a program only where one is installed."""
+    installed = find_spec("rapidocr_onnxruntime") is not None
+    return {"pixels per capital": by_pixels} | ({"program": by_program} if installed else {})
+
+
 RULES = {"every gap": every_gap, "contrast alone": contrast_alone}
 """Rules for resolved: a truth value for each pattern of ``seen.pairs``."""
 
@@ -451,7 +478,7 @@ def draw_rules(results):
     order = list(table["method"].unique())
     for ax, name in zip(axes, ("spurious", "missed"), strict=False):
         scores.pivot_table(name, "spread_px", "method")[order].plot.bar(ax=ax, legend=False, rot=0)
-        ax.set(xlabel="point spread (pixels)", ylabel=f"{name} patterns a photograph")
+        ax.set(xlabel="point spread (pixels)", ylabel=f"{name} per photograph")
     printed = table[(table["spread_px"] == FITTED_PX) & (table["exposure_ms"] == 0)]
     steps = printed.set_index("method")[["steps_h", "steps_v"]].abs().stack().astype(int)
     counts = pd.crosstab(steps, steps.index.get_level_values("method"))

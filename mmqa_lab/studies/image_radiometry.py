@@ -25,19 +25,9 @@ from mmqa_lab.simulate.targets import (
     render_edge,
     render_star,
 )
-from mmqa_lab.studies import NOTES
+from mmqa_lab.studies import NOTES, SMALL
 
-QUICK = {
-    "sigmas_px": (0.5, 1.0),
-    "edges": 3,
-    "star_cycles": (36,),
-    "star_sigmas_px": (0.5,),
-    "positions": 6,
-    "field_images": 2,
-    "sensor_seeds": 60,
-    "reflectance_seeds": 4,
-    "block_strips": 3,
-}
+QUICK = SMALL["image_radiometry"]
 """Small parameters for the tests."""
 
 SOURCE, TOLD = "eurosdr2013_radiometry", NOTES["image_radiometry"]

@@ -13,16 +13,9 @@ from mmqa_lab import bench, io, lines, plots, samples
 from mmqa_lab.published import ledger, table
 from mmqa_lab.run import Check
 from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
+from mmqa_lab.studies import SMALL
 
-QUICK = {
-    "weights": (0, 1, 10, 100),
-    "displacements": (0.7, 3.0),
-    "angle_noises": (0.05, 1.5),
-    "matchers": ("all", "displaced"),
-    "seeds": range(3),
-    "held_out": range(30000, 30003),
-    "density": 8.0,
-}
+QUICK = SMALL["lhd_weight"]
 
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
 """Test and model survey of each comparison, in the order of Tables 1 and 2."""

@@ -14,6 +14,7 @@ from mmqa_lab import bench, simulate
 from mmqa_lab.published import ledger, number, table
 from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern import (
+    QUANTITIES,
     Patch,
     ScanSetup,
     Target,
@@ -21,10 +22,10 @@ from mmqa_lab.scan_pattern import (
     mimic,
     scan_lattice,
 )
-from mmqa_lab.studies import NOTES
+from mmqa_lab.studies import NOTES, SMALL
 
 SOURCE, TOLD = "cahalane2014", NOTES["mimic"]
-QUICK = {"ranges_m": (8.0,), "seeds": range(2), "surfaces": 4, "step_m": 1.0, "draws": 2000}
+QUICK = SMALL["mimic"]
 
 MIRROR_HZ = 100.0
 """Not printed for the constructed models; 0.100 m at 10 m/s in row 2 of Table 3 needs it."""
@@ -242,8 +243,8 @@ def lattice(scan):
 def measured(scan):
     """All profiles of the simulated points fitted at once, with time."""
     found = measure_pattern(scan.cloud, gps_time=scan.cloud["gps_time"], reference=scan.spot)
-    stds = {f"std_{name}": value for name, value in _figures_of(found, "_std").items()}
-    return _figures_of(found) | stds
+    stds = _figures(*(found.std[name] for name in QUANTITIES[1:5]))
+    return _figures_of(found) | {f"std_{name}": value for name, value in stds.items()}
 
 
 def clicked(scan, *, clicks=5):
@@ -357,12 +358,9 @@ def _figures(horizontal, vertical, angle, point):
     return dict(zip(FIGURES, [*lengths.tolist(), float(angle)], strict=True))
 
 
-def _figures_of(found, ending=""):
-    """The four figures, or their standard deviations, of a lattice or a measurement."""
-    names = ("profile_spacing_horizontal", "profile_spacing_vertical", "profile_angle")
-    units = ("", "", "", "") if ending else ("_m", "_m", "_deg", "_m")
-    parts = zip((*names, "point_spacing"), units, strict=True)
-    return _figures(*(float(getattr(found, f"{name}{unit}{ending}")) for name, unit in parts))
+def _figures_of(found):
+    """The four figures of a lattice or a measurement."""
+    return _figures(*(getattr(found, name) for name in QUANTITIES[1:5]))
 
 
 def table_4(*, gamma_scan, through_m, height_m=0.0):

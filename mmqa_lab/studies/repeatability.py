@@ -16,17 +16,9 @@ from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.run import Check
 from mmqa_lab.simulate import chart_corners, systems
 from mmqa_lab.simulate.point_patterns import point_pattern
+from mmqa_lab.studies import NOTES, SMALL
 
-QUICK = {
-    "scans": 2,
-    "repeats": 10,
-    "law_repeats": 8,
-    "law_clouds": 3,
-    "coverage_scans": 24,
-    "areas_m2": (0.1, 0.3, 0.9),
-    "densities": (500, 1000, 2000),
-    "clicks_m": (0.005, 0.01, 0.02),
-}
+QUICK = SMALL["repeatability"]
 
 UPRIGHT = replace(systems.SYSTEM_B, range_noise_m=0.01)
 """B's range noise is fitted: it gives about the published sigma_MAD of 9.2 mm."""
@@ -41,16 +33,7 @@ SENSORS = {
 degrees and noise are assumed. B's mounting is not stated: once upright, once tilted by 45 degrees,
 which comes close to the published spacings. C is fitted to Table 2."""
 
-FIGURES = {
-    "density_polygon_per_m2": "density",
-    "std_mm": "std",
-    "sigma_mad_mm": "sigma_MAD",
-    "d1_mm": "d1",
-    "d2_mm": "d2",
-    "d3_mm": "d3",
-    "d4_mm": "d4",
-    "f": "f",
-}
+FIGURES = NOTES["repeatability"]["figures"]
 """What is evaluated, and its name in tables."""
 
 INFLUENCE = {"density_polygon_per_m2": 1.0, "std_mm": np.sqrt(0.5), "sigma_mad_mm": 1.1664}
@@ -62,11 +45,7 @@ GROUP = 5
 HALF_DIGIT_MM = 0.5
 """Half of the last digit that Table 2 prints of a spacing."""
 
-REMARKS = {
-    "selection_density": "density_percent",
-    "selection_precision": "precision_mm",
-    "selection_distances": "medians_mm",
-}
+REMARKS = NOTES["repeatability"]["remarks"]
 """Numbers of section 4.4 about five selections, and the column of ranges that each is about."""
 
 BOARDS = {"board, VLP-16": "boards/vlp16_pose02.laz", "board, 64 rings": "boards/os64_pose02.laz"}

@@ -17,7 +17,7 @@ from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
-from mmqa_lab.studies import NOTES
+from mmqa_lab.studies import NOTES, SMALL
 from mmqa_lab.testfield import (
     height_accuracy,
     height_differences,
@@ -25,17 +25,7 @@ from mmqa_lab.testfield import (
     plan_differences,
 )
 
-QUICK = {
-    "length_m": 48.0,
-    "pulses_per_s": 30_000.0,
-    "ground_spacing_m": 2.0,
-    "draws": 16,
-    "repeats": 2,
-    "calibration_length_m": 40.0,
-    "calibration_reference_std_m": [0.003],
-    "calibration_pulses_per_s": 40_000.0,
-    "real_spacing_m": 0.5,
-}
+QUICK = SMALL["test_field"]
 """Small parameters for the tests."""
 
 REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
@@ -500,37 +490,35 @@ def checks(*, heights, compared, predictions, drives, calibrations, real):
         ``comparison``, ``shift``, ``mean_mm`` of the real drives.
     """
     removed = heights[heights["shift"] == "removed"]
-    yield _contrast(removed)
-    yield _close_to_print(compared)
-    yield _within_prediction(removed, predictions)
-    yield _repeated_ratio(drives)
-    yield from _calibrated(calibrations)
-    if real is not None:
-        yield _absolute_and_relative(real)
-
-
-def _contrast(heights):
-    """A boresight error and its cure."""
-    mean = heights.groupby("system")["std_mm"].mean()
+    mean = removed.groupby("system")["std_mm"].mean()
     off, good = mean["roamer I"], mean["roamer"]
-    return Check(
+    yield Check(
         "A boresight error of tenths of a degree costs more in height than all other errors.",
         bool(off / good > np.sqrt(2)),
         f"height std {off:.1f} against {good:.1f} mm, mean of both directions",
         "root of 2: the boresight's part alone is then larger than the rest",
     )
-
-
-def _close_to_print(compared):
-    """The 26 columns."""
     close = int(compared["close"].sum())
     fitted = compared["close"] & (compared["kind"] == "fitted")
-    return Check(
+    yield Check(
         f"Sheets and section 3.1.3 predict {ENOUGH} of the 26 columns to {TOLERANCE:.0%}.",
         close >= ENOUGH,
         f"{close} of {len(compared)}, of which {fitted.sum()} of ROAMER I are fitted",
         "a quarter of the printed figure; the others are listed with what may be missing",
     )
+    yield _within_prediction(removed, predictions)
+    yield _repeated_ratio(drives)
+    yield from _calibrated(calibrations)
+    if real is not None:
+        rows = real[real["shift"] == "kept"].set_index("comparison")["mean_mm"]
+        absolute = rows[["drive 1", "drive 2"]].abs().min()
+        relative = abs(rows["drive 1 - drive 2"])
+        yield Check(
+            "The real drives agree with each other far better than with the airborne heights.",
+            bool(relative < absolute / 2),
+            f"{relative:.1f} mm against {absolute:.1f} mm",
+            "a half",
+        )
 
 
 def _within_prediction(heights, predictions):
@@ -586,19 +574,6 @@ def _best_case(calibrations):
     exact = calibrations[calibrations["navigation"] == "exact"]
     best = exact["reference_std_m"] == exact["reference_std_m"].min()
     return exact[best].set_index("method")
-
-
-def _absolute_and_relative(real):
-    """Two real drives."""
-    rows = real[real["shift"] == "kept"].set_index("comparison")["mean_mm"]
-    absolute = rows[["drive 1", "drive 2"]].abs().min()
-    relative = abs(rows["drive 1 - drive 2"])
-    return Check(
-        "The real drives agree with each other far better than with the airborne heights.",
-        bool(relative < absolute / 2),
-        f"{relative:.1f} mm against {absolute:.1f} mm",
-        "a half",
-    )
 
 
 def answer(compared, calibrations):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._checks import check_same_crs
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, board_frame, board_view
 from mmqa_lab.cloud import Cloud
@@ -33,6 +34,8 @@ FIGURES = {
 """Figures of a cloud and the quantities that criteria name."""
 
 VIEWS = (AHEAD, ALONG, BEHIND)
+
+NO_PROOF = "The chart has no text of 60 mm: where that of 40 mm is not legible, it is not judged."
 
 
 @dataclass(eq=False)
@@ -94,6 +97,9 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
     for name, table in criteria.items():
         found = _doubted(verdicts(table, done.results), done.results)
         done.verdicts[name], done.summaries[name] = found, qualification(found)
+        larger = found["quantity"].eq("legibility_60mm") & found["verdict"].eq("not measured")
+        for system in found.loc[larger, "system"] if marks is not None else []:
+            done.say(system, NO_PROOF)
     return done
 
 
@@ -127,10 +133,10 @@ def _cloud_rows(drive, site, done):
         offset = 1000 * float((quality.plane.centre - middle) @ normal)
         about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
         done.clouds.append((drive, about, quality))
-        for remark in quality.remarks:
-            done.say(drive.name, f"Board {board.board!r}: {remark}")
         if view == ALONG:
             rows += _cloud_figures(drive, quality)
+            for remark in quality.remarks:
+                done.say(drive.name, f"Board {board.board!r}: {remark}")
     return rows
 
 
@@ -165,8 +171,7 @@ def _points_of(file, boards, site):
     """Points near each board in one file; an error where it is in other coordinates."""
     parts, low, high = {}, np.full(3, np.inf), np.full(3, -np.inf)
     for cloud in iterate_cloud(file, columns=()):
-        if None not in (cloud.crs, site.crs) and not _same_crs(cloud.crs, site.crs):
-            raise ValueError(f"The cloud is in {cloud.crs.name}, the site in {site.crs.name}.")
+        check_same_crs("cloud", cloud.crs, "site", site.crs)
         low, high = np.fmin(low, cloud.points.min(axis=0)), np.fmax(high, cloud.points.max(axis=0))
         for board in boards.itertuples():
             near = board.corners.min(axis=0) - AROUND_M, board.corners.max(axis=0) + AROUND_M
@@ -177,12 +182,6 @@ def _points_of(file, boards, site):
         extent = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in zip(low, high, strict=True))
         raise ValueError(f"The cloud has no points on any board; it extends over {extent} m.")
     return {name: Cloud.concatenate(clouds) for name, clouds in parts.items()}
-
-
-def _same_crs(one, other):
-    """Whether two coordinate systems have the same plan, whatever they say of heights."""
-    plans = [crs.sub_crs_list[0] if crs.is_compound else crs for crs in (one, other)]
-    return plans[0].equals(plans[1], ignore_axis_order=True)
 
 
 def _with_gaps(rows, site, done):

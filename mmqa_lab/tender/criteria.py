@@ -5,6 +5,7 @@ import pandas as pd
 
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab.chart_image.legibility import expected_marks
 from mmqa_lab.chart_image.rules import MARKS
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
@@ -40,9 +41,6 @@ RANGE_OF_FIVE = 2.326
 REPEATED = ("selection_density", "selection_precision", "bar_std")
 """Printed numbers (section 4.4) that say how repeatable a figure is."""
 
-TEXT_MM = 40.0
-"""Capital height of the text that was judged (section 4.2)."""
-
 
 def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     """Compare every system's figures with every criterion.
@@ -67,8 +65,9 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
         ``distance_m``, ``view``, ``direction``, ``value``, ``low``, ``high``, ``relation``,
         ``threshold``, ``margin`` (positive inside; in the quantity's unit, for marks in steps) and
         ``verdict``: *met*, *not met*, *undecided* (the threshold lies within low and high, or
-        within 1.96 sigma), *exempt* (f where d1 and d4 are small enough for the density asked for)
-        or *not measured*.
+        within 1.96 sigma), *exempt* (f where d1 and d4, with their intervals, are small enough for
+        the density asked for; where only a part of the intervals is, *not met* is *undecided*) or
+        *not measured*.
 
     Raises
     ------
@@ -97,8 +96,11 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
                 rows.append(_row(system, criterion, None))
             for figure in fitting.itertuples():
                 row = _row(system, criterion, figure)
-                if _is_exempt(figures, criterion, figure):
+                maybe, surely = _exemption(figures, criterion, figure)
+                if surely:
                     row["verdict"] = "exempt"
+                elif maybe and row["verdict"] == "not met":
+                    row["verdict"] = "undecided"
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -202,8 +204,9 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
         than 1 mm) and of pixel sizes (below 1 px for a bar), and one rung to either side of a
         line-pair width. Upper bounds are printed, so these are too wide.
     by_pixels : bool
-        Give texts of 60 mm that were not judged the mark of the judged text with the most pixels
-        per capital height among those with no more pixels than theirs.
+        Give texts of 60 mm that were not judged the marks that their pixels per capital height
+        allow: the worst one, and the interval to the best one
+        (:func:`mmqa_lab.chart_image.legibility.expected_marks`).
 
     Returns
     -------
@@ -318,19 +321,20 @@ def _matches(figures, criterion):
     return fits
 
 
-def _is_exempt(figures, criterion, figure):
-    """Whether f does not matter: d1 and d4 of the same place reach the density asked for."""
+def _exemption(figures, criterion, figure):
+    """Whether d1 and d4 may, and whether they surely do, reach the density that exempts f."""
     if criterion.quantity != "f" or np.isnan(criterion.rho0_per_m2):
-        return False
+        return False, False
     place = ["distance_m", "view", "direction"]
     here = pd.Series({name: getattr(figure, name) for name in place})
     same = figures[place].eq(here) | (figures[place].isna() & here.isna())
-    here = figures[same.all(axis=1)].groupby("quantity")["value"].agg(list)
-    d1, d4 = (here.get(name, []) for name in ("d1_mm", "d4_mm"))
-    if len(d1) != 1 or len(d4) != 1:
-        return False
-    spacings = (_rank(value, "spacing") / 1000 for value in (d1[0], d4[0]))
-    return bool(exempt(*spacings, criterion.rho0_per_m2))
+    here = figures[same.all(axis=1)]
+    spacings = [here[here["quantity"] == name] for name in ("d1_mm", "d4_mm")]
+    if any(len(one) != 1 for one in spacings):
+        return False, False
+    rows = [one.iloc[0] for one in spacings]
+    ends = np.array([_interval(row, _rank(row["value"], "spacing")) for row in rows]) / 1000
+    return tuple(exempt(*ends, criterion.rho0_per_m2).tolist())
 
 
 def _row(system, criterion, figure):
@@ -365,12 +369,17 @@ def _ends(criterion, figure):
             f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
             f"kind of the threshold {criterion.threshold!r}."
         )
-    reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
-    low = rank - reach if np.isnan(figure.low) else figure.low
-    high = rank + reach if np.isnan(figure.high) else figure.high
+    low, high = _interval(figure, rank)
     if np.isnan(rank) and not (np.isnan(low) and np.isnan(high)):  # a bound of one side
         low, high = np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf, posinf=np.inf)
     return rank, low, high
+
+
+def _interval(figure, rank):
+    """The stated ends of a figure, or those that its standard deviation gives."""
+    reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
+    low = rank - reach if np.isnan(figure.low) else figure.low
+    return low, rank + reach if np.isnan(figure.high) else figure.high
 
 
 def _verdict(relation, limit, low, high):
@@ -399,15 +408,15 @@ def _larger_text(images, by_pixels):
     keys = ["system", "distance_m", "view"]
     marks = images.query("quantity == 'legibility'").set_index(keys)["printed"]
     pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(keys)["value"]
-    judged = pd.DataFrame({"mark": marks, "pixels": TEXT_MM / pixels}).sort_values("pixels")
     rows = []
     for system in "ABC":
         key = (system, 5.0, "orthogonal")
-        mark = marks[key]
-        if mark == "c":
-            fewer = judged[judged["pixels"] <= 60 / pixels[key]]
-            mark = fewer["mark"].iloc[-1] if by_pixels else None
-        rows.append({**place, "system": system, "value": mark})
+        row = {**place, "system": system, "value": marks[key]}
+        if marks[key] == "c":
+            found = expected_marks(60 / pixels[key]).iloc[0]
+            ends = {"low": MARKS.index(found["best"]), "high": MARKS.index(found["worst"])}
+            row |= {"value": found["worst"], **ends} if by_pixels else {"value": None}
+        rows.append(row)
     return rows
 
 

@@ -14,20 +14,35 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots
+from mmqa_lab.chart_cloud import CHART_MARGINS_M
 from mmqa_lab.chart_image.rules import ALONG
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
+from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.run.pages import filled
 from mmqa_lab.tender.acceptance import VIEWS
+from mmqa_lab.tender.criteria import COVERAGE
+from mmqa_lab.tender.photographs import LIMIT_SHARE
 from mmqa_lab.tender.site import sha256
 
 LIBRARIES = ("numpy", "scipy", "pandas", "opencv-python-headless", "laspy", "matplotlib")
 
 A4_INCHES = (8.27, 11.69)
 
-ROWS_A_SHEET = 52
+ROWS_A_SHEET, LETTERS_A_ROW = 66, 125
 
 WIDEST_CELL = 46
+
+PARAMETERS = {
+    "left out of a point chart below, right, above, left (m)": ", ".join(map(str, CHART_MARGINS_M)),
+    "largest distance of a point from the board's plane (m)": "0.1",
+    "factor of sigma_MAD": f"{CONSISTENT_SCALE}",
+    "density": "of the selected part of the board (section 3.3)",
+    "axes of the quadrants": "principal",
+    "tolerance of a drive's distance (m), our own": "0.5",
+    "uncertainty of the width at which line pairs vanish": f"{100 * LIMIT_SHARE:g} %",
+    "standard deviations of a pixel size in its interval": f"{COVERAGE}",
+}
 
 COLUMNS = {
     "system": "system",
@@ -140,7 +155,7 @@ def _cell(figures, key):
     if pd.isna(value):
         return "–" if pd.isna(low) or np.isfinite(high) else f"– (> {low:.3g})"
     if pd.notna(row.get("sigma")):
-        reach = 1.96 * row["sigma"]
+        reach = COVERAGE * row["sigma"]
         return f"{value:.2f} ± {max(reach, 0.01):.2f}"
     low, high = _short(low), _short(high)
     return _short(value) if low == high else f"{_short(value)} ({low} to {high})"
@@ -161,6 +176,8 @@ def _lines(done, site):
         "farther, of the nearest drive.",
         "A verdict is undecided where its threshold lies within the 95 % interval, or where the "
         "drive was against the rules and may have caused it.",
+        "Direction h: the lying bar of 600 mm, pairs of standing bars; v: the two standing bars of "
+        "800 mm, pairs of lying bars.",
         "All figures are measured on the delivered data, after Pfeifer et al. 2021, "
         "doi:10.3390/rs13020237.",
     ]
@@ -171,9 +188,8 @@ def _parts(done, site, criteria, hashes):
     parts = {"Who qualifies": _overview(done)}
     for name, table in done.verdicts.items():
         parts[f"Verdicts: {name}"] = _verdict_table(table)
-    parts["Could not be judged, or only with doubt"] = pd.DataFrame(
-        done.problems, columns=["where", "what"]
-    )
+    problems = done.problems or [{"where": "", "what": "Everything was judged."}]
+    parts["Could not be judged, or only with doubt"] = pd.DataFrame(problems)
     parts["Table 1: image quality (measured)"] = table_1(done)
     parts["Table 2: cloud quality of the chart parallel to the path (measured)"] = table_2(done)
     parts["Drives"] = _drive_table(done)
@@ -181,6 +197,7 @@ def _parts(done, site, criteria, hashes):
     parts["Clouds on all point charts"] = _cloud_table(done)
     for name, table in criteria.items():
         parts[f"Criteria: {name}"] = table.map(_plain)
+    parts["Parameters"] = pd.DataFrame(PARAMETERS.items(), columns=["name", "value"])
     parts["Boards and control points"] = _board_table(site)
     parts["Files and their SHA-256"] = pd.DataFrame(hashes, columns=["file", "SHA-256"])
     names = {"mmqa_lab": metadata.version("mmqa_lab"), "Python": platform.python_version()}
@@ -226,7 +243,8 @@ def _drive_table(done):
     for drive in done.drives:
         for row in drive.checks.itertuples():
             asked = f"{row.at_least:g} to {row.at_most:g}".replace("to inf", "or more")
-            seen = {"low": f"{row.low:.2f}", "high": f"{row.high:.2f}", "asked": asked}
+            low, high = (f"{round(end, 2) + 0.0:.2f}" for end in (row.low, row.high))
+            seen = {"low": low, "high": high, "asked": asked}
             kept = "yes" if row.passed else "no"
             rows.append({"drive": drive.name, "quantity": row.quantity, **seen, "kept": kept})
     return pd.DataFrame(rows)
@@ -405,9 +423,11 @@ def _sheets(parts, title, lines):
         text += ["", "", name, "", *_rows(table)]
     for first in range(0, len(text), ROWS_A_SHEET):
         sheet = Figure(figsize=A4_INCHES, layout="none")
-        shown = "\n".join(text[first : first + ROWS_A_SHEET])
-        choices = {"family": "DejaVu Sans Mono", "fontsize": 6.3, "va": "top", "linespacing": 1.9}
-        sheet.text(0.05, 0.97, shown, parse_math=False, **choices)
+        part = text[first : first + ROWS_A_SHEET]
+        size = 6.3 * min(1, LETTERS_A_ROW / max(map(len, part)))
+        choices = {"family": "DejaVu Sans Mono", "va": "top", "linespacing": 1.9 * 6.3 / size}
+        sheet.text(0.06, 0.97, "\n".join(part), parse_math=False, fontsize=size, **choices)
+        sheet.text(0.94, 0.02, f"{first // ROWS_A_SHEET + 1}", fontsize=7, ha="right")
         yield sheet
 
 

@@ -87,9 +87,15 @@ def find_drives(folder, site, done):
         system = parts[0] if len(parts) > 1 else folder.resolve().name
         name = "/".join(parts) or folder.resolve().name
         try:
-            drives.append(_drive(system, name, file, site, done))
+            drive = _drive(system, name, file, site, done)
         except (ValueError, OSError) as error:
             done.say(name, error)
+            continue
+        same = [d.name for d in drives if (d.system, d.distance_m) == (system, drive.distance_m)]
+        if same:
+            done.say(name, f"It is {drive.distance_m:g} m beside the boards, as {same[0]} is.")
+        else:
+            drives.append(drive)
     if not drives and not done.problems:
         done.say(str(folder), "It has no trajectory.csv.")
     return drives

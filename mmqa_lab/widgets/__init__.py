@@ -17,6 +17,7 @@ import pandas as pd
 from IPython.display import Image, Markdown, display
 
 from mmqa_lab._checks import check_choice
+from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
@@ -64,14 +65,21 @@ def explore(
     [0, 10]
     >>> plt.close(figure)
     """
+
+    def drawn():
+        """The figure of the controls' present values."""
+        figure = function(**{name: control.value for name, control in controls.items()})
+        finish_figure(figure)
+        return figure
+
     if is_headless():
-        return function(**{name: control.value for name, control in controls.items()})
+        return drawn()
     output = ipywidgets.Output()
 
     def redraw(_=None):
-        """The figure of the controls' present values, in place of the last one."""
+        """That figure in place of the last one."""
         with output, plt.ioff():
-            figure = function(**{name: control.value for name, control in controls.items()})
+            figure = drawn()
             output.clear_output(wait=True)
             display(figure)
             plt.close(figure)

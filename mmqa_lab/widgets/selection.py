@@ -287,6 +287,7 @@ class PlanePicker:
         self._lines = [self._drawn(number) for number in range(-1, len(patches))]
         self.ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)")
         self.ax.set_aspect("equal")
+        self.ax.locator_params(nbins=FEW_TICKS)
         self.choose(chosen)
         if shown:
             self._show()

@@ -2,8 +2,8 @@
 
 ``python tests/benchmarks/damage.py 1000000`` makes so many damaged copies of six small files, reads
 each in a child process, and writes what came of it into the README. A run that was stopped goes on
-where it was; ``--state`` is the file that it keeps. A child without progress for 20 s is a hang, a
-child that dies a crash; the next child begins with the case after it.
+where it was; ``--state`` is the file that it keeps. A child that works for 20 s on one case is a
+hang, a child that dies a crash; the next child begins with the case after it.
 
 Bits of a point are the one kind of damage that nothing in the format shows: LAS and LAZ have no
 check sums. It is seen only where a coordinate leaves the box of the header or a packet no longer
@@ -11,12 +11,12 @@ unpacks.
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
 import resource
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
@@ -25,6 +25,7 @@ os.environ |= {"RAYON_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_T
 import laspy
 import numpy as np
 import pandas as pd
+import psutil
 import pyproj
 
 from mmqa_lab.io import read_cloud, write_atomically
@@ -35,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BATCH = 50_000
 PATIENCE_S = 20.0
 MEMORY = 6 * 2**30
-"""Cases of a child; seconds without progress that are a hang; bytes of address space of a child."""
+"""Cases of a child; its processor time without progress that is a hang; bytes of its memory."""
 
 POINTS = 40
 
@@ -188,26 +189,29 @@ def _place(name, region, result):
 def guarded(folder, first, last):
     """Counts of the outcomes of a batch, and the case after the last one that was read."""
     context = multiprocessing.get_context("spawn")
-    now = context.Value("q", first, lock=False)
+    now = context.Value("q", first - 1, lock=False)  # not begun
     counts = context.Array("q", 2 * len(REGIONS) * len(OUTCOMES), lock=False)
     child = context.Process(target=batch, args=(folder, first, last, now, counts))
     child.start()
-    seen, since = now.value, time.monotonic()
-    while child.is_alive():
+    seen, since, hung = None, np.inf, False
+    while child.is_alive() and not hung:
         child.join(0.5)
-        if now.value != seen:
-            seen, since = now.value, time.monotonic()
-        if time.monotonic() - since > PATIENCE_S:
-            child.kill()
-            child.join()
+        with contextlib.suppress(psutil.Error):  # it has just ended
+            used = sum(psutil.Process(child.pid).cpu_times()[:2])
+            if now.value != seen:
+                seen, since = now.value, used
+            hung = now.value >= first and used - since > PATIENCE_S
+    if hung:
+        child.kill()
+        child.join()
     counts = np.array(counts[:])
     if now.value == last and child.exitcode == 0:
         return counts, last
-    seed = now.value
+    seed = max(now.value, first)
     name = KINDS[seed % len(KINDS)][0]
     whole = (folder / name).read_bytes()
     _, region = damaged(whole, seed, int.from_bytes(whole[96:100], "little"))
-    word = "hang" if time.monotonic() - since > PATIENCE_S else "crash"
+    word = "hang" if hung else "crash"
     print(f"case {seed}: {word} ({name}, {region}, exit {child.exitcode})", flush=True)
     counts[_place(name, region, word)] += 1
     return counts, seed + 1

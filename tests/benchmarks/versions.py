@@ -42,9 +42,10 @@ def spent(root, words, cache):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def compare(before, repeats):
+def compare(before, names, repeats):
     """Rows (command, state, seconds before, seconds now); both versions in turn."""
-    for name, words in CALLS.items():
+    for name in names:
+        words = CALLS[name]
         with tempfile.TemporaryDirectory() as old, tempfile.TemporaryDirectory() as new:
             versions = ((before, old), (HERE, new))
             first = [spent(root, words, cache) for root, cache in versions]
@@ -69,14 +70,18 @@ def main():
     """Print the rows, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("before", type=Path, metavar="FOLDER", help="checkout of the other version")
+    parser.add_argument("--only", nargs="+", choices=CALLS, metavar="COMMAND")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write between its marks")
     options = parser.parse_args()
-    rows = list(compare(options.before.resolve(), options.repeats))
-    if options.markdown:
-        text = options.markdown.read_text(encoding="utf-8")
-        text = replaced(text, "versions", markdown(rows))
-        options.markdown.write_text(text, encoding="utf-8")
+    names, rows = [name for name in CALLS if not options.only or name in options.only], []
+    for row in compare(options.before.resolve(), names, options.repeats):
+        rows.append(row)
+        if options.markdown:  # a run that is stopped leaves what it has measured
+            text = replaced(
+                options.markdown.read_text(encoding="utf-8"), "versions", markdown(rows)
+            )
+            options.markdown.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

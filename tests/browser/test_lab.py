@@ -6,7 +6,6 @@ import shutil
 
 import nbformat
 import numpy as np
-import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 from playwright.sync_api import expect
@@ -112,11 +111,8 @@ def test_a_click_picks_a_plane(ran, lab_folder):
     assert pictures[0] < pictures[1] - 50  # rows of the picture in which the chosen plane is
 
 
-@pytest.mark.parametrize(
-    ("notebook", "start", "then"), [("03_anisotropy", "5", "6"), ("04_lhd_weight", "5.00", "5.50")]
-)
-def test_moving_a_slider_changes_numbers_and_picture(ran, notebook, start, then):
-    page = ran(notebook)
+def test_moving_a_slider_changes_numbers_and_picture(ran):
+    page = ran("03_anisotropy")
     handle = page.locator(".jupyter-widgets .noUi-handle").first
     expect(handle).to_be_visible(timeout=RUN_MS)
     explorer = page.locator(".jp-OutputArea-output", has=page.locator(".noUi-handle")).first
@@ -124,8 +120,8 @@ def test_moving_a_slider_changes_numbers_and_picture(ran, notebook, start, then)
     expect(picture).to_be_visible(timeout=RUN_MS)
     before = picture.get_attribute("src")
     readout = explorer.locator(".widget-readout").first
-    expect(readout).to_have_text(start)
+    expect(readout).to_have_text("5")
     handle.focus()
     page.keyboard.press("ArrowRight")
-    expect(readout).to_have_text(then)
+    expect(readout).to_have_text("6")
     expect(picture).not_to_have_attribute("src", before, timeout=20_000)

@@ -40,7 +40,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.stats import median_abs_deviation
+from scipy.sparse.linalg import splu
+from scipy.stats import median_abs_deviation, t
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
@@ -124,8 +125,6 @@ class SensorFit(Shown):
     @property
     def p_values(self):
         """Two-sided p-values of (gain, offset) being zero, Student's t with n - 2."""
-        from scipy.stats import t
-
         return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.n - 2)
 
     def radiance(self, dn, *, exposure=1.0):
@@ -888,8 +887,6 @@ class _Block:
 
 def _factor(normal):
     """The factors of a normal matrix."""
-    from scipy.sparse.linalg import splu
-
     choices = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     try:
         return splu(normal.tocsc(), **choices)

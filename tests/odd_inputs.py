@@ -1,0 +1,120 @@
+"""Files as a sceptical surveyor would try them: other units and systems, wrong ends and names."""
+
+import json
+
+import cv2
+import laspy
+import numpy as np
+
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import write_cloud
+
+SQUARE = [[0.1, 0.1, 0], [0.9, 0.1, 0], [0.9, 0.9, 0], [0.1, 0.9, 0], [0.1, 0.1, 0]]
+HOLE = [[0.3, 0.3, 0], [0.6, 0.3, 0], [0.6, 0.6, 0], [0.3, 0.6, 0], [0.3, 0.3, 0]]
+
+
+def write_odd(folder):
+    """Write all of them into a folder."""
+    rng = np.random.default_rng(7)
+    flat = np.column_stack([rng.uniform(0, 1, (900, 2)), rng.normal(0, 0.004, 900)])
+    places = np.column_stack([rng.uniform(0.1, 0.9, (40, 2)), np.zeros(40)])
+    _write_texts(folder, flat, places)
+    _write_clouds(folder, flat)
+    _write_polygons(folder)
+    texts = {
+        "unsorted.csv": "time,x,y,z\n3,3,0,0\n1,1,0,0\n2,2,0,0\n",
+        "repeated.csv": "time,x,y,z\n1,3,0,0\n1,1,0,0\n2,2,0,0\n",
+        "trees.csv": "x,y,z,kind\n0.5,0.5,0,tree\n",
+        "blanks.csv": "x,y,z,kind\n0.5,,0,pole\n",
+        "far_poles.csv": "x,y,z,kind\n5000,5000,0,pole\n",
+        "no_poles.csv": "x,y,z,kind\n",
+        "far_lines.csv": "500000,0,0,500005,0,0\n500000,1,0,500005,1,0\n500000,2,0,500000,2,3\n",
+        "one_line.csv": "0,0,0,5,0,0\n",
+        "late.csv": "time,x,y,z,roll,pitch,heading\n100,0,0,2,0,0,0\n110,0,9,2,0,0,0\n",
+        "in_ms.csv": "time,x,y,z,roll,pitch,heading\n0,0,0,2,0,0,0\n6000,0,9,2,0,0,0\n",
+        "many.csv": "system,quantity,value\nA,density_per_m2,many\n",
+        "text.laz": "x y z\n1 2 3\n",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+
+
+def _write_texts(folder, flat, places):
+    """Tables of points."""
+    tables = {
+        "flat.csv": ("x,y,z", flat),
+        "feet.csv": ("x_ft,y_ft,z_ft", flat / 0.3048),
+        "millimetres.csv": ("x,y,z", 1000 * flat),
+        "degrees.csv": ("lat,lon,height", flat * [1e-5, 1e-5, 1] + [48.1, 11.5, 0]),
+        "huge.csv": ("x,y,z", flat + [5e14, 5e14, 0]),
+        "swapped.csv": ("z,x,y", flat[:, [2, 0, 1]]),
+        "spoilt.csv": ("x,y,z", np.vstack([flat, [[np.nan] * 3, [np.inf] * 3]])),
+        "same.csv": ("x,y,z", np.ones((50, 3))),
+        "doubled.csv": ("x,y,z", np.vstack([flat, flat])),
+        "Straße Nord.csv": ("x,y,z", flat),
+        "levelled.csv": ("x,y,z", places),
+        "levelled_far.csv": ("x,y,z", places + [5e5, 5e6, 0]),
+        "levelled_low.csv": ("x,y,z", places - [0, 0, 43]),
+        "levelled_feet.csv": ("x,y,z", places / 0.3048),
+        "levelled_mm.csv": ("x,y,z", 1000 * places),
+        "levelled_plan.csv": ("x,y", places[:, :2]),
+    }
+    for name, (header, rows) in tables.items():
+        np.savetxt(folder / name, rows, fmt="%.9g", delimiter=",", header=header, comments="")
+    text = (folder / "flat.csv").read_text()
+    (folder / "comma.csv").write_text(text.replace(",", ";").replace(".", ","))
+    (folder / "utf16.csv").write_text(text, encoding="utf-16")
+    np.savetxt(folder / "huge.csv", flat + [5e14, 5e14, 0], header="x y z", comments="")
+
+
+def _write_clouds(folder, flat):
+    """LAS and LAZ files."""
+    systems = {"flat": 25832, "zone33": 25833, "feet": 2263, "degrees": 4326}
+    for name, number in systems.items():
+        write_cloud(folder / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
+    for name in ("box.las", "tiles/a.las", "tiles/a.laz"):
+        write_cloud(folder / name, Cloud(flat), scale=1e-4)
+    write_cloud(folder / "coarse.laz", Cloud(flat), scale=0.05)
+    for name, number in (("a", 25832), ("b", 25833)):
+        write_cloud(folder / "mixed" / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
+    timed = Cloud(flat, {"gps_time": np.linspace(0, 5, len(flat))})
+    write_cloud(folder / "timed.laz", timed, scale=1e-4)
+    (folder / "blank").mkdir()
+    laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "blank" / "e.laz")
+    for name in ("laz.ply", "laz.csv", "laz.las"):
+        (folder / name).write_bytes((folder / "flat.laz").read_bytes())
+    (folder / "picture.laz").write_bytes(cv2.imencode(".png", np.zeros((9, 9), np.uint8))[1])
+    changes = {
+        "scaled.las": (131, np.float64(0.01).tobytes()),
+        "scale0.las": (131, np.float64(0).tobytes()),
+        "fewer.las": (247, (500).to_bytes(8, "little")),
+        "more.las": (247, (901).to_bytes(8, "little")),
+        "moved.las": (155, np.float64(1000).tobytes()),
+        "format.las": (104, b"\x01"),
+    }
+    for name, (place, field) in changes.items():
+        content = bytearray((folder / "box.las").read_bytes())
+        content[place : place + len(field)] = field
+        (folder / name).write_bytes(content)
+
+
+def _write_polygons(folder):
+    """GeoJSON files."""
+    polygons = {
+        "square": [SQUARE],
+        "hole": [SQUARE, HOLE],
+        "none": [],
+        "ringless": [[]],
+        "flipped": [[vertex[::-1] for vertex in SQUARE]],
+        "nan": [[[np.nan] * 3] * 4],
+        "crossed": [[SQUARE[k] for k in (0, 2, 1, 3, 0)]],
+        "plan": [[vertex[:2] for vertex in SQUARE]],
+    }
+    nodes = {name: {"type": "Polygon", "coordinates": rings} for name, rings in polygons.items()}
+    systems = {"32": "EPSG:25832", "33": "urn:ogc:def:crs:EPSG::25833", "own": "grid of the site"}
+    for name, system in (systems | {"foot": "EPSG:2263"}).items():
+        nodes[f"square_{name}"] = nodes["square"] | {"crs": {"properties": {"name": system}}}
+    nodes |= {"list": [1, 2], "null": None, "point": {"type": "Point", "coordinates": [0, 0]}}
+    nodes["collection"] = {"type": "FeatureCollection", "features": []}
+    for name, node in nodes.items():
+        (folder / f"{name}.geojson").write_text(json.dumps(node))

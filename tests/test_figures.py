@@ -1,0 +1,89 @@
+"""What every figure gets: letters of panels, lines that one can tell apart without colour."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from overlaps import alike_in_grey, doubled_names, overlapping_texts
+
+from mmqa_lab import plots
+from mmqa_lab._figures import finish_figure
+
+
+@pytest.fixture
+def figure():
+    """Two panels in the house style, nine lines of nine colours, a picture with its colour bar."""
+    with plots.style():
+        figure, axes = plots.subplots(1, 2, width="double")
+        for k, colour in enumerate((*plots.COLOURS.values(), "#777777")):
+            axes[0].plot([0, 1, 2], np.arange(3) * k, color=colour, label=f"line {k}")
+        axes[0].legend(loc="upper left", ncols=3)
+        axes[0].set(title="lines", ylim=(-1, 40))
+        figure.colorbar(axes[1].imshow(np.eye(3)), ax=axes[1], label="value")
+        yield figure
+    plt.close(figure)
+
+
+def test_lines_are_told_apart_without_colour(figure):
+    assert len(alike_in_grey(figure)) > 5
+    finish_figure(figure)
+    assert alike_in_grey(figure) == []
+    assert overlapping_texts(figure) == []
+
+
+def test_the_legend_shows_the_lines_as_they_are(figure):
+    finish_figure(figure)
+    ax = figure.axes[0]
+    for line, shown in zip(ax.lines, ax.get_legend().legend_handles, strict=True):
+        assert shown.get_marker() == line.get_marker()
+        assert shown._dash_pattern == line._dash_pattern
+
+
+def test_in_a_grey_picture_the_lines_differ(figure):
+    """The pixels of two lines that were alike are at other places along the same course."""
+    ax = figure.axes[0]
+    ax.clear()
+    ax.set_axis_off()
+    drawn = []
+    for colour in ("#0072B2", "#D55E00"):
+        ax.plot([0, 1], [0, 0], color=colour, label=colour)
+    finish_figure(figure)
+    for line in ax.lines:
+        line.set_color("black")
+        line.set_visible(False)
+    for line in ax.lines:
+        line.set_visible(True)
+        figure.canvas.draw()
+        drawn.append(np.asarray(figure.canvas.buffer_rgba()).copy())
+        line.set_visible(False)
+    assert np.abs(drawn[0].astype(int) - drawn[1]).max() > 100
+
+
+def test_panels_have_letters_once_and_colour_bars_none(figure):
+    for _ in range(2):
+        finish_figure(figure)
+    letters = [[text.get_text() for text in ax.texts] for ax in figure.axes]
+    assert letters == [["(a)"], ["(b)"], []]
+    single, ax = plots.subplots()
+    finish_figure(single)
+    assert not ax.texts
+    plt.close(single)
+
+
+def test_marks_alone_get_other_marks():
+    figure, ax = plots.subplots()
+    ax.plot([1, 2], [[1, 2, 3], [2, 3, 4]], "o", color="black", label=["a", "b", "c"])
+    finish_figure(figure)
+    assert len({line.get_marker() for line in ax.lines}) == 3
+    assert {line.get_linestyle() for line in ax.lines} == {"None"}
+    plt.close(figure)
+
+
+def test_a_name_that_is_in_the_legend_twice_is_found():
+    figure, ax = plots.subplots()
+    ax.plot([1, 2], label="f")
+    ax.legend()
+    assert doubled_names(figure) == []
+    ax.plot([2, 3], label="f")
+    ax.legend()
+    assert doubled_names(figure) == ["'f' is in the legend twice"]
+    plt.close(figure)
