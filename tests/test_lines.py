@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmqa_lab import lines
 from mmqa_lab.lines import Segments, components, distance_matrix, peak_threshold
+from mmqa_lab.lines.segments import otsu_threshold
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
 
@@ -255,8 +255,8 @@ def test_without_a_jump_the_fallback_is_flagged(nearest):
 def test_two_clusters_are_split(rng):
     near, far = rng.lognormal(-1, 0.3, 40), rng.lognormal(2, 0.4, 25)
     both = np.concatenate([near, far])
-    assert near.max() <= lines.otsu_threshold(both).delta < far.min()
-    assert lines.otsu_threshold([]).fallback
+    assert near.max() <= otsu_threshold(both).delta < far.min()
+    assert otsu_threshold([]).fallback
 
 
 def peak_by_hand(curve, sensitivity):
@@ -294,7 +294,7 @@ def test_three_values_are_split_where_the_classes_differ_most(rng):
         return len(low) * len(high) * (low.mean() - high.mean()) ** 2
 
     best = max(range(1, 3), key=between)
-    assert lines.otsu_threshold(values).delta == values[best - 1]
+    assert otsu_threshold(values).delta == values[best - 1]
 
 
 @pytest.mark.parametrize("nearest", [[0.1, np.nan], [-0.1, 0.2], [[0.1, 0.2]]])

@@ -12,7 +12,6 @@ from mmqa_lab.lines.segments import (
     components,
     correspond,
     distance_matrix,
-    otsu_threshold,
     pairing_scores,
     peak_threshold,
 )
@@ -29,7 +28,6 @@ __all__ = [
     "hausdorff",
     "lhd",
     "match_displaced",
-    "otsu_threshold",
     "pairing_scores",
     "peak_threshold",
     "study",

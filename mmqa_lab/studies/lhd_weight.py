@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, io, lines, plots, samples
+from mmqa_lab.lines.segments import otsu_threshold
 from mmqa_lab.published import ledger, table
 from mmqa_lab.run import Check
 from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
@@ -172,7 +173,7 @@ METHODS = {
     "first differences": partial(measured, threshold=partial(lines.peak_threshold, order=1)),
     "sensitivity 0.1 m": partial(measured, sensitivity=0.1),
     "sensitivity 2 m": partial(measured, sensitivity=2.0),
-    "Otsu's threshold": partial(measured, threshold=lines.otsu_threshold),
+    "Otsu's threshold": partial(measured, threshold=otsu_threshold),
     "shorter line turned": partial(measured, rotate="shorter"),
     "any overlap": partial(measured, within="overlap"),
     "all targets": partial(measured, norm="all"),
