@@ -102,7 +102,7 @@ def check_plan(points, *, name="points", minimum=1):
 def check_same_crs(name, crs, other_name, other):
     """Raise where two coordinate reference systems are known and differ in plan.
 
-    Heights are not compared, nor datums of one ellipsoid (ETRS89 and WGS 84).
+    Heights are not compared, nor datums whose ellipsoids have one major axis (ETRS89, WGS 84).
 
     Examples
     --------
@@ -117,13 +117,15 @@ def check_same_crs(name, crs, other_name, other):
 
 
 def _in_plan(crs):
-    """What a coordinate reference system is in plan: its projection, or its EPSG number."""
+    """What a coordinate reference system is in plan: ellipsoid and projection, or EPSG number."""
     plan = crs.sub_crs_list[0] if crs.is_compound else crs
+    size = plan.ellipsoid and round(plan.ellipsoid.semi_major_metre)
     operation = plan.coordinate_operation
     if operation is None:
-        return plan.to_epsg()
+        return size, plan.to_epsg()
     values = [(one.code, round(one.value, 6)) for one in operation.params]
-    return operation.method_code, sorted(values), plan.axis_info[0].unit_conversion_factor
+    unit = plan.axis_info[0].unit_conversion_factor
+    return size, operation.method_code, sorted(values), unit
 
 
 def coordinate_columns(names):

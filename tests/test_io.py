@@ -10,6 +10,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import plyfile
+import pyproj
 import pytest
 import rasterio
 import shapely
@@ -18,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import samples
-from mmqa_lab._checks import check_points
+from mmqa_lab._checks import check_points, check_same_crs
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import (
     read_cloud,
@@ -638,3 +639,18 @@ def test_rejects_trajectories(tmp_path, content, sentence):
     with pytest.raises(ValueError, match="Invalid trajectory") as error:
         read_trajectory(tmp_path / "t.csv")
     assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "same"),
+    [("32632", True), ("25832+7837", True), ("25833", False), ("23032", False), ("4258", False)],
+)
+def test_coordinate_systems_are_compared_in_plan(number, same):
+    """ED50 in the same zone lies 100 m from ETRS89; WGS 84 lies within a metre, a height system
+    changes nothing in plan."""
+    systems = pyproj.CRS(f"EPSG:{number}"), pyproj.CRS("EPSG:25832")
+    if same:
+        check_same_crs("polygon", systems[0], "cloud", systems[1])
+    else:
+        with pytest.raises(ValueError, match="Must be in that of the cloud, ETRS89 / UTM zone 32N"):
+            check_same_crs("polygon", systems[0], "cloud", systems[1])

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots
+from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.chart_cloud import CHART_MARGINS_M
 from mmqa_lab.chart_image.rules import ALONG
 from mmqa_lab.io import write_atomically
@@ -52,6 +53,7 @@ COLUMNS = {
     "direction": "direction",
     "value": "value",
     "interval": "95 % interval",
+    "unit": "unit",
     "asked": "asked",
     "margin": "margin",
     "verdict": "verdict",
@@ -221,11 +223,17 @@ def _verdict_table(table):
     shown = table.assign(
         interval=["" if a == b or pd.isna(a) else f"{_short(a)} to {_short(b)}" for a, b in ends],
         asked=table["relation"] + " " + table["threshold"].map(_plain),
+        unit=table["quantity"].map(_unit),
         value=table["value"].map(_plain),
         margin=table["margin"].map(_plain),
         distance_m=table["distance_m"].map(_plain),
     )
     return shown[list(COLUMNS)].rename(columns=COLUMNS)
+
+
+def _unit(quantity):
+    """The unit of a quantity, as its name ends with it; marks of legibility have none."""
+    return "" if quantity.startswith("legibility") else split_unit(quantity)[1]
 
 
 def _plain(value):
