@@ -250,6 +250,11 @@ ANSWERED = [
     ("map tiles --out m.nc", "counted once", ""),
     ("map fewer.las --out m.nc", "room for 900 points, the header says 500", ""),
     ("info feet.laz", "Coordinates are not in metres", ""),
+    (
+        "plan --scanner vq-450 --speed 10 --range 8 --height-difference 200",
+        "point_spacing_m                  28.6",
+        "struck at 88.7 degrees of incidence",
+    ),
 ]
 
 

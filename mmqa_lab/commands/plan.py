@@ -9,6 +9,7 @@ After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a re
 """
 
 import argparse
+import warnings
 
 from mmqa_lab.commands._output import add_output_arguments, print_json, print_rows, write_rows
 
@@ -33,6 +34,9 @@ SETUP = {
     "scanner_tilt": ("scanner_tilt_deg", "scan plane tilted about X, default 0"),
 }
 """Options that describe the set-up: fields of ``ScanSetup`` and what they are."""
+
+GRAZING_DEG = 85.0
+"""Incidence beyond which neighbouring points lie too far apart for a prediction at one point."""
 
 UNITS = {"_hz": "HZ", "_m_s": "M/S", "_deg": "DEG"}
 
@@ -127,6 +131,13 @@ def _prediction(setup, target):
         raise ValueError(
             f"Invalid target: at {lattice.incidence_deg:.4f} degrees of incidence the next pulse "
             "or profile passes beside it. Must be struck less obliquely."
+        )
+    if lattice.incidence_deg > GRAZING_DEG:
+        warnings.warn(
+            f"the target is struck at {lattice.incidence_deg:.1f} degrees of incidence; beyond "
+            f"{GRAZING_DEG:g} degrees the point spacing along a profile changes so fast that the "
+            "prediction may be wrong by half.",
+            stacklevel=2,
         )
     return found
 
