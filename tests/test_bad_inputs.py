@@ -252,7 +252,7 @@ ANSWERED = [
     ("info feet.laz", "Coordinates are not in metres", ""),
     (
         "plan --scanner vq-450 --speed 10 --range 8 --height-difference 200",
-        "point_spacing_m                  28.6",
+        "point_spacing_m 28.6",
         "struck at 88.7 degrees of incidence",
     ),
 ]
