@@ -313,9 +313,9 @@ def evaluate_cloud(
     rho0 : float, optional
         Density that is asked for, points per m2: where d1 and d4 are both at most
         sqrt(1 / rho0), f does not matter (``f_exempt``).
-    sectors : int or "nearest"
-        Sectors in place of the quadrants, or the four nearest points in any direction; see
-        :func:`mmqa_lab.spacing.quadrants`.
+    sectors : int or str
+        Sectors in place of the quadrants, or "nearest 8": the 8 nearest points in any direction;
+        see :func:`mmqa_lab.spacing.quadrants`.
     statistic : float
         Percentile of the distances that d1..d4 are; 50 is the median.
     distinct : bool
@@ -537,7 +537,8 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
 
 def _remark_on_choices(sectors, gaps):
     """What d1, d2, ... are where they are not those of the source."""
-    where = "in any direction" if sectors == "nearest" else f"in each of {sectors} sectors"
+    any_direction = str(sectors).startswith("nearest")
+    where = "in any direction" if any_direction else f"in each of {sectors} sectors"
     what = "medians" if gaps.statistic == 50 else f"{gaps.statistic:g} % quantiles"
     return (
         f"d1..d{len(gaps.d)} are {what} of the sorted distances to the nearest points {where}, "

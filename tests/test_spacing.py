@@ -449,13 +449,15 @@ def test_sectors_equal_brute_force(count, angle, radius, rng, monkeypatch):
     assert found.f == pytest.approx(found.d[-1] / found.d[0])
 
 
-def test_nearest_points_have_the_closed_form(rng):
+@pytest.mark.parametrize(("sectors", "k"), [("nearest", 4), ("nearest 6", 6)])
+def test_nearest_points_have_the_closed_form(sectors, k, rng):
     """The area out to the k-th neighbour of a random pattern is Gamma(k) distributed."""
     n = 40_000
-    found = quadrants(rng.uniform(0, 1, (n, 2)), sectors="nearest", statistic=90)
-    expected = np.sqrt(stats.gamma.ppf(0.9, [1, 2, 3, 4]) / (np.pi * n))
+    found = quadrants(rng.uniform(0, 1, (n, 2)), sectors=sectors, statistic=90)
+    expected = np.sqrt(stats.gamma.ppf(0.9, np.arange(1, k + 1)) / (np.pi * n))
     np.testing.assert_allclose(found.d, expected, rtol=0.02)
-    assert ((found.intervals[:4, 0] < expected) & (expected < found.intervals[:4, 1])).sum() >= 3
+    inside = (found.intervals[:k, 0] < expected) & (expected < found.intervals[:k, 1])
+    assert inside.sum() >= 0.75 * k
 
 
 def test_median_of_four_sectors_is_that_of_the_quadrants(rng):
@@ -464,7 +466,9 @@ def test_median_of_four_sectors_is_that_of_the_quadrants(rng):
     np.testing.assert_allclose(other.d, np.nanpercentile(quadrants(xy).distances, 30, axis=0))
 
 
-@pytest.mark.parametrize("choices", [{"sectors": 2}, {"sectors": "all"}, {"statistic": 101}])
+@pytest.mark.parametrize(
+    "choices", [{"sectors": 2}, {"sectors": "all"}, {"sectors": "nearest 99"}, {"statistic": 101}]
+)
 def test_bad_sectors_and_statistics(choices):
     with pytest.raises(ValueError, match=r"Invalid (sectors|statistic) .*Must be"):
         quadrants([[0, 0], [1, 0]], **choices)

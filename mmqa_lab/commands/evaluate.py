@@ -76,7 +76,7 @@ def add_arguments(parser):
         type=_sectors,
         default=4,
         metavar="N",
-        help="sectors in place of the 4 quadrants: 6, 8, ..., or nearest: the 4 nearest points",
+        help="sectors in place of the 4 quadrants: 6, 8, ..., or 'nearest 8': the 8 nearest points",
     )
     parser.add_argument(
         "--statistic",
@@ -140,7 +140,7 @@ def _draw(quality, file, *, title):
 
 
 def _sectors(text):
-    """A number of sectors, or nearest."""
+    """A number of sectors, or nearest points."""
     return int(text) if text.isdigit() else text
 
 

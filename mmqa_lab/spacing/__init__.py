@@ -203,9 +203,9 @@ def quadrants(
     complete : bool
         Use only the points with a neighbour in all four quadrants. By default each median is over
         the points that have a neighbour of that rank, as the histogram of an attribute would be.
-    sectors : int or "nearest"
-        Equal sectors in place of the four quadrants, the first from the first axis on; "nearest"
-        takes the four nearest points in any direction. The source has quadrants only.
+    sectors : int or str
+        Equal sectors in place of the four quadrants, the first from the first axis on; "nearest 8"
+        takes the 8 nearest points in any direction, "nearest" four. The source has quadrants only.
     statistic : float
         The percentile of the distances; 50 is the median, which the source has.
 
@@ -216,7 +216,8 @@ def quadrants(
     Raises
     ------
     ValueError
-        As :func:`quadrant_distances`, or if there are not 4 to 36 sectors, or no such percentile.
+        As :func:`quadrant_distances`, or if there are not 4 to 36 sectors or nearest points, or no
+        such percentile.
 
     Notes
     -----
@@ -538,12 +539,10 @@ def _quantile(values, share):
 
 
 def _sector_distances(xy, radius, angle, sectors):
-    """Sorted distances to the nearest point in each sector, or to the four nearest; NaN last."""
+    """Sorted distances to the nearest point in each sector, or to the nearest of all; NaN last."""
     from scipy.spatial import cKDTree
 
-    if sectors != "nearest" and sectors not in range(4, 37):
-        raise ValueError(f"Invalid sectors {sectors!r}. Must be 4 to 36, or 'nearest'.")
-    tree, ranks = cKDTree(xy), 4 if sectors == "nearest" else sectors
+    tree, (ranks, directed) = cKDTree(xy), _ranks(sectors)
     found, waiting = np.empty((len(xy), ranks)), _portions(np.arange(len(xy)), 4 * ranks)
     while waiting:
         rows, reach = waiting.pop()
@@ -551,13 +550,22 @@ def _sector_distances(xy, radius, angle, sectors):
         away[away > radius] = np.inf
         all_seen = np.isinf(away[:, -1])
         away[away == 0] = np.inf
-        if sectors != "nearest":
+        if directed:
             offset = xy[np.minimum(other, len(xy) - 1)] - xy[rows, None]
-            away = _nearest_in_sectors(away, offset, angle, sectors)
+            away = _nearest_in_sectors(away, offset, angle, ranks)
         found[rows] = np.sort(away)[:, :ranks]
         waiting += _portions(rows[~all_seen & np.isinf(found[rows, -1])], 2 * reach)
     found[np.isinf(found)] = np.nan
     return found
+
+
+def _ranks(sectors):
+    """How many distances belong to a point, and whether each is that of a sector."""
+    word, _, number = str(sectors).partition(" ")
+    ranks = (number or "4") if word == "nearest" else word
+    if not ranks.isdigit() or not 4 <= int(ranks) <= 36:
+        raise ValueError(f"Invalid sectors {sectors!r}. Must be 4 to 36, or 'nearest 4' to 36.")
+    return int(ranks), word != "nearest"
 
 
 def _portions(rows, reach):
