@@ -342,7 +342,7 @@ def test_polygons(tmp_path):
     ("source", "sentence"),
     [
         ("0,0,0; 1,0,0", "2 given. Must be 3 or more"),
-        ("0,0; 1,0; 1,1", "Must have shape (n, 3)"),
+        ("0,0,0,0; 1,0,0,0; 1,1,0,0", "Must have shape (n, 3)"),
         ("0,0,0; a,0,0; 1,1,0", "Must be vertices x,y,z"),
         ("nowhere.csv", "no such file. Must exist."),
         ("0,0,0; 1,nan,0; 1,1,0", "1 of 3 not finite"),

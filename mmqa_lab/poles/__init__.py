@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab._checks import check_choice, check_plan, check_positive
 from mmqa_lab._polygons import path_distance
 from mmqa_lab.cloud import Cloud, as_cloud, sort_into_cells
 from mmqa_lab.poles.delivery import write_poles
@@ -219,8 +219,7 @@ def _within(cloud, trajectory, corridor, usual):
         raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
     if trajectory is not None:
         reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
-        path = np.asarray(trajectory, dtype=np.float64)[:, :2]
-        inside = _near_path(points, check_points(path, name="trajectory", columns=2), reach)
+        inside = _near_path(points, check_plan(trajectory, name="trajectory"), reach)
         points = points[inside]
     return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
 
