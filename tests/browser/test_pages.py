@@ -8,6 +8,7 @@ import nbformat
 import pandas as pd
 import pytest
 
+from mmqa_lab.published.ledger import entry
 from mmqa_lab.run import Check, Run, notebooks, pages
 from mmqa_lab.run.students import PYTHON
 from mmqa_lab.studies import STUDIES
@@ -24,8 +25,9 @@ def site(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("MMQA_RESULTS", str(folder))
         write_study(STUDIES[0], folder / STUDIES[0].stem)
+    once = shutil.ignore_patterns("ledger.csv")
     for study in STUDIES[1:]:
-        shutil.copytree(folder / STUDIES[0].stem, folder / study.stem)
+        shutil.copytree(folder / STUDIES[0].stem, folder / study.stem, ignore=once)
     pages.write_pages(folder, STUDIES)
     return folder
 
@@ -40,6 +42,7 @@ def write_study(study, folder):
     plt.close(figure)
     assert report[1].is_file()
     run.save_answer("f is 2 on a lattice that is stretched by 2. " * 5, figure="seen")
+    run.save_ledger([entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", note="A.")])
     run.save_checks([Check("f is 2.", True, "f = 2.0", "digits"), Check("g is 2.", False, "3", "")])
     run.finish()
     table = {"text/html": pd.DataFrame({f"column_{k}_m": [k] for k in range(40)}).to_html()}
@@ -69,7 +72,13 @@ def opened(browser, site):
 
 @pytest.mark.parametrize(
     "name",
-    ["index.html", "glossary.html", "chart_tables/chart_tables.html", "chart_tables/report.html"],
+    [
+        "index.html",
+        "ledger.html",
+        "glossary.html",
+        "chart_tables/chart_tables.html",
+        "chart_tables/report.html",
+    ],
 )
 def test_axe_finds_nothing(opened, name):
     axe = pytest.importorskip("axe_playwright_python", reason="needs axe-playwright-python")
