@@ -70,6 +70,17 @@ def write_rows(frame, options):
         write_atomically(options.csv, lambda path: frame.to_csv(path, index=False))
 
 
+def write_figure(file, figure, *, title):
+    """Write a figure as all others are finished, with its title and our version as metadata."""
+    from mmqa_lab import __version__
+    from mmqa_lab._figures import finish_figure
+    from mmqa_lab.io import write_atomically
+
+    finish_figure(figure)
+    details = {"Title": title, "Creator": f"mmqa_lab {__version__}"}
+    write_atomically(file, lambda path: figure.savefig(path, metadata=details))
+
+
 def print_json(value):
     """Print a value as JSON, null for what is not a finite number."""
     import json

@@ -10,7 +10,7 @@ a run that was interrupted goes on where it stopped.
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import add_output_arguments, print_rows, write_figure
 
 SUMMARY = "compare methods, yours too, on the cases of a study"
 
@@ -130,4 +130,4 @@ def _write(comparison, results, out):
     with plots.style():
         for name, figure in comparison.figures(results).items():
             for ending in ("png", "svg"):
-                write_atomically(out / f"{name}.{ending}", figure.savefig)
+                write_figure(out / f"{name}.{ending}", figure, title=name)

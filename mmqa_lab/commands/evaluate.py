@@ -10,7 +10,13 @@ taken for the surface.
 
 import argparse
 
-from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows, with_progress
+from mmqa_lab.commands._output import (
+    add_output_arguments,
+    output_file,
+    print_rows,
+    with_progress,
+    write_figure,
+)
 
 SUMMARY = "point density, planarity and point spacing of a surface in a cloud"
 
@@ -120,23 +126,13 @@ def run(options):
         table.insert(0, "file", str(file))
         rows.append(table.assign(remarks=" ".join(quality.remarks)))
     if options.out is not None:
-        _draw(quality, options.out, title=f"Quality of {options.cloud[-1]}")
+        from mmqa_lab import plots
+
+        with plots.style():
+            write_figure(options.out, quality.plot(), title=f"Quality of {options.cloud[-1]}")
     one = len(rows) == 1 and not options.intervals
     table = pd.concat(rows).drop(columns=LEFT_OUT, errors="ignore")
     print_rows(table, options, upright="file" if one else None)
-
-
-def _draw(quality, file, *, title):
-    """Write the figure of one evaluated surface."""
-    from mmqa_lab import __version__, plots
-    from mmqa_lab._figures import finish_figure
-    from mmqa_lab.io import write_atomically
-
-    with plots.style():
-        figure = quality.plot()
-        finish_figure(figure)
-        details = {"Title": title, "Creator": f"mmqa_lab {__version__}"}
-        write_atomically(file, lambda path: figure.savefig(path, metadata=details))
 
 
 def _sectors(text):

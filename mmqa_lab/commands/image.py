@@ -20,6 +20,7 @@ from mmqa_lab.commands._output import (
     output_file,
     print_rows,
     with_progress,
+    write_figure,
 )
 
 SUMMARY = "pixel size, resolved line pairs and MTF of a photographed chart"
@@ -85,6 +86,7 @@ def run(options):
             faults[file] = error
             rows.append(pd.DataFrame([{"file": str(file), "remark": str(error)}]))
             continue
+        last = file
         rows.append(quality.to_frame().assign(file=str(file)))
         patterns.append(quality.pairs.assign(file=str(file)))
     if not patterns:
@@ -95,22 +97,21 @@ def run(options):
         table = pd.concat(patterns)
         write_atomically(options.patterns, lambda path: table.to_csv(path, index=False))
     if options.out is not None:
-        _draw(quality, options.out)
+        _draw(quality, options.out, last)
     # one figure per line reads better than twenty columns
     rows.sort(key=lambda row: row["file"].item() in map(str, faults))
     print_rows(pd.concat(rows, ignore_index=True), options, upright="file")
 
 
-def _draw(quality, file):
+def _draw(quality, file, name):
     """Write the figure of one evaluated photograph."""
     from mmqa_lab import plots
-    from mmqa_lab.io import write_atomically
 
     with plots.style():
         figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
         quality.plot(ax=axes[0])
         quality.plot_contrast(ax=axes[1])
-        write_atomically(file, figure.savefig)
+        write_figure(file, figure, title=f"Imaging chart in {name}")
 
 
 def _corners(text):
