@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mmqa_lab.chart_image.evaluation import evaluate_window
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.legibility import TEXT_MM
 from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
 from mmqa_lab.chart_image.rules import (
     ALONG,
@@ -45,8 +46,6 @@ photographs it was read within 2.3 % of what the same photograph without noise s
 
 NEAR_SHARE = 0.15
 """Share of the distance by which targets alone may misplace a camera."""
-
-CAP_MM = 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,7 +373,7 @@ def _legibility(photo, place, marks, done):
     crop = blind_name(photo.file, photo.board)
     photo.found["crop"] = crop
     pixels = photo.quality.pixel_size("v")[0]
-    photo.found["cap_px"] = CAP_MM / pixels
+    photo.found["cap_px"] = TEXT_MM / pixels
     rows = {"value": None, "low": np.nan, "high": np.nan}
     given = [] if marks is None else marks.loc[marks["element"] == crop, "mark"].tolist()
     if marks is not None and not given:

@@ -16,6 +16,7 @@ import pandas as pd
 from mmqa_lab import plots
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.chart_cloud import CHART_MARGINS_M
+from mmqa_lab.chart_image.legibility import expected_marks
 from mmqa_lab.chart_image.rules import ALONG
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
@@ -180,7 +181,9 @@ def _lines(done, site):
         "drive was against the rules and may have caused it.",
         "Direction h: the lying bar of 600 mm, pairs of standing bars; v: the two standing bars of "
         "800 mm, pairs of lying bars.",
-        "All figures are measured on the delivered data, after Pfeifer et al. 2021, "
+        "Expected marks follow from the pixels per letter, by thresholds fitted to the marks of "
+        "Table 1; no verdict uses them.",
+        "All other figures are measured on the delivered data, after Pfeifer et al. 2021, "
         "doi:10.3390/rs13020237.",
     ]
 
@@ -272,11 +275,20 @@ def _image_table(done):
             "px per 40 mm": f"{photo.found['cap_px']:.1f}",
             "crop": photo.found["crop"],
             "marks": photo.found["marks"],
+            "expected mark": _expected(photo.found["cap_px"]),
             "remark": photo.quality.to_frame()["remark"].item(),
         }
         for photo in done.photographs
     ]
     return pd.DataFrame(rows)
+
+
+def _expected(cap_px):
+    """The mark that the pixels per letter make expected, with its range where it is open."""
+    if not np.isfinite(cap_px):
+        return ""
+    one = expected_marks(cap_px).iloc[0]
+    return one["mark"] if one["best"] == one["worst"] else f"{one['best']} to {one['worst']}"
 
 
 def _cloud_table(done):
