@@ -131,7 +131,7 @@ def run(options):
         _print_poles(found, options)
         return
     if path is not None and scope["corridor"] is None:
-        scope["corridor"] = 15.0 if options.method == "itc" else 30.0
+        scope["corridor"] = poles.CORRIDORS_M[options.method]
     _print_scores(found, poles.score(accepted, reference, gate=gate, **scope), reference, options)
 
 

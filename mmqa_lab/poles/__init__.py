@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 METHODS = ("ours", "fgi", "itc")
 
-_CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
+CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
 """Half width of the corridor where a trajectory comes without one: that of the report's tables."""
 
 HALO_M = 16.0
@@ -121,7 +121,7 @@ def detect(
     from mmqa_lab.poles.profiles import scan_lines
 
     cloud = as_cloud(points)
-    inside, origin = _within(cloud, trajectory, corridor, _CORRIDORS_M[method])
+    inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
     lines = scan_lines(cloud)
     if method == "fgi" and lines is None:
         warnings.warn(
