@@ -5,6 +5,8 @@ scan differ in it alone (repeatability), scans of one surface differ too; ISO 57
 of variance separate these parts, and :func:`strip_law` says what to expect.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -27,6 +29,7 @@ __all__ = [
     "strip_law",
     "variance_components",
 ]
+__dir__ = __all__.copy
 
 STRIP = 0.4579
 """Half of the mean area between two jittered outlines, per perimeter and click error."""
@@ -181,12 +184,12 @@ class Repeatability(Shown):
     n: int
 
     @property
-    def r(self):
+    def r(self) -> float:
         """Repeatability limit 2.8 s_r."""
         return LIMIT * self.s_r
 
     @property
-    def reproducibility_limit(self):
+    def reproducibility_limit(self) -> float:
         """2.8 s_R with s_R^2 = s_L^2 + s_r^2: another selection of another scan."""
         return LIMIT * float(np.hypot(self.s_r, self.s_l))
 
