@@ -217,7 +217,8 @@ def repeatability(
     table : DataFrame
         A row per selection.
     value, group : str
-        Columns: the figure, and what names the scan.
+        Columns: the figure, and what names the scan; all rows are of one scan where a table has
+        no such column.
     draws : int
         Of the bootstrap.
     seed : int
@@ -243,7 +244,8 @@ def repeatability(
     >>> round(found.s_r, 3), round(found.s_l, 3), round(found.icc, 3)
     (0.141, 0.7, 0.961)
     """
-    parts = [rows.to_numpy(dtype=np.float64) for _, rows in table.groupby(group)[value]]
+    grouped = table.groupby(group if group in table else np.zeros(len(table)))[value]
+    parts = [rows.to_numpy(dtype=np.float64) for _, rows in grouped]
     if not parts or min(len(part) for part in parts) < 2:
         raise ValueError(f"Invalid {group}: a single selection. Must be two or more of each.")
     if not np.isfinite(np.concatenate(parts)).all():

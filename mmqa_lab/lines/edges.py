@@ -61,6 +61,9 @@ class Edges(Shown):
     def __len__(self):
         return len(self.segments)
 
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.array(self.segments.ends, dtype=dtype, copy=copy)
+
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""

@@ -104,6 +104,9 @@ class Segments(Shown):
     def __len__(self):
         return len(self.ends)
 
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.array(self.ends, dtype=dtype, copy=copy)
+
     @property
     def vectors(self) -> np.ndarray:
         """From the first end to the second, shape (n, 3), m."""

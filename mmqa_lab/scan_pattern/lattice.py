@@ -549,7 +549,7 @@ class Lattice(Shown):
             return np.where(self._level, np.nan, self.cell_m2 / step)[()]
 
 
-def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
+def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     """Return the scan lattice on each piece of a surface.
 
     The piece is struck when the scan plane comes past it. The pulses half a step before and after,
@@ -559,7 +559,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
     Parameters
     ----------
     setup : ScanSetup
-    patch : Patch
+    patch : Patch or Target
         Its shape and the set-up's broadcast.
 
     Returns
@@ -583,10 +583,12 @@ def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
     >>> from mmqa_lab.scan_pattern import ScanSetup, Target
     >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
     ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
-    >>> lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5).patch(setup))
+    >>> lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5))
     >>> round(lattice.profile_spacing_horizontal_m.item(), 6)
     0.08165
     """
+    if isinstance(patch, Target):
+        patch = patch.patch(setup)
     shape = (*np.broadcast_shapes(setup.shape, patch.points.shape[:-1]), 3)
     beam = np.broadcast_to(_meet(setup, patch.points), shape)
     normal = np.broadcast_to(patch.normals, shape)
