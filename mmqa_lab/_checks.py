@@ -167,7 +167,7 @@ def is_table(points):
 def _from_file(path):
     """The points of a file of points, or of a raster of heights."""
     from mmqa_lab.io import read_cloud, read_heights
-    from mmqa_lab.io.rasters import is_raster
+    from mmqa_lab.io.images import is_raster
 
     if os.path.isfile(path) and is_raster(path):
         return read_heights(path)

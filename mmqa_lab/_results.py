@@ -22,11 +22,9 @@ class Shown:
         """Return one row: every number with its unit, short vectors by their axes."""
         row = {}
         for name in (*(field.name for field in fields(self)), *self._derived):
-            value, unit = getattr(self, name), self._units.get(name, "")
+            value, unit = getattr(self, name), "_m" if name in self._metres else ""
             if isinstance(value, np.ndarray) and value.shape in ((2,), (3,)):
-                row |= {
-                    f"{name}_{axis}{unit}": one for axis, one in zip("xyz", value, strict=False)
-                }
+                row |= {f"{name}_{axis}{unit}": v for axis, v in zip("xyz", value, strict=False)}
             elif np.ndim(value) == 0:
                 row[name + unit] = value
         return pd.DataFrame([row])

@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmqa_lab.lines import Segments, components, distance_matrix, peak_threshold
+from mmqa_lab.lines import (
+    Segments,
+    components,
+    distance_matrix,
+    fit_displacement,
+    peak_threshold,
+)
 from mmqa_lab.lines.segments import otsu_threshold
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
@@ -315,3 +321,15 @@ def test_warnings_name_no_unit_for_plain_buildings():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Segments([[0, 0, 0, 0, 0, 12]])
+
+
+def test_segments_and_their_displacement_are_tables_and_pictures():
+    ends = np.array([[[0, 0, 0], [0, 0, 7]], [[5, 0, 0], [5, 9, 0]], [[9, 0, 4], [1, 0, 4.0]]])
+    sets = Segments(ends), Segments(ends).moved([0.3, 0, 0.1])
+    assert sets[0].to_frame()["length_m"].tolist() == [7, 9, 8]
+    assert len(sets[0].plot().lines) == 3
+    found = fit_displacement(sets[1], sets[0], np.eye(3, dtype=bool)).to_frame().set_index("figure")
+    assert found["value"].iloc[:3].to_numpy() == pytest.approx([0.3, 0, 0.1])
+    assert (found["high"] - found["low"]).to_numpy() == pytest.approx(2 * 1.96 * found["std"])
+    parts = components(*sets).to_frame()
+    assert parts.query("test_segment == model_segment")["angle_m"].max() == pytest.approx(0)

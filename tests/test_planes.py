@@ -9,6 +9,7 @@ from scipy import optimize, stats
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     PAPER_SCALE,
+    fit_circle,
     fit_line,
     fit_plane,
     sigma_mad,
@@ -170,3 +171,15 @@ def test_rejects_a_level_plane_for_horizontal_axes():
 def test_rejects_residuals(residuals):
     with pytest.raises(ValueError, match="Must be a row of finite numbers"):
         sigma_mad(residuals)
+
+
+def test_tables_of_fits_have_units_and_intervals():
+    square = [[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]]
+    plane = fit_plane(square).to_frame().iloc[0]
+    assert plane["centre_z_m"] == plane["normal_z"] == 1
+    assert plane["n"] == 4
+    turn = np.linspace(0, 3, 50)
+    circle = fit_circle(np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    row = circle.to_frame().iloc[0]
+    assert row["radius_m"] == circle.radius
+    assert row["x_high_m"] - row["x_low_m"] == pytest.approx(2 * 1.96 * circle.std)

@@ -9,7 +9,6 @@ from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.poles import (
-    candidates,
     common,
     features,
     fgi,
@@ -371,7 +370,7 @@ def test_no_point_near_a_place_is_left_out(rng):
 def test_candidates_do_not_depend_on_tiles(rng):
     spots = rng.uniform(0, 200, (60, 2))
     points = np.concatenate([post(x, y)[0] for x, y in spots])
-    found = candidates.candidates(points, points[:, 2])
+    found = features.candidates(points, points[:, 2])
     gap = np.hypot(*(spots[:, None] - found[None]).transpose(2, 0, 1)).min(axis=1)
     assert gap.max() < 0.2
 

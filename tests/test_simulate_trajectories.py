@@ -112,3 +112,10 @@ def test_navigation_errors_are_kept_apart_from_the_truth():
 def test_bad_trajectories_are_named(make, sentence):
     with pytest.raises(ValueError, match=sentence):
         make()
+
+
+def test_a_path_is_the_table_it_was_made_of():
+    path = Trajectory([0, 2, 3], [[0, 0, 2], [0, 20, 2], [1, 30, 2.0]], heading=[0, 3, 5])
+    again = Trajectory.from_table(path.to_frame())
+    assert np.array_equal(again.position, path.position)
+    assert np.array_equal(again.heading, path.heading)

@@ -134,7 +134,7 @@ def _heights(options):
 
     from mmqa_lab._checks import check_same_crs
     from mmqa_lab.io import read_heights, read_trajectory
-    from mmqa_lab.io.rasters import heights_crs
+    from mmqa_lab.io.images import heights_crs
     from mmqa_lab.testfield import thinned
 
     reference = read_heights(options.reference)

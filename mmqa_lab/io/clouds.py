@@ -21,8 +21,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab.cloud import Cloud, as_cloud
-from mmqa_lab.io._files import damage_named, first_sentence, write_atomically
-from mmqa_lab.io.tables import text_tables
+from mmqa_lab.io.tables import damage_named, first_sentence, text_tables, write_atomically
 
 LAS_ENDINGS = (".las", ".laz")
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".asc", ".pts")

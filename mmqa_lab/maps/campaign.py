@@ -27,8 +27,8 @@ import numpy as np
 from mmqa_lab._checks import check_count, check_metres, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.io import LAS_ENDINGS, write_atomically
-from mmqa_lab.io._files import first_sentence
 from mmqa_lab.io.clouds import iterate_cloud
+from mmqa_lab.io.tables import first_sentence
 from mmqa_lab.maps.tile import METRICS, evaluate_tile, reach
 
 PIECE = 50_000

@@ -8,7 +8,6 @@ alone; ``python -m mmqa_lab.studies.poles_training`` grows them anew.
 import numpy as np
 from scipy.stats import t as student
 
-from mmqa_lab.poles.candidates import BIN_M
 from mmqa_lab.poles.common import (
     beside,
     fit_ground,
@@ -18,7 +17,7 @@ from mmqa_lab.poles.common import (
     slice_widths,
     thinned,
 )
-from mmqa_lab.poles.features import REACH_M, describe
+from mmqa_lab.poles.features import BIN_M, REACH_M, describe
 from mmqa_lab.poles.ours import WIDEST_M, chord_points, read_model
 
 CLASSES = ("lamp or utility pole", "sign or signal", "trunk", "bollard or post", "other")

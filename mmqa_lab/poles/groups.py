@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
 from mmqa_lab.poles.common import near_axis, rows
-from mmqa_lab.poles.features import MAX_LEAN, fit_axis, longest_run
+from mmqa_lab.poles.features import BIN_M, BINS, MAX_LEAN, fit_axis, longest_run, set_bits
 
 WIDEST_M = 0.8
 """Longest chord of a group; a line on a wall or the ground is longer."""

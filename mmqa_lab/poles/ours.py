@@ -19,7 +19,6 @@ from importlib import resources
 import numpy as np
 
 from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.candidates import BIN_M, candidates
 from mmqa_lab.poles.common import (
     beside,
     drop_duplicates,
@@ -33,9 +32,11 @@ from mmqa_lab.poles.common import (
     thinned,
 )
 from mmqa_lab.poles.features import (
+    BIN_M,
     FACADE_NAMES,
     MAX_LEAN,
     NAMES,
+    candidates,
     describe,
     describe_facades,
 )

@@ -10,9 +10,8 @@ stands behind them, the step between the two points lies along the ray.
 import numpy as np
 from numba import njit, prange
 
-from mmqa_lab.poles.candidates import BIN_M, BINS, set_bits
 from mmqa_lab.poles.common import beside, near_axis, rows
-from mmqa_lab.poles.features import longest_run
+from mmqa_lab.poles.features import BIN_M, BINS, longest_run, set_bits
 
 REACH_M = 0.7
 """Points within that distance of an axis tell the rays' direction and the pulses that pass it."""
