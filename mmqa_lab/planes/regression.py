@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from mmqa_lab._checks import (
     check_number,
@@ -374,6 +373,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float
     >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
     ([5.0, 5.0], 0.1)
     """
+    from scipy.optimize import least_squares
+
     points = check_points(points, columns=2, minimum=3)
     origin = np.median(points, axis=0)
     xy = points - origin
