@@ -503,7 +503,12 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
+    xy, found = flat_points(xy), []
+    for angle in angles:
+        distances = quadrant_distances(xy, radius=radius, angle=float(angle))
+        first, last = (_quantile(d[~np.isnan(d)], 0.5) for d in distances[:, [0, 3]].T)
+        found.append(last / first)
+    return np.array(found)
 
 
 def _count_coincident(xy):
