@@ -215,7 +215,10 @@ def studies(options):
     run = _several_at_once if several else _one_by_one
     outcomes = []
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
-    with _filling(folder, STUDIES), tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar:
+    with (
+        _filling(folder, STUDIES),
+        tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar,
+    ):
         for study, outcome in run(chosen(options.name), folder, options, bar):
             outcomes.append(outcome)
             bar.update()
