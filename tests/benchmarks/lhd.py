@@ -1,7 +1,7 @@
 """Speed and memory of the similarity matrix, the matchers and the edges, beside plain numpy.
 
 ``python tests/benchmarks/lhd.py`` compares in one process and prints ratios; ``--points`` sets the
-size of the simulated facade cloud. ``--study`` measures ``mmqa lhd`` on clouds of that size instead:
+size of the simulated facade cloud. ``--study`` measures ``mmqa lhd`` on clouds of that size:
 three passes, each with each and with a reference, extraction of the edges included.
 """
 
