@@ -197,7 +197,7 @@ def limits(results):
     for surface, part in cells.groupby(keys, sort=False):
         for figure in part.columns.intersection(list(FIGURES)):
             known = part[np.isfinite(part[figure])]
-            found = repeatability(known, figure, draws=200).to_frame()
+            found = repeatability(known, figure).to_frame()
             about = dict(zip(keys, surface, strict=True)) | {"figure": figure}
             tables.append(found.assign(**about))
     table = pd.concat(tables, ignore_index=True)
