@@ -57,6 +57,7 @@ __all__ = [
     "run",
     "summary",
 ]
+__dir__ = __all__.copy
 
 PASSING = (ImportError, MemoryError, OSError)
 """Failures of the machine, not of the method: never stored, so the next run tries again."""
@@ -234,7 +235,9 @@ class Comparison:
     tables: Callable | None = None
     figures: Callable | None = None
 
-    def run(self, *, workers=1, client=None, folder=None):
+    def run(
+        self, *, workers: int = 1, client: Any = None, folder: str | os.PathLike | None = None
+    ) -> xr.Dataset:
         """Return the results of all methods on all cases; see :func:`run`."""
         how = {"workers": workers, "client": client, "folder": folder}
         whole = {"make": self.make, "score": self.score, "seeds": self.seeds}

@@ -9,10 +9,13 @@ which points lie closest, divided by the spacing along it.
 95 % intervals; :func:`exempt` says where f does not matter.
 """
 
+from __future__ import annotations
+
 import sys
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -22,6 +25,9 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "DirectionalSpacing",
@@ -33,6 +39,7 @@ __all__ = [
     "quadrants",
     "turned_f",
 ]
+__dir__ = __all__.copy
 
 _ONE_AT_A_TIME = threading.Lock()
 """Some of numba's threading layers stop the process when two threads enter them at once."""
@@ -112,6 +119,12 @@ class Spacing(Shown):
         ends = [stats.median_interval(distances, block, share=share) for distances in ranks]
         ratio = stats.median_ratio_interval(ranks[-1], ranks[0], block, share=share)
         return np.array([*ends, ratio])
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
+        from mmqa_lab import plots
+
+        return plots.draw_spacing_histogram(self, ax=plots.subplots()[1] if ax is None else ax)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
@@ -376,7 +389,7 @@ class DirectionalSpacing(Shown):
         return len(self.xy)
 
     @property
-    def direction_deg(self):
+    def direction_deg(self) -> float:
         """Direction along the scan lines: where points lie closest, 0 to 180 degrees.
 
         The phase of the second harmonic of log spacing, so that the whole turn has a say.
@@ -385,17 +398,17 @@ class DirectionalSpacing(Shown):
         return float(np.degrees(np.angle(-np.log(self._filled()) @ wave)) / 2 % 180)
 
     @property
-    def along(self):
+    def along(self) -> float:
         """Spacing along that direction."""
         return self.at(self.direction_deg)
 
     @property
-    def across(self):
+    def across(self) -> float:
         """Spacing at a right angle to it; NaN when not measurable."""
         return self.at(self.direction_deg + 90)
 
     @property
-    def g(self):
+    def g(self) -> float:
         """Spacing ratio across / along: 1 without a direction; needs no axes."""
         return self.across / self.along
 
@@ -411,6 +424,16 @@ class DirectionalSpacing(Shown):
         ends = [stats.median_interval(distances, block) for distances in (along, across)]
         found = np.array([*ends, stats.median_ratio_interval(across, along, block)])
         return np.where(np.isfinite(found), found, np.nan)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the spacing (mm) over the direction, and the direction that was found."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.plot(self.directions_deg, 1000 * self.spacing)
+        ax.axvline(self.direction_deg, color="0.5", ls=":")
+        ax.set(xlabel="direction (degrees)", ylabel="spacing (mm)", ylim=(0, None))
+        return ax
 
     def to_frame(self) -> pd.DataFrame:
         """Return rows for along and across (mm) and g: value, 95 % interval, direction, points."""
