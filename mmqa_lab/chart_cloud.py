@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import (
@@ -522,6 +521,8 @@ def _directions(plane, axes):
 
 def _reach(sums, count):
     """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
+    from scipy.special import stdtrit
+
     if count < 2:
         return np.nan
     return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())

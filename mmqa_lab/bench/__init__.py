@@ -255,9 +255,7 @@ class _Bench:
 
     def cells(self, case, seed, names):
         """Yield name and record of the truth, whose name is empty, and of each named method."""
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):
+        with _pools(len(sys.modules)).limit(limits=1):
             try:
                 made = self.make(**case, seed=seed)
             except (Exception, SystemExit) as error:
@@ -278,6 +276,14 @@ class _Bench:
             return _record(scored, self.reserved)
         except (Exception, SystemExit) as error:
             return _failed(error, "score: ")
+
+
+@functools.lru_cache(maxsize=1)
+def _pools(modules):
+    """The thread pools of the loaded libraries, found anew when modules were imported since."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _record(result, reserved):

@@ -958,7 +958,8 @@ def _across(levels, layout, bar, chart_map, where):
     distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
     angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
     along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
-    choices = {"method": "isogaussian" if outer >= FREE_REACH_PX else "sigmoid", "order": 2}
+    single = side is not None and outer >= FREE_REACH_PX
+    choices = {"method": "isogaussian" if single else "lens", "order": 2}
     if side is None:
         choices["gap"] = np.abs(gap)
     return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer

@@ -53,11 +53,11 @@ AT_ONCE = 1_000_000
 SECTOR_STEPS = 15
 """Width of a sector in those steps: 60 degrees, a third of all directions."""
 
-FEW = 10_000
+FEW = 50_000
 """Points that are searched without numba, whose import would take longest."""
 
 MOST_PAIRS = 2_000_000
-"""Points times neighbours up to which that is so."""
+"""Pairs that are compared at once up to which that is so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -526,7 +526,12 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
+    xy, found = flat_points(xy), []
+    for angle in angles:
+        distances = quadrant_distances(xy, radius=radius, angle=float(angle))
+        first, last = (_quantile(d[~np.isnan(d)], 0.5) for d in distances[:, [0, 3]].T)
+        found.append(last / first)
+    return np.array(found)
 
 
 def _count_coincident(xy):
@@ -623,38 +628,65 @@ def _nearest_per_quadrant(xy, radius, of):
 
 
 def _nearest_of_few(xy, radius, of):
-    """What the compiled search gives, bit for bit, from more and more neighbours of each point.
+    """What the compiled search gives, bit for bit, from points sorted into square cells.
 
     None where that would take longer than importing numba.
     """
-    from scipy.spatial import cKDTree
+    cells = _Cells(xy)
+    found = np.full((len(xy), 4), np.inf)
+    for quadrant, towards in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        rows, reach = np.flatnonzero(of), 1
+        while len(rows):
+            first, count = cells.windows(rows, towards, reach)
+            if count.sum() > MOST_PAIRS:
+                return None
+            best = _nearest_in_windows(xy, rows, cells.order, first, count, quadrant)
+            found[rows, quadrant] = np.where(best <= radius, best, np.inf)
+            # cells are rounded
+            seen = (1 - 1e-9) * reach * cells.side
+            open_ = np.minimum(best, radius) >= seen
+            rows, reach = rows[open_ & (reach < cells.shape.max())], 2 * reach
+    found[np.isinf(found)] = np.nan
+    return np.sort(found, axis=1)
 
-    tree, found = cKDTree(xy), np.full((len(xy), 4), np.nan)
-    rows, count = np.flatnonzero(of), min(32, len(xy))
-    while len(rows):
-        if len(rows) * count > MOST_PAIRS:
-            return None
-        far, near = tree.query(xy[rows], k=np.arange(1, count + 1))
-        best = _best_per_quadrant(*(xy[near] - xy[rows, None]).transpose(2, 0, 1))
-        # the tree may round otherwise
-        settled = np.minimum(best[:, 3], radius) < (1 - 1e-12) * far[:, -1]
-        settled |= count == len(xy)
-        found[rows[settled]] = np.where(best <= radius, best, np.nan)[settled]
-        rows, count = rows[~settled], min(4 * count, len(xy))
-    return found
+
+class _Cells:
+    """Points sorted into square cells, two a cell on average."""
+
+    def __init__(self, xy):
+        extent, n = np.ptp(xy, axis=0), len(xy)
+        self.side = max(np.sqrt(2 / n * extent[0]) * np.sqrt(extent[1]), extent.max() / n) or 1.0
+        self.place = ((xy - xy.min(axis=0)) / self.side).astype(int)
+        self.shape = self.place.max(axis=0) + 1
+        cell = self.place @ [self.shape[1], 1]
+        self.order = np.argsort(cell, kind="stable")
+        self.starts = np.searchsorted(cell[self.order], np.arange(np.prod(self.shape) + 1))
+
+    def windows(self, rows, towards, reach):
+        """First point and number of points in each line of cells of a point's own quadrant."""
+        i, j = self.place[rows].T
+        lines = i[:, None] + towards[0] * np.arange(reach + 1)
+        inside = (lines >= 0) & (lines < self.shape[0])
+        ends = np.sort([j, j + towards[1] * reach], axis=0).clip(0, self.shape[1] - 1)
+        at = np.where(inside, lines, 0) * self.shape[1]
+        first, last = (self.starts[at + end[:, None]] for end in (ends[0], ends[1] + 1))
+        return first, np.where(inside, last - first, 0)
 
 
-def _best_per_quadrant(dx, dy):
-    """Sorted distances to the nearest neighbour in each quadrant, infinite where there is none."""
-    distances = np.sqrt(dx * dx + dy * dy)
-    quadrants = [
+def _nearest_in_windows(xy, rows, order, first, count, quadrant):
+    """The nearest point to each row in one of its quadrants; each window has the row itself."""
+    size, ends = count.sum(axis=1), np.cumsum(count)
+    shift = np.repeat(first.ravel() - (ends - count.ravel()), count.ravel())
+    offset = xy[order[np.arange(ends[-1]) + shift]] - np.repeat(xy[rows], size, axis=0)
+    dx, dy = offset.T
+    inside = (
         (dx > 0) & (dy >= 0),
         (dx <= 0) & (dy > 0),
         (dx < 0) & (dy <= 0),
         (dx >= 0) & (dy < 0),
-    ]
-    best = [np.where(inside, distances, np.inf).min(axis=1) for inside in quadrants]
-    return np.sort(best, axis=0).T
+    )[quadrant]
+    distances = np.where(inside, np.sqrt(dx * dx + dy * dy), np.inf)
+    return np.minimum.reduceat(distances, np.cumsum(size) - size)
 
 
 def _nearest_by_sector(xy, radius):

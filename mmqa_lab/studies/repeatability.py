@@ -200,7 +200,7 @@ def limits(results):
             known = known.groupby("scan").filter(lambda rows: len(rows) > 1)
             if known.empty:
                 continue
-            found = repeatability(known, figure, draws=200).to_frame()
+            found = repeatability(known, figure).to_frame()
             about = dict(zip(keys, surface, strict=True)) | {"figure": figure}
             tables.append(found.assign(**about))
     table = pd.concat(tables, ignore_index=True)
