@@ -182,4 +182,5 @@ def test_tables_of_fits_have_units_and_intervals():
     circle = fit_circle(np.stack([np.cos(turn), np.sin(turn)], axis=1))
     row = circle.to_frame().iloc[0]
     assert row["radius_m"] == circle.radius
-    assert row["x_high_m"] - row["x_low_m"] == pytest.approx(2 * 1.96 * circle.std)
+    both = [row[f"{axis}_high_m"] - row[f"{axis}_low_m"] for axis in "xy"]
+    assert both == pytest.approx(2 * 1.96 * np.sqrt(np.diag(circle.covariance)))

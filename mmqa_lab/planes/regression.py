@@ -349,19 +349,20 @@ class Circle(Shown):
     radius: float
     covariance: np.ndarray
 
+    _metres = ("centre", "radius", "std")
+    _derived = ("std",)
+
     @property
-    def std(self):
+    def std(self) -> float:
         """Standard deviation of a coordinate of the centre, mean of all directions, m."""
         return float(np.sqrt(np.trace(self.covariance) / 2))
-
-    _metres = ("centre", "radius", "std")
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row; the ends of the 95 % intervals are 1.96 standard deviations away."""
         frame = super().to_frame()
-        for axis, middle in zip("xy", self.centre, strict=True):
-            frame[f"{axis}_low_m"] = middle - 1.96 * self.std
-            frame[f"{axis}_high_m"] = middle + 1.96 * self.std
+        half = 1.96 * np.sqrt(np.diag(self.covariance))
+        for axis, middle, reach in zip("xy", self.centre, half, strict=True):
+            frame[f"{axis}_low_m"], frame[f"{axis}_high_m"] = middle - reach, middle + reach
         return frame
 
 
