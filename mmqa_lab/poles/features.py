@@ -10,7 +10,7 @@ from numba import njit, prange
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import near_axis, rows
 
-CELL_M = 0.1
+GRID_M = 0.1
 BIN_M = 0.25
 BINS = 64
 LEAST_BINS = 3
@@ -45,7 +45,7 @@ def candidates(points, height):
     if not len(points):
         return np.empty((0, 2))
     xy = points[:, :2]
-    origin = np.floor(xy.min(axis=0) / CELL_M) * CELL_M
+    origin = np.floor(xy.min(axis=0) / GRID_M) * GRID_M
     tile = np.floor((xy - origin) / TILE_M).astype(np.int64)
     key = tile[:, 0] * (tile[:, 1].max() + 2) + tile[:, 1]
     tiles = tile[np.unique(key, return_index=True)[1]]
@@ -56,13 +56,13 @@ def _tile(xy, height, tile, origin):
     """Candidates whose cell lies in one tile."""
     low = origin + tile * TILE_M
     inside = ((xy >= low - MARGIN_M) & (xy < low + TILE_M + MARGIN_M)).all(axis=1)
-    place = np.floor((xy[inside] - (low - MARGIN_M)) / CELL_M).astype(np.int64)
-    size = round((TILE_M + 2 * MARGIN_M) / CELL_M)
-    border = round(MARGIN_M / CELL_M)
+    place = np.floor((xy[inside] - (low - MARGIN_M)) / GRID_M).astype(np.int64)
+    size = round((TILE_M + 2 * MARGIN_M) / GRID_M)
+    border = round(MARGIN_M / GRID_M)
     level = (height[inside] / BIN_M).astype(np.int64)
     cells, count = _bits(place, level, size)
     found = _maxima(cells, count, border, np.array(SCALES))
-    return low - MARGIN_M + (found + 0.5) * CELL_M
+    return low - MARGIN_M + (found + 0.5) * GRID_M
 
 
 @njit(cache=True)
