@@ -63,6 +63,7 @@ def test_lattice_has_its_steps_for_spacings():
     assert d == pytest.approx([15, 15, 30, 30], rel=1e-9)
     assert quality.f == pytest.approx(2)
     assert quality.area_hull_m2 == pytest.approx(39 * 0.015 * 19 * 0.03)
+    assert quality.density_hull_per_m2 == pytest.approx(quality.n / (39 * 0.015 * 19 * 0.03))
     assert quality.n == 800
     assert quality.std_mm < 1e-9
 

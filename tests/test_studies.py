@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.__main__ import main
+from mmqa_lab.commands import house
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record
 from mmqa_lab.run.students import student_cell
 from mmqa_lab.samples import SAMPLES
@@ -202,6 +203,22 @@ def test_studies_run_side_by_side(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert printed.count("  1.5 s  ") == 2
     assert (tmp_path / "index.html").is_file()
+
+
+def test_the_index_fills_while_studies_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(house, "FILL_S", 0.05)
+    stem, index, seen = STUDIES[0].stem, tmp_path / "index.html", ""
+    with house._filling(tmp_path, STUDIES):
+        notebooks._write(pages.Outcome(stem, True, ""), tmp_path / stem)
+        for _ in range(600):
+            seen = index.read_text() if index.is_file() else ""
+            if "still running" in seen:
+                break
+            time.sleep(0.1)
+    assert "still running" in seen
+    assert "location.reload" in seen
+    assert "location.reload" not in index.read_text()
+    assert "stopped before its end" in index.read_text()
 
 
 def test_a_study_runs_where_an_event_loop_runs_already(broken):

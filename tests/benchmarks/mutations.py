@@ -66,7 +66,7 @@ FAULTS = (
      "test_repeatability.py"),
     ("simulate", "np.array([np.sin(h), np.cos(h), 0.0])", "np.array([np.cos(h), np.sin(h), 0.0])",
      "test_simulate_trajectories.py"),
-    ("simulate", "white[1:] *= np.sqrt(1 - keep**2)", "white[1:] *= 1 - keep**2",
+    ("simulate", "[1:] *= np.sqrt(1 - keep**2)", "[1:] *= 1 - keep**2",
      "test_simulate_trajectories.py"),
     ("published", 'bool(high > printed["low"])', 'bool(low > printed["low"])',
      "test_published.py"),
