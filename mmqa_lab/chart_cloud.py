@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import (
@@ -41,6 +40,17 @@ from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, q
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "CloudQuality",
+    "chart_polygon",
+    "evaluate_cloud",
+    "evaluate_clouds",
+    "inside_polygon",
+]
+__dir__ = __all__.copy
 
 AXES = ("principal", "horizontal")
 
@@ -234,7 +244,7 @@ class CloudQuality(Shown):
         row |= {name: getattr(self, name) for name in names}
         return pd.DataFrame([row | {"remarks": " ".join(self.remarks)}])
 
-    def plot(self):
+    def plot(self) -> Figure:
         """Draw the points, their distances from the plane, and the histograms of both.
 
         Returns
@@ -252,7 +262,7 @@ class CloudQuality(Shown):
         self.draw_histograms(*axes[1])
         return figure
 
-    def draw_histograms(self, spacings, residuals):
+    def draw_histograms(self, spacings: Axes, residuals: Axes) -> None:
         """Draw two histograms on two matplotlib Axes.
 
         Parameters
@@ -262,10 +272,8 @@ class CloudQuality(Shown):
         residuals : Axes
             For the distances from the plane, with std and sigma_MAD to either side of zero.
         """
-        _draw_spacings(self.spacing, spacings)
+        self.spacing.plot(ax=spacings)
         _draw_residuals(self, residuals)
-        for ax in (spacings, residuals):
-            ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
 
     def to_xarray(self) -> xr.Dataset:
         """Return a Dataset over ``point`` and ``rank``: what the figures are made of.
@@ -584,25 +592,6 @@ def chart_polygon(
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
 
 
-def _draw_spacings(spacing, ax):
-    """The nearest and the farthest distance of each point, and their medians."""
-    from mmqa_lab.plots import COLOURS
-
-    nearest, farthest = 1000 * spacing.distances[:, [0, -1]].T
-    top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
-    bins = np.linspace(0, 1.1 * top, 56)
-    for values, name, median, colour in (
-        (nearest, "d1", 1000 * spacing.d[0], "blue"),
-        (farthest, f"d{len(spacing.d)}", 1000 * spacing.d[-1], "orange"),
-    ):
-        filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
-        ax.hist(values[np.isfinite(values)], bins=bins, **filled)
-        measure = "median" if spacing.statistic == 50 else f"{spacing.statistic:g} % quantile"
-        label = f"{measure} {name} = {median:.1f} mm"
-        ax.axvline(median, color=COLOURS[colour], label=label)
-    ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
-
-
 def _draw_residuals(quality, ax):
     """The distances from the plane, and two measures of their dispersion."""
     from mmqa_lab.plots import COLOURS
@@ -619,6 +608,7 @@ def _draw_residuals(quality, ax):
         ax.axvline(-value, color=COLOURS[colour], ls=dash)
         ax.axvline(value, color=COLOURS[colour], ls=dash, label=label)
     ax.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
+    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
 
 
 def _hull(xy):
@@ -639,6 +629,8 @@ def _directions(plane, axes):
 
 def _reach(sums, count):
     """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
+    from scipy.special import stdtrit
+
     if count < 2:
         return np.nan
     return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())

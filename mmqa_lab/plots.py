@@ -21,6 +21,14 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 
+__all__ = [
+    "Journal",
+    "draw_points",
+    "style",
+    "subplots",
+]
+__dir__ = __all__.copy
+
 WIDTHS = ("single", "double")
 """One column, and the whole width of the page's text."""
 

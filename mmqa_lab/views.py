@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
     from mmqa_lab.cloud import Cloud
 
+__all__ = [
+    "is_headless",
+    "show_cloud",
+]
+__dir__ = __all__.copy
+
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 TITLES = ("easting (m)", "northing (m)", "height (m)")
