@@ -7,10 +7,12 @@ a 95 % interval that follows from the points themselves, see :meth:`CloudQuality
 from __future__ import annotations
 
 import numbers
+import os
 import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -37,12 +39,15 @@ from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turne
 from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
 
 if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
     "CloudQuality",
     "chart_polygon",
     "evaluate_cloud",
+    "evaluate_clouds",
     "inside_polygon",
 ]
 __dir__ = __all__.copy
@@ -254,10 +259,51 @@ class CloudQuality(Shown):
         plots.draw_points(self.xy, ax=axes[0, 0])
         shades = {"label": "distance from plane (mm)", "cmap": plots.DIVERGING_MAP}
         plots.draw_points(self.xy, ax=axes[0, 1], values=residuals_mm, limits=limits, **shades)
-        plots.draw_spacing_histogram(self.spacing, ax=axes[1, 0])
-        measures = {"std_mm": self.std_mm, "sigma_mad_mm": self.sigma_mad_mm}
-        plots.draw_residual_histogram(residuals_mm, ax=axes[1, 1], **measures)
+        self.draw_histograms(*axes[1])
         return figure
+
+    def draw_histograms(self, spacings: Axes, residuals: Axes) -> None:
+        """Draw two histograms on two matplotlib Axes.
+
+        Parameters
+        ----------
+        spacings : Axes
+            For the nearest and the farthest distance of each point, and their d.
+        residuals : Axes
+            For the distances from the plane, with std and sigma_MAD to either side of zero.
+        """
+        self.spacing.plot(ax=spacings)
+        _draw_residuals(self, residuals)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return a Dataset over ``point`` and ``rank``: what the figures are made of.
+
+        Returns
+        -------
+        Dataset
+            ``distance_mm`` (point, rank), ``residual_mm`` (point), the coordinates ``x_m`` and
+            ``y_m`` in the plane; the figures of :meth:`to_frame` as attributes.
+
+        Examples
+        --------
+        >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+        >>> points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+        >>> data = evaluate_cloud(points).to_xarray()
+        >>> data["distance_mm"].median("point").round(1).values.tolist()
+        [20.0, 20.0, 40.0, 40.0]
+        """
+        import xarray as xr
+
+        x, y = self.xy.T
+        ranks = np.arange(1, 1 + self.distances_mm.shape[1])
+        return xr.Dataset(
+            {
+                "distance_mm": (("point", "rank"), self.distances_mm),
+                "residual_mm": ("point", 1000 * self.plane.residuals),
+            },
+            coords={"x_m": ("point", x), "y_m": ("point", y), "rank": ranks},
+            attrs=self.to_frame().astype(object).iloc[0].to_dict(),
+        )
 
     def _repr_html_(self):
         return self.intervals().to_html(index=False, float_format="{:.4g}".format)
@@ -406,6 +452,49 @@ def evaluate_cloud(
     )
 
 
+def evaluate_clouds(
+    clouds: Mapping[str, Cloud | ArrayLike] | Iterable[Cloud | str | os.PathLike], **choices: Any
+) -> pd.DataFrame:
+    """Evaluate several clouds in the same way, for one table.
+
+    Parameters
+    ----------
+    clouds : dict of str to points, or sequence of clouds or paths
+        Whatever :func:`evaluate_cloud` takes, by name; in a sequence clouds have their own names
+        and files that of the file.
+    **choices
+        Polygon, axes, radius, sectors and so on of :func:`evaluate_cloud`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each cloud: its name as ``cloud``, then the columns of
+        :meth:`CloudQuality.to_frame`.
+
+    Raises
+    ------
+    ValueError
+        If two have one name; else as :func:`evaluate_cloud`.
+
+    Examples
+    --------
+    >>> from mmqa_lab import samples
+    >>> files = [samples.path("chart_a_5m"), samples.path("road_patch")]
+    >>> evaluate_clouds(files)[["cloud", "n", "f"]].round(1).to_numpy().tolist()
+    [['chart_a_5m', 4014, 7.0], ['road_patch', 28185, 2.2]]
+    """
+    if not isinstance(clouds, Mapping):
+        read = [as_cloud(cloud) for cloud in clouds]
+        clouds = {cloud.name: cloud for cloud in read}
+        if len(clouds) < len(read):
+            names = ", ".join(repr(cloud.name) for cloud in read)
+            raise ValueError(f"Invalid names of clouds: {names}. Must differ; give a dict.")
+    rows = [evaluate_cloud(cloud, **choices).to_frame() for cloud in clouds.values()]
+    table = pd.concat(rows, ignore_index=True)
+    table.insert(0, "cloud", list(clouds))
+    return table
+
+
 def inside_polygon(
     points: Cloud | ArrayLike, polygon: ArrayLike, *, thickness: float = 0.1
 ) -> np.ndarray:
@@ -501,6 +590,25 @@ def chart_polygon(
     u = np.array([left, width - right, width - right, left])[:, None] / width
     v = np.array([low, low, height - high, height - high])[:, None] / height
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
+
+
+def _draw_residuals(quality, ax):
+    """The distances from the plane, and two measures of their dispersion."""
+    from mmqa_lab.plots import COLOURS
+
+    residuals_mm = 1000 * quality.plane.residuals
+    half = max(4 * quality.sigma_mad_mm, 0.5)
+    shown = np.clip(residuals_mm, -half, half)
+    ax.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
+    for value, name, colour, dash in (
+        (quality.std_mm, "std", "vermilion", "-"),
+        (quality.sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
+    ):
+        label = f"±{name} = {value:.1f} mm"
+        ax.axvline(-value, color=COLOURS[colour], ls=dash)
+        ax.axvline(value, color=COLOURS[colour], ls=dash, label=label)
+    ax.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
+    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
 
 
 def _hull(xy):

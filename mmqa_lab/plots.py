@@ -20,13 +20,10 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
-from mmqa_lab.spacing import Spacing
 
 __all__ = [
     "Journal",
     "draw_points",
-    "draw_residual_histogram",
-    "draw_spacing_histogram",
     "style",
     "subplots",
 ]
@@ -302,85 +299,4 @@ def draw_points(
         dots = ax.scatter(x, y, s=size, lw=0, rasterized=True, **shades)
         ax.figure.colorbar(dots, ax=ax, label=label, shrink=0.85)
     ax.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
-    return ax
-
-
-def draw_residual_histogram(
-    residuals_mm: ArrayLike, *, ax: plt.Axes, std_mm: float, sigma_mad_mm: float
-) -> plt.Axes:
-    """Draw the distances from the plane with the two measures of their dispersion.
-
-    Parameters
-    ----------
-    residuals_mm : array, shape (n,)
-        Signed distances from the plane, mm.
-    ax : Axes
-    std_mm, sigma_mad_mm : float
-        Drawn to either side of zero, mm.
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> figure, ax = subplots()
-    >>> ax = draw_residual_histogram([-1.0, 0.0, 1.0], ax=ax, std_mm=1.0, sigma_mad_mm=1.5)
-    >>> ax.get_legend().get_texts()[0].get_text()
-    '±std = 1.0 mm'
-    >>> plt.close(figure)
-    """
-    half = max(4 * sigma_mad_mm, 0.5)
-    ax.hist(
-        np.clip(residuals_mm, -half, half), bins=61, color=COLOURS["sky"], histtype="stepfilled"
-    )
-    for value, name, colour, dash in (
-        (std_mm, "std", "vermilion", "-"),
-        (sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
-    ):
-        label = f"±{name} = {value:.1f} mm"
-        ax.axvline(-value, color=COLOURS[colour], ls=dash)
-        ax.axvline(value, color=COLOURS[colour], ls=dash, label=label)
-    ax.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
-    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
-    return ax
-
-
-def draw_spacing_histogram(spacing: Spacing, *, ax: plt.Axes) -> plt.Axes:
-    """Draw the nearest and the farthest quadrant distance of each point, and their medians.
-
-    Parameters
-    ----------
-    spacing : Spacing
-        Of :func:`mmqa_lab.spacing.quadrants`.
-    ax : Axes
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> figure, ax = subplots()
-    >>> from mmqa_lab.spacing import quadrants
-    >>> lattice = np.mgrid[0:9, 0:9].reshape(2, -1).T * [0.02, 0.04]
-    >>> ax = draw_spacing_histogram(quadrants(lattice), ax=ax)
-    >>> [text.get_text() for text in ax.get_legend().get_texts()]
-    ['median d1 = 20.0 mm', 'median d4 = 40.0 mm']
-    >>> plt.close(figure)
-    """
-    nearest, farthest = 1000 * spacing.distances[:, [0, -1]].T
-    top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
-    bins = np.linspace(0, 1.1 * top, 56)
-    for values, name, median, colour in (
-        (nearest, "d1", 1000 * spacing.d[0], "blue"),
-        (farthest, f"d{len(spacing.d)}", 1000 * spacing.d[-1], "orange"),
-    ):
-        filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
-        ax.hist(values[np.isfinite(values)], bins=bins, **filled)
-        measure = "median" if spacing.statistic == 50 else f"{spacing.statistic:g} % quantile"
-        label = f"{measure} {name} = {median:.1f} mm"
-        ax.axvline(median, color=COLOURS[colour], label=label)
-    ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
-    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
     return ax

@@ -1,5 +1,6 @@
 """The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pyproj
 import pytest
@@ -11,10 +12,11 @@ from scipy import stats
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
+    evaluate_clouds,
     inside_polygon,
 )
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import read_cloud
+from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
 from mmqa_lab.simulate.point_patterns import point_pattern
 
@@ -406,3 +408,30 @@ def test_what_is_special_about_a_polygon_is_said(slope):
     holed = shapely.Polygon(RING + [4e5, 5e6], [HOLE + [4e5, 5e6]])
     said = evaluate_cloud(slope, polygon=holed).remarks
     assert "no heights: it is laid onto the plane" in said[0]
+
+
+def test_the_plot_and_the_dataset_say_the_same_figures(rng):
+    quality = evaluate_cloud(scan_lines(rng))
+    figure = quality.plot()
+    said = [text.get_text() for ax in figure.axes if (key := ax.get_legend()) for text in key.texts]
+    plt.close(figure)
+    assert said[:2] == [f"median d{k} = {quality.d_mm[k - 1]:.1f} mm" for k in (1, 4)]
+    assert said[2] == f"±std = {quality.std_mm:.1f} mm"
+    data = quality.to_xarray()
+    assert np.allclose(data["distance_mm"].median("point"), quality.d_mm)
+    assert float(data["residual_mm"].std()) == pytest.approx(quality.std_mm, rel=1e-3)
+    assert data.attrs["f"] == quality.f
+    assert data["x_m"].to_numpy() == pytest.approx(quality.xy[:, 0])
+
+
+def test_several_clouds_in_one_table(rng, tmp_path):
+    points = scan_lines(rng)
+    write_cloud(tmp_path / "a.laz", points)
+    named = Cloud(points[::2], name="thinned")
+    table = evaluate_clouds([tmp_path / "a.laz", named], sectors=8)
+    assert table["cloud"].tolist() == ["a", "thinned"]
+    assert table["n"].tolist() == [len(points), len(named)]
+    by_name = evaluate_clouds({"b": points, "c": named}, sectors=8)
+    assert by_name["d8_mm"][1] == table["d8_mm"][1]
+    with pytest.raises(ValueError, match="Invalid names of clouds: 'thinned', 'thinned'"):
+        evaluate_clouds([named, named])

@@ -167,8 +167,18 @@ def test_unknown_study_is_named(capsys):
     assert "Invalid study 'nowhere'. Must be one of chart_tables" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("word", ["ev", "evaluate --po", "lhd --mat"])
-def test_shell_completes_commands_and_options(word, capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("word", "whole"),
+    [
+        ("ev", "evaluate"),
+        ("evaluate --po", "--polygon"),
+        ("lhd --mat", "--matcher"),
+        ("studies poles an", "anisotropy"),
+        ("bench mi", "mimic"),
+        ("student course test", "test_field"),
+    ],
+)
+def test_shell_completes_commands_options_and_studies(word, whole, capsys, tmp_path):
     assert main(["completion", "bash"]) == 0
     script = tmp_path / "mmqa.bash"
     script.write_text(capsys.readouterr().out)
@@ -176,5 +186,4 @@ def test_shell_completes_commands_and_options(word, capsys, tmp_path):
     ask = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}"
     code = f'source {script}; {ask}; _shtab_mmqa; echo "${{COMPREPLY[@]}}"'
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True)
-    assert done.stdout.split()[0] in ("evaluate", "--polygon", "--matcher")
-    assert done.stdout.split()[0].startswith(words[-1])
+    assert done.stdout.split()[0] == whole

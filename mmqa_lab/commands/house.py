@@ -20,7 +20,7 @@ LONGEST = ("poles", "anisotropy", "test_field")
 
 
 def completion(options):
-    """Print a script that lets the shell complete mmqa's commands, options and files.
+    """Print a script that lets the shell complete mmqa's commands, options, files and studies.
 
     Put its output where the shell looks for completions, or evaluate it from the shell's start
     file.
@@ -28,12 +28,15 @@ def completion(options):
     import shtab
 
     from mmqa_lab.__main__ import parser
+    from mmqa_lab.studies import STUDIES
 
     whole = parser()
     for command in whole._subparsers._group_actions[0].choices.values():
         for action in command._actions:
             if action.type is Path or action.metavar in ("FILE", "CLOUD", "IMAGE"):
                 action.complete = shtab.FILE
+            elif action.dest in ("study", "name") and not action.option_strings:
+                action.choices = [study.stem for study in STUDIES]
     print(shtab.complete(whole, shell=options.shell))
 
 

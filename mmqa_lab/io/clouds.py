@@ -64,10 +64,11 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     ----------
     path : path
         LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), PLY (``.ply``), PCD (``.pcd``), E57
-        (``.e57``, needs pye57, which gives coordinates, intensities and colours), or text (``.txt``, ``.csv``, ``.xyz``, ``.asc``, ``.pts``). Columns
-        of text stand between white space, commas or semicolons; a header names x, y, z or easting,
-        northing, height, in any order among others; without a header x, y, z come first. ``#`` and,
-        before the data, ``//`` begin a comment; a first line with the count of points is skipped.
+        (``.e57``, needs pye57, which gives coordinates, intensities and colours), or text
+        (``.txt``, ``.csv``, ``.xyz``, ``.asc``, ``.pts``). Columns of text stand between white
+        space, commas or semicolons; a header names x, y, z or easting, northing, height, in any
+        order among others; without a header x, y, z come first. ``#`` and, before the data, ``//``
+        begin a comment; a first line with the count of points is skipped.
     columns : sequence of str, optional
         The per-point columns to keep; all when not given.
 

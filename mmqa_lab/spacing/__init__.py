@@ -122,9 +122,23 @@ class Spacing(Shown):
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
-        from mmqa_lab import plots
+        from mmqa_lab.plots import COLOURS, subplots
 
-        return plots.draw_spacing_histogram(self, ax=plots.subplots()[1] if ax is None else ax)
+        ax = subplots()[1] if ax is None else ax
+        nearest, farthest = 1000 * self.distances[:, [0, -1]].T
+        top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
+        bins = np.linspace(0, 1.1 * top, 56)
+        measure = "median" if self.statistic == 50 else f"{self.statistic:g} % quantile"
+        for values, name, middle, colour in (
+            (nearest, "d1", 1000 * self.d[0], "blue"),
+            (farthest, f"d{len(self.d)}", 1000 * self.d[-1], "orange"),
+        ):
+            filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
+            ax.hist(values[np.isfinite(values)], bins=bins, **filled)
+            ax.axvline(middle, color=COLOURS[colour], label=f"{measure} {name} = {middle:.1f} mm")
+        ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
+        ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
+        return ax
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""

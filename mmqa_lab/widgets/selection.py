@@ -386,8 +386,6 @@ def _draw_histograms(panels, quality):
     _, residuals, spacings = panels
     residuals.clear()
     spacings.clear()
-    measures = {"std_mm": quality.std_mm, "sigma_mad_mm": quality.sigma_mad_mm}
-    plots.draw_residual_histogram(1000 * quality.plane.residuals, ax=residuals, **measures)
-    plots.draw_spacing_histogram(quality.spacing, ax=spacings)
+    quality.draw_histograms(spacings, residuals)
     for panel in (residuals, spacings):
         panel.locator_params(nbins=FEW_TICKS)
