@@ -138,7 +138,7 @@ def test_command_says_what_is_kept_and_not_determined(files, capsys):
         ({"more": ("--control", "geoid.csv")}, "Invalid control: none of"),
         (
             {"drives": ("there.laz", "there.laz"), "paths": ("there.csv", "there.csv")},
-            "do not determine the mounting",
+            "is given twice",
         ),
     ],
 )

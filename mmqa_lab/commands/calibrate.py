@@ -103,6 +103,8 @@ def _path_std(text):
 
 def _drives(options):
     """Clouds with their trajectories."""
+    import numpy as np
+
     from mmqa_lab._checks import check_metres
     from mmqa_lab.io import read_cloud, read_trajectory
     from mmqa_lab.simulate import Trajectory
@@ -122,6 +124,8 @@ def _drives(options):
         cloud = read_cloud(name)
         check_metres(cloud.crs, f"cloud {name}")
         time = cloud["gps_time"]
+        if any(np.array_equal(time, other["gps_time"]) for other, _ in drives):
+            raise ValueError(f"Invalid drives: {name} is given twice. Must be different drives.")
         if time.min() < path.time[0] or time.max() > path.time[-1]:
             raise ValueError(
                 f"Invalid trajectory {file}: from {path.time[0]:.2f} to {path.time[-1]:.2f} s, the "
