@@ -16,6 +16,8 @@ Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresigh
 pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,11 +27,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.lattice import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
+__dir__ = __all__.copy
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Of each head: boresight, then what is to be added to the assumed lever arm."""
@@ -78,7 +82,7 @@ BLOCK = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Shown):
     """The mounting of the heads as estimated.
 
     Parameters
@@ -116,18 +120,23 @@ class Calibration:
     lever_arms_m: np.ndarray
 
     @property
-    def values(self):
+    def values(self) -> np.ndarray:
         """Array (heads, 6) of the estimates, degrees and metres."""
         return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the table with 95 % intervals, in degrees and metres; none where kept."""
+        half = 1.96 * self.table["std"].where(self.table["std"] > 0)
+        return self.table.assign(low=self.table["value"] - half, high=self.table["value"] + half)
+
     @property
-    def correlation(self):
+    def correlation(self) -> np.ndarray:
         """Correlation matrix of the estimates."""
         std = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(std, std)
 
-    def correct(self, cloud, trajectory):
+    def correct(self, cloud: Cloud, trajectory: Any) -> Cloud:
         """Return a drive's cloud as the estimated mounting makes it.
 
         Parameters
