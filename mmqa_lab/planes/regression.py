@@ -350,7 +350,7 @@ class Circle(Shown):
     covariance: np.ndarray
 
     @property
-    def std(self):
+    def std(self) -> float:
         """Standard deviation of a coordinate of the centre, mean of all directions, m."""
         return float(np.sqrt(np.trace(self.covariance) / 2))
 

@@ -65,7 +65,7 @@ class System:
         true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
 
-    def delivered(self, cloud, *, share=1.0):
+    def delivered(self, cloud: Cloud, *, share: float = 1.0) -> Cloud:
         """Return what is left of a cloud when dark points, then isolated ones, are removed.
 
         Parameters
