@@ -89,7 +89,9 @@ def files(street, tmp_path_factory):
     poles = street.poles.rename(columns=lambda name: name.removesuffix("_m"))
     poles.to_csv(folder / "poles.csv", index=False)
     control = street.ground(spacing_m=4.0, seed=2)
-    pd.DataFrame(control, columns=list("xyz")).to_csv(folder / "control.csv", index=False)
+    for name, up in (("control", 0.0), ("geoid", 17.0)):
+        raised = pd.DataFrame(control + [0, 0, up], columns=list("xyz"))
+        raised.to_csv(folder / f"{name}.csv", index=False)
     return folder
 
 
@@ -133,6 +135,11 @@ def test_command_says_what_is_kept_and_not_determined(files, capsys):
         ({"paths": ("none.csv", "back.csv")}, "no such file"),
         ({"more": ("--lever-arm", "1,2")}, "Invalid lever-arm 1,2"),
         ({"more": ("--keep", "yaw")}, "Invalid keep 'yaw'"),
+        ({"more": ("--control", "geoid.csv")}, "Invalid control: none of"),
+        (
+            {"drives": ("there.laz", "there.laz"), "paths": ("there.csv", "there.csv")},
+            "is given twice",
+        ),
     ],
 )
 def test_command_refuses(files, capsys, given, sentence, tmp_path):

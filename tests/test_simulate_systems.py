@@ -7,6 +7,7 @@ import pytest
 
 from mmqa_lab import published, simulate
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import PRESETS, chart_corners, systems
 
@@ -100,6 +101,19 @@ def test_five_systems_have_the_numbers_of_table_3_2():
         )
         assert 1000 * head.range_noise_m == pytest.approx(float(rows[system, "distance_accuracy"]))
     assert [len(simulate.system(name).heads) for name in names] == [1, 1, 2, 2, 2]
+
+
+def test_roamer_delivers_neither_dark_nor_isolated_points():
+    rng = np.random.default_rng(3)
+    near, sparse = rng.uniform(0, 3, (300, 3)), rng.uniform(-20, 20, (400, 3))
+    points = np.vstack([near, sparse]) + [380_000, 6_672_000, 20]
+    cloud = Cloud(points, {"intensity": np.where(np.arange(700) % 7, 9000, 200)})
+    found = simulate.system("roamer").delivered(cloud)
+    left = points[cloud["intensity"] >= 257]
+    others = (np.linalg.norm(left[:, None] - left, axis=2) <= 2).sum(axis=1) - 1
+    assert 0 < len(found) < len(left)
+    assert np.array_equal(found.points, left[others >= 50])
+    assert len(simulate.system("lynx").delivered(cloud)) == 700
 
 
 def test_positions_are_worse_where_trees_hide_the_satellites():

@@ -75,6 +75,10 @@ def test_places_are_those_within_reach_and_in_view(street):
     assert 9 < np.abs(both["ground"]["there"][:, 0] - path).max() <= 11.0
     assert 38 < np.abs(both["targets"]["there"][:, 0] - path).max() <= 45.0
     right = study.places(street, system("sensei"))
+    # 35 degrees from the nadir of a head 2.5 m up and 0.4 m to the right
+    nearest = 0.4 + 2.5 * np.tan(np.radians(35))
+    assert right["ground"]["there"][:, 0].min() - path == pytest.approx(nearest, abs=4)
+    assert (right["ground"]["there"][:, 0] - path >= nearest).all()
     assert right["ground"]["there"][:, 0].min() > path
     assert right["ground"]["back"][:, 0].max() < street.origin[0] - 2.5
 
@@ -104,11 +108,13 @@ def test_ledger_says_which_rows_are_fitted(street, known):
 
 
 def test_columns_are_close_within_a_quarter_or_explained():
-    rows = study.published_rows().assign(kind="predicted", off=0.2)
+    rows = study.published_rows().assign(kind="predicted", off=0.2, predicted_mm=25.8)
     rows.loc[rows["cell"] == "Optech Lynx CW rmse", "off"] = -0.4
     found = study.columns(rows)
     assert len(found) == 26
     assert found["close"].sum() == 25
+    # root of 43^2 - 25.8^2
+    assert found["missing_mm"].dropna().tolist() == pytest.approx([34.4])
     assert found.loc[~found["close"], "missing"].item() == study.TOLD["missing"]["Optech Lynx"]
 
 

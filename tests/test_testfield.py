@@ -326,6 +326,18 @@ def test_command_refuses_targets(surveyed, capsys, change, sentence):
     assert sentence in capsys.readouterr().err
 
 
+def test_command_remarks_that_most_targets_are_missing(surveyed, capsys):
+    file = surveyed / "targets.csv"
+    table = pd.read_csv(file)
+    table.assign(z=[0.0, 50.0, 50.0]).to_csv(file, index=False)
+    files = [str(surveyed / "cloud.txt"), "--targets", str(file)]
+    assert main(["accuracy", *files]) == 0
+    assert "4 of 6 slices of targets were not measured" in capsys.readouterr().out
+    table.to_csv(file, index=False)
+    assert main(["accuracy", *files]) == 0
+    assert "not measured" not in capsys.readouterr().out
+
+
 def test_command_needs_heights_or_targets(surveyed, capsys):
     cloud, file = str(surveyed / "cloud.txt"), surveyed / "targets.csv"
     assert main(["accuracy", cloud]) == 2

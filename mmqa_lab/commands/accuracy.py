@@ -100,7 +100,19 @@ def _plan(options):
     rows = [plan_accuracy(rows).assign(kind=kind) for kind, rows in groups]
     summary = pd.concat(rows, ignore_index=True)
     summary.insert(0, "kind", summary.pop("kind"))
-    return summary, table
+    return summary.assign(remarks=_plan_remark(table["reason"])), table
+
+
+def _plan_remark(reason):
+    """What a reader should know where most of the targets could not be measured."""
+    missing = reason[reason != ""]
+    if len(missing) <= len(reason) / 2:
+        return ""
+    return (
+        f"{len(missing)} of {len(reason)} slices of targets were not measured (most: "
+        f"{missing.mode()[0]}): the heights of the feet or the coordinate systems may differ, or "
+        "the cloud is too sparse for them."
+    )
 
 
 def read_targets(path, kind=None):

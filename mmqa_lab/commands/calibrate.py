@@ -23,6 +23,8 @@ Vehicle frame: x right, y travel, z up. Roll is about y, pitch about x, heading 
 heads are told apart by the column head (0, 1, ...) of the clouds.
 """
 
+POLES = "CSV of poles: x, y, z of the foot, roughly, and diameter where it is known to millimetres"
+
 HIGH = 0.95
 """Estimates that correlate more than this can hardly be told apart."""
 
@@ -47,7 +49,7 @@ def add_arguments(parser):
     arm = "assumed lever arm x,y,z of a head, m; once for each head, default 0,0,0"
     add("--lever-arm", action="append", metavar="X,Y,Z", help=arm)
     add("--control", metavar="FILE", help="points of the ground whose heights are known")
-    add("--poles", metavar="FILE", help="CSV of poles: x, y, z of the foot, roughly")
+    add("--poles", metavar="FILE", help=POLES)
     add("--keep", metavar="NAME,NAME", default="", help="parameters that stay as assumed")
     add("--cell", type=float, default=1.0, metavar="M", help="size of the planes, default 1 m")
     add("--patches", type=int, default=500, metavar="N", help="most planes used, default 500")
@@ -101,6 +103,8 @@ def _path_std(text):
 
 def _drives(options):
     """Clouds with their trajectories."""
+    import numpy as np
+
     from mmqa_lab._checks import check_metres
     from mmqa_lab.io import read_cloud, read_trajectory
     from mmqa_lab.simulate import Trajectory
@@ -120,6 +124,8 @@ def _drives(options):
         cloud = read_cloud(name)
         check_metres(cloud.crs, f"cloud {name}")
         time = cloud["gps_time"]
+        if any(np.array_equal(time, other["gps_time"]) for other, _ in drives):
+            raise ValueError(f"Invalid drives: {name} is given twice. Must be different drives.")
         if time.min() < path.time[0] or time.max() > path.time[-1]:
             raise ValueError(
                 f"Invalid trajectory {file}: from {path.time[0]:.2f} to {path.time[-1]:.2f} s, the "

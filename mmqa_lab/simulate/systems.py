@@ -36,6 +36,11 @@ class System:
     navigation : NavigationErrors
     lever_arm_error_m : tuple of tuple of 3, optional
         Assumed minus true lever arm of each head.
+    least_intensity : float
+        Darker points are not delivered, on the scale of :func:`mmqa_lab.simulate.scan`.
+    fewest_near : float
+        Of the others, those with fewer points than this within ``near_m`` are not delivered.
+    near_m : float
     source : str
         Where the numbers come from, and what is assumed.
 
@@ -49,6 +54,9 @@ class System:
     heads: tuple
     navigation: NavigationErrors = field(default_factory=NavigationErrors)
     lever_arm_error_m: tuple = ()
+    least_intensity: float = 0.0
+    fewest_near: float = 0.0
+    near_m: float = 2.0
     source: str = ""
 
     @property
@@ -56,6 +64,42 @@ class System:
         """Lever arms that the evaluation uses, (heads, 3)."""
         true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
+
+    def delivered(self, cloud: Cloud, *, share: float = 1.0) -> Cloud:
+        """Return what is left of a cloud when dark points, then isolated ones, are removed.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            With ``intensity``.
+        share : float
+            Of the system's pulses that were simulated: so many neighbours fewer are asked for.
+
+        Returns
+        -------
+        Cloud
+        """
+        if self.least_intensity:
+            cloud = cloud[cloud["intensity"] >= self.least_intensity]
+        fewest = int(np.ceil(share * self.fewest_near))
+        return cloud[_crowded(cloud.points, fewest, self.near_m)] if fewest else cloud
+
+
+def _crowded(points, fewest, radius):
+    """Which points have so many others within the radius."""
+    from scipy.spatial import cKDTree
+
+    if len(points) <= fewest:
+        return np.zeros(len(points), dtype=bool)
+    local = points - points.min(axis=0)
+    # all points of one cube lie within the radius of each other
+    cube = np.floor(local / (radius / np.sqrt(3))).astype(np.int64)
+    _, which, counts = np.unique(cube, axis=0, return_inverse=True, return_counts=True)
+    crowded = counts[which.ravel()] > fewest
+    loose = np.flatnonzero(~crowded)
+    choices = {"k": [fewest + 1], "distance_upper_bound": radius}
+    crowded[loose] = np.isfinite(cKDTree(local).query(local[loose], **choices)[0][:, 0])
+    return crowded
 
 
 def _with_scanners(entries, known=()):

@@ -194,8 +194,8 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
     Returns
     -------
     list of (Cloud, Trajectory)
-        Of each drive: the georeferenced cloud with ``head`` and ``drive``, and the path that the
-        system reports.
+        Of each drive: the georeferenced cloud with ``head`` and ``drive``, without the points that
+        the system does not deliver, and the path that it reports.
     """
     share = min(1.0, pulses_per_s / sum(head.pulse_rate_hz for head in system.heads))
     heads = [replace(head, pulse_rate_hz=share * head.pulse_rate_hz) for head in system.heads]
@@ -207,6 +207,7 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
         cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
         if system.lever_arm_error_m:
             cloud = _with_wrong_lever_arm(cloud, known, system.lever_arm_error_m)
+        cloud = system.delivered(cloud, share=share)
         cloud.columns["drive"] = np.full(len(cloud), number, np.uint8)
         drives.append((cloud, known))
     return drives

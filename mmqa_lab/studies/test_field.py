@@ -52,24 +52,25 @@ GOOD_NAVIGATION = NavigationErrors(
 
 BORESIGHT_LIMIT_DEG, LEVER_LIMIT_MM = 0.005, 5.0
 
-REACH_M = 15.6
-"""From the path on the ground: the reference strip of the report was 31.3 m wide on average
-(computed: 3283 points at 0.3 per square metre on 350 m of road, section 3.1.2.3)."""
+STRIP_M = 31.3
+"""Width of the report's reference on the ground, on average (computed: 3283 points at 0.3 per
+square metre on 350 m of road, section 3.1.2.3), taken to lie evenly about the road's axis."""
 
 INTERVAL_S = 0.1
 """Of the paths drawn for predictions; navigation drifts over tens of seconds."""
 
 
-def places(street, tested, reach=REACH_M):
+def places(street, tested, reach=None):
     """Return what a system measures of a field: reference heights and targets of each direction.
 
     Parameters
     ----------
     street : SimulatedField
     tested : System
-        Where its first head looks to one side, that side of the paths counts.
-    reach : float or dict of str to float
-        How far from the path it measures the ground, m, or that by direction.
+        What lies outside the field of view of its first head does not count.
+    reach : dict of str to float, optional
+        How far from the path it measures the field's own ground, m, by direction. By default the
+        ground is a strip as wide as the reference of the report.
 
     Returns
     -------
@@ -77,17 +78,31 @@ def places(street, tested, reach=REACH_M):
         ``ground`` and ``targets`` by direction. Targets up to 45 m from the path are taken 1 m (and
         poles also 5 m) above their foot.
     """
-    reach = reach if isinstance(reach, dict) else dict.fromkeys(DIRECTIONS, reach)
-    ground = street.ground(spacing_m=4.0, seed=1)
+    ground = _strip(street) if reach is None else street.ground(spacing_m=4.0, seed=1)
+    reach = reach or dict.fromkeys(DIRECTIONS, np.inf)
     feet = street.targets[["x_m", "y_m", "z_m"]].to_numpy()
     aims = np.vstack([feet + [0, 0, 1], feet[street.targets["kind"] == "pole"] + [0, 0, 5]])
     found = {"ground": {}, "targets": {}}
     for direction, path in zip(DIRECTIONS, street.drives(), strict=True):
         for kind, points, far in (("ground", ground, reach[direction]), ("targets", aims, 45.0)):
-            aside = (points - path.origin) @ path.at(path.time[:1])[1][0, :, 0]
-            seen = aside > 0 if tested.heads[0].field_of_view_deg[0] > 0 else True
-            found[kind][direction] = points[(np.abs(aside) <= far) & seen]
+            offset = (points - path.origin) @ path.at(path.time[:1])[1][0]
+            seen = _in_view(tested.heads[0], offset)
+            found[kind][direction] = points[(np.abs(offset[:, 0]) <= far) & seen]
     return found
+
+
+def _strip(street, step=4.0):
+    """Ground of the report's width about the street's axis, (n, 3)."""
+    across = np.arange(-STRIP_M / 2, STRIP_M / 2, step) + (STRIP_M % step) / 2
+    x, y = np.meshgrid(across, np.arange(step / 2, street.length_m, step))
+    return street.origin + np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
+
+
+def _in_view(head, offset):
+    """Which places beside a path, (n, 3) in the vehicle's frame, a passing head can look at."""
+    vector = (offset - head.lever_arm_m) * [1, 0, 1]
+    angle, (low, high) = head.angles(vector @ head.mounting)[0], head.field_of_view_deg
+    return (angle >= low) & (angle <= high)
 
 
 def predicted(street, tested, *, ground, targets, draws, seed):
@@ -279,12 +294,15 @@ def columns(compared):
     Returns
     -------
     DataFrame
-        Their rows, with ``close`` (within 25 % of print) and ``missing``, what the prediction may
-        lack where it is not.
+        Their rows, with ``close`` (within 25 % of print) and, where it is not, ``missing``, what
+        the prediction may lack, and ``missing_mm``, how large that would be: the root of the
+        difference of squares, negative where the prediction is too large.
     """
     rows = compared[compared["figure"].isin(["height_std", "plan_rmse"])].copy()
     rows["close"] = rows["off"].abs() <= TOLERANCE
     rows["missing"] = rows["system"].map(TOLD["missing"]).where(~rows["close"], "")
+    squares = rows["published_mm"] ** 2 - rows["predicted_mm"] ** 2
+    rows["missing_mm"] = (np.sign(squares) * np.sqrt(squares.abs())).mask(rows["close"])
     return rows.drop(columns=["table", "cell"])
 
 
