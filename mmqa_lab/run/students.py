@@ -167,8 +167,9 @@ def _blank(name):
     return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
 
 
-def _exercise(number, source):
+def _exercise(source):
     """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    number = source.split(":")[0].lstrip("# ")
     for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
         grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
         grading |= {"solution": part == "work", "grade": part == "check"}
@@ -181,10 +182,10 @@ def _exercise(number, source):
 def _student_notebook(notebook):
     """Return a copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
-    for number, cell in enumerate(notebook.cells):
+    for cell in notebook.cells:
         tags = _tags(cell)
         if "solution" in tags:
-            cells += _exercise(number, cell.source)
+            cells += _exercise(cell.source)
         elif NUMBER in tags:
             blank = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
             cells.append(nbformat.v4.new_code_cell(blank, metadata=cell.metadata))
