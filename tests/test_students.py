@@ -143,6 +143,7 @@ def test_sheets_have_task_words_and_answers_apart(tmp_path, monkeypatch):
     assert "Punktdichte" in handout
     assert "rounding in the last digit" in solutions
     assert "Lesson plan" in solutions
+    assert "assert" not in solutions  # the test is for the program
     assert "rounding in the last digit" not in handout
     assert "Lesson plan" not in handout
     assert "All studies" not in handout + solutions

@@ -261,7 +261,9 @@ def write_sheets(studies, folder):
         asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
         words = nbformat.v4.new_markdown_cell(_words(study.stem))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
-        answers = [cells[k] for k in tagged]
+        answers = [
+            nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
+        ]
         sheets = {
             "handout": [*cells[:2], cells[task], *asked, words],
             "solutions": [cells[0], cells[task], *answers, *lesson],
