@@ -1,5 +1,7 @@
 """Tries to pass an exercise's check without the work: by guesses, and by a neighbour's answer."""
 
+import ast
+
 from mmqa_lab.run.students import student_cell
 
 GUESSES = (0, 1, 2, 3, 5, 10, 20, 100, 500, 1000, 0.01, 0.1, 0.5, 0.9, 0.95, True, False, "1", [])
@@ -10,7 +12,7 @@ def around(source):
     work, check = student_cell(source).split("\n\n", 1)
     names = [line.split(" = ")[0] for line in work.splitlines() if " = ..." in line]
     first = f"import guesses\nguesses.refuse({check!r}, globals(), {names!r})"
-    own = "number" in source
+    own = any(getattr(node, "id", "") == "number" for node in ast.walk(ast.parse(source)))
     return first, f"import guesses\nguesses.refuse_neighbour({check!r}, globals(), own={own})"
 
 
