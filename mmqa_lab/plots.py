@@ -129,9 +129,14 @@ STYLE = {
     "svg.hashsalt": "mmqa_lab",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
+    "mathtext.fontset": "custom",  # of the same family as the text, also for publishers
+    "mathtext.rm": "sans",
+    "mathtext.it": "sans:italic",
     "font.size": 8.0,
     "axes.labelsize": 8.0,
     "axes.titlesize": 8.0,
+    "figure.labelsize": 8.0,
+    "figure.titlesize": 8.0,
     "xtick.labelsize": 7.0,
     "ytick.labelsize": 7.0,
     "legend.fontsize": 7.0,
@@ -207,7 +212,8 @@ def _lettering(journal):
         warnings.warn(f"Fonts not installed: {asked}. DejaVu Sans is used instead.", stacklevel=4)
     size = journal.lettering_pt
     small = dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), min(size, 7))
-    large = dict.fromkeys(("font.size", "axes.labelsize", "axes.titlesize"), size)
+    texts = ("font.size", "axes.labelsize", "axes.titlesize", "figure.labelsize")
+    large = dict.fromkeys(texts, size)
     return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], **large, **small}
 
 

@@ -32,6 +32,47 @@ def test_lines_are_told_apart_without_colour(figure):
     assert overlapping_texts(figure) == []
 
 
+def test_bars_dots_and_error_bars_are_told_apart_without_colour():
+    figure, axes = plots.subplots(1, 3, width="double")
+    for k, colour in enumerate(("#0072B2", "#D55E00", "#009E73")):
+        axes[0].bar([k], [1 + k], color=colour, label=f"bar {k}")
+        axes[1].scatter([0, 1], [k, k], color=colour, label=f"dots {k}")
+        axes[2].errorbar([0, 1], [k, k], 0.3, fmt="o", capsize=2, color=colour, label=f"error {k}")
+    for ax in axes:
+        ax.legend()
+    assert len(alike_in_grey(figure)) == 9
+    finish_figure(figure)
+    assert alike_in_grey(figure) == []
+    ends = [line.get_marker() for line in axes[2].lines if line.get_marker() == "_"]
+    assert len(ends) == 6  # those of the error bars stay
+    plt.close(figure)
+
+
+def test_a_name_looks_the_same_in_all_panels():
+    figure, axes = plots.subplots(1, 2)
+    for ax, names in zip(axes, ("abc", "ac"), strict=True):
+        for name, colour in zip("abc", ("#0072B2", "#D55E00", "#009E73"), strict=True):
+            if name in names:
+                ax.bar(0, 1, color=colour, label=name)
+    finish_figure(figure)
+    looks = [{one.get_label(): one[0].get_hatch() for one in ax.containers} for ax in axes]
+    assert looks[0]["c"] == looks[1]["c"] != looks[0]["b"]
+    plt.close(figure)
+
+
+def test_symbols_are_set_as_formulas_by_one_rule():
+    figure, ax = plots.subplots()
+    ax.bar(["d1", "f", "sigma_mad"], [1, 2, 3])
+    ax.set(xlabel="f = d4/d1 and g", ylabel="sigma_MAD (mm)", title="f(x) of d1_mm, wolf")
+    finish_figure(figure)
+    ticks = [text.get_text() for text in ax.get_xticklabels()]
+    assert ticks == ["$d_1$", "$f$", r"$\sigma_\mathrm{MAD}$"]
+    assert ax.get_xlabel() == "$f$ = $d_4$/$d_1$ and $g$"
+    assert ax.get_ylabel() == r"$\sigma_\mathrm{MAD}$ (mm)"
+    assert ax.get_title() == "f(x) of d1_mm, wolf"
+    plt.close(figure)
+
+
 def test_the_legend_shows_the_lines_as_they_are(figure):
     finish_figure(figure)
     ax = figure.axes[0]

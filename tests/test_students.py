@@ -61,6 +61,29 @@ def test_what_a_check_says_and_needs_goes_with_it():
         run(given.replace("n = ...", "n = 3"))
 
 
+NUMBERED = """# 4: a line for each number
+# asked for: length_m, a number
+length_m = 2.0 + number / 10
+# check
+expected = 2.0 + number / 10
+assert abs(length_m - expected) < 0.01, "too far off"
+"""
+
+
+def test_below_the_line_check_all_is_sealed_and_the_number_is_asked_for():
+    given = student_cell(NUMBERED)
+    assert "length_m = ...  # m" in given.splitlines()
+    assert "expected" not in given.split("check_answer(")[0]
+    done = given.replace("length_m = ...", "length_m = 2.3")
+    exec(done, {"number": 3})
+    with pytest.raises(AssertionError, match="4: too far off"):
+        exec(done, {"number": 4})
+    with pytest.raises(AssertionError, match="4: length_m is expected in m; 230 looks like cm"):
+        exec(done.replace("2.3", "230"), {"number": 3})
+    with pytest.raises(AssertionError, match="4: give number a value"):
+        exec(done, {"number": ...})
+
+
 def test_names_bound_inside_a_check_are_no_answers():
     given = student_cell("# 1: all\nvalues = [1, 2]\nassert all(v > 0 for v in values)")
     assert "v = ..." not in given
@@ -84,6 +107,8 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
     assert tags.count("exercise") == len(answers)
     assert "lesson" not in tags
     assert tags.count("check") == len(answers)
+    (number,) = [c.source for c in copy.cells if "number" in c.metadata.get("tags", [])]
+    assert number.startswith("number = ...  # yours")
     for cell in copy.cells:
         part = [tag for tag in cell.metadata.get("tags", []) if tag in ("exercise", "check")]
         if part:
@@ -111,12 +136,14 @@ def test_sheets_have_task_words_and_answers_apart(tmp_path, monkeypatch):
     monkeypatch.setattr(students, "BROWSERS", ())
     studies = [study for study in STUDIES if study.stem == "anisotropy"]
     handout, solutions = (path.read_text() for path in write_sheets(studies, tmp_path))
-    assert "Rotate a square lattice finely" in handout
-    assert "Rotate a square lattice finely" in solutions
-    assert "asked for: half, a number in mm" in handout
+    for sheet in (handout, solutions):
+        assert "n is your number in the class" in sheet
+        assert "Two heads cross at a right angle" in sheet
+    assert "asked for: left, a number" in handout
     assert "Punktdichte" in handout
     assert "rounding in the last digit" in solutions
     assert "Lesson plan" in solutions
+    assert "assert" not in solutions  # the test is for the program
     assert "rounding in the last digit" not in handout
     assert "Lesson plan" not in handout
     assert "All studies" not in handout + solutions

@@ -11,6 +11,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import guesses
 import nbformat
 import pandas as pd
 import pytest
@@ -41,16 +42,21 @@ def masked(text):
 
 
 def before_the_answers(study, folder):
-    """The study with each exercise as a student gets it, untouched, before its answer."""
+    """The study with each exercise as a student gets it, untouched, before its answer.
+
+    Guesses and the answer of a neighbour are tried on each check; the cells stop where one passes.
+    """
     notebook = nbformat.read(study.path, as_version=4)
     cells, exercises = [], 0
     for cell in notebook.cells:
         if "solution" in cell.metadata.get("tags", []):
             exercise = nbformat.v4.new_code_cell(student_cell(cell.source))
             exercise.metadata["tags"] = ["raises-exception"]
-            cells.append(exercise)
+            before, behind = map(nbformat.v4.new_code_cell, guesses.around(cell.source))
+            cells += [exercise, before, cell, behind]
             exercises += 1
-        cells.append(cell)
+        else:
+            cells.append(cell)
     watch = f"import sys; sys.path.insert(0, {TESTS!r}); import overlaps"
     watch += f"; overlaps.watch({str(folder / 'overlaps.json')!r})"
     notebook.cells = [nbformat.v4.new_code_cell(watch), *cells]
@@ -74,7 +80,9 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     assert list(record["parameters"]) == parameter_names(study.path)
     for name, value in study.module.QUICK.items():  # they were injected, and are what is recorded
         assert record["parameters"][name] == json.loads(json.dumps(value, default=list))
-    assert json.loads((tmp_path / "overlaps.json").read_text()) == {}
+    seen = json.loads((tmp_path / "overlaps.json").read_text())
+    assert seen["found"] == {}
+    assert {"explorer", *record["figures"]} == set(seen["seen"])
     answer = record["answer"]
     assert f"{answer['figure']}.png" in record["files"]
     assert record["figures"][answer["figure"]]["seen"]

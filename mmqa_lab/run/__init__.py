@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
-import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
-from mmqa_lab._figures import finish_figure
+from mmqa_lab._figures import drawn, finish_figure
 from mmqa_lab.io import write_atomically
 
 if TYPE_CHECKING:
@@ -38,9 +37,6 @@ SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefi
 
 LONGEST_LATEX = 60
 """Rows of a table that is written for LaTeX too; longer ones are data."""
-
-LARGEST_IMAGE = 40_000
-"""Pixels of a picture whose values are written with a figure's data: of a larger one every k-th."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
 """What a number can be: printed in a paper, from specifications alone, from parameters chosen so
@@ -176,9 +172,10 @@ class Run:
     ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
-        What it shows is written as ``<name>.csv``: ``data``, a DataFrame, or else what the axes
-        contain, a row for each point. Its panels get letters, and its lines are told apart without
-        colour too. ``seen`` says in a sentence what one sees, for readers
+        What its panels contain is written as ``<name>_drawn.csv``, a row for each point, from
+        which it can be drawn again, and ``data``, a DataFrame, as ``<name>.csv``; without it, and
+        without a table of this name, that is the same. Its panels get letters, and its series are
+        told apart without colour too. ``seen`` says in a sentence what one sees, for readers
         without the picture; without it the axes' labels and the legends do.
         """
         finish_figure(figure)
@@ -199,10 +196,10 @@ class Run:
                     f"{name}.{form}",
                     lambda path, form=form: figure.savefig(path, metadata=details[form]),
                 )
-        if data is not None:
-            self._write_table(data, name)
-        elif f"{name}.csv" not in self._record["files"]:
-            self._write_table(_drawn(figure), name)
+        shown = drawn(figure)
+        self._write_table(shown, f"{name}_drawn", float_format="%.9g")
+        if data is not None or f"{name}.csv" not in self._record["files"]:
+            self._write_table(shown if data is None else data, name)
 
     def save_report(
         self, figure: Figure, table: pd.DataFrame, *, title: str, inputs: dict[str, str]
@@ -274,9 +271,9 @@ class Run:
         self._record["finished"] = True
         self._write_record()
 
-    def _write_table(self, frame, name):
+    def _write_table(self, frame, name, **choices):
         """Write a table as CSV."""
-        self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False))
+        self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False, **choices))
 
     def _write(self, name, write):
         """Write one file of this run and enter it into the record."""
@@ -404,45 +401,6 @@ def _described(figure):
     return "; ".join(filter(None, said))
 
 
-def _drawn(figure):
-    """What a figure shows: a row for each point of a panel's lines, marks, bars and pictures."""
-    parts = [pd.DataFrame(columns=["panel", "series", "x", "y"])]
-    for panel, ax in enumerate(figure.axes, 1):
-        for artist in (*ax.lines, *ax.collections, *ax.patches, *ax.images):
-            label = str(artist.get_label())
-            named = {"panel": panel, "series": "" if label.startswith("_") else label}
-            axes = {"x_label": ax.get_xlabel(), "y_label": ax.get_ylabel()}
-            parts.append(pd.DataFrame({**named, **_points_of(artist), **axes}))
-    return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
-
-
-def _points_of(artist):
-    """The columns x, y, and value where it is coloured by one, of what is drawn."""
-    if hasattr(artist, "get_xydata"):
-        x, y = artist.get_xydata().T
-    elif isinstance(artist, mpl.image.AxesImage):
-        value = np.asarray(artist.get_array())
-        if value.ndim != 2:
-            return {"x": [], "y": []}
-        left, right, bottom, top = artist.get_extent()
-        every = slice(None, None, int(np.ceil(np.sqrt(value.size / LARGEST_IMAGE))))
-        y, x = np.indices(value.shape)[:, every, every] + 0.5
-        x = left + (right - left) * x / value.shape[1]
-        y = top + (bottom - top) * y / value.shape[0]
-        value = value[every, every]
-        return {"x": x.ravel(), "y": y.ravel(), "value": value.ravel()}
-    elif isinstance(artist, mpl.collections.PathCollection):
-        x, y = np.ma.filled(artist.get_offsets(), np.nan).T
-        value = artist.get_array()
-        return {"x": x, "y": y} | ({} if value is None else {"value": value})
-    elif isinstance(artist, mpl.patches.Rectangle):
-        x, y = [artist.get_x() + artist.get_width() / 2], [artist.get_y() + artist.get_height()]
-    else:
-        paths = artist.get_paths() if hasattr(artist, "get_paths") else [artist.get_path()]
-        x, y = np.concatenate([path.vertices for path in paths] or [np.empty((0, 2))]).T
-    return {"x": x, "y": y}
-
-
 def _latex(frame):
     """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
     from mmqa_lab.bench._tables import split_unit
@@ -452,7 +410,8 @@ def _latex(frame):
         plain, unit = split_unit(name)
         heads[name] = f"{plain.replace('_', ' ')} ({unit})" if unit else plain.replace("_", " ")
     shown = frame.rename(columns=str).rename(columns=heads)
-    return shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
+    text = shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
+    return re.sub(r"\bm([23])\)", r"m\\textsuperscript{\1})", text)
 
 
 def _says_kind(frame):

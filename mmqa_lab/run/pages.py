@@ -224,7 +224,7 @@ def _card(study, folder):
         "figure": shown,
         "seen": record.get("figures", {}).get(shown, {}),
         "figures": figures,
-        "tables": [name for name in files if name.endswith(".csv")],
+        "tables": [name for name in files if re.search(r"(?<!_drawn)\.csv$", name)],
         "checks": _checks(folder),
     }
 

@@ -1,8 +1,9 @@
 """Notebooks for a class: copies without answers, checks that answer in sentences, sheets to print.
 
-Cells tagged ``solution`` contain an answer and the assertions that test it; cells tagged ``lesson``
-are for the teacher. A student's copy has the assertions compressed, so that they cannot be read at
-a glance, and no stored outputs.
+Cells tagged ``solution`` contain an answer and, below a line ``# check``, the code that tests it;
+cells tagged ``lesson`` are for the teacher. A student's copy has the test compressed, so that it
+cannot be read at a glance, and no stored outputs. The cell tagged ``number`` sets the student's
+number in the class, from which exercises take their numbers: everyone has another answer.
 """
 
 import ast
@@ -25,6 +26,12 @@ from mmqa_lab.run.pages import glossary_rows, notebook_page
 
 ASKED = "# asked for: "
 """Begins the line of an answer that says names, types and units; students get it too."""
+
+CHECK = "# check"
+"""The line of an answer below which everything is the test of it."""
+
+NUMBER = "number"
+"""Tag of the cell for the student's number in the class, and the number's name."""
 
 SCALES = (
     {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
@@ -49,7 +56,7 @@ def student_cell(source):
     ----------
     source : str
         Code of a cell tagged ``solution``; its first line is a comment that begins with the
-        exercise's number.
+        exercise's number. Its assertions, and all that stands below a line ``# check``, are sealed.
 
     Returns
     -------
@@ -68,24 +75,26 @@ def student_cell(source):
     <BLANKLINE>
     from mmqa_lab.run.students import
     """
+    lines = source.splitlines()
+    end = lines.index(CHECK) if CHECK in lines else len(lines)
     body = ast.parse(source).body
-    checks = [node for node in body if isinstance(node, ast.Assert)]
+    checks = [node for node in body if isinstance(node, ast.Assert) or node.lineno > end]
+    work = [node for node in body if node not in checks]
     read = {name for check in checks for name in _names(check, ast.Load)}
     read -= {name for check in checks for name in _names(check, ast.Store)}
-    answers = [name for name in _names(ast.Module(body, []), ast.Store) if name in read]
+    answers = [name for name in _names(ast.Module(work, []), ast.Store) if name in read]
     if not answers:
-        raise ValueError(
-            f"Invalid answer {source.splitlines()[0]!r}. Must be checked by an assert."
-        )
+        raise ValueError(f"Invalid answer {lines[0]!r}. Must be checked by an assert.")
     answers = list(dict.fromkeys(answers))
-    imports = [ast.unparse(node) for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
+    imports = [ast.unparse(node) for node in work if isinstance(node, ast.Import | ast.ImportFrom)]
     number = source.split(":")[0].lstrip("# ")
-    asked = [line for line in source.splitlines() if line.startswith(ASKED)]
-    work = [f"# {number}: your work", *asked, *imports, *map(_blank, answers)]
+    asked = [line for line in lines if line.startswith(ASKED)]
+    given = [f"# {number}: your work", *asked, *imports, *map(_blank, answers)]
+    needed = [NUMBER, *answers] if NUMBER in read else answers
     kept = [ast.unparse(check) for check in checks]
-    sealed = _sealed({"number": number, "answers": answers, "imports": imports, "checks": kept})
+    sealed = _sealed({"number": number, "answers": needed, "imports": imports, "checks": kept})
     check = ["from mmqa_lab.run.students import check_answer", "", f"check_answer({sealed})"]
-    return "\n".join([*work, "", *check])
+    return "\n".join([*given, "", *check])
 
 
 def check_answer(sealed, scope):
@@ -115,7 +124,7 @@ def check_answer(sealed, scope):
         print(f"{number}: right.")
         return
     said = [_other_unit(name, task["checks"], scope) for name in task["answers"]]
-    listed = ", ".join(task["answers"])
+    listed = ", ".join(name for name in task["answers"] if name != NUMBER)
     said = [sentence for sentence in (*said, wrong) if sentence]
     said = said or [f"not right yet. Check the formula, and the unit of {listed}."]
     raise AssertionError(f"{number}: {said[0]}")
@@ -158,8 +167,9 @@ def _blank(name):
     return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
 
 
-def _exercise(number, source):
+def _exercise(source):
     """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    number = source.split(":")[0].lstrip("# ")
     for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
         grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
         grading |= {"solution": part == "work", "grade": part == "check"}
@@ -172,10 +182,13 @@ def _exercise(number, source):
 def _student_notebook(notebook):
     """Return a copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
-    for number, cell in enumerate(notebook.cells):
+    for cell in notebook.cells:
         tags = _tags(cell)
         if "solution" in tags:
-            cells += _exercise(number, cell.source)
+            cells += _exercise(cell.source)
+        elif NUMBER in tags:
+            blank = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
+            cells.append(nbformat.v4.new_code_cell(blank, metadata=cell.metadata))
         elif cell.cell_type == "code":
             cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
         elif "lesson" not in tags:
@@ -248,7 +261,9 @@ def write_sheets(studies, folder):
         asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
         words = nbformat.v4.new_markdown_cell(_words(study.stem))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
-        answers = [cells[k] for k in tagged]
+        answers = [
+            nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
+        ]
         sheets = {
             "handout": [*cells[:2], cells[task], *asked, words],
             "solutions": [cells[0], cells[task], *answers, *lesson],
