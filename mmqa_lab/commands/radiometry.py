@@ -133,9 +133,9 @@ HIDDEN = ("x", "y", "corner", "across_deg", "place", "height_m")
 
 def _check_choices(options):
     """Each choice belongs to some measures."""
-    belongs = {name: ("calibrate",) for name in ("through_zero", "radiance", "even")}
+    belongs = dict.fromkeys(("through_zero", "radiance", "even"), ("calibrate",))
     belongs |= {"over_image": tuple(OVER_IMAGE)}
-    belongs |= {name: ("reflect",) for name in ("dark_pixel", "repeatability")}
+    belongs |= dict.fromkeys(("dark_pixel", "repeatability"), ("reflect",))
     for name, measures in belongs.items():
         if getattr(options, name) and options.measure not in measures:
             words = name.replace("_", "-")
