@@ -33,6 +33,8 @@ the camera looks at the ground with the sun behind it (backward scattering) and 
 against the sun.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -57,6 +59,7 @@ __all__ = [
     "relative_exposure",
     "stability",
 ]
+__dir__ = __all__.copy
 
 SPREAD = 3.0
 """A target counts as saturated when its mean comes this near full scale, in its own deviations."""
@@ -113,32 +116,32 @@ class SensorFit(Shown):
     saturated: int
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of targets used."""
         return int(np.isfinite(self.residuals).sum())
 
     @property
-    def std(self):
+    def std(self) -> np.ndarray:
         """Standard errors of (gain, offset), shape (2,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def p_values(self):
+    def p_values(self) -> np.ndarray:
         """Two-sided p-values of (gain, offset) being zero, Student's t; NaN where fixed."""
         with np.errstate(invalid="ignore"):
             return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.freedom)
 
     @property
-    def freedom(self):
+    def freedom(self) -> int:
         """Degrees of freedom: targets less the coefficients that were fitted."""
         return self.n - 1 - int(self.std[1] > 0)
 
-    def radiance(self, dn, *, exposure=1.0):
+    def radiance(self, dn: ArrayLike, *, exposure: ArrayLike = 1.0) -> np.ndarray:
         """Radiance of digital numbers taken at an exposure relative to the calibration's."""
         exposure = check_positive(exposure, "exposure")
         return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return one row: both coefficients with standard errors and p-values, R2 and counts."""
         (s_gain, s_offset), (p_gain, p_offset) = self.std, self.p_values
         row = {
@@ -403,7 +406,7 @@ def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class EmpiricalLine:
+class EmpiricalLine(Shown):
     """Reflectance as a straight line of DN: reflectance = slope * DN + intercept.
 
     Parameters
@@ -428,15 +431,15 @@ class EmpiricalLine:
     residuals: np.ndarray
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of targets."""
         return len(self.residuals)
 
-    def reflectance(self, dn, *, anisotropy=1.0):
+    def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
         """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
         return (self.slope * np.asarray(dn, np.float64) + self.intercept) / anisotropy
 
-    def std(self, dn, *, std_dn=0.0):
+    def std(self, dn: ArrayLike, *, std_dn: ArrayLike = 0.0) -> np.ndarray:
         """Standard deviation of the reflectance: that of the line, and that of the DN."""
         dn = np.asarray(dn, dtype=np.float64)
         terms = np.stack([dn, np.ones_like(dn)], axis=-1)
@@ -628,18 +631,18 @@ def saturation_level(dn):
 
 
 @dataclass(frozen=True, eq=False)
-class WalthallFit:
+class WalthallFit(Shown):
     """A fitted Walthall function: ``coefficients`` of v^2, v cos(a), 1, ``rms`` and ``n``."""
 
     coefficients: np.ndarray
     rms: float
     n: int
 
-    def reflectance(self, view_zenith, azimuth):
+    def reflectance(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Reflectance factor in a direction."""
         return walthall_terms(view_zenith, azimuth) @ self.coefficients
 
-    def anisotropy(self, view_zenith, azimuth):
+    def anisotropy(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Anisotropy factor: the reflectance factor over that at nadir."""
         return self.reflectance(view_zenith, azimuth) / self.reflectance(0.0, 0.0)
 
@@ -736,7 +739,7 @@ class BlockAdjustment(Shown):
         """Return the gains, one row an image."""
         return self.gains.copy()
 
-    def correct(self, observations, *, to_nadir: bool = True):
+    def correct(self, observations: pd.DataFrame, *, to_nadir: bool = True) -> pd.DataFrame:
         """Return the reflectance (relative without control) of each observation.
 
         Parameters

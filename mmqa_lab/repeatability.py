@@ -5,6 +5,8 @@ scan differ in it alone (repeatability), scans of one surface differ too; ISO 57
 of variance separate these parts, and :func:`strip_law` says what to expect.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -28,6 +30,7 @@ __all__ = [
     "strip_law",
     "variance_components",
 ]
+__dir__ = __all__.copy
 
 STRIP = 0.4579
 """Half of the mean area between two jittered outlines, per perimeter and click error."""
@@ -182,12 +185,12 @@ class Repeatability(Shown):
     n: int
 
     @property
-    def r(self):
+    def r(self) -> float:
         """Repeatability limit 2.8 s_r."""
         return LIMIT * self.s_r
 
     @property
-    def reproducibility_limit(self):
+    def reproducibility_limit(self) -> float:
         """2.8 s_R with s_R^2 = s_L^2 + s_r^2: another selection of another scan."""
         return LIMIT * float(np.hypot(self.s_r, self.s_l))
 
@@ -213,7 +216,8 @@ def repeatability(table: pd.DataFrame, value: str, *, group: str = "scan") -> Re
     table : DataFrame
         A row per selection.
     value, group : str
-        Columns: the figure, and what names the scan.
+        Columns: the figure, and what names the scan; all rows are of one scan where a table has
+        no such column.
 
     Returns
     -------
@@ -236,7 +240,8 @@ def repeatability(table: pd.DataFrame, value: str, *, group: str = "scan") -> Re
     >>> round(found.s_r, 3), round(found.s_l, 3), round(found.icc, 3)
     (0.141, 0.7, 0.961)
     """
-    parts = [rows.to_numpy(dtype=np.float64) for _, rows in table.groupby(group)[value]]
+    grouped = table.groupby(group if group in table else np.zeros(len(table)))[value]
+    parts = [rows.to_numpy(dtype=np.float64) for _, rows in grouped]
     if not parts or min(len(part) for part in parts) < 2:
         raise ValueError(f"Invalid {group}: a single selection. Must be two or more of each.")
     if not np.isfinite(np.concatenate(parts)).all():

@@ -110,7 +110,8 @@ def pole(seed, known):
     turn = rng.uniform(-1.3, 1.3, 40)
     points = (0.05 + rng.normal(0, 0.004, 40))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
     found = fit_circle(points, diameter=0.1 if known else None)
-    return {name: around(found.centre[k], found.std, 0.0) for k, name in enumerate("xy")}
+    std = np.sqrt(np.diag(found.covariance))
+    return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
 
 
 def pattern(seed, timed):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
@@ -296,7 +297,7 @@ class PairReading:
 
 
 @dataclass(frozen=True)
-class Resolution:
+class Resolution(Shown):
     """The width of the finest line pairs that are resolved, with all coarser ones.
 
     In Pfeifer et al. 2021, section 3.2, people decide instead: w is the smallest width whose bars

@@ -4,17 +4,24 @@ A tone is a relative reflectance, 0 black to 1 white, or three of them: red, gre
 tones by the curve of sRGB, as screens and printers expect it.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import json
 import os
+import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.io.images import encode
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
@@ -30,6 +37,9 @@ MARK_GAP_MM, MARK_MM, HAIR_MM, PRINTER_MM = 4.0, 6.0, 0.25, 4.0
 
 BLEED_MM = 3.0
 """A tile is printed so far beyond its edges."""
+
+PDF_PAGE = re.compile(rb"(\d+) 0 obj\n(<< /Type /Page (?:(?!endobj).)*?) >>\nendobj", re.DOTALL)
+"""Number and content of a page's object as matplotlib writes it."""
 
 STYLE = {
     "figure.constrained_layout.use": False,
@@ -91,7 +101,7 @@ class Bar(_Element):
     tone: float | tuple[float, float, float] = BLACK
     ground: float | tuple[float, float, float] = WHITE
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
         x = np.array([self.x, self.x + self.width])
         return x, np.array([self.y, self.y + self.height]), np.array([[self.tone]])
@@ -136,21 +146,21 @@ class LinePairs(_Element):
     ground: float = WHITE
 
     @property
-    def extent(self):
+    def extent(self) -> float:
         """Length across all bars, mm."""
         return self.pair * self.repeats
 
     @property
-    def width(self):
+    def width(self) -> float:
         """Size along x, mm."""
         return self.extent if self.direction == "h" else self.length
 
     @property
-    def height(self):
+    def height(self) -> float:
         """Size along y, mm."""
         return self.length if self.direction == "h" else self.extent
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x and y and the tones between them."""
         steps = np.arange(2 * self.repeats + 1) * self.pair / 2
         tones = np.tile([BLACK, WHITE], self.repeats)
@@ -197,7 +207,7 @@ class Marker(_Square):
     identifier: int
     ground: float = WHITE
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x and y and the tones between them."""
         bits = _marker_bits(self.dictionary, self.identifier)
         edges = np.linspace(0, self.size, len(bits) + 1)
@@ -286,23 +296,23 @@ class Text(_Element):
     stretch: float = 1.0
 
     @property
-    def width(self):
+    def width(self) -> float:
         """From the start of the base line to the right end of the letters, mm."""
         return self._reach(self.text)
 
     @property
-    def height(self):
+    def height(self) -> float:
         """Height of the capitals, mm; accents and descenders reach beyond."""
         return self.cap
 
-    def outline(self):
+    def outline(self) -> Path:
         """Return the letters' outline as a matplotlib Path, mm, to be filled."""
         from matplotlib.transforms import Affine2D
 
         place = Affine2D().scale(self.stretch * self.cap, self.cap).translate(self.x, self.y)
         return place.transform_path(_letters(self.text, self.font))
 
-    def part(self, letters):
+    def part(self, letters: str) -> Text:
         """Return some of the letters, where they first occur, as a text of their own."""
         before, found, _ = self.text.partition(letters)
         if not found:
@@ -374,11 +384,11 @@ class Layout(_Element):
     def __getitem__(self, name):
         return self._by_name[check_choice(name, "element", tuple(self._by_name))]
 
-    def of_kind(self, kind):
+    def of_kind(self, kind: type) -> list:
         """Return the elements of one class, in order."""
         return [element for element in self.elements if isinstance(element, kind)]
 
-    def clearance(self, element, reach):
+    def clearance(self, element: Any, reach: float) -> np.ndarray:
         """Return the plain ground around an element, mm, shape (2, 2): [x or y, below or above].
 
         It ends at the chart's edge or at the next element that overlaps this one or its
@@ -397,11 +407,12 @@ class Layout(_Element):
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear
 
-    def to_pdf(self, *, crop_marks=False, tiles=None):
+    def to_pdf(self, *, crop_marks: bool = False, tiles: str | None = None) -> bytes:
         """Return the chart as a PDF at true size; letters are outlines.
 
         With crop marks the page is larger than the chart. Tiles (``"a3"``, ``"a4"``) make a page
-        for each part of the chart, with crop marks and 3 mm beyond the cut.
+        for each part of the chart, with crop marks and 3 mm beyond the cut. The TrimBox is what
+        remains after the cut, the BleedBox 3 mm more.
         """
         from matplotlib.backends.backend_pdf import PdfPages
 
@@ -413,9 +424,11 @@ class Layout(_Element):
             for low, part, sheet, note in pages:
                 marks = _marks(low, low + part, note) if (sheet > part).all() else []
                 file.savefig(self._page(low, part, sheet, marks))
-        return stream.getvalue()
+        return (
+            stream.getvalue() if (sheet == part).all() else _boxed(stream.getvalue(), sheet, part)
+        )
 
-    def to_svg(self):
+    def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
         stream, size = BytesIO(), np.array([self.width, self.height])
         with _style():
@@ -423,7 +436,7 @@ class Layout(_Element):
             page.savefig(stream, format="svg", metadata={"Date": None, "Title": self.name})
         return stream.getvalue()
 
-    def to_json(self):
+    def to_json(self) -> str:
         """Return the layout as JSON text, which :meth:`from_json` reads back unchanged."""
         elements = [
             {"kind": type(element).__name__, **dataclasses.asdict(element)}
@@ -433,7 +446,7 @@ class Layout(_Element):
         return json.dumps({**whole, "elements": elements}, indent=1)
 
     @classmethod
-    def from_json(cls, text):
+    def from_json(cls, text: str) -> Layout:
         """Return the layout that JSON text describes; ValueError if it describes none."""
         try:
             whole = json.loads(text)
@@ -547,6 +560,22 @@ def _ink(tone):
     """The colour of a tone in a file: a grey stays a grey."""
     coded = encode(np.array(tone, dtype=float), "srgb")
     return tuple(coded) if coded.ndim else str(float(coded))
+
+
+def _boxed(pdf, sheet, part):
+    """A PDF with boxes for the cut and the bleed in all pages, as an update at its end."""
+    boxes = b""
+    for name, beyond in (("TrimBox", 0.0), ("BleedBox", BLEED_MM)):
+        low, high = (sheet - part) / 2 - beyond, (sheet + part) / 2 + beyond
+        box = " ".join(f"{end:.4f}" for end in POINTS_PER_MM * np.array([*low, *high]))
+        boxes += f" /{name} [ {box} ]".encode()
+    table = b"xref\n0 1\n0000000000 65535 f \n"
+    last = int(pdf.rsplit(b"startxref\n", 1)[1].split()[0])
+    trailer = pdf[pdf.rindex(b"trailer\n<<") : pdf.rindex(b">>")]
+    for page in PDF_PAGE.finditer(pdf):
+        table += b"%s 1\n%010d 00000 n \n" % (page[1], len(pdf))
+        pdf += page[1] + b" 0 obj\n" + page[2] + boxes + b" >>\nendobj\n"
+    return pdf + table + trailer + b"/Prev %d >>\nstartxref\n%d\n%%%%EOF\n" % (last, len(pdf))
 
 
 def _style():

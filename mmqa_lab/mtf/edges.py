@@ -8,16 +8,21 @@ the standard's own estimate: supersampled edge profile, derivative, window, Four
 noisier; where both differ, the answer says so. Lengths in pixels, frequencies in cycles per pixel.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count
 from mmqa_lab._results import Shown
 from mmqa_lab.io.images import check_image
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 METHODS = ("isogaussian", "sigmoid", "logistic", "lens")
 
@@ -134,10 +139,15 @@ class EdgeResponse(Shown):
     lsf: np.ndarray
     remark: str = ""
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return one row with the figures and the remark."""
-        row = vars(self).items()
-        return pd.DataFrame([{key: one for key, one in row if not isinstance(one, np.ndarray)}])
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the MTF, and MTF50 with its 95 % interval."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.plot(self.frequencies, self.mtf)
+        ax.errorbar(self.mtf50, 0.5, xerr=1.96 * self.mtf50_sigma, fmt="o", ms=3, capsize=2)
+        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", xlim=(0, 1))
+        return ax
 
 
 def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:

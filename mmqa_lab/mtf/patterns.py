@@ -19,6 +19,7 @@ from mmqa_lab.mtf.edges import LENSES, SIGMAS_PX, crossing, lens_mtf, weighted
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
 SQUARE = np.pi / 4
@@ -94,22 +95,22 @@ class StarMtf(Shown):
     tilt_deg: float = 0.0
     levels_std: float = 0.0
 
-    def at(self, share):
+    def at(self, share: float) -> float:
         """Frequency at which the contrast first falls to a share; NaN where it does not."""
         return self._falls_to(share)[0]
 
     @property
-    def mtf50(self):
+    def mtf50(self) -> float:
         """Frequency of half the contrast."""
         return self.at(0.5)
 
     @property
-    def mtf10(self):
+    def mtf10(self) -> float:
         """Frequency of a tenth of the contrast, the limiting resolution."""
         return self.at(0.1)
 
     @property
-    def mtf50_sigma(self):
+    def mtf50_sigma(self) -> float:
         """Standard deviation of the frequency of half the contrast."""
         return self._falls_to(0.5)[1]
 
@@ -137,11 +138,11 @@ class StarMtf(Shown):
         spread /= abs(line[0])
         return float(np.sqrt(place)), float(spread / (2 * np.sqrt(place)))
 
-    def sigma_px(self):
+    def sigma_px(self) -> float:
         """Standard deviation of the Gaussian whose transfer function fits, the pixel included."""
         return _gaussian_sigma(self.frequency, self.mtf)
 
-    def psf(self, distance):
+    def psf(self, distance: ArrayLike) -> np.ndarray:
         """Point spread function of the measured contrast at distances in px, its peak 1.
 
         The Hankel transform of the contrast, for a function of revolution. Below and above the
@@ -160,12 +161,21 @@ class StarMtf(Shown):
         return spread / np.trapezoid(contrast * f, f)
 
     @property
-    def fwhm_px(self):
+    def fwhm_px(self) -> float:
         """Full width at half maximum of the point spread function."""
         distance = np.linspace(0, 5 * self.sigma_px(), 501)
         return float(2 * np.interp(-0.5, -self.psf(distance), distance))
 
-    def to_frame(self):
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the MTF with 95 % intervals."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.errorbar(self.frequency, self.mtf, yerr=1.96 * self.std, fmt=".", ms=3)
+        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", ylim=(0, None))
+        return ax
+
+    def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
         return pd.DataFrame(
             {"frequency_per_px": self.frequency, "mtf": self.mtf}

@@ -197,6 +197,9 @@ def limits(results):
     for surface, part in cells.groupby(keys, sort=False):
         for figure in part.columns.intersection(list(FIGURES)):
             known = part[np.isfinite(part[figure])]
+            known = known.groupby("scan").filter(lambda rows: len(rows) > 1)
+            if known.empty:
+                continue
             found = repeatability(known, figure).to_frame()
             about = dict(zip(keys, surface, strict=True)) | {"figure": figure}
             tables.append(found.assign(**about))
