@@ -40,6 +40,9 @@ OUTLINE_SIGMAS = 3.0
 NEARBY = 1.2
 """Contrasts within this ratio of a share tell where the contrast falls to it."""
 
+LENS_SHARE = 0.0025
+"""By which stars behind simulated discs and diffraction err besides noise."""
+
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Rings are two pixels wide and begin so far apart: four of them share each pixel."""
 
@@ -136,7 +139,8 @@ class StarMtf(Shown):
         terms = np.array([place, 1.0])
         spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms + self.levels_std**2)
         spread /= abs(line[0])
-        return float(np.sqrt(place)), float(spread / (2 * np.sqrt(place)))
+        found = float(np.sqrt(place))
+        return found, float(np.hypot(spread / (2 * found), LENS_SHARE * found))
 
     def sigma_px(self) -> float:
         """Standard deviation of the Gaussian whose transfer function fits, the pixel included."""
