@@ -16,8 +16,8 @@ room deviates from it.
 
 One least-squares solution adjusts all overlapping images of a block, after Pepita in EuroSDR 2013,
 image radiometry, sections 6.1 and 6.2, which does for radiometry what aerial triangulation does for
-geometry. Pepita is relative and estimates haze for groups of images, as here those that a column names;
-control targets are an addition. A tie point is a patch of ground that several images
+geometry. Pepita is relative and estimates haze for groups of images, here those that a column
+names; control targets are an addition. A tie point is a patch of ground that several images
 show; all that makes its values differ (exposure, height of the sun, haze, anisotropic reflectance,
 falling off to the corners) is estimated from all of them together. The radiance of tie point k in
 image i is taken to be

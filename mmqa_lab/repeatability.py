@@ -161,8 +161,8 @@ class Repeatability(Shown):
     icc_low, icc_high : float
         Its 95 % interval (F distribution).
     s_r_low, s_r_high : float
-        95 % interval of s_r: that of chi-squared, whose degrees of freedom allow for the kurtosis of
-        the selections about their scan's mean.
+        95 % interval of s_r by chi-squared, whose degrees of freedom allow for the kurtosis of the
+        selections about their scan's mean.
     groups, n : int
         Scans, and results in all.
 

@@ -10,12 +10,14 @@ colon only are counted together.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
+import camera
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2, t
 
-from mmqa_lab import bench, lines, simulate, stats, testfield
+from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, testfield
 from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
@@ -42,6 +44,7 @@ SETUP = ScanSetup(
     scanner_heading_deg=45,
     scanner_tilt_deg=45,
 )
+CHART = charts.imaging_chart()
 WALL = Target(heading_deg=5, tilt_deg=3, range_m=5)
 
 
@@ -173,9 +176,13 @@ def edge_of_walls(seed, angle_deg):
     }
 
 
-def edge_of_image(seed, sigma_px):
-    """MTF50 of a slanted edge behind a Gaussian, 1 % of noise."""
-    spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
+LENS_PX = {"gaussian": 0.6, "disc": 1.3, "diffraction": 1.4}
+"""Widths of simulated lenses, in the unit of each."""
+
+
+def edge_of_image(seed, lens):
+    """MTF50 of a slanted edge behind a lens, 1 % of noise."""
+    spread, rng = PointSpread(LENS_PX[lens], lens=lens), np.random.default_rng(seed)
     angle = float(rng.uniform(4, 12))
     image = render_edge(
         (80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5))
@@ -184,17 +191,42 @@ def edge_of_image(seed, sigma_px):
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, spread.mtf50(angle))}
 
 
-def star_of_image(seed, sigma_px):
-    """MTF50 of a Siemens star behind a Gaussian, 1 % of noise."""
-    spread, rng = PointSpread(sigma_px), np.random.default_rng(seed)
-    image = render_star(
-        (170, 170), spread, cycles=24, radius_px=80, centre=rng.uniform(-0.5, 0.5, 2)
-    )
-    image = image + 0.005 * rng.standard_normal(image.shape)
-    found = measure_star(image, (84.5, 84.5), cycles=24, radius_px=80)
+@cache
+def clean_star(lens, tilt_deg):
+    """The star of Banyoles, 5 degree sectors on 70 px, behind a lens."""
+    spread, choices = PointSpread(LENS_PX[lens], lens=lens), {"cycles": 36, "radius_px": 70}
+    return spread, render_star((150, 150), spread, centre=(0.3, -0.2), tilt_deg=tilt_deg, **choices)
+
+
+def star_of_image(seed, lens, tilt_deg):
+    """MTF50 of a Siemens star of the report's size behind a lens, 1 % of noise."""
+    (spread, clean), rng = clean_star(lens, tilt_deg), np.random.default_rng(seed)
+    image = clean + 0.005 * rng.standard_normal(clean.shape)
+    found = measure_star(image, 74.5 + rng.uniform(-0.5, 0.5, 2), cycles=36, radius_px=70)
     fine = np.linspace(0.05, 0.9, 2000)
     truth = float(np.interp(-0.5, -spread.mtf_mean(fine), fine))
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, truth)}
+
+
+def photographed(seed, lens, pixel_mm):
+    """MTF50 and the lengths of the bars of a chart in a photograph by the tests' own camera."""
+    rng = np.random.default_rng(seed)
+    width = {"gaussian": (0.4, 1.6), "disc": (0.8, 2.2), "diffraction": (0.45, 1.2)}[lens]
+    optics = {"gaussian": "blur", "disc": "disc", "diffraction": "cutoff"}[lens]
+    view = {optics: rng.uniform(*width), "yaw": float(rng.choice([0, 20, -35, 45]))}
+    sharp = {"mono": True, "jpeg": 98, "noise": 0.005, "margin": 0.15}
+    shot = camera.shoot(CHART, pixel_mm, seed=seed, **sharp, **view)
+    corners = shot.pixels(CHART.corners()) + rng.normal(0, 0.5, (4, 2))
+    there = chart_image.locate(None, CHART, corners=corners)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    truth = camera.true_mtf50(shot.scene)
+    ends = {f"MTF50: {one}": around(*quality.mtf50(one), truth) for one in "hv"}
+    for row in quality.sizes.dropna(subset=["length_px"]).itertuples():
+        bar = CHART[row.name].corners()[[0, 1] if row.direction == "h" else [0, 3]]
+        bar = bar + (CHART[row.name].corners().mean(axis=0) - bar.mean(axis=0))
+        length = np.linalg.norm(np.diff(shot.pixels(bar), axis=0))
+        ends[f"length: {row.name}"] = around(row.length_px, row.length_sigma_px, length)
+    return ends
 
 
 def sensor(seed, n):
@@ -305,8 +337,19 @@ ESTIMATES = (
     Estimate("displacement, pairs given", displaced, ({"matched": False},), 5, 200),
     Estimate("displacement, pairs found", displaced, ({"matched": True},), 1, 30),
     Estimate("edge of a cloud", edge_of_walls, bench.grid(angle_deg=(90, 60)), 3, 60),
-    Estimate("edge of an image", edge_of_image, bench.grid(sigma_px=(0.5, 0.9)), 3, 60),
-    Estimate("Siemens star", star_of_image, bench.grid(sigma_px=(0.6,)), 1, 30),
+    Estimate("edge of an image", edge_of_image, bench.grid(lens=tuple(LENS_PX)), 2, 200),
+    Estimate(
+        "Siemens star",
+        star_of_image,
+        bench.grid(lens=tuple(LENS_PX), tilt_deg=(0.0, 15.0)),
+        *(1, 40),
+    ),
+    Estimate(
+        "chart in photographs",
+        photographed,
+        bench.grid(lens=tuple(LENS_PX), pixel_mm=(2.7, 5.4, 8.0)),
+        *(0, 24),
+    ),
     Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 10, 300),
     Estimate("reflectance", reflectance, bench.grid(n=(4, 12)), 10, 300),
     Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 60),

@@ -73,6 +73,10 @@ def folder(tmp_path_factory):
     regions(radiance=RADIANCE).to_csv(folder / "radiance.csv", index=False)
     known = np.where([True, False, True, False, True], REFLECTANCE, np.nan)
     regions(reflectance=known).to_csv(folder / "tarps.csv", index=False)
+    regions(reflectance=np.where(known > 0.4, known, np.nan)).to_csv(
+        folder / "one_known.csv", index=False
+    )
+    regions(x_px=900, reflectance=0.1).to_csv(folder / "far_known.csv", index=False)
     regions(x_px=900).to_csv(folder / "far.csv", index=False)
     regions(reflectance=0.1, image="other.tif").to_csv(folder / "other.csv", index=False)
     return folder
@@ -139,6 +143,56 @@ def test_reflectance_of_targets_that_are_not_known(rows):
     assert (found["reflectance_low"] < found["reflectance_high"]).all()
 
 
+def test_bars_and_edges_depend_on_the_distance_from_the_centre(rows, folder):
+    rng, image, targets = np.random.default_rng(3), np.zeros((420, 420)), []
+    for row, column in [(r, c) for r in (0, 180, 360) for c in (0, 180, 360)]:
+        far = np.hypot(row - 180, column - 180) / np.hypot(210, 210)
+        turn = 6.0 if (row + column) % 360 else 96.0
+        part = render_edge((60, 60), PointSpread(0.6 + 0.6 * far), angle_deg=turn)
+        image[row : row + 60, column : column + 60] = part
+        targets.append({"x_px": column, "y_px": row, "width_px": 60, "height_px": 60})
+    noisy = image + 0.002 * rng.standard_normal(image.shape)
+    write(folder / "over.tif", 1000 + 40_000 * noisy[None])
+    pd.DataFrame(targets).to_csv(folder / "over.csv", index=False)
+    found = rows("edge over.tif --targets over.csv --over-image").set_index("term")
+    row = found.loc["fwhm_px: corner over centre"]
+    truth = PointSpread(1.2).fwhm(6) / PointSpread(0.6).fwhm(6)
+    assert row["low"] < truth < row["high"]
+    assert found.loc["squared fwhm_px: centre", "n"] == 9
+
+
+def test_calibration_against_an_image_and_on_even_ground(rows, folder):
+    rng = np.random.default_rng(4)
+    radiance = 20 + 60 * rng.random((12, 12))
+    write(folder / "known.tif", 100 * radiance[None])
+    fine = np.kron(radiance, np.ones((8, 8)))
+    write(folder / "fine.tif", 30 * fine[None] + rng.normal(0, 3, (1, *fine.shape)))
+    found = rows("calibrate fine.tif --radiance known.tif --through-zero").iloc[0]
+    assert found["gain"] == pytest.approx(0.30, rel=0.002)
+    assert (found["offset_dn"], found["n"]) == (0, 144)
+    write(folder / "even.tif", 2000 + rng.normal(0, 10, (3, 40, 60)))
+    even = rows("calibrate even.tif even.tif --even")
+    assert (even["radial_low"] < 0).all()
+    assert (even["radial_high"] > 0).all()
+
+
+def test_one_target_and_the_darkest_pixels_make_a_line(rows, folder):
+    known = np.where([False] * 4 + [True], REFLECTANCE, np.nan)
+    regions(reflectance=known).to_csv(folder / "one.csv", index=False)
+    found = rows("reflect a.tif --targets one.csv --dark-pixel")
+    line = np.polyfit(RADIANCE[[0, 4]], [0.01, 0.5], 1)
+    means = found.groupby("target")["reflectance"].mean().to_numpy()
+    assert means == pytest.approx(np.polyval(line, RADIANCE[:4]), abs=0.02)
+
+
+def test_repeatability_over_images(rows):
+    found = rows("reflect a.tif b.tif --targets tarps.csv --repeatability")
+    assert len(found) == 3 * 2
+    assert (found["images"] == 2).all()
+    assert (found["within_low_percent"] < found["within_percent"]).all()
+    assert found["within_percent"].max() < 3
+
+
 FAULTS = {
     "sharpness none.tif": "no such file",
     "sharpness star.csv": "Must be JPEG, PNG or TIFF",
@@ -157,6 +211,17 @@ FAULTS = {
     "reflect full.tif --targets tarps.csv": "0 unsaturated with a known reflectance",
     "reflect a.tif --targets other.csv": "none of a.tif",
     "edge edge.tif --gsd-cm -1": "Invalid gsd-cm -1",
+    "edge edge.tif --over-image": "Must be four or more",
+    "edge edge.tif --even": "Invalid --even for edge. Must be with calibrate.",
+    "sharpness a.tif --over-image": "Invalid --over-image for sharpness",
+    "calibrate full.tif --even": "100% saturated",
+    "calibrate a.tif edge.tif --even": "2 bands. Must have 3",
+    "calibrate a.tif --radiance edge.tif": "2 bands. Must have 3",
+    "calibrate a.tif --radiance none.tif": "no such file",
+    "reflect a.tif --targets one_known.csv": "1 unsaturated with a known reflectance",
+    "reflect a.tif --targets far.csv": "no column 'reflectance'",
+    "reflect a.tif --targets far_known.csv": "Invalid patch",
+    "reflect a.tif --targets tarps.csv --repeatability": "one shows 'b'. Must be two or more",
 }
 
 

@@ -127,6 +127,34 @@ def test_tilted_stars_and_the_small_star_of_the_report(radius, tilt, rng):
     assert star.mtf50 == pytest.approx(spread.mtf50(0), abs=3 * star.mtf50_sigma + 0.001)
 
 
+@pytest.mark.parametrize(("lens", "width"), [("disc", 2.0), ("diffraction", 2.0)])
+def test_stars_and_edges_behind_other_lenses(lens, width, rng):
+    spread = PointSpread(width, lens=lens)
+    star = render_star((150, 150), spread, cycles=36, radius_px=70)
+    star = star + 0.005 * rng.standard_normal(star.shape)
+    found = measure_star(star, (74.5, 74.5), cycles=36, radius_px=70)
+    # sectors of 6 px show no plain grey behind such a lens
+    assert found.mtf50 == pytest.approx(spread.mtf50(0), rel=0.02)
+    narrow = render_edge((100, 14), spread, angle_deg=5.0)
+    narrow = narrow + 0.002 * rng.standard_normal(narrow.shape)
+    errors = {
+        method: abs(fit_edge(narrow, method=method).mtf50 / spread.mtf50(5) - 1)
+        for method in ("lens", "sigmoid")
+    }
+    # one Gaussian cannot tell the tails from the ground
+    assert errors["lens"] < min(0.02, errors["sigmoid"])
+
+
+def test_tables_of_edges_are_the_closed_form():
+    from mmqa_lab.mtf.edges import _Model, _waves, spread_edge
+
+    rates, places, waves = _waves()
+    for sigma in (0.2, 0.7, 2.0):
+        model = _Model(0.1, np.inf, "gaussian")
+        half = waves @ model._optics(rates, np.array([sigma]))[:, 0]
+        assert 0.5 + half == pytest.approx(spread_edge(places, sigma, 0.1), abs=1e-9)
+
+
 def test_bars_are_resolved_down_to_a_width_and_no_further():
     rows = []
     for period in (8.0, 5.0, 3.5, 1.9):

@@ -153,6 +153,26 @@ def test_a_shell_that_is_not_empty_rejects(rng):
     assert not (table["rejected_by"] == "").any()
 
 
+def test_the_mask_as_worded_takes_posts_and_no_shrubs(rng):
+    shrub = np.array([4, 0, 1.5]) + rng.uniform(-0.35, 0.35, (4000, 3)) * [1, 1, 4]
+    cloud = scene(post(0, 0), (shrub, np.full(len(shrub), 5000)), rng=rng)
+    found = poles.detect(cloud, method="fgi", as_worded=True)
+    assert found[["x_m", "y_m"]].to_numpy() == pytest.approx(np.zeros((1, 2)), abs=0.03)
+    assert found["height_m"].item() == pytest.approx(
+        poles.detect(cloud, method="fgi")["height_m"].item(), abs=0.3
+    )
+
+
+def test_a_post_at_a_wall_is_part_of_it_where_only_the_ground_is_removed():
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 36), np.arange(0.35, 3, 0.04))
+    ring = np.stack([0.05 * np.cos(turn), 0.05 * np.sin(turn), rise], axis=-1).reshape(-1, 3)
+    x, z = (one.ravel() for one in np.meshgrid(np.arange(-3, 3, 0.05), np.arange(0, 4, 0.05)))
+    wall = np.stack([x, 0 * x + 0.4, z], axis=1)
+    cloud = np.vstack([floor(), ring, wall])
+    assert len(poles.detect(cloud, method="itc")) == 1
+    assert len(poles.detect(cloud, method="itc", only_ground=True)) == 0
+
+
 def test_segments_are_cut_at_gaps_and_dropped_by_size():
     x = np.r_[0, 0.02, 0.04, 1.0, 1.02, 2.0 + 0.05 * np.arange(12)]
     points = np.column_stack([x, 0 * x, 0 * x])

@@ -16,6 +16,7 @@ from mmqa_lab.radiometry import (
     patch_statistics,
     reflectance_factor,
     relative_exposure,
+    relative_response,
     stability,
     walthall_terms,
 )
@@ -159,6 +160,41 @@ def test_block_recovers_the_truth_without_noise(rng):
     assert found.gains["haze"].to_numpy() == pytest.approx(0.02, abs=1e-6)
     assert found.ties["cv_after_percent"].max() < 1e-3
     assert np.allclose(found.correct(table), ground[table["tie"]], rtol=1e-5)
+
+
+def test_each_group_of_images_has_its_haze(rng):
+    table, ground, _ = block(rng, noise=0.0)
+    gain = np.exp(rng.normal(0, 0.05, 8))
+    group = np.where(table["image"] < 4, "morning", "noon")
+    v, a = np.radians(table["view_zenith_deg"]), np.radians(table["azimuth_deg"])
+    light = np.cos(np.radians(table["sun_zenith_deg"])) * ground[table["tie"]]
+    light = light * (1 + 0.2 * v**2 + 0.3 * v * np.cos(a)) + np.where(group == "noon", 0.05, 0.02)
+    light = gain[table["image"]] * light * (1 - 0.1 * table["radius"] ** 2)
+    control = pd.DataFrame({"tie": range(12), "reflectance": ground[:12], "std": 1e-6})
+    found = adjust_block(table.assign(radiance=light, group=group), control=control, **PRIORS)
+    assert found.gains["haze"].to_numpy() == pytest.approx([0.02] * 4 + [0.05] * 4, abs=1e-6)
+    mixed = table.assign(group=np.arange(len(table)) % 2)
+    with pytest.raises(ValueError, match="two in one image"):
+        adjust_block(mixed, control=control, **PRIORS)
+
+
+def test_a_line_through_zero_is_the_ratio_of_sums():
+    radiance, dn = np.array([10.0, 20, 40, 80]), np.array([101.0, 199, 402, 799])
+    fit = fit_sensor(radiance, dn, through_zero=True)
+    assert fit.gain == pytest.approx((radiance @ dn) / (radiance @ radiance))
+    assert (fit.offset, fit.std[1], fit.freedom) == (0, 0, 3)
+    assert np.isnan(fit.p_values[1])
+
+
+def test_even_ground_shows_falling_light_and_defects(rng):
+    y, x = np.indices((60, 90)) - np.array([29.5, 44.5])[:, None, None]
+    light = 1000 * (1 - 0.15 * (x**2 + y**2) / (29.5**2 + 44.5**2))
+    images = light + 4 * rng.standard_normal((25, 60, 90))
+    images[:, 5, [10, 50]] *= 0.8
+    found = relative_response(images)
+    assert found["radial"] == pytest.approx(0.15, abs=4 * found["radial_std"])
+    assert found["uneven_percent"] == pytest.approx(100 * 4 / 5 / 1000, rel=0.1)
+    assert found["defects"] == 2
 
 
 def test_block_agrees_with_a_dense_solution(rng):

@@ -62,7 +62,7 @@ def test_bootstrap_covers_the_spread_that_was_put_in():
     """95 % intervals of s_r hold the truth in 95 % of 100 trials, or 87 % with four errors."""
     rng = np.random.default_rng(1)
     hits = 0
-    for trial in range(100):
+    for _ in range(100):
         values = 10 + 0.3 * rng.standard_normal(60)
         table = pd.DataFrame({"scan": np.repeat([0, 1, 2], 20), "f": values})
         found = repeatability(table, "f")

@@ -58,8 +58,8 @@ LARGEST_TONE_ERROR = 0.12
 
 MODEL_SHARE, NARROW_SHARE, WIDE_GROUND_PX = 0.013, 0.025, 8.0
 """Share of MTF50 that the fitted profiles err by, with so much plain ground beside an edge or more,
-and with less, where the tails of a lens are not seen. From photographs by the tests' own camera with
-Gaussian, defocused and diffracting lenses; what lenses differ that fit alike is added."""
+and with less, where the tails of a lens are not seen. From photographs by the tests' own camera
+with Gaussian, defocused and diffracting lenses; what lenses differ that fit alike is added."""
 
 OUTLINES = {True: "C5", False: "C1"}
 """Colours of resolved and refused patterns."""

@@ -37,6 +37,12 @@ NARROWEST_PX = 4.0
 OUTLINE_SIGMAS = 3.0
 """Plain pixels are so many deviations of the blur, or more, inside of the outline."""
 
+NEARBY = 1.2
+"""Contrasts within this ratio of a share tell where the contrast falls to it."""
+
+LENS_SHARE = 0.0025
+"""By which stars behind simulated discs and diffraction err besides noise."""
+
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Rings are two pixels wide and begin so far apart: four of them share each pixel."""
 
@@ -117,7 +123,8 @@ class StarMtf(Shown):
         A line through the logarithms of the contrasts nearby over the squared frequency, since the
         first noisy value below the share comes too early.
         """
-        first, last = (crossing(self.frequency, self.mtf, share * by) for by in (1.4, 1 / 1.4))
+        ends = share * NEARBY, share / NEARBY
+        first, last = (crossing(self.frequency, self.mtf, end) for end in ends)
         near = (self.frequency >= first) & (self.frequency <= last) & (self.mtf > 0)
         if near.sum() < 2:
             return crossing(self.frequency, self.mtf, share), np.nan
@@ -132,7 +139,8 @@ class StarMtf(Shown):
         terms = np.array([place, 1.0])
         spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms + self.levels_std**2)
         spread /= abs(line[0])
-        return float(np.sqrt(place)), float(spread / (2 * np.sqrt(place)))
+        found = float(np.sqrt(place))
+        return found, float(np.hypot(spread / (2 * found), LENS_SHARE * found))
 
     def sigma_px(self) -> float:
         """Standard deviation of the Gaussian whose transfer function fits, the pixel included."""

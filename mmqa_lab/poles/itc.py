@@ -7,8 +7,8 @@ et al. 2011, ISPRS Journal 66, S28-S39, doi:10.1016/j.isprsjprs.2011.08.006). No
 
 It differs from section 4.2 of the report: the ground comes from the lowest points and not from
 segments and their connectivity; walls are removed before components are formed, not the ground
-alone (``only_ground`` does as the report); trees are recognised by the width of their crown, not by the shapes of sub-components, and
-signs are not distinguished from other poles.
+alone (``only_ground`` does as the report); trees are recognised by the width of their crown, not by
+the shapes of sub-components, and signs are not distinguished from other poles.
 """
 
 from dataclasses import dataclass

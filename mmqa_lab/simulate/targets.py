@@ -18,8 +18,9 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, uniform_filter
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
+from scipy.special import j1
 
-from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
@@ -42,6 +43,9 @@ class PointSpread:
         Direction of ``sigma_px`` from x towards y.
     motion_px : float
         Length by which the image moves along y while it is exposed.
+    lens : {"gaussian", "disc", "diffraction"}
+        Of these, ``sigma_px`` is the deviation, the disc's radius, or one over the highest
+        frequency; discs and diffraction are alike in all directions.
 
     Examples
     --------
@@ -54,9 +58,11 @@ class PointSpread:
     sigma_across_px: float = None
     angle_deg: float = 0.0
     motion_px: float = 0.0
+    lens: str = "gaussian"
 
     def __post_init__(self):
         check_positive(self.sigma_px, "sigma_px", unit="px")
+        check_choice(self.lens, "lens", ("gaussian", "disc", "diffraction"))
         if self.sigma_across_px is not None:
             check_positive(self.sigma_across_px, "sigma_across_px", unit="px")
         check_number(self.motion_px, "motion_px", low=0, unit="px")
@@ -72,9 +78,19 @@ class PointSpread:
     def mtf(self, fx, fy):
         """Transfer function of optics, motion and pixel at frequencies in cycles per pixel."""
         fx, fy = np.asarray(fx, np.float64), np.asarray(fy, np.float64)
+        return self._optics(fx, fy) * np.sinc(self.motion_px * fy) * np.sinc(fx) * np.sinc(fy)
+
+    def _optics(self, fx, fy):
+        """Transfer function of the lens alone."""
+        x = np.hypot(fx, fy) * self.sigma_px
+        if self.lens == "disc":
+            turn = 2 * np.pi * np.maximum(x, 1e-9)
+            return 2 * j1(turn) / turn
+        if self.lens == "diffraction":
+            x = np.minimum(x, 1)
+            return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
         (xx, xy), (_, yy) = self.blur
-        gaussian = np.exp(-2 * np.pi**2 * (xx * fx**2 + 2 * xy * fx * fy + yy * fy**2))
-        return gaussian * np.sinc(self.motion_px * fy) * np.sinc(fx) * np.sinc(fy)
+        return np.exp(-2 * np.pi**2 * (xx * fx**2 + 2 * xy * fx * fy + yy * fy**2))
 
     def mtf_mean(self, f):
         """Transfer function averaged over all directions."""
@@ -120,7 +136,16 @@ def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=
 
 
 def render_star(
-    shape, spread, *, cycles=36, radius_px, centre=(0.0, 0.0), half=False, low=0.1, high=0.6
+    shape,
+    spread,
+    *,
+    cycles=36,
+    radius_px,
+    centre=(0.0, 0.0),
+    tilt_deg=0.0,
+    half=False,
+    low=0.1,
+    high=0.6,
 ):
     """Return an image of a Siemens star on a dark ground.
 
@@ -135,6 +160,8 @@ def render_star(
         Of the star.
     centre : (float, float)
         x, y from the image's centre, px.
+    tilt_deg : float
+        Of the star about y: it is seen narrower along x.
     half : bool
         Only the half with y below the centre's (upwards in the image).
     low, high : float
@@ -142,13 +169,16 @@ def render_star(
     """
     n = check_count(cycles, "cycles", low=2)
 
+    shrink = np.cos(np.radians(check_number(tilt_deg, "tilt_deg", low=0, high=80)))
+
     def distance(x, y):
         """Distance into the bright sectors, cut off at the star's outline."""
-        x, y = x - centre[0], y - centre[1]
+        x, y = (x - centre[0]) / shrink, y - centre[1]
         r = np.hypot(x, y)
         phase = n * np.arctan2(y, x) / (2 * np.pi)
         to_border = 0.25 - np.abs(phase - np.round(phase))
         inside = np.minimum(r * np.sin(2 * np.pi * to_border / n), radius_px - r)
+        inside = inside * np.sqrt(shrink)
         return np.minimum(inside, -y) if half else inside
 
     return _render(shape, spread, distance, low, high)

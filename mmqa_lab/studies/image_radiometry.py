@@ -246,7 +246,9 @@ def wedge_targets(label_std, seed, settings=None):
         image, places = grey_wedge(radiance, true, [seed, number])
         found = patch_statistics(image, places, full_scale=FULL_SCALE)
         label = f"{1000 * setting[0]:g} ms, f/{setting[1]:g}"
-        tables.append(found.assign(setting=label, radiance=radiance, exposure=exposure))
+        known = dict(zip(("time_s", "f_number"), setting, strict=True))
+        known |= {"setting": label, "radiance": radiance, "exposure": exposure}
+        tables.append(found.assign(**known))
     return pd.concat(tables, ignore_index=True), {"gain": GAIN, "offset": OFFSET}
 
 
