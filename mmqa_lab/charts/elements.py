@@ -6,8 +6,8 @@ tones by the curve of sRGB, as screens and printers expect it.
 
 import dataclasses
 import json
-import re
 import os
+import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
