@@ -5,6 +5,7 @@ import shutil
 from types import SimpleNamespace
 
 import cv2
+import laspy
 import numpy as np
 import pandas as pd
 import pytest
@@ -156,6 +157,10 @@ def test_clouds_in_other_coordinates_are_named(bare):
     assert any("no points on any board; it extends over 56" in one for one in judged(bare)[1])
     file.write_bytes(file.read_bytes()[:500])
     assert any("Must be a complete LAS" in one for one in judged(bare)[1])
+    laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(str(file))
+    assert "The cloud has no points." in judged(bare)[1]
+    write_cloud(file, type(cloud)(cloud.points, {"gps_time": cloud["gps_time"] + 1e6}))
+    assert any("times are not the trajectory's" in one for one in judged(bare)[1])
 
 
 def test_the_site_of_another_place_is_refused_in_one_sentence(bare, capsys):
@@ -289,6 +294,9 @@ def test_elements_give_a_photograph_its_mark(tmp_path):
     photo.found["crop"] = "0b"
     assert photographs._jury(photo, marks, note) == {}
     assert said[-1] == "Board 'b': the jury did not mark crop 0b."
+    (tmp_path / "bad.csv").write_text("")
+    with pytest.raises(ValueError, match="Must be CSV"):
+        photographs.read_marks(tmp_path / "bad.csv")
     (tmp_path / "bad.csv").write_text("crop,juror_1\n0a_99,a\n")
     with pytest.raises(ValueError, match=r"element 99\. Must be 1 to 24"):
         photographs.read_marks(tmp_path / "bad.csv")

@@ -121,7 +121,11 @@ def _legibility(quality):
     found = {"px_per_40mm": pixels, "expected_mark": legibility.expected_text(pixels)}
     if find_spec("rapidocr_onnxruntime") is None:
         return found
-    texts = [t for t in legibility.check_list(quality.layout) if t.name in legibility.JUDGED]
+    try:
+        texts = legibility.check_list(quality.layout)
+    except ValueError:  # a chart of one's own, without the paper's texts
+        return found
+    texts = [text for text in texts if text.name in legibility.JUDGED]
     crops = text_crops(quality.image, quality.layout, quality.chart_map, texts=texts)
     read = legibility.read_texts(crops)
     worst = read.sort_values("mark", ascending=False, kind="stable").iloc[0]

@@ -97,6 +97,8 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
         done.control += _control_rows(drive, site, done)
     if marks is None:
         done.say("jury", "No marks of a jury: no text is judged. Give them with --marks.")
+    elif done.photographs and not any(photo.found["mark"] for photo in done.photographs):
+        done.say("jury", "No mark counts for these photographs: are they another delivery's?")
     rows = sorted(_with_gaps(rows, site, done), key=_place)
     done.results = pd.DataFrame(rows)
     for name, table in criteria.items():
@@ -241,6 +243,8 @@ def _points_of(file, boards, site):
             inside = ((cloud.points >= near[0]) & (cloud.points <= near[1])).all(axis=1)
             if inside.any():
                 parts.setdefault(board.board, []).append(cloud[inside])
+    if np.isinf(low).any():
+        raise ValueError("The cloud has no points.")
     if not parts:
         extent = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in zip(low, high, strict=True))
         raise ValueError(f"The cloud has no points on any board; it extends over {extent} m.")

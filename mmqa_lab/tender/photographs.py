@@ -77,7 +77,10 @@ def read_marks(path):
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"Invalid marks {path}: no such file. Must exist.")
-    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except ValueError as error:  # empty, or no text
+        raise ValueError(f"Invalid marks {path}: {error}. Must be CSV.") from None
     if "crop" in table:
         table = table.drop(columns="shows", errors="ignore")
         table = table.melt("crop", var_name="juror", value_name="mark")

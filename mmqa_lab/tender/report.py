@@ -424,7 +424,7 @@ def _elements(quality):
     """Number, name and image of the elements that count; none where the chart lacks them."""
     try:
         texts = check_list(quality.layout)
-    except (KeyError, ValueError):
+    except ValueError:
         return
     numbers = {what: number for number, (what, _, _) in enumerate(CHECK_LIST, start=1)}
     texts = [text for text in texts if text.name in JUDGED]

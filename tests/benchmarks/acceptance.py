@@ -165,6 +165,7 @@ def main():
     parser.add_argument("folder", type=Path)
     parser.add_argument("--systems", default=SYSTEMS, help="only these, and no README")
     parser.add_argument("--seeds", type=int, default=20, help="sites of each system")
+    parser.add_argument("--finished", action="store_true", help="tables of what is finished")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     tables = []
@@ -176,6 +177,8 @@ def main():
         clouds = pd.read_csv(kept, keep_default_na=False)
         for seed in range(1, options.seeds + 1):
             kept = options.folder / f"{system}_{seed:02d}.json"
+            if options.finished and not kept.is_file():
+                continue
             if not kept.is_file():
                 parts = judged(system, seed, options.folder, clouds)
                 text = json.dumps([part.to_json(orient="records") for part in parts])
