@@ -16,6 +16,8 @@ Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresigh
 pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,11 +27,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.lattice import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
+__dir__ = __all__.copy
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Of each head: boresight, then what is to be added to the assumed lever arm."""
@@ -46,8 +50,14 @@ FARTHEST_DEG, FARTHEST_M = 10.0, 1.0
 OWN_PARAMETERS = {"plane": 3, "pole": 5, "control": 2}
 """Of a feature itself; they are eliminated from the adjustment."""
 
+COMMON = 2
+"""Column of what all points of a control point share: the error of its survey."""
+
 PATCH_GAP_M = 0.3
 """Planes of one cube that lie farther apart, or turned by 5 degrees, are different things."""
+
+LARGEST_GAP = 0.6
+"""Of the extent of a plane's points: three scan lines at equal distances leave 0.5."""
 
 OUTLIER = 3.5
 """Points so many sigma_MAD from their own group's plane or circle are left out."""
@@ -69,7 +79,7 @@ BLOCK = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Shown):
     """The mounting of the heads as estimated.
 
     Parameters
@@ -107,18 +117,23 @@ class Calibration:
     lever_arms_m: np.ndarray
 
     @property
-    def values(self):
+    def values(self) -> np.ndarray:
         """Array (heads, 6) of the estimates, degrees and metres."""
         return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the table with 95 % intervals, in degrees and metres; none where kept."""
+        half = 1.96 * self.table["std"].where(self.table["std"] > 0)
+        return self.table.assign(low=self.table["value"] - half, high=self.table["value"] + half)
+
     @property
-    def correlation(self):
+    def correlation(self) -> np.ndarray:
         """Correlation matrix of the estimates."""
         std = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(std, std)
 
-    def correct(self, cloud, trajectory):
+    def correct(self, cloud: Cloud, trajectory: Any) -> Cloud:
         """Return a drive's cloud as the estimated mounting makes it.
 
         Parameters
@@ -338,14 +353,18 @@ def _refuse_open(jacobian, free):
 
 @dataclass(eq=False)
 class _Feature:
-    """What some points lie on: its kind, their numbers, and where its own search begins."""
+    """What some points lie on: its kind, their numbers, and its known place."""
 
     kind: str
     index: np.ndarray
-    start: np.ndarray = None
+    known: np.ndarray = None
 
     def __len__(self):
         return len(self.index)
+
+    def inside(self, misfit):
+        """Misfit without the part that all points share: of control, the survey's own error."""
+        return misfit - np.median(misfit) if self.kind == "control" else misfit
 
 
 @dataclass(eq=False)
@@ -440,12 +459,16 @@ def _heads(cloud):
 
 @dataclass(eq=False)
 class _Adjustment:
-    """The points of all features, one feature after the other, and the least-squares problem."""
+    """The points of all features, one feature after the other, and the least-squares problem.
+
+    ``survey`` is the standard deviation of a control point's height over that of a laser point.
+    """
 
     shots: _Shots
     features: list
     absolute: bool
     free: np.ndarray
+    survey: float = 0.0
     last: tuple = None
 
     @property
@@ -458,15 +481,15 @@ class _Adjustment:
         if self.last is not None and np.array_equal(self.last[0], parameters):
             return self.last[1:]
         values = self.values(parameters)
-        misfit, normal, basis = _measured(self.features, self.shots.placed(values))
+        misfit, normal, basis = _measured(self.features, self.shots.placed(values), self.survey)
+        self._eliminate(misfit[:, None], basis[:, COMMON], first=self._first("control"))
         jacobian = np.zeros((len(misfit), values.size))
         columns = self.shots.head[:, None] * len(PARAMETERS) + np.arange(len(PARAMETERS))
         derivatives = self.shots.derivatives(values, normal)
         np.put_along_axis(jacobian, columns, derivatives, axis=1)
-        planes = sum(feature.kind == "plane" for feature in self.features)
         for number, column in enumerate(basis.T):
             # the first columns are all that planes, which come first, have
-            self._eliminate(jacobian, column, first=0 if number < 3 else planes)
+            self._eliminate(jacobian, column, first=0 if number < 3 else self._first("pole"))
         if not self.absolute:
             level = np.zeros((1, values.size))
             level[0, 5 :: len(PARAMETERS)] = np.sqrt(len(misfit))
@@ -481,7 +504,7 @@ class _Adjustment:
         An error that lasts the whole drive moves and turns its points together.
         """
         shots, placed = self.shots, self.shots.placed(values)
-        _, normal, basis = _measured(self.features, placed)
+        _, normal, basis = _measured(self.features, placed, self.survey)
         arm = np.einsum("nij,ni->nj", shots.rotation, placed - shots.offset)
         turned = np.einsum("nij,nkj->nki", shots.rotation, np.cross(AXES[None], arm[:, None]))
         effects = np.column_stack([normal, np.einsum("nki,ni->nk", turned, normal)])
@@ -497,6 +520,11 @@ class _Adjustment:
         values = np.zeros(len(self.free))
         values[self.free] = parameters
         return values.reshape(-1, len(PARAMETERS))
+
+    def _first(self, kind):
+        """Number of the first feature that is of a kind or a later one."""
+        kinds = list(OWN_PARAMETERS)
+        return sum(kinds.index(feature.kind) < kinds.index(kind) for feature in self.features)
 
     def _eliminate(self, jacobian, column, first):
         """Take a column of unit length in each feature out of the rows from a feature on."""
@@ -518,13 +546,29 @@ class _Adjustment:
             found = least_squares(
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
             )
-            parameters = found.x
-            by_feature = np.split(found.fun[: self.counts.sum()], np.cumsum(self.counts)[:-1])
+            parameters, values = found.x, self.values(found.x)
+            misfit = _measured(self.features, self.shots.placed(values))[0]
+            by_feature = np.split(misfit, np.cumsum(self.counts)[:-1])
             good = self._usual(by_feature)
-            near = [_near(part) & keep for part, keep in zip(by_feature, good, strict=True)]
-            if good.all() and np.concatenate(near).mean() > 1 - STEADY:
-                return found, self.values(parameters)
+            near = [
+                _near(feature.inside(part)) & keep
+                for feature, part, keep in zip(self.features, by_feature, good, strict=True)
+            ]
+            survey, self.survey = self.survey, self._survey_error(by_feature)
+            settled = np.abs(self.survey - survey) <= 0.1 * self.survey
+            if good.all() and np.concatenate(near).mean() > 1 - STEADY and settled:
+                return found, values
             self._keep(near)
+
+    def _survey_error(self, by_feature):
+        """Standard deviation of the control points' heights over that of a laser point."""
+        first = self._first("control")
+        if first == len(by_feature):
+            return 0.0
+        noise = max(np.sqrt(np.mean(np.concatenate(by_feature[:first]) ** 2)), 1e-6)
+        heights = np.array([part.mean() for part in by_feature[first:]])
+        inside = np.mean([noise**2 / len(part) for part in by_feature[first:]])
+        return np.sqrt(max(sigma_mad(heights) ** 2 - inside, 0)) / noise
 
     def _usual(self, by_feature):
         """Which features lie no farther off than is usual for their kind."""
@@ -537,7 +581,7 @@ class _Adjustment:
         """Leave out points, and features of which none is left."""
         self.shots = self.shots.select(np.concatenate(near))
         self.features = [
-            _Feature(feature.kind, feature.index[inside], feature.start)
+            _Feature(feature.kind, feature.index[inside], feature.known)
             for feature, inside in zip(self.features, near, strict=True)
             if inside.any()
         ]
@@ -549,19 +593,26 @@ def _near(misfit):
 
 
 def _clustered_covariance(features, found):
-    """Covariance from what each feature pulls at the estimates (cluster-robust sandwich)."""
+    """Covariance from what each feature pulls at the estimates (cluster-robust, jackknife).
+
+    Each pull is that of the feature's misfit under the mounting that the others give.
+    """
     ends = np.cumsum([len(feature) for feature in features])
-    pulls = np.add.reduceat((found.jac * found.fun[:, None])[: ends[-1]], np.append(0, ends[:-1]))
+    starts, jacobian = np.append(0, ends[:-1]), found.jac[: ends[-1]]
+    pulls = np.add.reduceat(jacobian * found.fun[: ends[-1], None], starts)
     inverse = np.linalg.inv(found.jac.T @ found.jac)
-    share = len(features) / max(len(features) - found.x.size, 1)
-    return share * inverse @ (pulls.T @ pulls) @ inverse
+    own = np.array([part.T @ part for part in np.split(jacobian, ends[:-1])])
+    others = np.eye(len(inverse)) - own @ inverse
+    effects = inverse @ np.linalg.solve(others, pulls[..., None])[..., 0].T
+    return effects @ effects.T
 
 
-def _measured(features, points):
+def _measured(features, points, survey=0.0):
     """Distances of points from the features fitted to them, planes first.
 
     Also their directions (n, 3), and an orthonormal basis (n, 5) of what the feature's own
-    parameters change in them; columns that a feature does not need are 0.
+    parameters change in them; columns that a feature does not need are 0. Of control points column
+    ``COMMON`` is shorter: it is what their survey's error, common to all their points, takes out.
     """
     counts = np.array([len(feature) for feature in features])
     planes = np.array([feature.kind == "plane" for feature in features])
@@ -573,8 +624,12 @@ def _measured(features, points):
     for feature in np.array(features, dtype=object)[~planes]:
         part = slice(first, first + len(feature))
         distances = _pole_misfit if feature.kind == "pole" else _control_misfit
-        misfit[part], normal[part], derivative = distances(points[part], feature.start)
-        basis[part, : derivative.shape[1]] = np.linalg.qr(derivative)[0]
+        misfit[part], normal[part], derivative = distances(points[part], feature.known)
+        own, size = np.linalg.qr(derivative)
+        if feature.kind == "control":
+            left = 1 / np.hypot(1, survey * size[COMMON, COMMON])
+            own[:, COMMON] *= np.sqrt(1 - left)
+        basis[part, : derivative.shape[1]] = own
         first += len(feature)
     return misfit, normal, basis
 
@@ -604,9 +659,9 @@ def _plane_misfits(points, counts):
     return along[:, 0], axes[:, :, 0], basis
 
 
-def _pole_misfit(points, start, steps=12):
+def _pole_misfit(points, _=None, steps=12):
     """Distances from the best cylinder, outward normals, derivatives by its five parameters."""
-    axis = np.array(start, dtype=np.float64)
+    axis = _first_axis(points)
     height = points[:, 2] - points[:, 2].mean()
     for _ in range(steps):
         misfit, way, derivative = _from_axis(points, height, axis)
@@ -630,12 +685,12 @@ def _from_axis(points, height, axis):
 
 
 def _control_misfit(points, known):
-    """Heights over a control point, less a tilted surface through it; two tilts eliminated."""
+    """Heights over a control point, less a tilted surface through it; two tilts, and a constant."""
     off = points - known
     tilts = off[:, :2]
     slope = np.linalg.lstsq(tilts, off[:, 2], rcond=None)[0]
     normal = np.broadcast_to([-slope[0], -slope[1], 1.0], points.shape)
-    return off[:, 2] - tilts @ slope, normal, tilts
+    return off[:, 2] - tilts @ slope, normal, np.column_stack([tilts, np.ones(len(off))])
 
 
 def _shared_planes(placed, groups, cell, most, roughness, rng):
@@ -685,8 +740,7 @@ def _shared_poles(placed, groups, poles, origin, search=0.5, low=0.4, high=6.0, 
         members = [m for m in members if m is not None]
         if len(members) > 1:
             joined = np.concatenate(members)
-            start = _first_axis(placed[joined])
-            found.append(_Feature("pole", joined, start))
+            found.append(_Feature("pole", joined))
     return found
 
 
@@ -735,7 +789,7 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
         if len(run) < fewest:
             continue
         plane = fit_plane(placed[run])
-        if plane.rms <= roughness:
+        if plane.rms <= roughness and _filled(placed[run]):
             members.append(run)
             planes.append(plane)
     if len(members) < 2:
@@ -750,6 +804,13 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
     return np.concatenate(alike) if len(alike) > 1 else None
 
 
+def _filled(points):
+    """Whether no gap takes most of their extent: two scan lines lie on one plane on any surface."""
+    off = points - points.mean(axis=0)
+    along = np.sort(off @ np.linalg.svd(off, full_matrices=False)[2][:2].T, axis=0)
+    return bool((np.diff(along, axis=0).max(axis=0) < LARGEST_GAP * np.ptp(along, axis=0)).all())
+
+
 def _some(run, rng, share=100):
     """Some of the points of a group, at random."""
     return rng.choice(run, min(len(run), share), replace=False)
@@ -759,8 +820,7 @@ def _round(placed, index, fewest):
     """Those of a group's points that lie on one pole; None where too few."""
     if len(index) < fewest:
         return None
-    axis = _first_axis(placed[index])
-    misfit = _pole_misfit(placed[index], axis)[0]
+    misfit = _pole_misfit(placed[index])[0]
     if sigma_mad(misfit) > 0.02:
         return None
     return index[_near(misfit)]

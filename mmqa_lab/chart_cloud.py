@@ -4,15 +4,17 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix 
 a 95 % interval that follows from the points themselves, see :meth:`CloudQuality.intervals`.
 """
 
+from __future__ import annotations
+
 import numbers
 import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab import stats
 from mmqa_lab._checks import (
@@ -33,6 +35,17 @@ from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
 from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "CloudQuality",
+    "chart_polygon",
+    "evaluate_cloud",
+    "inside_polygon",
+]
+__dir__ = __all__.copy
 
 AXES = ("principal", "horizontal")
 
@@ -226,7 +239,7 @@ class CloudQuality(Shown):
         row |= {name: getattr(self, name) for name in names}
         return pd.DataFrame([row | {"remarks": " ".join(self.remarks)}])
 
-    def plot(self):
+    def plot(self) -> Figure:
         """Draw the points, their distances from the plane, and the histograms of both.
 
         Returns
@@ -508,6 +521,8 @@ def _directions(plane, axes):
 
 def _reach(sums, count):
     """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
+    from scipy.special import stdtrit
+
     if count < 2:
         return np.nan
     return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())

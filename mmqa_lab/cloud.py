@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +15,14 @@ from mmqa_lab._checks import check_crs, check_points, coordinate_columns, is_tab
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
+
+__all__ = [
+    "Cloud",
+    "as_cloud",
+]
+__dir__ = __all__.copy
 
 PLOTTED = 50_000
 """Points that a plot draws; of larger clouds every k-th."""
@@ -154,7 +161,7 @@ class Cloud:
         crs = "" if self.crs is None else self.crs.to_wkt()
         return data.assign_attrs(name=self.name, resolution_m=self.resolution, crs_wkt=crs)
 
-    def plot(self, color: str | None = None, *, axes=None):
+    def plot(self, color: str | None = None, *, axes: Sequence[Axes] | None = None) -> np.ndarray:
         """Draw the points from above and, below that, from the side.
 
         Parameters

@@ -22,6 +22,16 @@ from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing import Spacing
 
+__all__ = [
+    "Journal",
+    "draw_points",
+    "draw_residual_histogram",
+    "draw_spacing_histogram",
+    "style",
+    "subplots",
+]
+__dir__ = __all__.copy
+
 WIDTHS = ("single", "double")
 """One column, and the whole width of the page's text."""
 

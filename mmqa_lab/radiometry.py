@@ -16,8 +16,8 @@ room deviates from it.
 
 One least-squares solution adjusts all overlapping images of a block, after Pepita in EuroSDR 2013,
 image radiometry, sections 6.1 and 6.2, which does for radiometry what aerial triangulation does for
-geometry. Pepita is relative and estimates haze for blocks of images; here haze is the same in all
-images, and control targets are an addition. A tie point is a patch of ground that several images
+geometry. Pepita is relative and estimates haze for groups of images, as here those that a column names;
+control targets are an addition. A tie point is a patch of ground that several images
 show; all that makes its values differ (exposure, height of the sun, haze, anisotropic reflectance,
 falling off to the corners) is estimated from all of them together. The radiance of tie point k in
 image i is taken to be
@@ -32,6 +32,8 @@ Angles in degrees: zenith angles of sun and view from the vertical; the relative
 the camera looks at the ground with the sun behind it (backward scattering) and 180 where it looks
 against the sun.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -57,6 +59,7 @@ __all__ = [
     "relative_exposure",
     "stability",
 ]
+__dir__ = __all__.copy
 
 SPREAD = 3.0
 """A target counts as saturated when its mean comes this near full scale, in its own deviations."""
@@ -113,26 +116,32 @@ class SensorFit(Shown):
     saturated: int
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of targets used."""
         return int(np.isfinite(self.residuals).sum())
 
     @property
-    def std(self):
+    def std(self) -> np.ndarray:
         """Standard errors of (gain, offset), shape (2,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def p_values(self):
-        """Two-sided p-values of (gain, offset) being zero, Student's t with n - 2."""
-        return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.n - 2)
+    def p_values(self) -> np.ndarray:
+        """Two-sided p-values of (gain, offset) being zero, Student's t; NaN where fixed."""
+        with np.errstate(invalid="ignore"):
+            return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.freedom)
 
-    def radiance(self, dn, *, exposure=1.0):
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom: targets less the coefficients that were fitted."""
+        return self.n - 1 - int(self.std[1] > 0)
+
+    def radiance(self, dn: ArrayLike, *, exposure: ArrayLike = 1.0) -> np.ndarray:
         """Radiance of digital numbers taken at an exposure relative to the calibration's."""
         exposure = check_positive(exposure, "exposure")
         return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return one row: both coefficients with standard errors and p-values, R2 and counts."""
         (s_gain, s_offset), (p_gain, p_offset) = self.std, self.p_values
         row = {
@@ -207,7 +216,7 @@ def patch_statistics(
     ([11.0, 255.0], [0.0, 1.0])
     """
     image = np.asarray(image, dtype=np.float64)
-    full_scale = _saturation_level(image) if full_scale is None else full_scale
+    full_scale = saturation_level(image) if full_scale is None else full_scale
     rows = []
     for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
         inside = 0 <= r0 < r1 <= image.shape[0] and 0 <= c0 < c1 <= image.shape[1]
@@ -230,6 +239,7 @@ def fit_sensor(
     exposure: ArrayLike = 1.0,
     std_dn: ArrayLike | None = None,
     full_scale: float = np.inf,
+    through_zero: bool = False,
 ) -> SensorFit:
     """Fit gain and offset of a sensor to targets of known radiance.
 
@@ -249,6 +259,9 @@ def fit_sensor(
         targets weigh alike, which is right only where noise does not grow with the signal.
     full_scale : float
         DN from which a pixel is saturated.
+    through_zero : bool
+        Fit a gain alone, as the radiance-based calibration of section 4.2 does: DN of darkness are
+        subtracted before. R2 is then of the squares about zero.
 
     Returns
     -------
@@ -282,16 +295,68 @@ def fit_sensor(
             f"Invalid targets: {used.sum()} unsaturated of {len(dn)}. Must be three or more, of "
             "different radiance."
         )
-    design = np.stack([signal, np.ones_like(signal)], axis=1)
+    terms = 1 if through_zero else 2
+    design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
     fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
+    covariance = np.zeros((2, 2))
+    covariance[:terms, :terms] = fit.cov_params()
     return SensorFit(
         gain=float(fit.params[0]),
-        offset=float(fit.params[1]),
-        covariance=np.asarray(fit.cov_params()),
+        offset=0.0 if through_zero else float(fit.params[1]),
+        covariance=covariance,
         r_squared=float(fit.rsquared),
         residuals=np.where(used, dn - design @ fit.params, np.nan),
         saturated=int((~used).sum()),
     )
+
+
+def coarse_pairs(image, reference):
+    """Return DN and radiance of two images of the same ground, one band each, as flat arrays.
+
+    Pixels are averaged to those of the reference, then both pass a median of 3 x 3 (EuroSDR 2013,
+    image radiometry, section 4.2: DMC against CASI).
+    """
+    from scipy.ndimage import median_filter
+
+    high, wide = image.shape[0] // reference.shape[0], image.shape[1] // reference.shape[1]
+    if (high * reference.shape[0], wide * reference.shape[1]) != image.shape or high != wide:
+        raise ValueError(
+            f"Invalid reference of {reference.shape} pixels for an image of {image.shape}. Must "
+            "show the same ground in pixels a whole number of times as large."
+        )
+    size = reference.shape[0], high, reference.shape[1], wide
+    coarse = np.asarray(image, dtype=np.float64).reshape(size).mean(axis=(1, 3))
+    return tuple(median_filter(one, 3).ravel() for one in (coarse, np.asarray(reference, float)))
+
+
+def relative_response(images):
+    """Return how even a sensor is: images of even ground, shape (n, rows, columns), one band.
+
+    A dict of numbers: ``radial``, the share of light lost in the corners, and its standard
+    deviation; ``uneven_percent``, by how much pixels differ besides; ``defects``, pixels off by
+    more than six of these deviations.
+    """
+    mean = np.asarray(images, dtype=np.float64).mean(axis=0)
+    y, x = (np.arange(side) - (side - 1) / 2 for side in mean.shape)
+    radius2 = np.add.outer(y**2, x**2) / (y[-1] ** 2 + x[-1] ** 2)
+    design = np.stack([np.ones(mean.size), radius2.ravel()], axis=1)
+    values, weight = mean.ravel(), np.ones(mean.size)
+    for _ in range(REWEIGHTINGS):
+        (centre, slope), _, _, _ = np.linalg.lstsq(
+            design * weight[:, None], values * weight, rcond=None
+        )
+        off = values - design @ (centre, slope)
+        spread = max(float(median_abs_deviation(off, scale="normal")), 1e-12 * abs(centre))
+        weight = (np.abs(off) <= 6 * spread).astype(float)
+    covariance = spread**2 * np.linalg.inv(design.T @ design)
+    # of the ratio slope / centre
+    by = np.array([slope / centre**2, -1 / centre])
+    return {
+        "radial": float(-slope / centre),
+        "radial_std": float(np.sqrt(by @ covariance @ by)),
+        "uneven_percent": float(100 * spread / centre),
+        "defects": int((weight == 0).sum()),
+    }
 
 
 def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
@@ -341,7 +406,7 @@ def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class EmpiricalLine:
+class EmpiricalLine(Shown):
     """Reflectance as a straight line of DN: reflectance = slope * DN + intercept.
 
     Parameters
@@ -366,15 +431,15 @@ class EmpiricalLine:
     residuals: np.ndarray
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of targets."""
         return len(self.residuals)
 
-    def reflectance(self, dn, *, anisotropy=1.0):
+    def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
         """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
         return (self.slope * np.asarray(dn, np.float64) + self.intercept) / anisotropy
 
-    def std(self, dn, *, std_dn=0.0):
+    def std(self, dn: ArrayLike, *, std_dn: ArrayLike = 0.0) -> np.ndarray:
         """Standard deviation of the reflectance: that of the line, and that of the DN."""
         dn = np.asarray(dn, dtype=np.float64)
         terms = np.stack([dn, np.ones_like(dn)], axis=-1)
@@ -557,8 +622,8 @@ def ndvi(
     return (n - r) / total, np.sqrt(variance)
 
 
-def _saturation_level(dn):
-    """The digital number on which saturated pixels pile up, infinity where none does."""
+def saturation_level(dn):
+    """Return the digital number on which saturated pixels pile up, infinity where none does."""
     top = dn.max()
     counts = np.array([np.count_nonzero(dn == top - k) for k in range(11)])
     piled = counts[0] > max(1e-4 * dn.size, 5 * counts[1:].max(), 1)
@@ -566,18 +631,18 @@ def _saturation_level(dn):
 
 
 @dataclass(frozen=True, eq=False)
-class WalthallFit:
+class WalthallFit(Shown):
     """A fitted Walthall function: ``coefficients`` of v^2, v cos(a), 1, ``rms`` and ``n``."""
 
     coefficients: np.ndarray
     rms: float
     n: int
 
-    def reflectance(self, view_zenith, azimuth):
+    def reflectance(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Reflectance factor in a direction."""
         return walthall_terms(view_zenith, azimuth) @ self.coefficients
 
-    def anisotropy(self, view_zenith, azimuth):
+    def anisotropy(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Anisotropy factor: the reflectance factor over that at nadir."""
         return self.reflectance(view_zenith, azimuth) / self.reflectance(0.0, 0.0)
 
@@ -637,10 +702,11 @@ class BlockAdjustment(Shown):
     Parameters
     ----------
     gains : DataFrame
-        ``image``, ``gain``, ``gain_std_percent``, ``n`` (its tie points).
+        ``image``, ``gain``, ``gain_std_percent``, ``n`` (its tie points), ``haze``, ``haze_std`` (0
+        where fixed), alike in all images of a group.
     anisotropy : DataFrame
         ``surface``, ``b1``, ``b2`` and their standard deviations.
-    radial, haze : (float, float)
+    radial : (float, float)
         Value and standard deviation (0 where fixed).
     ties : DataFrame
         ``tie``, ``reflectance`` (relative without control), ``n``, ``cv_before_percent`` and
@@ -665,7 +731,6 @@ class BlockAdjustment(Shown):
     gains: pd.DataFrame
     anisotropy: pd.DataFrame
     radial: tuple
-    haze: tuple
     ties: pd.DataFrame
     sigma0: float
     absolute: bool
@@ -674,7 +739,7 @@ class BlockAdjustment(Shown):
         """Return the gains, one row an image."""
         return self.gains.copy()
 
-    def correct(self, observations, *, to_nadir: bool = True):
+    def correct(self, observations: pd.DataFrame, *, to_nadir: bool = True) -> pd.DataFrame:
         """Return the reflectance (relative without control) of each observation.
 
         Parameters
@@ -685,12 +750,13 @@ class BlockAdjustment(Shown):
             Whether to divide by the anisotropy factor that was found; without, the result is the
             reflectance factor in the direction of the view.
         """
-        gain = self.gains.set_index("image")["gain"].reindex(observations["image"]).to_numpy()
+        of_image = self.gains.set_index("image")[["gain", "haze"]].reindex(observations["image"])
+        gain, haze = of_image.to_numpy().T
         coefficients = self.anisotropy.set_index("surface")[["b1", "b2"]]
         b = coefficients.reindex(_surfaces_of(observations)).to_numpy()
         radius = observations["radius"].to_numpy()
         light = observations["radiance"].to_numpy() / (gain * (1 - self.radial[0] * radius**2))
-        seen = (light - self.haze[0]) / _sun_cosine(observations)
+        seen = (light - haze) / _sun_cosine(observations)
         anisotropy = 1 + (_view_terms(observations) * b).sum(axis=1)
         return seen / anisotropy if to_nadir else seen
 
@@ -718,7 +784,8 @@ def adjust_block(
         One row for each tie point in each image: ``image``, ``tie``, ``radiance`` (DN less offset,
         over gain and exposure), ``sun_zenith_deg``, ``view_zenith_deg``,
         ``azimuth_deg`` (0 with the sun behind the camera), ``radius`` (0 in the centre, 1 in the
-        corner). Optionally ``surface``: each gets an anisotropy of its own.
+        corner). Optionally ``surface``: each gets an anisotropy of its own; and ``group``, the same
+        in all rows of an image: each gets a haze of its own.
     control : DataFrame, optional
         ``tie``, ``reflectance``, ``std``: targets of known nadir reflectance. Two or more of
         different brightness are needed to estimate haze.
@@ -729,8 +796,8 @@ def adjust_block(
     radial : (float, float)
         Value and deviation, as from a flat-field calibration.
     haze : (float, float), optional
-        In the unit of R; by default free with control and 0 without, where it cannot be told from
-        a brighter ground.
+        Of each group, in the unit of R; by default free with control and 0 without, where it cannot
+        be told from a brighter ground.
     relative_std : float
         Standard deviation of an observation, as a share of its radiance.
     rounds : int
@@ -824,16 +891,27 @@ class _Block:
         self.image, self.images = pd.factorize(observations["image"], sort=True)
         self.tie, self.ties = pd.factorize(observations["tie"], sort=True)
         self.surface, self.surfaces = pd.factorize(_surfaces_of(observations), sort=True)
+        named = observations["group"] if "group" in observations else np.zeros(len(self.image))
+        self.group, self.groups = pd.factorize(named, sort=True)
+        self.group_of_image = np.zeros(len(self.images), dtype=int)
+        self.group_of_image[self.image] = self.group
+        if (self.group_of_image[self.image] != self.group).any():
+            raise ValueError("Invalid group: two in one image. Must be the same in its rows.")
         self.std = relative_std * self.signal
         self.terms, self.sun = _view_terms(observations), _sun_cosine(observations)
         self.radius2 = observations["radius"].to_numpy(dtype=np.float64) ** 2
+
+    @property
+    def sizes(self):
+        """Numbers of gains, anisotropies, radial terms and hazes."""
+        return len(self.images), 2 * len(self.surfaces), 1, len(self.groups)
 
     def priors(self, priors, control):
         """Values and standard deviations of all parameters, the ties' reflectances last."""
         for _, std in priors:
             if std != FREE:
                 check_number(std, "prior's standard deviation", low=0)
-        counts = len(self.images), 2 * len(self.surfaces), 1, 1, len(self.ties)
+        counts = *self.sizes, len(self.ties)
         value, std = np.repeat([*priors, (0.0, FREE)], counts, axis=0).T.copy()
         if control is not None:
             place = pd.Index(self.ties).get_indexer(control["tie"])
@@ -856,10 +934,9 @@ class _Block:
         return estimate
 
     def split(self, estimate):
-        """Log gains, anisotropy (surfaces, 2), radial, haze, reflectances."""
-        ends = np.cumsum([len(self.images), 2 * len(self.surfaces), 1, 1])
-        log_gain, b, radial, haze, ground = np.split(estimate, ends)
-        return log_gain, b.reshape(-1, 2), radial[0], haze[0], ground
+        """Log gains, anisotropy (surfaces, 2), radial, hazes, reflectances."""
+        log_gain, b, radial, haze, ground = np.split(estimate, np.cumsum(self.sizes))
+        return log_gain, b.reshape(-1, 2), radial[0], haze, ground
 
     def linearised(self, estimate):
         """Misfit and the sparse Jacobian of the model."""
@@ -867,7 +944,7 @@ class _Block:
         gain, fall = np.exp(log_gain)[self.image], 1 - radial * self.radius2
         lit = self.sun * ground[self.tie]
         anisotropy = 1 + (self.terms * b[self.surface]).sum(axis=1)
-        light, scale = lit * anisotropy + haze, gain * fall
+        light, scale = lit * anisotropy + haze[self.group], gain * fall
         first = len(self.images)
         last = first + b.size
         derivatives = [
@@ -875,8 +952,8 @@ class _Block:
             (first + 2 * self.surface, scale * lit * self.terms[:, 0]),
             (first + 2 * self.surface + 1, scale * lit * self.terms[:, 1]),
             (np.full_like(self.image, last), -gain * light * self.radius2),
-            (np.full_like(self.image, last + 1), scale),
-            (last + 2 + self.tie, scale * self.sun * anisotropy),
+            (last + 1 + self.group, scale),
+            (last + 1 + len(self.groups) + self.tie, scale * self.sun * anisotropy),
         ]
         columns, values = (np.stack(part) for part in zip(*derivatives, strict=True))
         rows = np.broadcast_to(np.arange(len(self.signal)), columns.shape)
@@ -915,6 +992,8 @@ def _result(block, observations, estimate, inverse, free, scaled):
     gain_std, b_std, radial_std, haze_std, _ = block.split(std)
     gains = pd.DataFrame({"image": block.images, "gain": np.exp(log_gain)})
     gains = gains.assign(gain_std_percent=100 * gain_std, n=np.bincount(block.image))
+    of_image = {"haze": haze, "haze_std": haze_std}
+    gains = gains.assign(**{name: one[block.group_of_image] for name, one in of_image.items()})
     anisotropy = pd.DataFrame(np.hstack([b, b_std]), columns=["b1", "b2", "b1_std", "b2_std"])
     anisotropy.insert(0, "surface", block.surfaces)
     ties = pd.DataFrame({"tie": block.ties, "reflectance": ground, "n": np.bincount(block.tie)})
@@ -922,7 +1001,6 @@ def _result(block, observations, estimate, inverse, free, scaled):
         gains=gains,
         anisotropy=anisotropy,
         radial=(float(radial), float(radial_std)),
-        haze=(float(haze), float(haze_std)),
         ties=ties,
         sigma0=sigma0,
         absolute=False,

@@ -10,6 +10,7 @@ from mmqa_lab import _shipped, _tables
 from mmqa_lab._checks import check_choice
 
 __all__ = ["has_real", "path", "real_path", "road_patch_heads"]
+__dir__ = __all__.copy
 
 FOLDER = _shipped("data_samples")
 

@@ -13,16 +13,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mmqa_lab._checks import check_count, check_number
+from mmqa_lab._results import Shown
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+__all__ = [
+    "Errors",
+    "Interval",
+    "Rate",
+    "blocks",
+    "bootstrap",
+    "errors",
+    "median_interval",
+    "median_ratio_interval",
+    "wilson",
+]
+__dir__ = __all__.copy
 
 NMAD_SCALE = 1.4826022185056018
 """1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their deviation."""
 
 
 @dataclass(frozen=True)
-class Rate:
+class Rate(Shown):
     """A share of successes and its Wilson interval.
 
     Parameters
@@ -101,7 +115,7 @@ def wilson(k: int, n: int, *, confidence: float = 0.95) -> Rate:
 
 
 @dataclass(frozen=True)
-class Errors:
+class Errors(Shown):
     """Statistics of errors, in the unit of the errors; NaN where there are too few.
 
     Parameters
@@ -175,7 +189,7 @@ def errors(values: ArrayLike) -> Errors:
 
 
 @dataclass(frozen=True)
-class Interval:
+class Interval(Shown):
     """A statistic and its bootstrap percentile interval.
 
     Parameters

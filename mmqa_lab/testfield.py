@@ -44,6 +44,7 @@ __all__ = [
     "thinned",
     "trend",
 ]
+__dir__ = __all__.copy
 
 CHUNK = 5000
 """Reference points worked on at a time, with the points around them."""

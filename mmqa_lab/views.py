@@ -21,7 +21,15 @@ if TYPE_CHECKING:
 
     from mmqa_lab.cloud import Cloud
 
+__all__ = [
+    "is_headless",
+    "show_cloud",
+]
+__dir__ = __all__.copy
+
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+
+TITLES = ("easting (m)", "northing (m)", "height (m)")
 
 PROBE = (
     "import vtkmodules.vtkRenderingOpenGL2, vtkmodules.vtkRenderingCore as core;"
@@ -100,14 +108,15 @@ def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> An
     'height (m)'
     """
     points = check_points(cloud)
-    local = points - points.mean(axis=0)
+    local = points - points.min(axis=0)  # counted from the corner: no tick is -0.0
     if not can_render():
         return _figure(local, values, label)
     plotter = _plotter(local, values, label, off_screen=is_headless())
     if is_headless():
         return plotter.show(jupyter_backend="static", return_viewer=True)
     _serve_locally()
-    return plotter.show(jupyter_backend="server", return_viewer=True)
+    folded = {"collapse_menu": True}
+    return plotter.show(jupyter_backend="server", return_viewer=True, jupyter_kwargs=folded)
 
 
 def _serve_locally():
@@ -129,7 +138,7 @@ def _plotter(local, values, label, *, off_screen):
     plotter.set_background("white")
     bar = {
         **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": "%.3g"},
-        **{"vertical": False, "position_x": 0.25, "position_y": 0.88, "width": 0.5},
+        **{"vertical": False, "position_x": 0.25, "position_y": 0.03, "width": 0.5},
         **{"title_font_size": 18, "label_font_size": 16},
     }
     plotter.add_points(
@@ -139,34 +148,36 @@ def _plotter(local, values, label, *, off_screen):
         cmap=plots.MAP,
         scalar_bar_args=bar,
     )
-    plotter.show_bounds(
-        xtitle="easting (m)",
-        ytitle="northing (m)",
-        ztitle=" " if _flat(local) else "height (m)",
-        show_zaxis=not _flat(local),
-        show_zlabels=not _flat(local),
-        color="black",
-        font_size=9,
-        location="outer",
-    )
+    shown = {}
+    for axis, title, thin in zip("xyz", TITLES, _thin(local), strict=True):
+        shown |= {f"{axis}title": " " if thin else title, f"show_{axis}axis": not thin}
+        shown[f"show_{axis}labels"] = not thin
+    plotter.show_bounds(**shown, color="black", font_size=9, location="outer")
     plotter.view_isometric()
-    plotter.camera.zoom(1.1)
+    plotter.camera.zoom(0.95)
+    plotter.camera.SetWindowCenter(0, -0.12)  # the scale is below, the viewer's buttons are above
     return plotter
 
 
 def _figure(local, values, label, limit=20_000):
     """The matplotlib picture of one cloud, thinned to what it can draw."""
     step = max(1, len(local) // limit)
-    figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
-    dots = ax.scatter(*local[::step].T, c=np.asarray(values)[::step], s=1, rasterized=True)
-    ax.set(xlabel="easting (m)", ylabel="northing (m)", zlabel="height (m)", aspect="equal")
-    if _flat(local):
-        ax.set(zticks=[], zlabel="")
-    figure.colorbar(dots, ax=ax, label=label, shrink=0.6)
+    with plots.style():
+        figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
+        shades = {"c": np.asarray(values)[::step], "cmap": plots.MAP, "s": 1, "rasterized": True}
+        dots = ax.scatter(*local[::step].T, **shades)
+        ax.set(aspect="equal")
+        ax.locator_params(nbins=4)
+        for axis, title, thin in zip("xyz", TITLES, _thin(local), strict=True):
+            getattr(ax, f"set_{axis}label")("" if thin else title, labelpad=8)
+            if thin:
+                ax.set(**{f"{axis}ticks": []})
+        figure.colorbar(dots, ax=ax, label=label, shrink=0.6, pad=0.12)
+    plots.plt.close(figure)  # the caller shows it; left open, a notebook would show it twice
     return figure
 
 
-def _flat(local):
-    """Whether heights vary too little for an axis of their own."""
+def _thin(local):
+    """Which of easting, northing, height vary too little for an axis of their own."""
     extent = np.ptp(local, axis=0)
-    return extent[2] < 0.1 * extent[:2].max()
+    return extent < 0.1 * extent.max()

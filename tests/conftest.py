@@ -2,6 +2,8 @@
 
 import os
 
+# without compiled imports every process that a test starts takes some 6 s more
+os.environ["PYTHONDONTWRITEBYTECODE"] = ""
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("MMQA_HEADLESS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for each other

@@ -86,7 +86,7 @@ def selections(seed, scans):
     rng = np.random.default_rng(seed)
     values = rng.normal(0, 1, (scans, 12)) + rng.normal(0, 1, (scans, 1))
     table = pd.DataFrame({"scan": np.repeat(np.arange(scans), 12), "f": values.ravel() + 100})
-    found = repeatability(table, "f", draws=300, seed=seed)
+    found = repeatability(table, "f")
     return {
         "s_r": (found.s_r_low, found.s_r_high, 1.0),
         "icc": (found.icc_low, found.icc_high, 0.5),
@@ -107,7 +107,8 @@ def pole(seed, known):
     turn = rng.uniform(-1.3, 1.3, 40)
     points = (0.05 + rng.normal(0, 0.004, 40))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
     found = fit_circle(points, diameter=0.1 if known else None)
-    return {name: around(found.centre[k], found.std, 0.0) for k, name in enumerate("xy")}
+    std = np.sqrt(np.diag(found.covariance))
+    return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
 
 
 def pattern(seed, timed):
@@ -233,7 +234,7 @@ def block(seed, noise):
     relative = found.gains["gain_std_percent"].to_numpy() / 100 * found.gains["gain"].to_numpy()
     gains = zip(found.gains["gain"], relative, gain, strict=True)
     ends = {f"gain: {k}": around(*values) for k, values in enumerate(gains)}
-    return ends | {"haze": around(*found.haze, 0.02)}
+    return ends | {"haze": around(*found.gains[["haze", "haze_std"]].iloc[0], 0.02)}
 
 
 def mounting(seed, drift, stated):

@@ -63,7 +63,7 @@ def test_rejects(drives, street):
 def test_drives_that_leave_a_parameter_open_are_refused(street):
     head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, heading_deg=45, tilt_deg=30)
     system = System("one head", (head,), NavigationErrors())
-    drives = drive_testfield(street, system, seed=4, pulses_per_s=10_000)
+    drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
     choices = {"lever_arms_m": system.assumed_lever_arms, "patches": 100, "rounds": 1}
     with pytest.raises(ValueError, match=r"do not determine the mounting \(.*of head 1.* open\)"):
         calibrate(drives, **choices)

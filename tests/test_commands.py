@@ -46,7 +46,11 @@ def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
     assert "No coordinate system" in row["remarks"]
     assert "No time" not in row["remarks"]
     assert main(["info", PATCH]) == 0
-    assert max(map(len, capsys.readouterr().out.splitlines())) < 100
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) < 100
+    assert f"{row['x_low_m']:.2f}" in printed  # to centimetres: figures enough to find the place
+    assert main(["info", PATCH, str(samples.path("chart_a_5m"))]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) < 150  # side by side, not 230
 
 
 def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):

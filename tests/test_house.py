@@ -60,8 +60,7 @@ LAYERS = {
 
 LAZY = {
     **{"_checks": {"io"}, "_polygons": {"io"}, "cloud": {"io"}, "chart_cloud": {"plots"}},
-    "lines": {"plots"},
-    "scan_pattern": {"plots"},
+    **{room: {"plots"} for room in ("lines", "mtf", "scan_pattern", "spacing")},
 }
 """Whatever takes points takes the path of a file of points, and reads it when it gets one. A result
 draws itself with the room of plots, which it imports when asked to."""
@@ -79,9 +78,16 @@ def room(path):
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+def is_for_types(node):
+    """Whether this is a block that type checkers alone read."""
+    return isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+
+
 def imports(path):
-    """Every dotted name that a module imports, functions' own imports too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    """Every dotted name that a module imports, functions' own imports too; none for types alone."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree.body = [node for node in tree.body if not is_for_types(node)]
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -505,24 +505,78 @@ def test_damaged_pcd_gets_a_sentence(tmp_path, cloud):
             read_cloud(tmp_path / "c.pcd")
 
 
-def test_e57_says_what_to_install_or_reads(tmp_path, cloud):
-    path = tmp_path / "c.e57"
-    try:
-        import pye57
-    except ImportError:
-        path.write_bytes(b"ASTM-E57")
-        with pytest.raises(ValueError, match=r"Install it by pip install pye57\."):
-            read_cloud(path)
-        return
-    file = pye57.E57(str(path), mode="w")
-    x, y, z = cloud.points.T
+def test_e57_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    (tmp_path / "c.e57").write_bytes(b"ASTM-E57")
+    with pytest.raises(ValueError, match=r"Install it by pip install pye57\."):
+        read_cloud(tmp_path / "c.e57")
+
+
+@pytest.fixture
+def pye57():
+    """The reader of E57, which is an option."""
+    return pytest.importorskip("pye57", reason="needs pye57, which reads E57 files")
+
+
+def test_e57_is_placed_and_its_invalid_points_are_left_out(tmp_path, cloud, pye57):
+    origin = np.floor(cloud.points.mean(axis=0))
+    x, y, z = (cloud.points - origin).T
+    state = np.arange(len(x), dtype=np.int8) % 2
     scan = {"cartesianX": x, "cartesianY": y, "cartesianZ": z, "intensity": np.ones(len(x))}
-    file.write_scan_raw(scan)
-    file.close()
-    again = read_cloud(path)
-    assert again.resolution == 0.5  # the writer stores single precision
-    assert np.abs(again.points - cloud.points).max() <= 0.25
-    assert again["intensity"].tolist() == [1.0] * len(cloud)
+    quarter = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # turn about the vertical
+    with pye57.E57(str(tmp_path / "c.e57"), mode="w") as file:
+        for more in ({}, {"cartesianInvalidState": state}):
+            file.write_scan_raw(scan | more, rotation=quarter, translation=origin)
+    again = read_cloud(tmp_path / "c.e57")
+    assert again.resolution <= np.spacing(np.float32(np.abs([x, y, z]).max()))
+    assert again["intensity"].tolist() == [1.0] * len(again)
+    placed = origin + np.column_stack([-y, x, z])
+    assert np.abs(again.points - np.concatenate([placed, placed[state == 0]])).max() < 1e-5
+
+
+def test_e57_of_ranges_and_angles(tmp_path, pye57):
+    across, up = np.meshgrid(np.linspace(-3, 3, 7), [-0.5, 0.2])
+    spherical = {"Range": np.linspace(2, 9, 14), "Azimuth": across.ravel(), "Elevation": up.ravel()}
+    write_spherical(tmp_path / "c.e57", pye57, spherical)
+    again = read_cloud(tmp_path / "c.e57")
+    distance, azimuth, elevation = spherical.values()
+    flat = distance * np.cos(elevation)
+    wanted = [flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)]
+    assert np.abs(again.points - np.transpose(wanted)).max() < 1e-12
+    assert np.isnan(again.resolution)
+
+
+def write_spherical(path, pye57, values):
+    """An E57 file with one scan in ranges and angles, which pye57 reads but does not write."""
+    node = pye57.libe57
+    with pye57.E57(str(path), mode="w") as file:
+        image, buffers = file.image_file, node.VectorSourceDestBuffer()
+        kinds, scan = node.StructureNode(image), node.StructureNode(image)
+        for name, column in values.items():
+            limits = column.min(), node.E57_DOUBLE, column.min(), column.max()
+            kinds.set(f"spherical{name}", node.FloatNode(image, *limits))
+            column = np.ascontiguousarray(column)
+            entry = image, f"spherical{name}", column, len(column), True, True
+            buffers.append(node.SourceDestBuffer(*entry))
+        file.data3d.append(scan)
+        points = node.CompressedVectorNode(image, kinds, node.VectorNode(image, True))
+        scan.set("points", points)
+        writer = points.writer(buffers)
+        writer.write(len(column))
+        writer.close()
+
+
+def test_a_damaged_e57_gets_a_sentence(tmp_path, cloud, pye57):
+    x, y, z = cloud.points.T
+    with pye57.E57(str(tmp_path / "c.e57"), mode="w") as file:
+        file.write_scan_raw({"cartesianX": x, "cartesianY": y, "cartesianZ": z})
+    whole = (tmp_path / "c.e57").read_bytes()
+    changed = bytearray(whole)
+    changed[len(whole) // 2] ^= 255
+    for data in (b"", b"ASTM-E57", whole[:-1024], bytes(changed)):
+        (tmp_path / "c.e57").write_bytes(data)
+        with pytest.raises(ValueError, match=r"Invalid cloud .* Must be an E57 file"):
+            read_cloud(tmp_path / "c.e57")
 
 
 def test_the_coordinate_system_is_read_and_written_again(tmp_path, cloud):

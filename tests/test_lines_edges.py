@@ -301,3 +301,9 @@ def test_real_sweeps_show_their_pose(real):
     moved = model.transformed(pose[:3, :3], pose[:3, 3])
     left = lhd(test, moved, matcher="displaced").displacement.vector
     assert np.linalg.norm(left) < 0.06
+
+
+def test_edges_and_their_segments_are_taken_alike(rng):
+    found = extract_edges(room(rng))
+    assert np.asarray(found).shape == (3, 2, 3)
+    assert lhd(found, found.segments).value == 0

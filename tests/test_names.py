@@ -84,17 +84,89 @@ def test_public_name_explains_itself(one):
         assert "Raises" in found
 
 
-@pytest.mark.parametrize("one", [one for one in ALL if inspect.isfunction(one.values[0])])
-def test_public_function_says_its_types(one):
-    signature = inspect.signature(one)
+def says_types(function):
+    """Every argument and what is returned must have a type."""
+    signature = inspect.signature(function)
     bare = [
         each.name
         for each in signature.parameters.values()
         if each.annotation is each.empty
+        and each.name not in ("self", "cls")
         and each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
     ]
-    assert not bare
-    assert signature.return_annotation is not signature.empty
+    assert not bare, function.__qualname__
+    given = function.__name__ == "__init__" or signature.return_annotation is not signature.empty
+    assert given, function.__qualname__
+
+
+@pytest.mark.parametrize("one", [one for one in ALL if inspect.isfunction(one.values[0])])
+def test_public_function_says_its_types(one):
+    says_types(one)
+
+
+def all_results():
+    """Public classes, and the classes of the package that public functions return."""
+    members = [one.values[0] for one in ALL]
+    found = {one for one in members if inspect.isclass(one)}
+    for function in filter(inspect.isfunction, members):
+        said = function.__annotations__["return"]
+        words = re.findall(
+            r"\w+", said if isinstance(said, str) else inspect.formatannotation(said)
+        )
+        ours = [getattr(inspect.getmodule(function), word, None) for word in words]
+        found |= {one for one in ours if inspect.isclass(one)}
+    ours = [one for one in found if one.__module__.startswith("mmqa_lab.")]
+    return sorted((one for one in ours if not one.__name__.startswith("_")), key=str)
+
+
+RESULTS = all_results()
+
+NO_RESULTS = {
+    *("Comparison", "ChartMap", "FrameCamera", "PanoramaCamera", "Layout", "Bar", "LinePairs"),
+    *("Marker", "Text", "Journal", "Run", "Check", "Patch", "ScanSetup", "Target", "Scene"),
+    *("MatchingCamera", "MultiBeamScanner", "NavigationErrors", "ProfileScanner", "System"),
+    *("Surface", "JuryForm", "PlanePicker", "SelectionTool", "Settings", "Crop"),
+}
+"""Classes of what goes into a measurement or controls one."""
+
+WITHOUT_PLOT = {
+    *("Agreement", "BlockAdjustment", "Calibration", "Circle", "Components", "DisplacedMatch"),
+    *("Displacement", "EmpiricalLine", "Errors", "Interval", "Line", "Outcome", "Outline"),
+    *("PairingScores", "PatternMeasurement", "Plane", "Rate", "Repeatability", "Resolution"),
+    *("ScanPlanes", "Score", "SensorFit", "Threshold", "Trajectory", "WalthallFit"),
+}
+"""Results of a few numbers, without the points or the curve that one would see."""
+
+
+def methods(one):
+    """Public methods and properties of a class, by what says their types."""
+    for name, member in vars(one).items():
+        inner = getattr(member, "__func__", None) or getattr(member, "func", member)
+        inner = member.fget if isinstance(member, property) else inner
+        if inspect.isfunction(inner) and (name == "__init__" or not name.startswith("_")):
+            yield inner
+
+
+@pytest.mark.parametrize("one", RESULTS, ids=lambda one: one.__name__)
+def test_methods_say_their_types(one):
+    for method in methods(one):
+        if method.__module__ == one.__module__:  # a dataclass writes its own __init__
+            says_types(method)
+
+
+@pytest.mark.parametrize("one", RESULTS, ids=lambda one: one.__name__)
+def test_a_result_is_a_table_and_a_picture(one):
+    result = one.__name__ not in NO_RESULTS
+    assert (hasattr(one, "to_frame") and hasattr(one, "_repr_html_")) == result
+    assert hasattr(one, "plot") == (result and one.__name__ not in WITHOUT_PLOT)
+
+
+@pytest.mark.parametrize("room", sorted(set(PUBLIC["room"])))
+def test_a_room_shows_its_public_names_alone(room):
+    module = importlib.import_module(f"mmqa_lab.{room}")
+    assert set(dir(module)) >= set(PUBLIC["name"][PUBLIC["room"] == room])
+    imported = [name for name in ("np", "pd", "annotations", "dataclass") if name in dir(module)]
+    assert not imported
 
 
 def test_names_are_listed_in_one_place(capsys, tmp_path):

@@ -20,7 +20,7 @@ SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 
 PARAMETERS = [(study, name) for study in STUDIES for name in parameter_names(study.path)]
 
-WORDS = {"5 m": "10 m", "principal": "horizontal", "Optech Lynx": "Riegl VQ-450"}
+WORDS = {"principal": "horizontal", "table-4-1": "balconies", "roamer": "lynx", "C": "B"}
 """What a parameter that is a word becomes."""
 
 
@@ -118,7 +118,7 @@ def other(value):
         return 0.9 * value
     if isinstance(value, dict):
         return {key: other(one) for key, one in value.items()}
-    return tuple(value[:-1]) if len(value) > 1 else tuple(other(one) for one in value)
+    return type(value)(value[:-1] if len(value) > 1 else map(other, value))
 
 
 def run_with(study, parameters, folder, monkeypatch):

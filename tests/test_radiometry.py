@@ -156,7 +156,7 @@ def test_block_recovers_the_truth_without_noise(rng):
     assert np.allclose(found.gains["gain"], gain, rtol=1e-6)
     assert np.allclose(found.ties["reflectance"], ground, rtol=1e-5)
     assert found.anisotropy[["b1", "b2"]].to_numpy().ravel() == pytest.approx([0.2, 0.3], abs=1e-5)
-    assert found.haze[0] == pytest.approx(0.02, abs=1e-6)
+    assert found.gains["haze"].to_numpy() == pytest.approx(0.02, abs=1e-6)
     assert found.ties["cv_after_percent"].max() < 1e-3
     assert np.allclose(found.correct(table), ground[table["tie"]], rtol=1e-5)
 

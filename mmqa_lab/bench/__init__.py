@@ -57,6 +57,7 @@ __all__ = [
     "run",
     "summary",
 ]
+__dir__ = __all__.copy
 
 PASSING = (ImportError, MemoryError, OSError)
 """Failures of the machine, not of the method: never stored, so the next run tries again."""
@@ -234,7 +235,9 @@ class Comparison:
     tables: Callable | None = None
     figures: Callable | None = None
 
-    def run(self, *, workers=1, client=None, folder=None):
+    def run(
+        self, *, workers: int = 1, client: Any = None, folder: str | os.PathLike | None = None
+    ) -> xr.Dataset:
         """Return the results of all methods on all cases; see :func:`run`."""
         how = {"workers": workers, "client": client, "folder": folder}
         whole = {"make": self.make, "score": self.score, "seeds": self.seeds}
@@ -252,9 +255,7 @@ class _Bench:
 
     def cells(self, case, seed, names):
         """Yield name and record of the truth, whose name is empty, and of each named method."""
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):
+        with _pools(len(sys.modules)).limit(limits=1):
             try:
                 made = self.make(**case, seed=seed)
             except (Exception, SystemExit) as error:
@@ -275,6 +276,14 @@ class _Bench:
             return _record(scored, self.reserved)
         except (Exception, SystemExit) as error:
             return _failed(error, "score: ")
+
+
+@functools.lru_cache(maxsize=1)
+def _pools(modules):
+    """The thread pools of the loaded libraries, found anew when modules were imported since."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _record(result, reserved):

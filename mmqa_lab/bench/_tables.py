@@ -346,8 +346,10 @@ def rank(
     true = next(iter(_by_method(results, truth)[0].values()))
     values = np.stack(list(by_method.values()))
     picks = _picks(cases, resamples, np.random.default_rng(seed))
-    found = _rank_correlations(values, true)
-    drawn = np.array([_rank_correlations(values[:, pick], true[pick]) for pick in picks])
+    places, true_places = np.array([_places(one) for one in values]), _places(true)
+    found = _rank_correlations(places, true_places)
+    drawn = [_rank_correlations(places[:, pick], true_places[pick]) for pick in picks]
+    drawn = np.array(drawn)
     best = np.argmax(np.nan_to_num(np.abs(found), nan=-1))
     columns = {"method": list(by_method), "spearman": found}
     columns["low"], columns["high"] = _percentiles(drawn)
@@ -368,12 +370,25 @@ def _picks(cases, resamples, rng):
         yield np.concatenate([members[case] for case in draw])
 
 
-def _rank_correlations(values, true):
+def _places(values):
+    """Each value's place among the different ones, -1 where it is not finite."""
+    here, places = np.isfinite(values), np.full(len(values), -1)
+    places[here] = np.unique(values[here], return_inverse=True)[1]
+    return places
+
+
+def _ranks(places):
+    """Ranks of values by their places, ties averaged, without sorting them again."""
+    count = np.bincount(places)
+    return (np.cumsum(count) - (count - 1) / 2)[places]
+
+
+def _rank_correlations(places, true):
     """Spearman's correlation of each row with the truth, over the cells that the row has."""
-    found = np.full(len(values), np.nan)
-    for row, one in enumerate(values):
-        here = np.isfinite(one) & np.isfinite(true)
-        a, b = stats.rankdata(one[here]), stats.rankdata(true[here])
+    found = np.full(len(places), np.nan)
+    for row, one in enumerate(places):
+        here = (one >= 0) & (true >= 0)
+        a, b = _ranks(one[here]), _ranks(true[here])
         if here.any() and np.ptp(a) > 0 and np.ptp(b) > 0:
             found[row] = np.corrcoef(a, b)[0, 1]
     return found

@@ -44,3 +44,4 @@ __all__ = [
     "resolution",
     "text_crops",
 ]
+__dir__ = __all__.copy

@@ -5,12 +5,20 @@ x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the came
 pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from mmqa_lab.charts import Layout
 
 STEP_MM = 0.5
 """Half of the step that local scales are measured over."""
@@ -63,7 +71,7 @@ class FrameCamera:
         column, row = middle if self.principal is None else self.principal
         return np.array([[self.focal_px, 0, column], [0, self.focal_px, row], [0, 0, 1.0]])
 
-    def pixels(self, rays):
+    def pixels(self, rays: ArrayLike) -> np.ndarray:
         """Return the pixels of rays, shape (n, 2); NaN for rays from behind."""
         import cv2
 
@@ -76,7 +84,7 @@ class FrameCamera:
         zero, distortion = np.zeros(3), np.array(self.distortion)
         return cv2.projectPoints(points, zero, zero, self._interior, distortion)[0][:, 0]
 
-    def rays(self, pixels):
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Return the directions of pixels, shape (n, 3), z = 1."""
         import cv2
 
@@ -119,21 +127,21 @@ class PanoramaCamera:
         check_count(self.width, "width", low=4)
 
     @classmethod
-    def of_megapixels(cls, megapixels):
+    def of_megapixels(cls, megapixels: float) -> PanoramaCamera:
         """Return the panorama with N megapixels: width sqrt(2 N)."""
         megapixels = check_positive(megapixels, "megapixels")
         return cls(2 * round(np.sqrt(2e6 * megapixels) / 2))
 
     @property
-    def height(self):
+    def height(self) -> int:
         """Rows."""
         return self.width // 2
 
-    def pixel_size_mm(self, distance):
+    def pixel_size_mm(self, distance: float) -> float:
         """Return the size of a pixel on a sphere ``distance`` metres away, mm."""
         return 2000 * np.pi * check_positive(distance, "distance", unit="m") / self.width
 
-    def pixels(self, rays):
+    def pixels(self, rays: ArrayLike) -> np.ndarray:
         """Return the pixels of rays, shape (n, 2)."""
         x, y, z = np.asarray(rays, dtype=float).T
         azimuth, elevation = np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))
@@ -141,7 +149,7 @@ class PanoramaCamera:
         column, row = self.width / 2 + azimuth * step, self.height / 2 - elevation * step
         return np.column_stack([column, row]) - 0.5
 
-    def rays(self, pixels):
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Return the directions of pixels as unit vectors, shape (n, 3)."""
         column, row = np.asarray(pixels, dtype=float).T
         step = 2 * np.pi / self.width
@@ -259,7 +267,15 @@ class ChartMap:
     remark: str = ""
 
     @classmethod
-    def from_points(cls, xy, pixels, *, camera=None, offset=(0.0, 0.0), source="points"):
+    def from_points(
+        cls,
+        xy: ArrayLike,
+        pixels: ArrayLike,
+        *,
+        camera: FrameCamera | PanoramaCamera | None = None,
+        offset: tuple[float, float] = (0.0, 0.0),
+        source: str = "points",
+    ) -> ChartMap:
         """Fit the map to four or more points by least squares.
 
         Parameters
@@ -298,7 +314,9 @@ class ChartMap:
         return cls(turn.T @ homography, camera, tuple(offset), source=source)
 
     @classmethod
-    def from_orientation(cls, camera, pose, corners, layout):
+    def from_orientation(
+        cls, camera: FrameCamera | PanoramaCamera, pose: Pose, corners: ArrayLike, layout: Layout
+    ) -> ChartMap:
         """Return the map of a chart whose corners are surveyed, for a camera of known orientation.
 
         Parameters
@@ -330,7 +348,7 @@ class ChartMap:
             raise ValueError("Invalid corners: behind the camera. Must lie before it.")
         return found
 
-    def pixels(self, xy):
+    def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
         if self.bend is not None:
             xy = xy + powers(xy) @ self.bend
@@ -339,7 +357,7 @@ class ChartMap:
             return rays[:, :2] / rays[:, 2:] - self.offset
         return self.camera.pixels(rays) - self.offset
 
-    def chart(self, pixels):
+    def chart(self, pixels: ArrayLike) -> np.ndarray:
         """Return the chart places of pixels, mm, shape (n, 2)."""
         pixels = np.asarray(pixels, dtype=float) + self.offset
         if self.camera is None:
@@ -354,28 +372,28 @@ class ChartMap:
             places = flat - powers(places) @ self.bend
         return places
 
-    def outline(self, corners):
+    def outline(self, corners: ArrayLike) -> np.ndarray:
         """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
         step = np.arange(8)[:, None] / 8
         ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
         return self.pixels(np.concatenate([a + step * (b - a) for a, b in ends]))
 
-    def within(self, column, row):
+    def within(self, column: float, row: float) -> ChartMap:
         """Return the map for a window of the image that begins at this column and row."""
         offset = np.asarray(self.offset) + [column, row]
         return replace(self, offset=tuple(offset))
 
-    def corrected(self, change):
+    def corrected(self, change: np.ndarray) -> ChartMap:
         """Return the map after a 3 x 3 change of places on the chart."""
         return replace(self, matrix=self.matrix @ change, source=f"{self.source}, aligned")
 
-    def scale(self, xy):
+    def scale(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""
         xy = np.asarray(xy, dtype=float)
         ends = [self.pixels(xy + step) - self.pixels(xy - step) for step in np.eye(2) * STEP_MM]
         return np.stack(ends, axis=1) / (2 * STEP_MM)
 
-    def pixel_sizes_mm(self, xy):
+    def pixel_sizes_mm(self, xy: ArrayLike) -> np.ndarray:
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
         return 1 / np.linalg.norm(self.scale(xy), axis=2)
 

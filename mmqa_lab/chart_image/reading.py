@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
@@ -296,7 +297,7 @@ class PairReading:
 
 
 @dataclass(frozen=True)
-class Resolution:
+class Resolution(Shown):
     """The width of the finest line pairs that are resolved, with all coarser ones.
 
     In Pfeifer et al. 2021, section 3.2, people decide instead: w is the smallest width whose bars
@@ -957,7 +958,8 @@ def _across(levels, layout, bar, chart_map, where):
     distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
     angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
     along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
-    choices = {"method": "isogaussian" if outer >= FREE_REACH_PX else "sigmoid", "order": 2}
+    single = side is not None and outer >= FREE_REACH_PX
+    choices = {"method": "isogaussian" if single else "lens", "order": 2}
     if side is None:
         choices["gap"] = np.abs(gap)
     return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer

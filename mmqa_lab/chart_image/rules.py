@@ -10,6 +10,8 @@ The jury's marks are the reference for legibility. Pixels per capital and the qu
 pairs stand in for them; they have columns of their own and are never merged with the marks.
 """
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -93,7 +95,7 @@ class Agreement(Shown):
     fleiss_kappa: float
     unanimous_share: float
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return the verdict."""
         return self.verdict
 

@@ -37,6 +37,7 @@ __all__ = [
     "point_chart",
     "reflectance",
 ]
+__dir__ = __all__.copy
 
 SIDE_MM = 1000.0
 

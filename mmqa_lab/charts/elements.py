@@ -4,6 +4,8 @@ A tone is a relative reflectance, 0 black to 1 white, or three of them: red, gre
 tones by the curve of sRGB, as screens and printers expect it.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import json
 import os
@@ -11,11 +13,15 @@ import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.io.images import encode
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path
 
 BLACK, GREY, WHITE = 0.0, 0.5, 1.0
 
@@ -95,7 +101,7 @@ class Bar(_Element):
     tone: float | tuple[float, float, float] = BLACK
     ground: float | tuple[float, float, float] = WHITE
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
         x = np.array([self.x, self.x + self.width])
         return x, np.array([self.y, self.y + self.height]), np.array([[self.tone]])
@@ -140,21 +146,21 @@ class LinePairs(_Element):
     ground: float = WHITE
 
     @property
-    def extent(self):
+    def extent(self) -> float:
         """Length across all bars, mm."""
         return self.pair * self.repeats
 
     @property
-    def width(self):
+    def width(self) -> float:
         """Size along x, mm."""
         return self.extent if self.direction == "h" else self.length
 
     @property
-    def height(self):
+    def height(self) -> float:
         """Size along y, mm."""
         return self.length if self.direction == "h" else self.extent
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x and y and the tones between them."""
         steps = np.arange(2 * self.repeats + 1) * self.pair / 2
         tones = np.tile([BLACK, WHITE], self.repeats)
@@ -201,7 +207,7 @@ class Marker(_Square):
     identifier: int
     ground: float = WHITE
 
-    def grid(self):
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the edges in x and y and the tones between them."""
         bits = _marker_bits(self.dictionary, self.identifier)
         edges = np.linspace(0, self.size, len(bits) + 1)
@@ -290,23 +296,23 @@ class Text(_Element):
     stretch: float = 1.0
 
     @property
-    def width(self):
+    def width(self) -> float:
         """From the start of the base line to the right end of the letters, mm."""
         return self._reach(self.text)
 
     @property
-    def height(self):
+    def height(self) -> float:
         """Height of the capitals, mm; accents and descenders reach beyond."""
         return self.cap
 
-    def outline(self):
+    def outline(self) -> Path:
         """Return the letters' outline as a matplotlib Path, mm, to be filled."""
         from matplotlib.transforms import Affine2D
 
         place = Affine2D().scale(self.stretch * self.cap, self.cap).translate(self.x, self.y)
         return place.transform_path(_letters(self.text, self.font))
 
-    def part(self, letters):
+    def part(self, letters: str) -> Text:
         """Return some of the letters, where they first occur, as a text of their own."""
         before, found, _ = self.text.partition(letters)
         if not found:
@@ -378,11 +384,11 @@ class Layout(_Element):
     def __getitem__(self, name):
         return self._by_name[check_choice(name, "element", tuple(self._by_name))]
 
-    def of_kind(self, kind):
+    def of_kind(self, kind: type) -> list:
         """Return the elements of one class, in order."""
         return [element for element in self.elements if isinstance(element, kind)]
 
-    def clearance(self, element, reach):
+    def clearance(self, element: Any, reach: float) -> np.ndarray:
         """Return the plain ground around an element, mm, shape (2, 2): [x or y, below or above].
 
         It ends at the chart's edge or at the next element that overlaps this one or its
@@ -401,7 +407,7 @@ class Layout(_Element):
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear
 
-    def to_pdf(self, *, crop_marks=False, tiles=None):
+    def to_pdf(self, *, crop_marks: bool = False, tiles: str | None = None) -> bytes:
         """Return the chart as a PDF at true size; letters are outlines.
 
         With crop marks the page is larger than the chart. Tiles (``"a3"``, ``"a4"``) make a page
@@ -422,7 +428,7 @@ class Layout(_Element):
             stream.getvalue() if (sheet == part).all() else _boxed(stream.getvalue(), sheet, part)
         )
 
-    def to_svg(self):
+    def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
         stream, size = BytesIO(), np.array([self.width, self.height])
         with _style():
@@ -430,7 +436,7 @@ class Layout(_Element):
             page.savefig(stream, format="svg", metadata={"Date": None, "Title": self.name})
         return stream.getvalue()
 
-    def to_json(self):
+    def to_json(self) -> str:
         """Return the layout as JSON text, which :meth:`from_json` reads back unchanged."""
         elements = [
             {"kind": type(element).__name__, **dataclasses.asdict(element)}
@@ -440,7 +446,7 @@ class Layout(_Element):
         return json.dumps({**whole, "elements": elements}, indent=1)
 
     @classmethod
-    def from_json(cls, text):
+    def from_json(cls, text: str) -> Layout:
         """Return the layout that JSON text describes; ValueError if it describes none."""
         try:
             whole = json.loads(text)

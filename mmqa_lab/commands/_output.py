@@ -1,9 +1,13 @@
 """What all commands share: what is printed, what is written, what is said meanwhile."""
 
 import argparse
+import re
 import sys
 import textwrap
 from pathlib import Path
+
+PLACE = re.compile(r"([xyz]|easting|northing)(_low|_high|_base)?_m")
+"""Columns of coordinates, which are printed to centimetres: they have more than four figures."""
 
 
 def add_output_arguments(parser):
@@ -32,8 +36,8 @@ def print_rows(frame, options, *, upright=None):
     """Print a DataFrame as a table or as JSON, and write it where ``--csv`` says.
 
     JSON is a list with an object for each row, null where a figure is not measurable. ``upright``
-    names the column that heads the table when each row is printed as a column. What stands in the
-    column ``remarks`` is printed below the table.
+    names the column that heads the table where each row is printed as a column, because that is
+    narrower. What stands in the column ``remarks`` is printed below the table.
     """
     write_rows(frame, options)
     if options.json:
@@ -41,12 +45,15 @@ def print_rows(frame, options, *, upright=None):
         return
     remarks = _remarks(frame)
     frame = frame.drop(columns="remarks", errors="ignore")
-    if upright is not None:
-        frame = frame.set_index(upright).T.rename_axis("figure").reset_index()
     if frame.empty:
         print(f"{' '.join(frame.columns)}\nnone")
         return
-    print(_texts_left(frame).to_string(index=False, float_format=_figure))
+    places = [name for name in frame if PLACE.fullmatch(name)]
+    tables = [frame.assign(**{name: frame[name].map("{:.2f}".format) for name in places})]
+    if upright is not None:
+        tables.append(tables[0].set_index(upright).T.rename_axis("figure").reset_index())
+    texts = [_texts_left(table).to_string(index=False, float_format=_figure) for table in tables]
+    print(min(texts, key=lambda text: len(text.splitlines()[0])))
     for remark in remarks:
         print(textwrap.fill(remark, 99))
 

@@ -130,9 +130,8 @@ def run(options):
 
         with plots.style():
             write_figure(options.out, quality.plot(), title=f"Quality of {options.cloud[-1]}")
-    one = len(rows) == 1 and not options.intervals
     table = pd.concat(rows).drop(columns=LEFT_OUT, errors="ignore")
-    print_rows(table, options, upright="file" if one else None)
+    print_rows(table, options, upright=None if options.intervals else "file")
 
 
 def _sectors(text):

@@ -1,5 +1,6 @@
 """The small commands that keep house: notebooks, studies, tests, names, README, completion."""
 
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,9 @@ NO_LIBRARY = ("__main__", "commands", "studies")
 
 CORES = ("-n=logical", "--maxprocesses=4")
 """Tests run on all cores, up to four: each process has its own fixtures and libraries in memory."""
+
+FILL_S = 4.0
+"""Seconds between two states of the index while studies run."""
 
 LONGEST = ("poles", "anisotropy", "test_field")
 """Studies that start first where several run at once, so that none is left over at the end."""
@@ -195,14 +199,14 @@ def studies(options):
 
     Each study runs in a kernel of its own and leaves its tables, figures, named values and a page
     under notebooks/results/ (results/ of the current directory where the package is installed), as
-    they arrive; index.html there shows them all. Results of --quick go to results/quick/. A study
+    they arrive; index.html there shows them all, opens in a browser where there is a screen, and
+    fills as the studies run. Results of --quick go to results/quick/. A study
     that fails does not stop the others. The exit status is 1 where a study failed or, with the
     delivered parameters, a check did not pass.
     """
     from tqdm import tqdm
 
     from mmqa_lab._checks import check_count
-    from mmqa_lab.run import pages
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
@@ -210,14 +214,54 @@ def studies(options):
     several = check_count(options.workers, "workers") > 1
     run = _several_at_once if several else _one_by_one
     outcomes = []
-    with tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar:
+    print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
+    with (
+        _filling(folder, STUDIES),
+        tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar,
+    ):
         for study, outcome in run(chosen(options.name), folder, options, bar):
-            pages.write_pages(folder, STUDIES)
             outcomes.append(outcome)
             bar.update()
             bar.write(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}")
-    print(f"Results: {folder / 'index.html'}")
     return 0 if all(outcome.ok and (outcome.quick or outcome.true) for outcome in outcomes) else 1
+
+
+@contextmanager
+def _filling(folder, studies):
+    """Write the pages every few seconds while studies run; open the index once it shows one."""
+    import threading
+
+    from mmqa_lab.run import pages
+
+    ended = threading.Event()
+
+    def fill():
+        opened = False
+        while not ended.wait(FILL_S):
+            pages.write_pages(folder, studies, running=True)
+            if not opened and any(folder.glob("*/*.png")):
+                opened = True
+                _open(folder / "index.html")
+
+    filling = threading.Thread(target=fill, daemon=True)
+    filling.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        filling.join()
+        pages.write_pages(folder, studies)
+
+
+def _open(page):
+    """Open a page in the browser of somebody who sits at a screen."""
+    import os
+    import sys
+    import webbrowser
+
+    screen = {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ) or sys.platform in ("darwin", "win32")
+    if screen and sys.stdout.isatty():
+        webbrowser.open(page.as_uri())
 
 
 def _one_by_one(studies, folder, options, bar):

@@ -41,7 +41,7 @@ def run(options):
     import pandas as pd
 
     rows = [describe(file) for file in with_progress(options.cloud, "cloud")]
-    print_rows(pd.DataFrame(rows), options, upright="file" if len(rows) == 1 else None)
+    print_rows(pd.DataFrame(rows), options, upright="file")
 
 
 def describe(file):

@@ -4,7 +4,18 @@ edge, star and bars measure resolution on targets, sharpness does without any; c
 and offset of the sensor to targets of known radiance, and reflect turns digital numbers into
 reflectance by the empirical line (EuroSDR 2013, image radiometry). Images are JPEG, PNG or TIFF
 with any number of bands. Values of 8 bits are decoded from sRGB unless --linear is given; calibrate
-and reflect refuse them without it. Intervals are 95 %; what cannot be measured is empty.
+and reflect refuse them without it. Intervals are 95 %; what cannot be measured is empty. With
+--pixel-um frequencies are also given in lines per mm as the report counts them, bright and dark
+ones: two to a cycle.
+
+With --over-image edge, star and bars give what the results of all targets depend on: a linear
+regression on the distance from the image's centre, its factor between corner and centre, and for
+edges the blur along and across the radius and along the flight (y). calibrate --through-zero fits
+no offset; calibrate --radiance FILE takes the radiance from an image of the same ground by a
+calibrated sensor in coarser pixels; calibrate --even takes images of even ground and gives the loss
+of light in the corners, unevenness and defects. reflect --dark-pixel takes the darkest thousandth
+of a band for a reference of 1 % (+- 1 %), so that one target is enough; reflect --repeatability
+gives how well reflectances of a target agree over all images, and over heights.
 
 The targets are a CSV file with a row for each target. Columns for all: image (name of the file;
 without the column a target is in every image), name.
@@ -12,11 +23,12 @@ without the column a target is in every image), name.
   edge       x_px, y_px, width_px, height_px: upper left corner and size of a region with one edge
              (without targets the whole image is one)
   star       x_px, y_px (centre), radius_px, cycles; or from_deg and to_deg, the part to use
-  bars       x_px, y_px (middle of a group), period_px, bars, angle_deg (across them, from x to y)
+  bars       x_px, y_px (middle of a group), period_px, bars, angle_deg (across them, from x to y);
+             place, where there are several ladders of bars
   calibrate  the region as for edge; radiance, or radiance_1, radiance_2, ... for the bands;
              exposure, or time_s and f_number (without them EXIF is read)
   reflect    the region; reflectance, or reflectance_1, ...: empty where it is to be measured;
-             reflectance_std, anisotropy
+             reflectance_std, anisotropy; height_m, of the flight
 """
 
 from pathlib import Path
@@ -43,6 +55,13 @@ NEEDED = {
     "reflect": REGION,
 }
 
+OVER_IMAGE = {"edge": "fwhm_px", "star": "fwhm_px", "bars": "resolving_px"}
+"""What is regressed on the distance from the centre."""
+
+DARK_SHARE, DARK_REFLECTANCE = 0.001, 0.01
+
+SATURATED_SHARE = 0.01
+
 ROUNDING_DN = 12**-0.5
 """Standard deviation that rounding alone gives a pixel."""
 
@@ -55,6 +74,12 @@ def add_arguments(parser):
     parser.add_argument("--linear", action="store_true", help="8-bit values are linear in light")
     parser.add_argument("--gsd-cm", type=float, metavar="CM", help="size of a pixel on the ground")
     parser.add_argument("--pixel-um", type=float, metavar="UM", help="size of a detector pixel")
+    parser.add_argument("--over-image", action="store_true", help="regression over the image")
+    parser.add_argument("--through-zero", action="store_true", help="calibrate without offset")
+    parser.add_argument("--radiance", metavar="FILE", help="image of known radiance, see above")
+    parser.add_argument("--even", action="store_true", help="images of even ground, see above")
+    parser.add_argument("--dark-pixel", action="store_true", help="darkest pixels as reference")
+    parser.add_argument("--repeatability", action="store_true", help="over images and heights")
     add_output_arguments(parser)
 
 
@@ -68,6 +93,7 @@ def run(options):
     for name in ("gsd_cm", "pixel_um"):
         if getattr(options, name) is not None:
             check_positive(getattr(options, name), name.replace("_", "-"))
+    _check_choices(options)
     targets = _targets(options)
     images = {}
     for file in with_progress(options.image, "image"):
@@ -85,12 +111,37 @@ def run(options):
                 "be said to be --linear."
             )
     if options.measure == "calibrate":
-        rows = _calibrated(images, targets)
+        rows = _calibrations(images, targets, options)
     elif options.measure == "reflect":
-        rows = _reflectances(images, targets)
+        rows = _reflectances(images, targets, options)
     else:
         rows = _resolutions(images, targets, options)
-    print_rows(pd.DataFrame([_in_units(row, options) for row in rows]), options)
+    table = pd.DataFrame(rows)
+    if options.measure == "bars":
+        table = pd.concat([table, pd.DataFrame(_resolving(table))], ignore_index=True)
+    if options.over_image:
+        table = pd.DataFrame(_dependences(table, options.measure))
+    if options.repeatability:
+        table = pd.DataFrame(_repeated(table))
+    table = table.drop(columns=list(HIDDEN), errors="ignore")
+    print_rows(pd.DataFrame([_in_units(row, options) for row in table.to_dict("records")]), options)
+
+
+HIDDEN = ("x", "y", "corner", "across_deg", "place", "height_m")
+"""Columns of rows that only sums over them need."""
+
+
+def _check_choices(options):
+    """Each choice belongs to some measures."""
+    belongs = dict.fromkeys(("through_zero", "radiance", "even"), ("calibrate",))
+    belongs |= {"over_image": tuple(OVER_IMAGE)}
+    belongs |= dict.fromkeys(("dark_pixel", "repeatability"), ("reflect",))
+    for name, measures in belongs.items():
+        if getattr(options, name) and options.measure not in measures:
+            words = name.replace("_", "-")
+            raise ValueError(
+                f"Invalid --{words} for {options.measure}. Must be with {', '.join(measures)}."
+            )
 
 
 def _targets(options):
@@ -99,7 +150,7 @@ def _targets(options):
 
     needed = NEEDED[options.measure]
     if options.targets is None:
-        if needed and options.measure != "edge":
+        if needed and options.measure != "edge" and not (options.even or options.radiance):
             raise ValueError(f"Invalid {options.measure} without targets. Must have --targets.")
         return None
     if not options.targets.is_file():
@@ -133,6 +184,7 @@ def _resolutions(images, targets, options):
     import pandas as pd
 
     from mmqa_lab.io.images import decode
+    from mmqa_lab.radiometry import saturation_level
 
     measure = {"edge": _edge, "star": _star, "bars": _bars, "sharpness": _sharpness}
     for file, image in images.items():
@@ -146,8 +198,40 @@ def _resolutions(images, targets, options):
                 values = values / np.float32(255)
                 values = values if options.linear else decode(values, "srgb")
             known = {"image": Path(file).name, "band": band}
+            full = saturation_level(values)
             for target in shown.to_dict("records"):
-                yield known | {"target": target["name"]} | measure[options.measure](values, target)
+                row = known | {"target": target["name"]} | _centred(target, shape)
+                row |= measure[options.measure](values, target)
+                share = (_around(values, target) >= full).mean()
+                if share > SATURATED_SHARE:
+                    row["remark"] = "; ".join(filter(None, [row["remark"], "saturated pixels"]))
+                yield row
+
+
+def _centred(target, shape):
+    """Where a target lies from the image's centre, px, and how far the corner is."""
+    size = target.get("width_px", 1) - 1, target.get("height_px", 1) - 1
+    x, y = (
+        target[name] + side / 2 - (whole - 1) / 2
+        for name, side, whole in zip(("x_px", "y_px"), size, shape[::-1], strict=True)
+    )
+    return {"x": x, "y": y, "corner": (shape[0] ** 2 + shape[1] ** 2) ** 0.5 / 2}
+
+
+def _around(values, target):
+    """The part of an image that shows a target, as far as the image reaches."""
+    if "width_px" in target:
+        return _region(values, target)
+    reach = target.get("radius_px") or _reach_of_bars(target)
+    row, column = round(target["y_px"]), round(target["x_px"])
+    reach = int(reach)
+    rows = slice(max(row - reach, 0), row + reach + 1)
+    return values[rows, max(column - reach, 0) : column + reach + 1]
+
+
+def _reach_of_bars(target):
+    """How far a group of bars and its surroundings reach, px."""
+    return int(target["bars"] * target["period_px"] / 2 + target["period_px"])
 
 
 def _region(values, target):
@@ -163,12 +247,17 @@ def _region(values, target):
 
 def _edge(values, target):
     """MTF50 and FWHM of one edge."""
+    import numpy as np
+
     from mmqa_lab.mtf import fit_edge
 
     edge = fit_edge(_region(values, target))
+    by_row, by_column = np.gradient(np.asarray(_region(values, target), dtype=np.float64))
+    twice = 2 * (by_row * by_column).sum(), (by_column**2 - by_row**2).sum()
     share = 1.96 * edge.mtf50_sigma / edge.mtf50
     figures = _interval("mtf50", "per_px", edge.mtf50, share * edge.mtf50)
     figures |= _interval("fwhm", "px", edge.fwhm_px, share * edge.fwhm_px)
+    figures |= {"across_deg": float(np.degrees(np.arctan2(*twice)) / 2)}
     return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
 
 
@@ -194,7 +283,7 @@ def _bars(values, target):
 
     from mmqa_lab.mtf import read_bars
 
-    reach = int(target["bars"] * target["period_px"] / 2 + target["period_px"])
+    reach = _reach_of_bars(target)
     column, row = round(target["x_px"]), round(target["y_px"])
     region = [column - reach, row - reach, 2 * reach + 1, 2 * reach + 1]
     around = _region(values, target | dict(zip(REGION, region, strict=True)))
@@ -204,7 +293,63 @@ def _bars(values, target):
     found = read_bars(values, pd.DataFrame([target]), dark=low, bright=high, noise=noise).iloc[0]
     figures = {"period_px": target["period_px"], "contrast": found["contrast"]}
     figures |= {"counted": found["counted"], "resolved": bool(found["resolved"])}
+    figures |= {"angle_deg": target["angle_deg"], "place": target.get("place", 1)}
     return figures | {"remark": found["reason"]}
+
+
+def _resolving(table):
+    """A row for each ladder of bars: the narrowest period resolved, up to the next."""
+    from mmqa_lab.mtf import resolving_power
+
+    for key, rows in table.groupby(["image", "band", "place", "angle_deg"], sort=False):
+        period, finer = resolving_power(rows)
+        names = ("image", "band", "place", "angle_deg")
+        row = dict(zip(names, key, strict=True)) | {"target": f"ladder {key[2]}"}
+        row |= rows[["x", "y", "corner"]].mean().to_dict()
+        row |= {"resolving_px": period, "resolving_low_px": finer, "resolving_high_px": period}
+        row |= {"resolving_per_px": 1 / period, "resolving_low_per_px": 1 / period}
+        yield row | {"resolving_high_per_px": 1 / finer, "remark": ""}
+
+
+def _dependences(table, measure):
+    """Rows for each band: what a result depends on over the image."""
+    import numpy as np
+    import pandas as pd
+    from scipy.stats import t
+
+    from mmqa_lab.mtf import blur_dependence
+
+    value = OVER_IMAGE[measure]
+    for band, rows in table.dropna(subset=[value]).groupby("band", sort=False):
+        far = np.hypot(rows["x"], rows["y"]) / rows["corner"]
+        if len(rows) < 4 or np.ptp(far) < 0.2:
+            raise ValueError(
+                f"Invalid targets: {len(rows)} measured in band {band}. Must be four or more, over "
+                "a fifth of the way from centre to corner."
+            )
+        (slope, centre), covariance = np.polyfit(far, rows[value], 1, cov=True)
+        by = np.array([1 / centre, -slope / centre**2])
+        found = [
+            ("centre", centre, covariance[1, 1] ** 0.5),
+            ("corner less centre", slope, covariance[0, 0] ** 0.5),
+            ("corner over centre", 1 + slope / centre, float(by @ covariance @ by) ** 0.5),
+        ]
+        reach = t.ppf(0.975, len(rows) - 2)
+        for term, estimate, std in found:
+            yield _term(band, f"{value}: {term}", estimate, reach * std, len(rows))
+        if measure == "edge":
+            places = {"x_px": rows["x"], "y_px": rows["y"], "angle_deg": rows["across_deg"]}
+            terms = blur_dependence(pd.DataFrame(places | {"fwhm_px": rows["fwhm_px"]}))
+            reach = t.ppf(0.975, len(rows) - 4)
+            for one in terms.itertuples():
+                term = f"squared fwhm_px: {one.term}"
+                yield _term(band, term, one.estimate, reach * one.std, len(rows))
+
+
+def _term(band, term, estimate, reach, n):
+    """One row of a regression."""
+    ends = {"low": estimate - reach, "high": estimate + reach}
+    return {"band": band, "term": term, "estimate": estimate} | ends | {"n": n}
 
 
 def _sharpness(values, target):
@@ -240,7 +385,7 @@ def _in_units(row, options):
     found = dict(row)
     for name, value in row.items():
         if name.endswith("_per_px") and options.pixel_um:
-            found[name.replace("_per_px", "_lines_per_mm")] = value * 1000 / options.pixel_um
+            found[name.replace("_per_px", "_lines_per_mm")] = 2 * value * 1000 / options.pixel_um
         elif name.endswith("_px") and options.gsd_cm:
             found[name.removesuffix("_px") + "_cm"] = value * options.gsd_cm
     return found
@@ -272,7 +417,64 @@ def _exposure(file, image, targets):
     return image.exposure
 
 
-def _calibrated(images, targets):
+def _calibrations(images, targets, options):
+    """Rows of the calibration that was asked for."""
+    if options.even:
+        return _relative(images)
+    if options.radiance:
+        return _against_image(images, options)
+    return _calibrated(images, targets, options)
+
+
+def _relative(images):
+    """A row for each band: how even the sensor is."""
+    import numpy as np
+
+    from mmqa_lab.radiometry import relative_response
+
+    sizes = {image.values.shape for image in images.values()}
+    if len(sizes) > 1:
+        raise ValueError(f"Invalid images of {len(sizes)} sizes. Must be of one.")
+    for number, band in enumerate(next(iter(images.values())).bands):
+        values = np.stack([image.values[number] for image in images.values()])
+        _check_unsaturated(values, band)
+        found = relative_response(values)
+        radial, reach = found["radial"], 1.96 * found.pop("radial_std")
+        ends = {"radial_low": radial - reach, "radial_high": radial + reach}
+        yield {"band": band, "images": len(images)} | found | ends
+
+
+def _check_unsaturated(values, band):
+    """Whole images must not be cut off at full scale."""
+    from mmqa_lab.radiometry import saturation_level
+
+    share = (values >= saturation_level(values)).mean()
+    if share > SATURATED_SHARE:
+        raise ValueError(
+            f"Invalid band {band}: {share:.0%} saturated. Must be below {SATURATED_SHARE:.0%}."
+        )
+
+
+def _against_image(images, options):
+    """A row for each band of each image: DN against the radiance of another sensor's image."""
+    from mmqa_lab.io.images import read_bands
+    from mmqa_lab.radiometry import coarse_pairs, fit_sensor
+
+    known = read_bands(options.radiance)
+    for file, image in images.items():
+        if len(known.values) != len(image.values):
+            raise ValueError(
+                f"Invalid radiance {options.radiance}: {len(known.values)} bands. Must have "
+                f"{len(image.values)} as {file} has."
+            )
+        for band, dn, radiance in zip(image.bands, image.values, known.values, strict=True):
+            _check_unsaturated(dn, band)
+            pairs = coarse_pairs(dn, radiance)
+            fit = fit_sensor(pairs[1], pairs[0], through_zero=options.through_zero)
+            yield {"image": Path(file).name, "band": band} | _sensor(fit)
+
+
+def _calibrated(images, targets, options):
     """A row for each band and setting, and one for all settings of the band."""
     import pandas as pd
 
@@ -297,9 +499,11 @@ def _calibrated(images, targets):
             parts.append(part.assign(setting=label, exposure=exposure))
         table = pd.concat(parts)
         unsaturated = table[(table["saturated_share"] == 0) & table["known"].notna()]
+        zero = {"through_zero": options.through_zero}
         fits = {
             name: fit_sensor(
-                rows["known"], rows["mean_dn"], exposure=rows["exposure"], std_dn=rows["std_dn"]
+                *(rows["known"], rows["mean_dn"]),
+                **{"exposure": rows["exposure"], "std_dn": rows["std_dn"]} | zero,
             )
             for name, rows in [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
         }
@@ -323,27 +527,68 @@ def _sensor(fit):
     """Gain and offset with their intervals."""
     from scipy.stats import t
 
-    reach = t.ppf(0.975, fit.n - 2) * fit.std
+    reach = t.ppf(0.975, fit.freedom) * fit.std
     figures = {"gain": fit.gain, "gain_low": fit.gain - reach[0], "gain_high": fit.gain + reach[0]}
     figures |= _interval("offset", "dn", fit.offset, reach[1])
     return figures | {"r_squared": fit.r_squared, "n": fit.n}
 
 
-def _reflectances(images, targets):
+def _dark_reference(values):
+    """The darkest pixels of a band as a reference target."""
+    import numpy as np
+    import pandas as pd
+
+    dark = np.sort(values, axis=None)[: max(int(DARK_SHARE * values.size), 2)].astype(float)
+    row = {"mean_dn": dark.mean(), "std_error_dn": max(dark.std(), ROUNDING_DN)}
+    row |= {"known": DARK_REFLECTANCE, "reflectance_std": DARK_REFLECTANCE}
+    return pd.DataFrame([row | {"anisotropy": 1.0, "saturated_share": 0.0, "name": "dark"}])
+
+
+def _repeated(table):
+    """A row for each target in each band: agreement over images, and over heights."""
+    import numpy as np
+
+    from mmqa_lab.repeatability import repeatability
+
+    known = table.dropna(subset=["reflectance"])
+    for (band, target), rows in known.groupby(["band", "target"], sort=False):
+        if len(rows) < 2:
+            raise ValueError(f"Invalid images: one shows {target!r}. Must be two or more.")
+        heights = rows["height_m"] if rows["height_m"].notna().all() else 0.0
+        if np.ndim(heights) and heights.value_counts().min() < 2:
+            heights = 0.0  # one image a height: their differences are part of one spread
+        found = repeatability(rows.assign(height=heights), "reflectance", group="height")
+        percent = 100 / found.mean
+        ends = {"within_low_percent": found.s_r_low, "within_high_percent": found.s_r_high}
+        numbers = {"within_percent": found.s_r} | ends | {"between_heights_percent": found.s_l}
+        yield {
+            **{"band": band, "target": target, "reflectance": found.mean},
+            **{name: percent * value for name, value in numbers.items()},
+            **{"images": found.n, "heights": found.groups},
+        }
+
+
+def _reflectances(images, targets, options):
     """A row for each target without a known reflectance, in each band of each image."""
     import numpy as np
+    import pandas as pd
     from scipy.stats import t
 
     from mmqa_lab.radiometry import empirical_line
 
     for file, image in images.items():
         shown = _of_image(targets, file)
+        height = shown["height_m"] if "height_m" in shown else np.full(len(shown), np.nan)
+        heights = dict(zip(shown["name"], height, strict=True))
         for number, band in enumerate(image.bands, start=1):
             table = _patches(image, shown, "reflectance", number)
             for name, other in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
                 table[name] = shown[name].fillna(other).to_numpy() if name in shown else other
             clear = table["saturated_share"] == 0
             references = table[table["known"].notna() & clear]
+            if options.dark_pixel:
+                dark = _dark_reference(image.values[number - 1])
+                references = pd.concat([references, dark], ignore_index=True)
             if len(references) < 2:
                 raise ValueError(
                     f"Invalid targets of {file}: {len(references)} unsaturated with a known "
@@ -376,5 +621,6 @@ def _reflectances(images, targets):
                     "reflectance_low": value - reach,
                     "reflectance_high": value + reach,
                     "references": line.n,
+                    "height_m": heights.get(row.name, float("nan")),
                     "remark": "; ".join(text for text, true in remarks.items() if true),
                 }

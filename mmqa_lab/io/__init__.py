@@ -24,3 +24,4 @@ __all__ = [
     "write_polygon",
     "write_segments",
 ]
+__dir__ = __all__.copy

@@ -65,7 +65,7 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     ----------
     path : path
         LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), PLY (``.ply``), PCD (``.pcd``), E57
-        (``.e57``, needs pye57), or text (``.txt``, ``.csv``, ``.xyz``, ``.asc``, ``.pts``). Columns
+        (``.e57``, needs pye57, which gives coordinates, intensities and colours), or text (``.txt``, ``.csv``, ``.xyz``, ``.asc``, ``.pts``). Columns
         of text stand between white space, commas or semicolons; a header names x, y, z or easting,
         northing, height, in any order among others; without a header x, y, z come first. ``#`` and,
         before the data, ``//`` begin a comment; a first line with the count of points is skipped.
@@ -476,7 +476,7 @@ def e57_tables(path):
         raise ValueError(
             f"Invalid cloud {path}: E57 needs the package pye57. Install it by pip install pye57."
         ) from None
-    with damage_named(path, "an E57 file with Cartesian coordinates"):
+    with damage_named(path, "an E57 file with Cartesian or spherical coordinates"):
         file = pye57.E57(str(path))
         for number in range(file.scan_count):
             scan = file.read_scan(number, intensity=True, colors=True, ignore_missing_fields=True)
@@ -487,9 +487,12 @@ def e57_tables(path):
 
 
 def _e57_resolution(header, points):
-    """The step of a scan's coordinates before they were placed; NaN for double precision."""
+    """The step of a scan's coordinates before they were placed; NaN for double precision, and for
+    scans that give ranges and angles."""
     from pye57 import libe57
 
+    if "cartesianX" not in header.point_fields:
+        return np.nan
     node = libe57.StructureNode(header.points.prototype())["cartesianX"]
     if isinstance(node, libe57.ScaledIntegerNode):
         return float(node.scale())

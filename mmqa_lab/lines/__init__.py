@@ -32,3 +32,4 @@ __all__ = [
     "peak_threshold",
     "study",
 ]
+__dir__ = __all__.copy

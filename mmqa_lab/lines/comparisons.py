@@ -1,5 +1,7 @@
 """A whole study of edges: all comparisons of several clouds and a reference, and its report."""
 
+from __future__ import annotations
+
 import inspect
 import io
 import json
@@ -9,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -22,6 +24,9 @@ from mmqa_lab.lines.displacement import match_displaced
 from mmqa_lab.lines.edges import extract_edges
 from mmqa_lab.lines.hausdorff import lhd
 from mmqa_lab.lines.segments import Segments, distance_matrix, pairing_scores
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LINE_ENDINGS = (".csv", ".txt", ".geojson", ".json", ".dxf")
 TRUTH_COLUMNS = ["test_set", "model_set", "test_segment", "model_segment"]
@@ -70,7 +75,7 @@ class Study(Shown):
     displacements: dict
     truth: dict
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return a row for each comparison and direction, with the columns of the paper's tables.
 
         ``lhd`` marks the larger distance of both directions, as the paper's asterisk does. Errors
@@ -90,7 +95,7 @@ class Study(Shown):
                 rows.append(head | self._errors(names, way.pairs) | figures)
         return pd.DataFrame(rows)
 
-    def comparisons(self):
+    def comparisons(self) -> pd.DataFrame:
         """Return a row for each comparison: distance, kinds of correspondence, displacement."""
         rows = []
         for names, found in self.results.items():
@@ -108,7 +113,7 @@ class Study(Shown):
             rows.append(row | found.kinds().to_dict())
         return pd.DataFrame(rows)
 
-    def parts(self):
+    def parts(self) -> pd.DataFrame:
         """Return what each distance is made of, with intervals: see :meth:`LHD.split`."""
         tables = [
             found.split(truth=self.truth.get(names)).assign(comparison="-".join(names))
@@ -117,7 +122,7 @@ class Study(Shown):
         columns = ["comparison", "part", "value_m", "low_m", "high_m"]
         return pd.concat(tables, ignore_index=True)[columns]
 
-    def verdicts(self, test, model):
+    def verdicts(self, test: str, model: str) -> pd.DataFrame:
         """Return a row for each pair of a comparison: segments, distance, ``verdict``.
 
         With the truth: right, wrong or missed. Without: paired, or several partners.
@@ -135,7 +140,7 @@ class Study(Shown):
         table = {"test_segment": rows, "model_segment": columns}
         return pd.DataFrame(table | {"distance_m": distances, "verdict": verdict})
 
-    def coloured(self, test, model):
+    def coloured(self, test: str, model: str) -> list[tuple[np.ndarray, str]]:
         """Return pairs (ends (n, 2, 3), colour) of a comparison: all lines, then the paired ones.
 
         Model lines are grey, test lines black; those of pairs have the colour of the verdict.
@@ -147,7 +152,9 @@ class Study(Shown):
             parts.append((np.concatenate(both), VERDICTS[verdict]))
         return parts
 
-    def plot(self, *, ax=None, test=None, model=None):
+    def plot(
+        self, *, ax: Axes | None = None, test: str | None = None, model: str | None = None
+    ) -> Axes:
         """Draw a comparison (the first if none is named) from above, pairs coloured by verdict."""
         from mmqa_lab import plots
 

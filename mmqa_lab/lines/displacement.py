@@ -18,15 +18,19 @@ from the pairs, pairs from the field); the outcomes are weighed by their evidenc
 that more than half of the weight speaks for.
 """
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
 from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import LinePairs, Segments, check_segments, components
 
 DRIFT_LENGTH_M = 60.0
@@ -97,7 +101,7 @@ TEMPER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Displacement:
+class Displacement(Shown):
     """Mean displacement of the test set from the model set at the paired lines.
 
     Parameters
@@ -126,9 +130,17 @@ class Displacement:
     turn_sigma_deg: float = np.nan
 
     @property
-    def length(self):
+    def length(self) -> float:
         """Length of the vector, m."""
         return float(np.linalg.norm(self.vector))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a row for x, y, z (m) and the turn (degrees): value, std, 95 % interval, pairs."""
+        value = np.append(self.vector, self.turn_deg)
+        std = np.append(np.sqrt(np.diag(self.covariance)), self.turn_sigma_deg)
+        found = {"figure": ["x_m", "y_m", "z_m", "turn_deg"], "value": value, "std": std}
+        ends = {"low": value - 1.96 * std, "high": value + 1.96 * std, "n": self.n}
+        return pd.DataFrame(found | ends)
 
 
 def fit_displacement(
@@ -389,7 +401,7 @@ DRIFTING = _Search((0.3, 0.8), 0.4, 0.4, 1.2, 0.1, 0.02)
 
 
 @dataclass(frozen=True, eq=False)
-class DisplacedMatch:
+class DisplacedMatch(Shown):
     """Pairs and the displacement they agree on.
 
     Parameters
@@ -404,6 +416,10 @@ class DisplacedMatch:
     pairs: np.ndarray
     displacement: Displacement
     evidence: float
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the table of the displacement, with the evidence."""
+        return self.displacement.to_frame().assign(evidence=self.evidence)
 
 
 def match_displaced(

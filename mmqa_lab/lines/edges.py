@@ -1,6 +1,9 @@
 """Edges of clouds, where adjacent planes meet or a board ends, with their uncertainty."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -13,6 +16,9 @@ from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import Segments
 from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
@@ -55,8 +61,11 @@ class Edges(Shown):
     def __len__(self):
         return len(self.segments)
 
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.array(self.segments.ends, dtype=dtype, copy=copy)
+
     @property
-    def sigma(self):
+    def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
         if not len(self):
             return np.empty((0, 2))
@@ -66,21 +75,23 @@ class Edges(Shown):
         return np.sqrt(np.linalg.eigvalsh(across)[..., -1])
 
     @property
-    def sigma_along(self):
+    def sigma_along(self) -> np.ndarray:
         """Standard deviation of each end along the edge, (n, 2), m."""
         axes = self.segments.directions
         return np.sqrt(np.einsum("nd,nkde,ne->nk", axes, self.covariance, axes))
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return one row per edge: ends, length, angle, support, standard deviations."""
-        ends = [f"{axis}{end}_m" for end in (1, 2) for axis in "xyz"]
-        frame = pd.DataFrame(self.segments.ends.reshape(-1, 6), columns=ends)
-        frame["length_m"] = self.segments.lengths
+        frame = self.segments.to_frame()
         frame["angle_deg"] = self.angle
         frame[["n_first", "n_second"]] = self.support
         frame[["sigma_first_mm", "sigma_second_mm"]] = 1000 * self.sigma
         frame[["sigma_along_first_mm", "sigma_along_second_mm"]] = 1000 * self.sigma_along
         return frame
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the edges from above."""
+        return self.segments.plot(ax=ax)
 
 
 def extract_edges(
@@ -246,7 +257,7 @@ def _ends(side, first, last, cell):
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(Shown):
     """A rectangle fitted to the outline of a planar set of points.
 
     Parameters
@@ -260,8 +271,10 @@ class Outline:
     corners: np.ndarray
     size: np.ndarray
 
+    _metres = ("size",)
+
     @property
-    def segments(self):
+    def segments(self) -> Segments:
         """The four edges, in the order of the corners."""
         return Segments(np.stack([self.corners, np.roll(self.corners, -1, axis=0)], axis=1))
 

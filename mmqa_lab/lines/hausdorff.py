@@ -1,9 +1,12 @@
 """The line-segment Hausdorff distance of two segment sets and what it is made of."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -29,6 +32,10 @@ from mmqa_lab.lines.segments import (
     distance_matrix,
     peak_threshold,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
 
 NORMS = ("pairs", "matched", "all")
 APART_M = 100.0
@@ -146,21 +153,23 @@ class LHD(Shown):
         return fit_displacement(self.test, self.model, self.test_model.pairs)
 
     @property
-    def value(self):
+    def value(self) -> float:
         """The larger of both directed distances, m (equation 2); NaN without pairs."""
         return self.at_weight(self.weight)
 
-    def at_weight(self, weight):
+    def at_weight(self, weight: float) -> float:
         """The distance of the same pairs under another W, m; W = 0 leaves the angle out."""
         return float(np.fmax(self.test_model.olhd(weight), self.model_test.olhd(weight)))
 
     @property
-    def perpendicular_only(self):
+    def perpendicular_only(self) -> float:
         """The larger directed mean of the perpendicular distances alone, m."""
         both = self.test_model.perpendicular_only, self.model_test.perpendicular_only
         return float(np.fmax(*both))
 
-    def interval(self, *, level=0.95, repeats=1000, seed=0):
+    def interval(
+        self, *, level: float = 0.95, repeats: int = 1000, seed: int = 0
+    ) -> tuple[float, float]:
         """Bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
 
         Says how far the value depends on the segments that happened to be found, not whether the
@@ -176,7 +185,14 @@ class LHD(Shown):
         low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
 
-    def split(self, *, truth=None, level=0.95, repeats=500, seed=0):
+    def split(
+        self,
+        *,
+        truth: ArrayLike | None = None,
+        level: float = 0.95,
+        repeats: int = 500,
+        seed: int = 0,
+    ) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
 
         The parts of the larger direction add up to its distance. *displacement*: mean of what the
@@ -228,7 +244,7 @@ class LHD(Shown):
             found.append([means[0], *np.diff(means), means[-1]])
         return np.array(found)
 
-    def kinds(self):
+    def kinds(self) -> pd.Series:
         """Return how many segments have which correspondence (section 2.3): Series of int.
 
         ``one-to-null``: without a partner, in either set. ``one-to-one``; ``one-to-multiple``: a
@@ -251,7 +267,7 @@ class LHD(Shown):
         }
         return pd.Series(counts, name="groups")
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return one row per direction: segments, pairs, threshold, distances, coverage."""
         both = [self.test_model, self.model_test]
         return pd.DataFrame(
@@ -266,22 +282,16 @@ class LHD(Shown):
             }
         )
 
-    def plot(self, *, ax=None):
+    def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw both sets from above and a line between the midpoints of each pair."""
-        from mmqa_lab import plots
-
-        ax = plots.subplots()[1] if ax is None else ax
-        for ends in self.model.ends:
-            ax.plot(ends[:, 0], ends[:, 1], color="0.75", lw=3, solid_capstyle="round")
-        for ends in self.test.ends:
-            ax.plot(ends[:, 0], ends[:, 1], color="black", lw=1)
+        ax = self.model.plot(ax=ax, color="0.75", lw=3, solid_capstyle="round")
+        self.test.plot(ax=ax)
         for row, column in np.argwhere(self.test_model.pairs):
             link = self.test.midpoints[row], self.model.midpoints[column]
             ax.plot(*np.array(link)[:, :2].T, color="tab:red", lw=0.7)
-        ax.set(xlabel="easting (m)", ylabel="northing (m)", aspect="equal")
         return ax
 
-    def to_dict(self):
+    def to_dict(self) -> dict[str, Any]:
         """Return what ``mmqa lhd --json`` prints."""
         directions = {"test_model": self.test_model, "model_test": self.model_test}
         values = {

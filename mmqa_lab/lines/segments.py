@@ -15,10 +15,13 @@ line about its midpoint until it is parallel leaves
 arccosine of a scalar product is lost below 1e-8 rad. Differences are taken before products.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
@@ -28,7 +31,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.planes.regression import across
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ROTATE = ("test", "shorter")
 RANGE = ("containment", "overlap")
@@ -47,7 +54,7 @@ FLOAT32_LIMIT_M = 1e5
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class Segments(Shown):
     """Checked 3-D line segments with their lengths, directions and midpoints.
 
     Parameters
@@ -97,37 +104,56 @@ class Segments:
     def __len__(self):
         return len(self.ends)
 
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        return np.array(self.ends, dtype=dtype, copy=copy)
+
     @property
-    def vectors(self):
+    def vectors(self) -> np.ndarray:
         """From the first end to the second, shape (n, 3), m."""
         return self.ends[:, 1] - self.ends[:, 0]
 
     @property
-    def lengths(self):
+    def lengths(self) -> np.ndarray:
         """Lengths, shape (n,), m."""
         return np.linalg.norm(self.vectors, axis=1)
 
     @property
-    def directions(self):
+    def directions(self) -> np.ndarray:
         """Unit vectors from the first end to the second, shape (n, 3)."""
         return self.vectors / self.lengths[:, None]
 
     @property
-    def midpoints(self):
+    def midpoints(self) -> np.ndarray:
         """Midpoints, shape (n, 3), m."""
         return self.ends[:, 0] + self.vectors / 2
 
-    def select(self, which):
+    def select(self, which: ArrayLike) -> Segments:
         """Return the segments where a mask is true, or those of an index array."""
         return Segments(self.ends[which], name=self.name)
 
-    def moved(self, vector):
+    def moved(self, vector: ArrayLike) -> Segments:
         """Return the segments shifted by one vector (3,) or one for each of them (n, 3), m."""
         vector = np.asarray(vector, dtype=np.float64)
         shift = vector[:, None] if vector.ndim == 2 else vector
         return Segments(self.ends + shift, name=self.name)
 
-    def transformed(self, rotation, translation):
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row per segment: both ends and the length."""
+        ends = [f"{axis}{end}_m" for end in (1, 2) for axis in "xyz"]
+        frame = pd.DataFrame(self.ends.reshape(-1, 6), columns=ends)
+        return frame.assign(length_m=self.lengths)
+
+    def plot(self, *, ax: Axes | None = None, **look: Any) -> Axes:
+        """Draw the segments from above; ``look`` are matplotlib's settings of a line."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        for ends in self.ends:
+            ax.plot(ends[:, 0], ends[:, 1], **({"color": "black", "lw": 1} | look))
+        ax.set(xlabel="easting (m)", ylabel="northing (m)", aspect="equal")
+        return ax
+
+    def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> Segments:
         """Return the segments after x -> rotation @ x + translation."""
         turned = self.ends @ np.asarray(rotation, dtype=np.float64).T
         return Segments(turned + np.asarray(translation, dtype=np.float64), name=self.name)
@@ -202,7 +228,7 @@ def _refuse_rows(bad, what, wanted):
 
 
 @dataclass(frozen=True, eq=False)
-class Components:
+class Components(Shown):
     """The parts of the distance for p x q pairs.
 
     Parameters
@@ -229,7 +255,13 @@ class Components:
     perpendicular: np.ndarray
     shift: np.ndarray
 
-    def distance(self, weight):
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row per pair: its segments by number, and the parts in metres."""
+        rows, columns = np.indices(self.angle.shape).reshape(2, -1)
+        parts = {f"{name}_m": values.ravel() for name, values in vars(self).items()}
+        return pd.DataFrame({"test_segment": rows, "model_segment": columns} | parts)
+
+    def distance(self, weight: float) -> np.ndarray:
         """Return d for a weight W >= 0 of the angle, shape (p, q), m (equation 5)."""
         weight = check_number(weight, "weight", low=0)
         return np.sqrt(weight * self.angle**2 + self.parallel**2 + self.perpendicular**2)
@@ -396,7 +428,7 @@ def _components_block(first, last, t, m, shorter, overlap, angle, parallel, perp
 
 
 @dataclass(frozen=True, eq=False)
-class Threshold:
+class Threshold(Shown):
     """A threshold, how it was found, and the distances.
 
     Parameters
@@ -412,6 +444,8 @@ class Threshold:
     delta: float
     fallback: bool
     nearest: np.ndarray
+
+    _metres = ("delta",)
 
 
 def peak_threshold(
@@ -727,7 +761,7 @@ class LinePairs:
 
 
 @dataclass(frozen=True)
-class PairingScores:
+class PairingScores(Shown):
     """Counts over all p x q cells and the rates that follow from them.
 
     Parameters
@@ -748,27 +782,27 @@ class PairingScores:
     tn: int
 
     @property
-    def detection_rate(self):
+    def detection_rate(self) -> float:
         """(TP + TN) / (p q), the paper's rate, as a share; near 1 whatever is paired."""
         return _ratio(self.tp + self.tn, self._cells)
 
     @property
-    def null_rate(self):
+    def null_rate(self) -> float:
         """The detection rate of pairing nothing at all."""
         return _ratio(self.tn + self.fp, self._cells)
 
     @property
-    def precision(self):
+    def precision(self) -> float:
         """Share of the proposed pairs that are true; NaN when none is proposed."""
         return _ratio(self.tp, self.tp + self.fp)
 
     @property
-    def recall(self):
+    def recall(self) -> float:
         """Share of the true pairs that are proposed; NaN when there is none."""
         return _ratio(self.tp, self.tp + self.fn)
 
     @property
-    def f1(self):
+    def f1(self) -> float:
         """Harmonic mean of precision and recall."""
         return _ratio(2 * self.tp, 2 * self.tp + self.fp + self.fn)
 
@@ -776,7 +810,7 @@ class PairingScores:
     def _cells(self):
         return self.tp + self.fp + self.fn + self.tn
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return one row with the counts and the rates."""
         rates = ("detection_rate", "null_rate", "precision", "recall", "f1")
         return pd.DataFrame([asdict(self) | {name: getattr(self, name) for name in rates}])

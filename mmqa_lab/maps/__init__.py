@@ -11,3 +11,4 @@ from mmqa_lab.maps.results import map_cloud, open_map, summarise, write_map
 from mmqa_lab.maps.tile import METRICS
 
 __all__ = ["METRICS", "Outcome", "map_campaign", "map_cloud", "open_map", "summarise", "write_map"]
+__dir__ = __all__.copy

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from mmqa_lab._checks import check_count, check_metres, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.io import LAS_ENDINGS, write_atomically
 from mmqa_lab.io._files import first_sentence
 from mmqa_lab.io.clouds import iterate_cloud
@@ -58,7 +59,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Outcome(Shown):
     """What a run did.
 
     Parameters

@@ -20,3 +20,4 @@ __all__ = [
     "read_bars",
     "resolving_power",
 ]
+__dir__ = __all__.copy

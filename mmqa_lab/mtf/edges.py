@@ -8,17 +8,33 @@ the standard's own estimate: supersampled edge profile, derivative, window, Four
 noisier; where both differ, the answer says so. Lengths in pixels, frequencies in cycles per pixel.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_count
 from mmqa_lab._results import Shown
 from mmqa_lab.io.images import check_image
 
-METHODS = ("isogaussian", "sigmoid", "logistic")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+METHODS = ("isogaussian", "sigmoid", "logistic", "lens")
+
+LENSES = {"gaussian": 1.0, "disc": 0.55, "diffraction": 0.45}
+"""Point spreads that ``lens`` chooses from: deviation of a Gaussian of about the same MTF50 over
+their width, which is the disc's radius and one over the highest frequency in diffraction."""
+
+SHARPENED = 0.97
+"""Three free Gaussians take a lens's place if their residuals are so much smaller."""
+
+PIXELS_A_RESIDUAL = 20
+"""Residuals of print and light are alike in so many pixels."""
 
 FREQUENCIES = np.linspace(0, 1, 401)
 """Cycles per pixel."""
@@ -30,6 +46,11 @@ PIXEL_SIGMA = 12**-0.5
 
 SIGMAS_PX = (0.15, 12.0)
 """Limits of the single width that begins the fit."""
+
+FIRST_PIXELS = 1500
+"""So many pixels give the first, robust values of a fit."""
+
+LARGEST_GAP_ERROR_PX = 1.0
 
 LARGEST_DISAGREEMENT = 0.05
 """Between the MTF50 of fit and binning, relative; beyond, a remark."""
@@ -72,8 +93,8 @@ class EdgeResponse(Shown):
     fwhm_px : float
         Full width at half maximum of the fitted line spread function.
     width_px : float
-        Standard deviation of the best single Gaussian, without the pixel itself; of a logistic its
-        scale.
+        Standard deviation of the best single Gaussian, without the pixel itself, or of one about as
+        wide as the lens; of a logistic its scale.
     angle_deg : float
         Between the edge and the nearer axis of the image.
     contrast, noise : float
@@ -115,10 +136,15 @@ class EdgeResponse(Shown):
     lsf: np.ndarray
     remark: str = ""
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return one row with the figures and the remark."""
-        row = vars(self).items()
-        return pd.DataFrame([{key: one for key, one in row if not isinstance(one, np.ndarray)}])
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the MTF, and MTF50 with its 95 % interval."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.plot(self.frequencies, self.mtf)
+        ax.errorbar(self.mtf50, 0.5, xerr=1.96 * self.mtf50_sigma, fmt="o", ms=3, capsize=2)
+        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", xlim=(0, 1))
+        return ax
 
 
 def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:
@@ -129,10 +155,11 @@ def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -
     image : array_like, shape (rows, columns)
         Linear light: two plain sides and one edge that runs through from side to side; 10 x 10
         pixels or more.
-    method : {"isogaussian", "sigmoid", "logistic"}
+    method : {"isogaussian", "sigmoid", "logistic", "lens"}
         Three Gaussians and a smooth deviation, which follow any profile; one Gaussian behind the
-        square pixel; or the plain logistic function 1 / (1 + exp(-d / w)), whose line spread
-        function has longer tails.
+        square pixel; the plain logistic function 1 / (1 + exp(-d / w)), whose line spread function
+        has longer tails; or that of a Gaussian, a defocused disc and a lens limited by diffraction
+        which fits best, for edges with little ground beside them, where tails are not seen.
     order : int
         Degree of the polynomial along the edge: 2 for edges bent by distortion.
 
@@ -203,7 +230,7 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
         Degree of the correction.
     gap : float or array, shape (n,)
         Distance to a second, opposite edge, pixels; infinite for a single edge.
-    method : {"isogaussian", "sigmoid", "logistic"}
+    method : {"isogaussian", "sigmoid", "logistic", "lens"}
 
     Returns
     -------
@@ -214,8 +241,14 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
     ValueError
         If no edge stands out from the noise.
     """
-    model = _Model(angle, gap, "logistic" if method == "logistic" else "gaussian")
-    shift, width = _single_width(model, distance, along, values, order)
+    if method == "lens":
+        return _best_lens((distance, along, values, angle), order, gap)
+    shape = method if method in ("logistic", *LENSES) else "gaussian"
+    model = _Model(angle, gap, shape)
+    few = slice(None, None, len(values) // FIRST_PIXELS + 1)
+    first = model.within(few, ())
+    shift, width, wider = _single_width(first, distance[few], along[few], values[few], order)
+    model.gap = model.gap + wider
     reach = 12 * np.hypot(width, PIXEL_SIGMA) + 6
     near = np.abs(distance - np.clip(distance, 0, gap if model.double else 0)) <= reach
     distance, along, values = distance[near], along[near], values[near]
@@ -252,7 +285,7 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
         mtf50_binned=binned50,
         mtf10=crossing(FREQUENCIES, mtf, 0.1),
         fwhm_px=fwhm,
-        width_px=width,
+        width_px=float(model.widths[len(model.widths) // 2]) * LENSES.get(shape, 1.0),
         angle_deg=float(abs(np.degrees(angle))),
         contrast=contrast,
         noise=noise,
@@ -265,6 +298,33 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
         lsf=lsf,
         remark=_remark(mtf50, binned50, angle, mtf, unfit),
     )
+
+
+def _best_lens(pixels, order, gap):
+    """The lens whose fit leaves least; MTF50 and its deviation are those of all, weighted by how well
+    they fit."""
+    fits = [fit_pixels(*pixels, order=order, gap=gap, method=name) for name in LENSES]
+    left = np.array([fit.noise for fit in fits]) ** 2
+    best = fits[int(np.argmin(left))]
+    free = fit_pixels(*pixels, order=order, gap=gap)
+    if free.noise < SHARPENED * best.noise:
+        return replace(free, method="lens")
+    found = np.array([fit.mtf50 for fit in fits])
+    weights = np.exp(-best.n / PIXELS_A_RESIDUAL * (left / left.min() - 1) / 2)
+    weights = np.where(np.isfinite(found), weights, 0)
+    if not np.isfinite(best.mtf50):
+        return replace(best, method="lens")
+    mean, spread = weighted(found, weights)
+    sigma = float(np.hypot(best.mtf50_sigma, spread))
+    return replace(best, method="lens", mtf50=mean, mtf50_sigma=sigma)
+
+
+def weighted(values, weights):
+    """Return the mean and the standard deviation of values with weights; those of none are 0."""
+    weights = weights / weights.sum()
+    values = np.where(weights > 0, values, 0.0)
+    mean = float(weights @ values)
+    return mean, float(np.sqrt(weights @ (values - mean) ** 2))
 
 
 def spread_edge(distance, sigma, angle):
@@ -337,24 +397,66 @@ def _edge_line(image, order):
 
 
 def _single_width(model, distance, along, values, order):
-    """Correction of the distances along the edge, and the best width of a single profile."""
+    """Correction of the distances along the edge, best width of a single profile, and by how much
+    the gap to a second edge is wider than it was said to be."""
     from scipy.optimize import least_squares
 
     def residuals(parameters):
-        moved = distance - np.polyval(parameters[:-1], along)
-        shape = model.bar(moved, np.exp(parameters[-1]))
+        moved = distance - np.polyval(parameters[: order + 1], along)
+        one = _Model(model.angle, model.gap + parameters[-2], model.shape)
+        shape = one.bar(moved, np.exp(parameters[-1]))
         design = np.column_stack([np.ones_like(shape), shape])
         fit = np.linalg.lstsq(design, values, rcond=None)[0]
         return values - design @ fit
 
     low, high = np.log(SIGMAS_PX)
-    bounds = np.array([[-5.0] * (order + 1) + [low], [5.0] * (order + 1) + [high]])
-    start = np.zeros(order + 2)
+    gap = LARGEST_GAP_ERROR_PX if model.double else 1e-9
+    ends = np.array([5.0] * (order + 1) + [gap])
+    bounds = np.append(-ends, low), np.append(ends, high)
+    start = np.zeros(order + 3)
     scale = max(float(np.ptp(values)), 1e-12) / 10
     found = least_squares(
         residuals, start, bounds=bounds, diff_step=1e-4, f_scale=scale, loss="soft_l1", xtol=1e-7
     )
-    return found.x[:-1], float(np.exp(found.x[-1]))
+    return found.x[: order + 1], float(np.exp(found.x[-1])), float(found.x[-2])
+
+
+def _disc(x):
+    """Transfer of a defocused lens at cycles per radius."""
+    from scipy.special import j1
+
+    turn = 2 * np.pi * np.maximum(x, 1e-9)
+    return 2 * j1(turn) / turn
+
+
+def _diffraction(x):
+    """Transfer of a perfect lens at a share of its highest frequency."""
+    x = np.minimum(x, 1)
+    return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
+
+
+LENS_TRANSFERS = {
+    "gaussian": lambda x: np.exp(-2 * (np.pi * x) ** 2),
+    "disc": _disc,
+    "diffraction": _diffraction,
+}
+
+
+def lens_mtf(shape, width, frequencies):
+    """Return the transfer function of a lens and a square pixel, the mean of all directions."""
+    turn = np.radians(np.arange(2.5, 45, 5))[:, None]
+    f = np.ravel(frequencies)
+    pixel = (np.sinc(f * np.cos(turn)) * np.sinc(f * np.sin(turn))).mean(axis=0)
+    return (LENS_TRANSFERS[shape](f * width) * pixel).reshape(np.shape(frequencies))
+
+
+@cache
+def _waves():
+    """Frequencies, distances and the matrix that takes a transfer function to half an edge."""
+    rates, places = np.arange(0, 5, 0.01), np.arange(0, 40, 0.05)
+    waves = 2 * places[:, None] * np.sinc(2 * rates * places[:, None]) * 0.01
+    waves[:, 0] /= 2
+    return rates, places, waves
 
 
 class _Model:
@@ -375,7 +477,11 @@ class _Model:
             from scipy.special import expit
 
             return expit(distance / width)
-        return spread_edge(distance, width, self.angle)
+        if self.shape == "gaussian":
+            return spread_edge(distance, width, self.angle)
+        rates, places, waves = _waves()
+        half = waves @ self._optics(rates, np.array([width]))[:, 0]
+        return 0.5 + np.sign(distance) * np.interp(np.abs(distance), places, half)
 
     def bar(self, distance, width):
         """The edge, less the opposite one if there is one."""
@@ -394,6 +500,9 @@ class _Model:
         slope = (self._shapes(distance + step) - self._shapes(distance - step)) @ weights
         powers = along[:, None] ** np.arange(order, -1, -1)
         joint = np.hstack([design, -slope[:, None] / (2 * step) * powers])
+        if self.double:
+            wider = _Model(self.angle, self.gap + step, self.shape, self.widths)._shapes(distance)
+            joint = np.column_stack([joint, (wider - design[:, 1:]) @ weights / step])
         if len(self.widths) == 1:
             wider = self.bar(distance, self.widths[0] * (1 + step))
             joint = np.column_stack([joint, (wider - design[:, 1]) * weights[0] / step])
@@ -404,7 +513,12 @@ class _Model:
         terms = slice(1, 1 + len(self.widths))
         self.weights, self.values = fit[terms], fit[terms]
         self.covariance, self.log_width_variance = covariance[terms, terms], covariance[-1, -1]
-        return fit[terms.stop : terms.stop + order + 1]
+        if len(self.widths) == 1:
+            self.widths = self.widths * np.exp(np.clip(fit[-1], -0.2, 0.2))
+        shift = slice(terms.stop, terms.stop + order + 1)
+        if self.double:
+            self.gap = self.gap + fit[shift.stop]
+        return fit[shift]
 
     def residuals(self, distance, values):
         """What is left after weights are fitted at these distances."""
@@ -416,9 +530,16 @@ class _Model:
         if self.shape == "logistic":
             x = 2 * np.pi**2 * self.widths * np.maximum(frequencies[:, None], 1e-12)
             return x / np.sinh(x)
-        turns = frequencies * np.cos(self.angle), frequencies * np.sin(self.angle)
-        spread = np.exp(-2 * (np.pi * frequencies[:, None] * self.widths) ** 2)
-        return spread * (np.sinc(turns[0]) * np.sinc(turns[1]))[:, None]
+        return self._optics(frequencies, self.widths)
+
+    def _optics(self, frequencies, widths):
+        """Transfer of a lens and the square pixel: a Gaussian of that deviation, a disc of that
+        radius, or diffraction up to one over the width."""
+        pixel = np.sinc(frequencies * np.cos(self.angle)) * np.sinc(
+            frequencies * np.sin(self.angle)
+        )
+        x = np.abs(frequencies[:, None] * widths)
+        return LENS_TRANSFERS[self.shape](x) * pixel[:, None]
 
     def profile(self):
         """Distances, edge and line spread function, and the full width at half maximum."""
@@ -509,9 +630,9 @@ def _mtf50_sigma(mtf50, parts):
         return np.nan
     model = parts[0]
     if len(model.widths) == 1:
-        # in frequencies relative to the width; the pixel itself does not vary
-        pixel = 0 if model.shape == "logistic" else PIXEL_SIGMA / model.widths[0]
-        return float(mtf50 * np.sqrt(model.log_width_variance) / (1 + pixel**2))
+        wider = _Model(model.angle, model.gap, model.shape, model.widths * 1.001)
+        change = 1000 * (mtf50 - crossing(FREQUENCIES, wider.transfer(FREQUENCIES)[:, 0], 0.5))
+        return float(change * np.sqrt(model.log_width_variance))
     at = np.array([0.0, mtf50, mtf50 + 1e-4])
     zero, here, next_one = _transfer(parts, at)
     slope = (abs(next_one) - abs(here)) / abs(zero) / 1e-4

@@ -7,6 +7,7 @@ On a circle around its centre a star of n cycles is a wave of n / (2 pi r) cycle
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,11 @@ import pandas as pd
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.mtf.edges import crossing
+from mmqa_lab.mtf.edges import LENSES, SIGMAS_PX, crossing, lens_mtf, weighted
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
 SQUARE = np.pi / 4
@@ -31,6 +33,12 @@ PLAIN_SHARE = 0.3
 
 NARROWEST_PX = 4.0
 """Width of the sectors at the outline."""
+
+OUTLINE_SIGMAS = 3.0
+"""Plain pixels are so many deviations of the blur, or more, inside of the outline."""
+
+RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
+"""Rings are two pixels wide and begin so far apart: four of them share each pixel."""
 
 LARGEST_STRETCH = 0.1
 """A star tilted by 35 degrees is stretched by this share along one axis, shrunk along the other."""
@@ -62,6 +70,9 @@ class StarMtf(Shown):
         Grey values of plain dark and bright sectors, as they would be without blur.
     tilt_deg : float
         Angle under which the star was seen; 0 if it is round.
+    levels_std : float
+        Standard deviation of the contrast of plain sectors, as a share of it: by how much lenses
+        differ that fit the contrasts.
 
     Examples
     --------
@@ -79,33 +90,55 @@ class StarMtf(Shown):
     centre: tuple
     levels: tuple
     tilt_deg: float = 0.0
+    levels_std: float = 0.0
 
-    def at(self, share):
+    def at(self, share: float) -> float:
         """Frequency at which the contrast first falls to a share; NaN where it does not."""
-        return crossing(self.frequency, self.mtf, share)
+        return self._falls_to(share)[0]
 
     @property
-    def mtf50(self):
+    def mtf50(self) -> float:
         """Frequency of half the contrast."""
         return self.at(0.5)
 
     @property
-    def mtf10(self):
+    def mtf10(self) -> float:
         """Frequency of a tenth of the contrast, the limiting resolution."""
         return self.at(0.1)
 
     @property
-    def mtf50_sigma(self):
+    def mtf50_sigma(self) -> float:
         """Standard deviation of the frequency of half the contrast."""
-        step = np.array([-0.02, 0.02]) * self.mtf50
-        slope = np.ptp(np.interp(self.mtf50 + step, self.frequency, self.mtf)) / np.ptp(step)
-        return float(np.interp(self.mtf50, self.frequency, self.std) / max(slope, 1e-12))
+        return self._falls_to(0.5)[1]
 
-    def sigma_px(self):
+    def _falls_to(self, share):
+        """Frequency of a share of the contrast and its standard deviation.
+
+        A line through the logarithms of the contrasts nearby over the squared frequency, since the
+        first noisy value below the share comes too early.
+        """
+        first, last = (crossing(self.frequency, self.mtf, share * by) for by in (1.4, 1 / 1.4))
+        near = (self.frequency >= first) & (self.frequency <= last) & (self.mtf > 0)
+        if near.sum() < 2:
+            return crossing(self.frequency, self.mtf, share), np.nan
+        f2, contrast = self.frequency[near] ** 2, self.mtf[near]
+        relative = np.maximum(self.std[near] / contrast, 1e-9)
+        line, covariance = np.polyfit(
+            f2, np.log(contrast / share), 1, w=1 / relative, cov="unscaled"
+        )
+        place = -line[1] / line[0]
+        if not place > 0:
+            return crossing(self.frequency, self.mtf, share), np.nan
+        terms = np.array([place, 1.0])
+        spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms + self.levels_std**2)
+        spread /= abs(line[0])
+        return float(np.sqrt(place)), float(spread / (2 * np.sqrt(place)))
+
+    def sigma_px(self) -> float:
         """Standard deviation of the Gaussian whose transfer function fits, the pixel included."""
         return _gaussian_sigma(self.frequency, self.mtf)
 
-    def psf(self, distance):
+    def psf(self, distance: ArrayLike) -> np.ndarray:
         """Point spread function of the measured contrast at distances in px, its peak 1.
 
         The Hankel transform of the contrast, for a function of revolution. Below and above the
@@ -124,12 +157,21 @@ class StarMtf(Shown):
         return spread / np.trapezoid(contrast * f, f)
 
     @property
-    def fwhm_px(self):
+    def fwhm_px(self) -> float:
         """Full width at half maximum of the point spread function."""
         distance = np.linspace(0, 5 * self.sigma_px(), 501)
         return float(2 * np.interp(-0.5, -self.psf(distance), distance))
 
-    def to_frame(self):
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the MTF with 95 % intervals."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.errorbar(self.frequency, self.mtf, yerr=1.96 * self.std, fmt=".", ms=3)
+        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", ylim=(0, None))
+        return ax
+
+    def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
         return pd.DataFrame(
             {"frequency_per_px": self.frequency, "mtf": self.mtf}
@@ -208,17 +250,20 @@ def measure_star(
     used = _sector(rows - y0, columns - x0, azimuth_deg)
     pixels = (columns[used].astype(float), rows[used].astype(float), grey[used])
     place = np.array([x0, y0, 0.0, 0.0])
-    levels, borders = _plain_levels(pixels, place, n, radius)
-    rings = np.arange(n / np.pi, radius - 1 - PLAIN_PX, 0.5)
+    _plain_levels(pixels, place, n, radius)
+    rings = np.arange(n / np.pi, radius - 1 - PLAIN_PX, RING_STEP_PX)
     if refine:
         place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
         radius *= 1 - np.hypot(*place[2:])
         rings = rings[rings < radius - 1 - PLAIN_PX]
-        levels, borders = _plain_levels(pixels, place, n, radius)
     fits = [_ring(pixels, place, n, ring) for ring in rings]
     amplitude, std = np.array([(np.hypot(*fit[0]), fit[1]) for fit in fits]).T
     frequency = n / (2 * np.pi * rings)
-    share = _plain_share(frequency, 2 * SQUARE * amplitude / np.ptp(levels), borders)
+    lenses, weights = _lens_of(frequency, amplitude)
+    sigma = _gaussian_sigma(frequency, amplitude / amplitude.max())
+    levels, borders = _plain_levels(pixels, place, n, radius, OUTLINE_SIGMAS * sigma)
+    shares = np.array([_plain_share(lens, borders) for lens in lenses])
+    share, differ = weighted(shares, weights)
     levels = levels.mean() + (levels - levels.mean()) / share
     scale = 2 * SQUARE / np.ptp(levels)
     order = np.argsort(frequency)
@@ -230,6 +275,7 @@ def measure_star(
         centre=(float(place[0]), float(place[1])),
         levels=(float(levels[0]), float(levels[1])),
         tilt_deg=_tilt(place),
+        levels_std=differ / share,
     )
 
 
@@ -501,13 +547,13 @@ def _tilt(place):
     return float(np.degrees(np.arccos((1 - stretch) / (1 + stretch))))
 
 
-def _plain_levels(pixels, place, n, radius):
+def _plain_levels(pixels, place, n, radius, clear=0.0):
     """Grey values in the middle of the sectors near the outline, and the distances from borders.
 
     Levels as an array, dark first; of each pixel used the distances from both its borders.
     """
     r, azimuth = _polar(pixels, place)
-    outer = (r > 0.75 * radius) & (r < radius - PLAIN_PX)
+    outer = (r > 0.75 * radius) & (r < radius - max(PLAIN_PX, clear))
     if outer.sum() < 4 * n or np.pi * radius / n < NARROWEST_PX:
         raise ValueError(
             f"Invalid star of {n} cycles and radius {radius:g} px. Must lie in the image and be "
@@ -527,15 +573,41 @@ def _plain_levels(pixels, place, n, radius):
     return levels, np.stack([near[plain], (width - near)[plain]])
 
 
-def _plain_share(frequency, mtf, borders, rounds=5):
-    """Share of the contrast that is left in the middle of the sectors, for the fitted Gaussian."""
-    from scipy.special import erf
+def _lens_of(frequency, contrast):
+    """Transfer functions of the lenses whose shape fits contrasts up to a scale, and weights.
 
-    share = 1.0
-    for _ in range(rounds):
-        sigma = _gaussian_sigma(frequency, share * mtf)
-        share = (erf(borders / (np.sqrt(2) * sigma)).sum(axis=0) - 1).mean()
-    return share
+    The contrast of plain sectors is not needed: a lens transfers everything at frequency zero.
+    """
+    from scipy.optimize import minimize_scalar
+
+    known = np.isfinite(contrast) & (contrast > 0.05 * np.nanmax(contrast))
+    f, seen = frequency[known], contrast[known]
+
+    def misfit(log_width, shape):
+        """What is left of the contrasts with the best scale."""
+        model = np.abs(lens_mtf(shape, np.exp(log_width), f))
+        return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
+
+    fits = [
+        minimize_scalar(misfit, bounds=np.log(SIGMAS_PX), args=(shape,), method="bounded")
+        for shape in LENSES
+    ]
+    left = np.array([max(fit.fun, 1e-12) for fit in fits])
+    weights = np.exp(-len(f) / RINGS_A_WIDTH * (left / left.min() - 1) / 2)
+    lenses = [
+        partial(lens_mtf, shape, float(np.exp(fit.x)))
+        for shape, fit in zip(LENSES, fits, strict=True)
+    ]
+    return lenses, weights
+
+
+def _plain_share(lens, borders):
+    """Share of the contrast that a lens leaves in the middle of the sectors, a square wave."""
+    width, total = borders.sum(axis=0), 0.0
+    for k in range(1, 22, 2):
+        left = lens(k / (2 * width))
+        total = total + left * np.sin(np.pi * k * borders[0] / width) / (SQUARE * k)
+    return float(total.mean())
 
 
 def _gaussian_sigma(frequency, mtf):

@@ -26,6 +26,7 @@ __all__ = [
     "sigma_mad",
     "turned_axes",
 ]
+__dir__ = __all__.copy
 
 
 def __getattr__(name):

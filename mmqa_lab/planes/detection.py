@@ -94,7 +94,7 @@ class Patch:
     def __len__(self):
         return len(self.index)
 
-    def offset_variance(self, point):
+    def offset_variance(self, point: np.ndarray) -> float:
         """Variance of the plane's height at a point, square metres: independent residuals."""
         square = self.plane.project(point[None])[0] ** 2
         return self.sigma**2 * (1 / self.plane.n + (square / self.moments).sum())

@@ -4,13 +4,14 @@ Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the pl
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
 """
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from mmqa_lab._checks import (
     check_number,
@@ -19,6 +20,7 @@ from mmqa_lab._checks import (
     coordinate_columns,
     is_table,
 )
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 
 CONSISTENT_SCALE = 1.482602218505602
@@ -32,7 +34,7 @@ TUKEY = 4.685
 
 
 @dataclass(frozen=True, eq=False)
-class Plane:
+class Plane(Shown):
     """A fitted plane and the points' distances from it.
 
     Parameters
@@ -58,30 +60,33 @@ class Plane:
     axes: np.ndarray
     residuals: np.ndarray
 
+    _metres = ("centre", "rms", "std")
+    _derived = ("n", "rms", "std")
+
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of points."""
         return len(self.residuals)
 
     @property
-    def rms(self):
+    def rms(self) -> float:
         """Root mean square of the residuals, m."""
         return float(np.sqrt(np.mean(self.residuals**2)))
 
     @property
-    def std(self):
+    def std(self) -> float:
         """Standard deviation of the residuals, n - 1 in the denominator as in the paper, m."""
         return float(np.std(self.residuals, ddof=1))
 
-    def project(self, points):
+    def project(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
         """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
         return (_array(points) - self.centre) @ self.axes.T
 
-    def distances(self, points):
+    def distances(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
         """Signed orthogonal distances of any points, shape (n,), m."""
         return (_array(points) - self.centre) @ self.normal
 
-    def horizontal_axes(self):
+    def horizontal_axes(self) -> np.ndarray:
         """Return axes (2, 3) in the plane: the horizontal one, then the line of greatest slope.
 
         Raises
@@ -199,7 +204,7 @@ def _in_space(points):
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Line(Shown):
     """A fitted straight line in plan and the points' distances from it.
 
     Parameters
@@ -213,7 +218,9 @@ class Line:
     centre: np.ndarray
     direction: np.ndarray
 
-    def distances(self, points):
+    _metres = ("centre",)
+
+    def distances(self, points: ArrayLike) -> np.ndarray:
         """Signed orthogonal distances of any points, shape (n,), left of the direction positive."""
         normal = np.array([-self.direction[1], self.direction[0]])
         return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
@@ -324,7 +331,7 @@ def turned_axes(axes: ArrayLike, angle: float) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Circle:
+class Circle(Shown):
     """A circle fitted to points in plan.
 
     Parameters
@@ -333,15 +340,29 @@ class Circle:
         m.
     radius : float
         m; as given where it was.
-    std : float
-        Standard deviation of a coordinate of the centre, m; NaN where the arc leaves it open. With
-        a free diameter, 1.96 of them contain the truth along the line of sight in 83 % only
-        (simulated, 150 degrees of a pole of 10 cm).
+    covariance : array, shape (2, 2)
+        Of the centre, m^2; NaN where the arc leaves it open. With a free diameter the centre of an
+        arc is far less sure along the line of sight than across it.
     """
 
     centre: np.ndarray
     radius: float
-    std: float
+    covariance: np.ndarray
+
+    @property
+    def std(self):
+        """Standard deviation of a coordinate of the centre, mean of all directions, m."""
+        return float(np.sqrt(np.trace(self.covariance) / 2))
+
+    _metres = ("centre", "radius", "std")
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row; the ends of the 95 % intervals are 1.96 standard deviations away."""
+        frame = super().to_frame()
+        for axis, middle in zip("xy", self.centre, strict=True):
+            frame[f"{axis}_low_m"] = middle - 1.96 * self.std
+            frame[f"{axis}_high_m"] = middle + 1.96 * self.std
+        return frame
 
 
 def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float = 0.01) -> Circle:
@@ -374,6 +395,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float
     >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
     ([5.0, 5.0], 0.1)
     """
+    from scipy.optimize import least_squares
+
     points = check_points(points, columns=2, minimum=3)
     origin = np.median(points, axis=0)
     xy = points - origin
@@ -400,11 +423,12 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None, scale: float
     ]
     best = min(fits, key=lambda fit: fit.cost)
     normal = best.jac.T @ best.jac
-    std = np.nan
-    if np.linalg.cond(normal) < 1e10:
-        covariance = sigma_mad(misfit(best.x)) ** 2 * np.linalg.inv(normal)
-        std = float(np.sqrt(np.trace(covariance[:2, :2]) / 2))
-    return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), std)
+    covariance = np.full((2, 2), np.nan)
+    if np.linalg.cond(normal) < 1e10 and len(xy) > len(best.x):
+        pulls = jacobian(best.x) * (best.fun / (1 + (best.fun / scale) ** 2))[:, None]
+        effects = np.linalg.solve(normal, pulls.T)[:2]
+        covariance = len(xy) / (len(xy) - len(best.x)) * effects @ effects.T
+    return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), covariance)
 
 
 def algebraic_circle(xy):

@@ -41,6 +41,7 @@ HALO_M = 16.0
 """Points so far around a tile decide with those in it."""
 
 __all__ = ["METHODS", "Score", "curve", "detect", "match", "score", "settings_of", "write_poles"]
+__dir__ = __all__.copy
 
 
 def detect(

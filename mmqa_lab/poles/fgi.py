@@ -7,9 +7,9 @@ doi:10.3390/rs2030641; 2011, ISPRS Archives XXXVIII-5/W12).
 
 It differs from section 4.1 of the report: the inner cylinder has one radius, with a limit, for a
 whole cluster; shape and orientation are tested for the cluster and not at each step of the mask;
-the longest unbroken stretch that the mask accepts is the pole, not all accepted points together;
-duplicates are dropped. Points of low intensity and isolated points, which section 3.1.3.2 removes,
-are kept.
+the longest unbroken stretch that the mask accepts is the pole, not all accepted points together.
+With ``as_worded`` the mask does what the report says. In both, duplicates are dropped, and points
+of low intensity and isolated points, which section 3.1.3.2 removes, are kept.
 """
 
 from dataclasses import dataclass
@@ -77,6 +77,12 @@ class Settings:
         Outer minus inner radius, metres (stated: 0.2 to 0.8).
     mask_share : float
         Least share of the points in both cylinders that lie in the inner one.
+    as_worded : bool
+        The mask of section 4.1: at each step the inner cylinder is the smallest around the
+        cluster's points, what lies in it must be upright and elongated, and all points accepted
+        anywhere are one pole.
+    mask_elongation : float
+        Least ratio of eigenvalues of what lies in the mask, where it is as worded.
     circle_fit : bool
         Diameters from circles fitted to slices instead of from chords. The report does not say how
         it measures diameters.
@@ -100,6 +106,8 @@ class Settings:
     maximum_radius: float = 0.35
     shell: float = 0.30
     mask_share: float = 0.85
+    as_worded: bool = False
+    mask_elongation: float = 4.0
     circle_fit: bool = False
 
 
@@ -280,6 +288,48 @@ def _mask(sorted_points, found, k, settings):
     return low + begin * BIN_M, low + end * BIN_M, float(dense / (dense + empty))
 
 
+def _about(points, centre, direction):
+    """Distances of points along an axis and across it."""
+    off = points - centre
+    along = off @ direction
+    return along, np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
+
+
+def _mask_as_worded(sorted_points, own, line, axis, settings):
+    """Ends of all points of a cluster that the moving mask accepts, and their share; NaN where they
+    are too few lines."""
+    centre, direction = axis
+    along, across = _about(own, centre, direction)
+    slope = np.hypot(*direction[:2]) / max(direction[2], 0.1)
+    reach = across.max() + settings.shell + slope * np.abs(along).max()
+    near = sorted_points[0][near_axis(*sorted_points[:3], *centre[:2], reach)]
+    near_along, near_across = _about(near, centre, direction)
+    length = min(settings.mask_length, settings.minimum_length)
+    accepted, shares = np.zeros(len(own), dtype=bool), []
+    for begin in np.arange(along.min(), along.max() - length + 1e-9, settings.mask_step):
+        part = (along >= begin) & (along <= begin + length)
+        if part.sum() < settings.minimum_points:
+            continue
+        between = (near_along >= begin) & (near_along <= begin + length)
+        radius = across[part].max() + 1e-6
+        inside = between & (near_across <= radius)
+        share = inside.sum() / (between & (near_across <= radius + settings.shell)).sum()
+        if share >= settings.mask_share and _is_upright(near[inside], settings):
+            accepted |= part
+            shares.append(share)
+    if len(np.unique(line[accepted])) < settings.minimum_sweeps:
+        return np.nan, np.nan, 0.0
+    return along[accepted].min(), along[accepted].max(), float(np.mean(shares))
+
+
+def _is_upright(points, settings):
+    """Whether points have the orientation and the shape of a pole."""
+    values, vectors = np.linalg.eigh(np.cov(points.T))
+    tilt = np.degrees(np.arccos(min(abs(vectors[2, 2]), 1.0)))
+    elongated = values[2] >= settings.mask_elongation * values[1]
+    return elongated and tilt <= settings.maximum_tilt
+
+
 def _judged(everything, points, line, member, found, settings, explain):
     """The table of clusters, judged by features and mask."""
     n = len(found["length"])
@@ -289,14 +339,19 @@ def _judged(everything, points, line, member, found, settings, explain):
         "sweeps": found["sweeps"] < settings.minimum_sweeps,
         "tilt": tilt > settings.maximum_tilt,
         "elongation": found["ratio"] < settings.elongation,
-        "width": found["radius"] > settings.maximum_radius,
+        "width": (found["radius"] > settings.maximum_radius) & (not settings.as_worded),
     }
     reason = first_reason(n, **failed)
     stretch = np.column_stack([found["low"], found["low"] + found["length"]])
     share = np.zeros(n)
     sorted_points = rows(everything) if (reason == "").any() else None
     for k in np.flatnonzero(reason == ""):
-        begin, end, share[k] = _mask(sorted_points, found, k, settings)
+        if settings.as_worded:
+            own, axis = member == k, (found["centre"][k], found["direction"][k])
+            ends = _mask_as_worded(sorted_points, points[own], line[own], axis, settings)
+        else:
+            ends = _mask(sorted_points, found, k, settings)
+        begin, end, share[k] = ends
         if not end - begin >= settings.minimum_length - 1e-9:
             reason[k] = "mask"
         else:

@@ -7,7 +7,7 @@ et al. 2011, ISPRS Journal 66, S28-S39, doi:10.1016/j.isprsjprs.2011.08.006). No
 
 It differs from section 4.2 of the report: the ground comes from the lowest points and not from
 segments and their connectivity; walls are removed before components are formed, not the ground
-alone; trees are recognised by the width of their crown, not by the shapes of sub-components, and
+alone (``only_ground`` does as the report); trees are recognised by the width of their crown, not by the shapes of sub-components, and
 signs are not distinguished from other poles.
 """
 
@@ -56,6 +56,8 @@ class Settings:
         centres lie nearer to each other's plane (m).
     wall_length, wall_height : float
         Least extent of an upright plane that is a wall, metres.
+    only_ground : bool
+        Components are formed of all that is not ground, walls included, as in section 4.2.
     ground_height : float
         Points lower above the ground belong to it, metres.
     link_distance : float
@@ -82,6 +84,7 @@ class Settings:
     plane_offset: float = 0.10
     wall_length: float = 1.5
     wall_height: float = 2.0
+    only_ground: bool = False
     ground_height: float = 0.3
     link_distance: float = 0.25
     slice_height: float = 0.3
@@ -110,7 +113,8 @@ def detect(points, settings, *, explain=False):
         ``is_tree``: a wide crown above the stack.
     """
     rough = rough_classes(points, settings)
-    component = components(points, rough == RAISED, settings.link_distance)
+    chosen = rough != GROUND if settings.only_ground else rough == RAISED
+    component = components(points, chosen, settings.link_distance)
     kept = component >= 0
     stacks = _stacks(points[kept], component[kept], settings)
     reason = first_reason(

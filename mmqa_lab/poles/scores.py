@@ -5,6 +5,9 @@ references that are visible, long enough and within the corridor; a detection ma
 reference is ignored, neither right nor wrong; a second hit on a pole is a duplicate and wrong.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import harmonic_mean
 
@@ -184,7 +187,7 @@ class Score:
         columns = ["class", "k", "n", "value", "low", "high"]
         return pd.DataFrame(rows, columns=columns).rename(columns={"value": "recall"})
 
-    def diameter_residuals(self, *, classes=None) -> np.ndarray:
+    def diameter_residuals(self, *, classes: Sequence[str] | None = None) -> np.ndarray:
         """Return the errors of the diameters of hits, metres; NaN where not measured.
 
         The truth is ``diameter_m`` of the reference, or its taper between ``diameter_base_m`` and
@@ -197,7 +200,7 @@ class Score:
             hits, truth = hits[chosen], truth[chosen]
         return hits["diameter_m"].to_numpy() - _true_diameter(hits, truth)
 
-    def diameter_errors(self, *, classes=None) -> Errors:
+    def diameter_errors(self, *, classes: Sequence[str] | None = None) -> Errors:
         """Return the ``Errors`` of the diameters of hits, metres."""
         return errors(self.diameter_residuals(classes=classes))
 

@@ -31,6 +31,8 @@ from importlib import resources
 
 import pandas as pd
 
+__dir__ = ["ledger", "number", "raw", "table"].copy
+
 DATA = resources.files("mmqa_lab.published") / "data"
 
 

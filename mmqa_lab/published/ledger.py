@@ -27,6 +27,9 @@ import pandas as pd
 
 from mmqa_lab import published
 
+__all__ = ["cells", "collect", "entry", "summary", "verdict"]
+__dir__ = __all__.copy
+
 KINDS = ("predicted", "measured", "fitted")
 VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable")
 COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]

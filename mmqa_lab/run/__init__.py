@@ -1,5 +1,7 @@
 """Running the studies. Here: what a run leaves behind, tables, figures, values, checks, record."""
 
+from __future__ import annotations
+
 import ast
 import io
 import json
@@ -8,9 +10,11 @@ import platform
 import re
 import subprocess
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -20,7 +24,11 @@ from mmqa_lab import plots, samples
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.io import write_atomically
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Check", "Run", "results_folder"]
+__dir__ = __all__.copy
 
 FORMATS = ("pdf", "svg", "png")
 RECORD = "run.json"
@@ -118,7 +126,7 @@ class Run:
     >>> del os.environ["MMQA_RESULTS"]
     """
 
-    def __init__(self, stem, *, parameters):
+    def __init__(self, stem: str, *, parameters: dict[str, Any]):
         self.folder = results_folder() / stem
         self._began = time.time()
         self._values = []
@@ -139,7 +147,7 @@ class Run:
             left.unlink()
         self._write_record()
 
-    def save_table(self, frame, name, *, kind=""):
+    def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
 
         A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
@@ -163,7 +171,9 @@ class Run:
                 f"{name}.tex", lambda path: path.write_text(_latex(frame), encoding="utf-8")
             )
 
-    def save_figure(self, figure, name, *, data=None, seen=""):
+    def save_figure(
+        self, figure: Figure, name: str, *, data: pd.DataFrame | None = None, seen: str = ""
+    ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
         What it shows is written as ``<name>.csv``: ``data``, a DataFrame, or else what the axes
@@ -194,7 +204,9 @@ class Run:
         elif f"{name}.csv" not in self._record["files"]:
             self._write_table(_drawn(figure), name)
 
-    def save_report(self, figure, table, *, title, inputs):
+    def save_report(
+        self, figure: Figure, table: pd.DataFrame, *, title: str, inputs: dict[str, str]
+    ) -> list[Path]:
         """Write one page with a figure and a table as ``report.html`` and ``report.pdf``.
 
         It names the parameters, the versions and ``inputs``, a dict of files and their SHA-256.
@@ -218,12 +230,12 @@ class Run:
         self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
         return [self.folder / name for name in ("report.html", "report.pdf")]
 
-    def save_value(self, name, value, unit, kind):
+    def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
         """Keep a named number of a kind in ``values.csv``."""
         self._values.append({"name": name, "value": float(value), "unit": unit, "kind": kind})
         self._write_table(pd.DataFrame(self._values), "values")
 
-    def save_answer(self, sentence, *, figure):
+    def save_answer(self, sentence: str, *, figure: str) -> None:
         """Keep the study's answer with its numbers, and the name of the figure that shows it.
 
         The index page and the README take them from the run record.
@@ -231,7 +243,7 @@ class Run:
         self._record["answer"] = {"sentence": sentence, "figure": figure}
         self._write_record()
 
-    def save_checks(self, *groups):
+    def save_checks(self, *groups: Iterable[Check]) -> None:
         """Write the checks as ``checks.csv`` and show them; a check that fails stops nothing.
 
         Parameters
@@ -247,7 +259,7 @@ class Run:
         self._write_table(frame, "checks")
         _show(frame)
 
-    def save_ledger(self, entries):
+    def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write what the study says of printed results as ``ledger.csv``.
 
         Parameters
@@ -257,7 +269,7 @@ class Run:
         """
         self._write_table(pd.DataFrame(entries), "ledger")
 
-    def finish(self):
+    def finish(self) -> None:
         """Mark the run as complete in its record."""
         self._record["finished"] = True
         self._write_record()

@@ -21,6 +21,7 @@ ENVIRONMENT = {
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads would wait for each other
     "PYDEVD_DISABLE_FILE_VALIDATION": "1",
+    "PYTHONDONTWRITEBYTECODE": "",  # or every kernel compiles its libraries anew, some 6 s
     "TQDM_DISABLE": "1",
 }
 

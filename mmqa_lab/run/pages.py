@@ -44,6 +44,9 @@ FORMULA_PT = 12.5
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 
+UNFINISHED = "stopped before its end"
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How one run of a study ended; without its end, how far it came."""
@@ -52,7 +55,7 @@ class Outcome:
     quick: bool
     code: str
     seconds: float = 0.0
-    failure: str = "stopped before its end"
+    failure: str = UNFINISHED
     checks: int = 0
     passed: int = 0
 
@@ -78,7 +81,7 @@ def read_outcome(folder):
     return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
 
-def write_pages(folder, studies):
+def write_pages(folder, studies, *, running=False):
     """Write ``index.html``, ``glossary.html`` and, where a study left a ledger, ``ledger.html``.
 
     Parameters
@@ -87,6 +90,8 @@ def write_pages(folder, studies):
         Of all results.
     studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
+    running : bool
+        Studies without an end still run, and the index loads itself again every ten seconds.
     """
     folder = Path(folder)
     cards = [_card(study, folder / study.stem) for study in studies]
@@ -95,7 +100,9 @@ def write_pages(folder, studies):
     if ledger is not None:
         write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
     write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
-    text = filled("index.html", cards=cards, ledger=ledger, formats=FORMATS)
+    said = {UNFINISHED: "still running"} if running else {}
+    shown = {"cards": cards, "ledger": ledger, "formats": FORMATS}
+    text = filled("index.html", **shown, running=running, said=said)
     write_text(folder / "index.html", text)
 
 

@@ -55,3 +55,4 @@ __all__ = [
     "scan_lattice",
     "sensitivities",
 ]
+__dir__ = __all__.copy

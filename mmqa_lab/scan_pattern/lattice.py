@@ -7,9 +7,12 @@ with the motion of the vehicle in between. In the equations of Cahalane et al. 2
 (doi 10.3390/s140609471) the scan plane stands still during a revolution.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +20,10 @@ from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_points, check_positive
 from mmqa_lab._results import Shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
 
 QUANTITIES = (
     *("profile_spacing_perpendicular_m", "profile_spacing_horizontal_m"),
@@ -137,7 +144,7 @@ class ScanSetup:
             raise ValueError(f"Invalid shapes {arrays}. Must broadcast.") from None
 
     @classmethod
-    def of_scanner(cls, scanner, *, speed_m_s):
+    def of_scanner(cls, scanner: Any, *, speed_m_s: float) -> ScanSetup:
         """Return the set-up of a simulated profile scanner, driven at a speed.
 
         Parameters
@@ -161,21 +168,21 @@ class ScanSetup:
         )
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         """Shape to which the numbers broadcast; () for plain numbers."""
         return np.broadcast_shapes(*(np.shape(getattr(self, name)) for name in NUMBERS))
 
     @property
-    def pulse_step_deg(self):
+    def pulse_step_deg(self) -> float | np.ndarray:
         """Turn of the mirror from pulse to pulse (theta_A)."""
         return 360 * np.divide(self.mirror_frequency_hz, self.pulse_rate_hz)
 
     @property
-    def plane_normal(self):
+    def plane_normal(self) -> np.ndarray:
         """Normal of the scan plane at the moment of the pulse (n_s), (..., 3)."""
         return self.rotation()[..., :, 1]
 
-    def vehicle_rotation(self, seconds=0.0):
+    def vehicle_rotation(self, seconds: float | np.ndarray = 0.0) -> np.ndarray:
         """Rotation (..., 3, 3) from the vehicle's frame to the track's, some time after."""
         return turned(
             y=self.roll_deg + np.multiply(self.roll_rate_deg_s, seconds),
@@ -183,7 +190,7 @@ class ScanSetup:
             z=-(self.heading_deg + np.multiply(self.heading_rate_deg_s, seconds)),
         )
 
-    def rotation(self, seconds=0.0):
+    def rotation(self, seconds: float | np.ndarray = 0.0) -> np.ndarray:
         """Rotation (..., 3, 3) from the scanner's frame to the track's, some time after."""
         boresight = turned(
             y=self.boresight_roll_deg,
@@ -193,13 +200,13 @@ class ScanSetup:
         mounting = boresight @ turned(z=self.scanner_heading_deg, x=self.scanner_tilt_deg)
         return self.vehicle_rotation(seconds) @ mounting
 
-    def origin(self, seconds):
+    def origin(self, seconds: float | np.ndarray) -> np.ndarray:
         """Where the scanner is some time after the pulse, (..., 3), m."""
         shift = np.multiply.outer(np.multiply(self.speed_m_s, seconds), TRAVEL)
         turn = self.vehicle_rotation(seconds) - self.vehicle_rotation()
         return shift + turn @ np.asarray(self.lever_arm_m, dtype=np.float64)
 
-    def turn_rate(self):
+    def turn_rate(self) -> np.ndarray:
         """Angular velocity of the vehicle in the track's frame, (..., 3), rad/s."""
         level, pitched = (
             turned(z=np.negative(self.heading_deg), x=x) for x in (0.0, self.pitch_deg)
@@ -259,7 +266,9 @@ class Patch:
         object.__setattr__(self, "normals", normals)
 
     @classmethod
-    def cylinder(cls, axis_point, radius, *, azimuths_deg, heights_m):
+    def cylinder(
+        cls, axis_point: ArrayLike, radius: float, *, azimuths_deg: ArrayLike, heights_m: ArrayLike
+    ) -> Patch:
         """Return the surface of an upright post as patches.
 
         Parameters
@@ -338,11 +347,11 @@ class Target:
         check_values(self.range_m, "range_m", positive=True)
 
     @property
-    def normal(self):
+    def normal(self) -> np.ndarray:
         """Normal of the plane, away from the vehicle (n_t), (..., 3)."""
         return target_normal(self.heading_deg, self.tilt_deg)
 
-    def patch(self, setup):
+    def patch(self, setup: ScanSetup) -> Patch:
         """Return the spot of the plane that is evaluated.
 
         Raises
@@ -403,23 +412,23 @@ class Lattice(Shown):
     nearest: np.ndarray
 
     @property
-    def range_m(self):
+    def range_m(self) -> np.ndarray:
         """Length of the beam."""
         return np.linalg.norm(self.beam, axis=-1)
 
     @property
-    def facing(self):
+    def facing(self) -> np.ndarray:
         """Whether the beam comes from the side to which the normal points."""
         return _dot(self.beam, self.normal) < 0
 
     @property
-    def incidence_deg(self):
+    def incidence_deg(self) -> np.ndarray:
         """Angle between beam and normal, 0 to 90."""
         cosine = np.abs(_dot(self.beam, self.normal)) / self.range_m
         return np.degrees(np.arccos(np.minimum(cosine, 1)))
 
     @cached_property
-    def axes(self):
+    def axes(self) -> np.ndarray:
         """The horizontal line and the line of greatest slope of the surface, (..., 2, 3).
 
         On a level surface: across the track and along it.
@@ -430,44 +439,44 @@ class Lattice(Shown):
         chosen = chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
         return np.stack([chosen, np.cross(self.normal, chosen)], axis=-2)
 
-    def plane_steps(self):
+    def plane_steps(self) -> np.ndarray:
         """Return ``a``, ``b`` and ``nearest`` along ``axes``, three arrays (..., 2)."""
         steps = (self.a, self.b, self.nearest)
         return tuple((self.axes @ step[..., None])[..., 0] for step in steps)
 
     @property
-    def cell_m2(self):
+    def cell_m2(self) -> np.ndarray:
         """Area of the parallelogram of ``a`` and ``b``."""
         return np.linalg.norm(np.cross(self.a, self.b), axis=-1)
 
     @property
-    def point_spacing_m(self):
+    def point_spacing_m(self) -> np.ndarray:
         """Distance to the next point of the profile (d_PS)."""
         return np.linalg.norm(self.a, axis=-1)
 
     @property
-    def profile_spacing_perpendicular_m(self):
+    def profile_spacing_perpendicular_m(self) -> np.ndarray:
         """Gap between neighbouring profiles."""
         return self.cell_m2 / self.point_spacing_m
 
     @property
-    def profile_spacing_horizontal_m(self):
+    def profile_spacing_horizontal_m(self) -> np.ndarray:
         """Gap along the surface's horizontal line (d_PrSH); inf along profiles, NaN if level."""
         return self._spacing_along(1)
 
     @property
-    def profile_spacing_vertical_m(self):
+    def profile_spacing_vertical_m(self) -> np.ndarray:
         """Gap along its line of greatest slope (d_PrSV); inf along profiles, NaN if level."""
         return self._spacing_along(0)
 
     @property
-    def profile_angle_deg(self):
+    def profile_angle_deg(self) -> np.ndarray:
         """Angle between profiles and the horizontal line, 0 to 90 (theta_PrA); NaN if level."""
         along, up = np.moveaxis(np.abs(self.plane_steps()[0]), -1, 0)
         return np.where(self._level, np.nan, np.degrees(np.arctan2(up, along)))[()]
 
     @property
-    def density_per_m2(self):
+    def density_per_m2(self) -> np.ndarray:
         """Points per square metre at the spot, PRR cos(i) / (2 pi R v |Y.n_s|).
 
         For a turning vehicle the velocity is that of the scan plane at the spot. The mirror
@@ -483,23 +492,23 @@ class Lattice(Shown):
             return setup.pulse_rate_hz * cosine / gain
 
     @cached_property
-    def distances_m(self):
+    def distances_m(self) -> np.ndarray:
         """Sorted quadrant distances d1..d4 of the chart's metric along ``axes``, (..., 4)."""
         a, _, nearest = self.plane_steps()
         return lattice_distances(a, nearest)
 
     @property
-    def f(self):
+    def f(self) -> np.ndarray:
         """Inhomogeneity d4 / d1."""
         return self.distances_m[..., 3] / self.distances_m[..., 0]
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return a DataFrame of ``QUANTITIES``, a row per spot."""
         shape = np.shape(self.range_m)
         columns = {name: np.broadcast_to(self.quantity(name), shape).ravel() for name in QUANTITIES}
         return pd.DataFrame(columns)
 
-    def points(self, half_width=0.25):
+    def points(self, half_width: float = 0.25) -> np.ndarray:
         """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
         a, _, b = self.plane_steps()
         reach = np.abs(np.linalg.inv(np.array([a, b]).T)).sum(axis=1) * half_width
@@ -507,7 +516,7 @@ class Lattice(Shown):
         xy = np.multiply.outer(i, a) + np.multiply.outer(j, b)
         return xy[(np.abs(xy) <= half_width).all(axis=-1)]
 
-    def plot(self, *, ax=None, half_width=0.25):
+    def plot(self, *, ax: Axes | None = None, half_width: float = 0.25) -> Axes:
         """Draw the points about a single spot and the two steps, millimetres; return the axes."""
         from mmqa_lab.plots import COLOURS, subplots
 
@@ -522,7 +531,7 @@ class Lattice(Shown):
         ax.set(xlabel="along the level line (mm)", ylabel="up the slope (mm)")
         return ax
 
-    def quantity(self, name):
+    def quantity(self, name: str) -> np.ndarray:
         """Return one of ``QUANTITIES`` by its name."""
         if name[0] == "d" and name[1:2].isdigit():
             return 1000 * self.distances_m[..., int(name[1]) - 1]
@@ -540,7 +549,7 @@ class Lattice(Shown):
             return np.where(self._level, np.nan, self.cell_m2 / step)[()]
 
 
-def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
+def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     """Return the scan lattice on each piece of a surface.
 
     The piece is struck when the scan plane comes past it. The pulses half a step before and after,
@@ -550,7 +559,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
     Parameters
     ----------
     setup : ScanSetup
-    patch : Patch
+    patch : Patch or Target
         Its shape and the set-up's broadcast.
 
     Returns
@@ -574,10 +583,12 @@ def scan_lattice(setup: ScanSetup, patch: Patch) -> Lattice:
     >>> from mmqa_lab.scan_pattern import ScanSetup, Target
     >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
     ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
-    >>> lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5).patch(setup))
+    >>> lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5))
     >>> round(lattice.profile_spacing_horizontal_m.item(), 6)
     0.08165
     """
+    if isinstance(patch, Target):
+        patch = patch.patch(setup)
     shape = (*np.broadcast_shapes(setup.shape, patch.points.shape[:-1]), 3)
     beam = np.broadcast_to(_meet(setup, patch.points), shape)
     normal = np.broadcast_to(patch.normals, shape)

@@ -5,6 +5,8 @@ profiles of a patch are fitted at once, and every figure comes with its standard
 times of a whole street give the moving plane of the scanner.
 """
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -89,7 +91,7 @@ class PatternMeasurement(Shown):
     point_spacing_m: float
     std: dict
 
-    def to_frame(self):
+    def to_frame(self) -> pd.DataFrame:
         """Return a DataFrame: ``quantity``, ``measured``, ``std``, ``n`` (profiles or points)."""
         found = {"quantity": list(self.std), "measured": [getattr(self, one) for one in self.std]}
         counts = [self.profiles] * 4 + [self.points]
@@ -498,7 +500,7 @@ def _grid(seen, variances, length):
 
 
 @dataclass(frozen=True, eq=False)
-class ScanPlanes:
+class ScanPlanes(Shown):
     """Profiles of a scan as planes that follow each other.
 
     Parameters
@@ -533,7 +535,7 @@ class ScanPlanes:
     advance_m: float
     turning: np.ndarray
 
-    def spacing_on(self, places, surface_normal):
+    def spacing_on(self, places: ArrayLike, surface_normal: ArrayLike) -> np.ndarray:
         """Profile spacing, square to the profiles, on a surface through places, metres.
 
         Parameters

@@ -73,3 +73,4 @@ __all__ = [
     "wall",
     "with_speed_variation",
 ]
+__dir__ = __all__.copy

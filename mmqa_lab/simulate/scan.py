@@ -7,6 +7,8 @@ draws ghosts between foreground and background along edges. A matched cloud may 
 object space, so that its density does not depend on the distance.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -351,7 +353,7 @@ class MatchingCamera:
         check_number(self.hard_core, "hard_core", low=0, high=0.56)
         check_points([self.lever_arm_m], name="lever_arm_m")
 
-    def rays(self, pixels):
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Vehicle-frame vectors of depth 1, (n, 3), of pixels (column, row) from the centre."""
         view = rotations(*np.radians([[0.0], [self.tilt_deg], [self.heading_deg]]))[0]
         x, y = (np.asarray(pixels) / self.focal_px).T

@@ -6,8 +6,10 @@ et al. 2014, doi 10.3390/s140609471). A profile scanner spins about its own y, s
 tilt 0 is the vertical plane across the track; a multi-beam scanner spins about its own z.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -15,6 +17,9 @@ from numba import njit, prange
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.scenes import STACK, TASK, describe, mapped, nearest
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 FOOTPRINT = 7
 """Rays a beam: its axis and a ring."""
@@ -200,28 +205,28 @@ class ProfileScanner(Scanner):
         check_positive(self.mirror_frequency_hz, "mirror_frequency_hz", unit="Hz")
 
     @property
-    def elevations_deg(self):
+    def elevations_deg(self) -> tuple[float]:
         """Elevation of the only beam above the scan plane."""
         return (0.0,)
 
     @property
-    def plane_normal(self):
+    def plane_normal(self) -> np.ndarray:
         """Normal of the scan plane in the vehicle's frame, (3,)."""
         return self.mounting[:, 1]
 
-    def fire(self, pulse):
+    def fire(self, pulse: ArrayLike) -> tuple[Firing, np.ndarray]:
         """Return the ``Firing`` of pulses counted from the start, and which of them left."""
         line, angle, left = self._turn(pulse, self.mirror_frequency_hz)
         since = pulse[left] / self.pulse_rate_hz
         return Firing(since, angle, np.zeros(len(since)), line), left
 
     @staticmethod
-    def beams(angle, elevation):
+    def beams(angle: np.ndarray, elevation: np.ndarray) -> np.ndarray:
         """Unit vectors in the scanner's frame, (n, 3), of angles in radians."""
         return np.stack([np.sin(angle), np.sin(elevation), -np.cos(angle)], axis=1)
 
     @staticmethod
-    def angles(vectors):
+    def angles(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scan angle and elevation above the scan plane, degrees, of vectors, (..., 3)."""
         x, y, z = np.moveaxis(vectors, -1, 0)
         return np.degrees(np.arctan2(x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
@@ -269,7 +274,7 @@ class MultiBeamScanner(Scanner):
         for elevation in self.elevations_deg:
             check_number(elevation, "elevations_deg", low=-90, high=90, unit="degrees")
 
-    def fire(self, pulse):
+    def fire(self, pulse: ArrayLike) -> tuple[Firing, np.ndarray]:
         """Return the ``Firing`` of pulses counted from the start, and which of them left."""
         turn, angle, left = self._turn(pulse, self.spin_hz)
         elevations = np.asarray(self.elevations_deg, dtype=np.float64)
@@ -279,13 +284,13 @@ class MultiBeamScanner(Scanner):
         return Firing(pulse[left] / self.pulse_rate_hz, angle, elevations[beam], line, ring), left
 
     @staticmethod
-    def beams(angle, elevation):
+    def beams(angle: np.ndarray, elevation: np.ndarray) -> np.ndarray:
         """Unit vectors in the scanner's frame, (n, 3), of angles in radians."""
         level = np.cos(elevation)
         return np.stack([level * np.sin(angle), level * np.cos(angle), np.sin(elevation)], axis=1)
 
     @staticmethod
-    def angles(vectors):
+    def angles(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scan angle and elevation above the plane of rotation, degrees, of vectors, (..., 3)."""
         x, y, z = np.moveaxis(vectors, -1, 0)
         return np.degrees(np.arctan2(x, y)), np.degrees(np.arctan2(z, np.hypot(x, y)))

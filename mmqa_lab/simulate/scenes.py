@@ -5,7 +5,10 @@ every hit solves the primitive's own equation: no mesh, no marching. Curved prim
 about the ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -17,9 +20,13 @@ from mmqa_lab.simulate.surfaces import (
     ELLIPSOID,
     FRUSTUM,
     PARALLELOGRAM,
+    Surface,
     flattened,
     merged,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 LEAF_SIZE = 4
 DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
@@ -87,7 +94,7 @@ class Scene:
     (4.9, 'post')
     """
 
-    def __init__(self, surfaces):
+    def __init__(self, surfaces: Iterable[Surface]):
         self.surfaces = list(flattened(surfaces))
         if not self.surfaces:
             raise ValueError("Invalid surfaces: none given. Must be one or more.")
@@ -97,7 +104,7 @@ class Scene:
         ids = np.repeat(np.arange(len(self.surfaces), dtype=np.int32), [*map(len, self.surfaces)])
         self.tree = _build(surface=ids, **parts)
 
-    def cast(self, origins, directions):
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the ``Hits`` of rays.
 
         Parameters

@@ -7,6 +7,8 @@ parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL
 matching).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -50,7 +52,7 @@ class System:
     source: str = ""
 
     @property
-    def assumed_lever_arms(self):
+    def assumed_lever_arms(self) -> np.ndarray:
         """Lever arms that the evaluation uses, (heads, 3)."""
         true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)

@@ -5,18 +5,22 @@ Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: hea
 vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern.lattice import rotations
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Shown):
     """A path with attitude, interpolated by cubic splines between its rows.
 
     Parameters
@@ -77,7 +81,7 @@ class Trajectory:
         return np.broadcast_to(values, self.time.shape)
 
     @classmethod
-    def from_table(cls, table):
+    def from_table(cls, table: pd.DataFrame) -> Trajectory:
         """Return the trajectory of a table as ``io.read_trajectory`` reads it.
 
         Parameters
@@ -95,13 +99,20 @@ class Trajectory:
             heading = np.degrees(np.unwrap(np.arctan2(east, north)))
         return cls(table["time_s"], position, heading=heading, **known)
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the table that :meth:`from_table` takes."""
+        columns = {"time_s": self.time}
+        columns |= dict(zip(("easting_m", "northing_m", "height_m"), self.position.T, strict=True))
+        angles = {f"{name}_deg": getattr(self, name) for name in ("roll", "pitch", "heading")}
+        return pd.DataFrame(columns | angles)
+
     @property
-    def duration_s(self):
+    def duration_s(self) -> float:
         """Seconds from the first row to the last."""
         return float(self.time[-1] - self.time[0])
 
     @property
-    def origin(self):
+    def origin(self) -> np.ndarray:
         """The position of the first row, from which the spline counts."""
         return self.position[0]
 
@@ -117,7 +128,7 @@ class Trajectory:
             return make_interp_spline(since, values, k=1)
         return CubicSpline(since, values)
 
-    def states(self, since_start):
+    def states(self, since_start: ArrayLike) -> np.ndarray:
         """Return offsets from ``origin`` in metres and roll, pitch, heading in radians, (n, 6).
 
         Parameters
@@ -127,7 +138,7 @@ class Trajectory:
         """
         return self._spline(since_start)
 
-    def at(self, time):
+    def at(self, time: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) and vehicle-to-world rotations (n, 3, 3) at times in seconds.
 
         Raises

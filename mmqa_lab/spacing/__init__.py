@@ -9,10 +9,13 @@ which points lie closest, divided by the spacing along it.
 95 % intervals; :func:`exempt` says where f does not matter.
 """
 
+from __future__ import annotations
+
 import sys
 import threading
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -22,6 +25,9 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "DirectionalSpacing",
@@ -33,6 +39,7 @@ __all__ = [
     "quadrants",
     "turned_f",
 ]
+__dir__ = __all__.copy
 
 _ONE_AT_A_TIME = threading.Lock()
 """Some of numba's threading layers stop the process when two threads enter them at once."""
@@ -46,11 +53,11 @@ AT_ONCE = 1_000_000
 SECTOR_STEPS = 15
 """Width of a sector in those steps: 60 degrees, a third of all directions."""
 
-FEW = 10_000
+FEW = 50_000
 """Points that are searched without numba, whose import would take longest."""
 
 MOST_PAIRS = 2_000_000
-"""Points times neighbours up to which that is so."""
+"""Pairs that are compared at once up to which that is so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +119,12 @@ class Spacing(Shown):
         ends = [stats.median_interval(distances, block, share=share) for distances in ranks]
         ratio = stats.median_ratio_interval(ranks[-1], ranks[0], block, share=share)
         return np.array([*ends, ratio])
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
+        from mmqa_lab import plots
+
+        return plots.draw_spacing_histogram(self, ax=plots.subplots()[1] if ax is None else ax)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
@@ -376,7 +389,7 @@ class DirectionalSpacing(Shown):
         return len(self.xy)
 
     @property
-    def direction_deg(self):
+    def direction_deg(self) -> float:
         """Direction along the scan lines: where points lie closest, 0 to 180 degrees.
 
         The phase of the second harmonic of log spacing, so that the whole turn has a say.
@@ -385,17 +398,17 @@ class DirectionalSpacing(Shown):
         return float(np.degrees(np.angle(-np.log(self._filled()) @ wave)) / 2 % 180)
 
     @property
-    def along(self):
+    def along(self) -> float:
         """Spacing along that direction."""
         return self.at(self.direction_deg)
 
     @property
-    def across(self):
+    def across(self) -> float:
         """Spacing at a right angle to it; NaN when not measurable."""
         return self.at(self.direction_deg + 90)
 
     @property
-    def g(self):
+    def g(self) -> float:
         """Spacing ratio across / along: 1 without a direction; needs no axes."""
         return self.across / self.along
 
@@ -411,6 +424,16 @@ class DirectionalSpacing(Shown):
         ends = [stats.median_interval(distances, block) for distances in (along, across)]
         found = np.array([*ends, stats.median_ratio_interval(across, along, block)])
         return np.where(np.isfinite(found), found, np.nan)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the spacing (mm) over the direction, and the direction that was found."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        ax.plot(self.directions_deg, 1000 * self.spacing)
+        ax.axvline(self.direction_deg, color="0.5", ls=":")
+        ax.set(xlabel="direction (degrees)", ylabel="spacing (mm)", ylim=(0, None))
+        return ax
 
     def to_frame(self) -> pd.DataFrame:
         """Return rows for along and across (mm) and g: value, 95 % interval, direction, points."""
@@ -503,7 +526,12 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
+    xy, found = flat_points(xy), []
+    for angle in angles:
+        distances = quadrant_distances(xy, radius=radius, angle=float(angle))
+        first, last = (_quantile(d[~np.isnan(d)], 0.5) for d in distances[:, [0, 3]].T)
+        found.append(last / first)
+    return np.array(found)
 
 
 def _count_coincident(xy):
@@ -600,38 +628,65 @@ def _nearest_per_quadrant(xy, radius, of):
 
 
 def _nearest_of_few(xy, radius, of):
-    """What the compiled search gives, bit for bit, from more and more neighbours of each point.
+    """What the compiled search gives, bit for bit, from points sorted into square cells.
 
     None where that would take longer than importing numba.
     """
-    from scipy.spatial import cKDTree
+    cells = _Cells(xy)
+    found = np.full((len(xy), 4), np.inf)
+    for quadrant, towards in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        rows, reach = np.flatnonzero(of), 1
+        while len(rows):
+            first, count = cells.windows(rows, towards, reach)
+            if count.sum() > MOST_PAIRS:
+                return None
+            best = _nearest_in_windows(xy, rows, cells.order, first, count, quadrant)
+            found[rows, quadrant] = np.where(best <= radius, best, np.inf)
+            # cells are rounded
+            seen = (1 - 1e-9) * reach * cells.side
+            open_ = np.minimum(best, radius) >= seen
+            rows, reach = rows[open_ & (reach < cells.shape.max())], 2 * reach
+    found[np.isinf(found)] = np.nan
+    return np.sort(found, axis=1)
 
-    tree, found = cKDTree(xy), np.full((len(xy), 4), np.nan)
-    rows, count = np.flatnonzero(of), min(32, len(xy))
-    while len(rows):
-        if len(rows) * count > MOST_PAIRS:
-            return None
-        far, near = tree.query(xy[rows], k=np.arange(1, count + 1))
-        best = _best_per_quadrant(*(xy[near] - xy[rows, None]).transpose(2, 0, 1))
-        # the tree may round otherwise
-        settled = np.minimum(best[:, 3], radius) < (1 - 1e-12) * far[:, -1]
-        settled |= count == len(xy)
-        found[rows[settled]] = np.where(best <= radius, best, np.nan)[settled]
-        rows, count = rows[~settled], min(4 * count, len(xy))
-    return found
+
+class _Cells:
+    """Points sorted into square cells, two a cell on average."""
+
+    def __init__(self, xy):
+        extent, n = np.ptp(xy, axis=0), len(xy)
+        self.side = max(np.sqrt(2 / n * extent[0]) * np.sqrt(extent[1]), extent.max() / n) or 1.0
+        self.place = ((xy - xy.min(axis=0)) / self.side).astype(int)
+        self.shape = self.place.max(axis=0) + 1
+        cell = self.place @ [self.shape[1], 1]
+        self.order = np.argsort(cell, kind="stable")
+        self.starts = np.searchsorted(cell[self.order], np.arange(np.prod(self.shape) + 1))
+
+    def windows(self, rows, towards, reach):
+        """First point and number of points in each line of cells of a point's own quadrant."""
+        i, j = self.place[rows].T
+        lines = i[:, None] + towards[0] * np.arange(reach + 1)
+        inside = (lines >= 0) & (lines < self.shape[0])
+        ends = np.sort([j, j + towards[1] * reach], axis=0).clip(0, self.shape[1] - 1)
+        at = np.where(inside, lines, 0) * self.shape[1]
+        first, last = (self.starts[at + end[:, None]] for end in (ends[0], ends[1] + 1))
+        return first, np.where(inside, last - first, 0)
 
 
-def _best_per_quadrant(dx, dy):
-    """Sorted distances to the nearest neighbour in each quadrant, infinite where there is none."""
-    distances = np.sqrt(dx * dx + dy * dy)
-    quadrants = [
+def _nearest_in_windows(xy, rows, order, first, count, quadrant):
+    """The nearest point to each row in one of its quadrants; each window has the row itself."""
+    size, ends = count.sum(axis=1), np.cumsum(count)
+    shift = np.repeat(first.ravel() - (ends - count.ravel()), count.ravel())
+    offset = xy[order[np.arange(ends[-1]) + shift]] - np.repeat(xy[rows], size, axis=0)
+    dx, dy = offset.T
+    inside = (
         (dx > 0) & (dy >= 0),
         (dx <= 0) & (dy > 0),
         (dx < 0) & (dy <= 0),
         (dx >= 0) & (dy < 0),
-    ]
-    best = [np.where(inside, distances, np.inf).min(axis=1) for inside in quadrants]
-    return np.sort(best, axis=0).T
+    )[quadrant]
+    distances = np.where(inside, np.sqrt(dx * dx + dy * dy), np.inf)
+    return np.minimum.reduceat(distances, np.cumsum(size) - size)
 
 
 def _nearest_by_sector(xy, radius):

@@ -121,16 +121,30 @@ def scene(
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
         ``street``, ``length_m``, ``poles`` and ``visible`` (their numbers).
     """
-    made = streets.street(replace(streets.PLANS[plan], **CHANGES[change]), length=length, seed=seed)
-    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
-    targets = streets.visible_targets(made, cloud)
+    made, cloud, targets = _drive_once(plan, change, scanner, length, speed, seed)
     if both_ways:
         cloud = Cloud.concatenate([cloud, _driven_back(made, scanner, seed, speed)])
     if share < 1:
         cloud = cloud[np.random.default_rng(seed).random(len(cloud)) < share]
     path = made.trajectory(speed).position
-    truth = {"targets": targets, "path": path, "street": made, "length_m": length}
+    truth = {"targets": targets.copy(), "path": path, "street": made, "length_m": length}
     return cloud, truth | {"poles": len(targets), "visible": targets["visible"].sum()}
+
+
+def _drive_once(plan, change, scanner, length, speed, seed):
+    """Street, cloud and visible targets; the first streets of a run come again and are kept."""
+    key = plan, change, scanner, length, speed, seed
+    if key in _DRIVES:
+        return _DRIVES[key]
+    made = streets.street(replace(streets.PLANS[plan], **CHANGES[change]), length=length, seed=seed)
+    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    found = made, cloud, streets.visible_targets(made, cloud)
+    if change == "as it is" and len(_DRIVES) < KEPT:
+        _DRIVES[key] = found
+    return found
+
+
+_DRIVES, KEPT = {}, 5
 
 
 def _driven_back(made, scanner, seed, speed):

@@ -197,7 +197,10 @@ def limits(results):
     for surface, part in cells.groupby(keys, sort=False):
         for figure in part.columns.intersection(list(FIGURES)):
             known = part[np.isfinite(part[figure])]
-            found = repeatability(known, figure, draws=200).to_frame()
+            known = known.groupby("scan").filter(lambda rows: len(rows) > 1)
+            if known.empty:
+                continue
+            found = repeatability(known, figure).to_frame()
             about = dict(zip(keys, surface, strict=True)) | {"figure": figure}
             tables.append(found.assign(**about))
     table = pd.concat(tables, ignore_index=True)

@@ -25,3 +25,4 @@ __all__ = [
     "qualification",
     "verdicts",
 ]
+__dir__ = __all__.copy

@@ -6,6 +6,7 @@ their starting values, and forms a picture, because widgets would show nothing t
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,9 +26,12 @@ from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.selection import pick_plane, select_polygon
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from matplotlib.figure import Figure
 
 __all__ = ["JuryForm", "choice", "explore", "pick_plane", "select_polygon", "slider"]
+__dir__ = __all__.copy
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
@@ -187,7 +191,14 @@ class JuryForm:
     (['a'], True)
     """
 
-    def __init__(self, crops, *, juror, file, order=None):
+    def __init__(
+        self,
+        crops: Sequence[Any],
+        *,
+        juror: str,
+        file: str | os.PathLike,
+        order: Sequence[str] | None = None,
+    ):
         self._crops = dict(crops)
         self._order = list(self._crops if order is None else order)
         for name in self._order:
@@ -211,20 +222,20 @@ class JuryForm:
         self._show()
 
     @property
-    def marks(self):
+    def marks(self) -> pd.DataFrame:
         """All marks in the file so far, of every juror."""
         if not self._file.is_file():
             return pd.DataFrame(columns=["juror", "element", "mark"])
         return check_marks(pd.read_csv(self._file, dtype=str, keep_default_na=False))
 
     @property
-    def element(self):
+    def element(self) -> str | None:
         """Name of the crop shown; None when all are marked."""
         marks = self.marks
         done = set(marks.loc[marks["juror"] == self._juror, "element"])
         return next((name for name in self._order if name not in done), None)
 
-    def mark(self, mark):
+    def mark(self, mark: str) -> None:
         """Give the crop shown a mark, write it down and show the next one."""
         check_choice(mark, "mark", MARKS)
         element = self.element
@@ -233,7 +244,7 @@ class JuryForm:
         row = {"juror": self._juror, "element": element, "mark": mark}
         self._write(pd.concat([self.marks, pd.DataFrame([row])]))
 
-    def back(self):
+    def back(self) -> None:
         """Take this juror's last mark back and show its crop again."""
         marks = self.marks
         own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._order)]

@@ -6,6 +6,7 @@ evaluated at once, as ``mmqa evaluate --polygon`` does with the saved file.
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import ipywidgets
@@ -149,7 +150,7 @@ class SelectionTool:
     ((4, 3), 2.0)
     """
 
-    def __init__(self, points, *, polygon=None, **choices):
+    def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices):
         from matplotlib.widgets import PolygonSelector
 
         self.points = check_points(points, minimum=3)
@@ -174,12 +175,12 @@ class SelectionTool:
 
         display(self.box)
 
-    def select(self, vertices):
+    def select(self, vertices: ArrayLike) -> None:
         """Move the polygon to ``vertices``, shape (m, 3), and evaluate what it selects."""
         self._selector.verts = self.view.to_plane(vertices).tolist()
         self._moved(self._selector.verts)
 
-    def save(self, path):
+    def save(self, path: str | os.PathLike) -> None:
         """Write the polygon as GeoJSON for ``mmqa evaluate --polygon`` and ``read_polygon``."""
         write_polygon(path, self.vertices)
 
@@ -273,7 +274,7 @@ class PlanePicker:
         What is shown.
     """
 
-    def __init__(self, points, patches, chosen, *, shown):
+    def __init__(self, points: ArrayLike, patches: list, chosen: int, *, shown: bool):
         self.patches = patches
         self.figure = Figure(figsize=SCENE_INCHES, dpi=100)
         self.ax = self.figure.add_axes((0, 0.08, 0.96, 0.84), projection="3d")
@@ -292,7 +293,7 @@ class PlanePicker:
         if shown:
             self._show()
 
-    def choose(self, number):
+    def choose(self, number: int) -> None:
         """Choose a plane by its place among the patches."""
         self.chosen = number
         for k, line in enumerate(self._lines[1:]):
@@ -306,7 +307,7 @@ class PlanePicker:
         )
         self.figure.canvas.draw_idle()
 
-    def plane_at(self, x, y):
+    def plane_at(self, x: float, y: float) -> int | None:
         """The plane under a place of the canvas (pixels from its lower left corner), or None."""
         across, up, depth = proj_transform(*self._local.T, self.ax.get_proj())
         places = self.ax.transData.transform(np.column_stack([across, up]))

@@ -1,9 +1,11 @@
 """Measure commands beside another version of this package, and write the table of the README.
 
 Processor time (user and system) of whole processes and their children: warm, the least of the
-repeats, and once with an empty cache of compiled code. Both versions run in this environment.
+repeats, and once with an empty cache of compiled code. The other version runs in the environment
+that it made in its checkout, or else in this one.
 
     git worktree add /tmp/before a7a4e3e
+    (cd /tmp/before && python3 -m mmqa_lab names)
     python tests/benchmarks/versions.py /tmp/before --markdown README.md
 """
 
@@ -34,9 +36,11 @@ CALLS = {
 def spent(root, words, cache):
     """Processor seconds of a command in a version, children included."""
     place = {**os.environ, "PYTHONPATH": str(root), "NUMBA_CACHE_DIR": cache}
+    place.pop("PYTHONDONTWRITEBYTECODE", None)  # a user's Python keeps compiled imports
+    python = root / ".venv" / "bin" / "python"
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "mmqa_lab", *words]
+        command = [str(python) if python.exists() else sys.executable, "-m", "mmqa_lab", *words]
         subprocess.run(command, cwd=folder, env=place, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
