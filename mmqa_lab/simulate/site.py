@@ -191,7 +191,7 @@ def photographed(drive, boards) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["board", "station"])
 
 
-def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
+def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
     """Write the site, its criteria, and what systems deliver, with the marks of a simulated jury.
 
     Parameters
@@ -201,6 +201,8 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
         Of A, B and C.
     seed : int
     speed_kmh : float
+    images : bool
+        Without them clouds and trajectories alone, which take a tenth of the time.
     """
     folder, boards = Path(folder), site_boards()
     _write_plan(folder, boards)
@@ -213,7 +215,10 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
             _write_control(place, drive, seed)
             cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)
             write_cloud(place / "cloud.laz", cloud, scale=0.0001)
-            marks += _write_images(place, VEHICLES[system], drive, boards, seed)
+            if images:
+                marks += _write_images(place, VEHICLES[system], drive, boards, seed)
+    if not images:
+        return
     jury = [f"juror_{number}" for number in (1, 2, 3)]
     table = pd.DataFrame(marks, columns=["crop", *jury]).sort_values("crop")
     _write_table(folder / "marks.csv", table)

@@ -32,6 +32,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 SYSTEMS, OTHERS = "ABC", range(100, 140)
 CLEAN = replace(simulated.SENSOR, noise=0.0, bits=16, jpeg_quality=None)
 PLACE = ["system", "quantity", "distance_m", "view", "direction"]
+PARTS = ("clouds", "images")
 PASSES = ("met", "exempt")
 BARS = {"h": ("bar_horizontal",), "v": ("bar_left", "bar_right")}
 
@@ -88,13 +89,13 @@ def bar_pixel(there, bars):
     return long / seen
 
 
-def judged(system, seed, folder, clouds):
-    """Figures and verdicts of one site beside their truth."""
-    site_folder = folder / f"site_{system}_{seed}"
+def judged(system, seed, folder, clouds, part):
+    """Figures and verdicts of one site beside their truth, of its clouds or of its images."""
+    site_folder = folder / f"site_{system}_{seed}_{part}"
     shutil.rmtree(site_folder, ignore_errors=True)
-    simulated.write_site(site_folder, systems=system, seed=seed)
+    simulated.write_site(site_folder, systems=system, seed=seed, images=part == "images")
     criteria = {name: published_criteria(name) for name in (*SETS, OWN_SET)}
-    marks = read_marks(site_folder / "marks.csv")
+    marks = read_marks(site_folder / "marks.csv") if part == "images" else None
     done = accept(site_folder, read_site(site_folder / "site.json"), criteria, marks=marks)
     boards = simulated.site_boards().set_index("board", drop=False)
     rows = [row for p in done.photographs for row in image_truth(p, system, seed, boards)]
@@ -110,7 +111,9 @@ def judged(system, seed, folder, clouds):
         true = verdicts(criteria[name], bounds)[[*PLACE, "criterion", "margin", "verdict"]]
         both = table.merge(true, on=[*PLACE, "criterion"], suffixes=("", "_true"))
         found.append(both.assign(set=name))
-    return figures.assign(seed=seed), pd.concat(found).assign(seed=seed)
+    tables = figures.assign(seed=seed), pd.concat(found).assign(seed=seed)
+    of_clouds = part == "clouds"
+    return [table[table["quantity"].isin(FIGURES.values()) == of_clouds] for table in tables]
 
 
 def coverage(figures):
@@ -146,7 +149,6 @@ def agreement(found):
         rows.append(
             {
                 "system": system,
-                "sites": part["seed"].nunique(),
                 "verdicts": len(part),
                 "as from truth": int((part["same"] & ~part["open"]).sum()),
                 "undecided": int((part["verdict"] == "undecided").sum()),
@@ -157,6 +159,19 @@ def agreement(found):
             }
         )
     return pd.DataFrame(rows)
+
+
+def unit(options, system, seed, clouds, part):
+    """Tables of one site, kept or simulated; none of what is missing with --finished."""
+    kept = options.folder / f"{system}_{seed:02d}_{part}.json"
+    if not kept.is_file():
+        if options.finished:
+            return []
+        tables = judged(system, seed, options.folder, clouds, part)
+        text = json.dumps([table.to_json(orient="records") for table in tables])
+        write_atomically(kept, lambda path: path.write_text(text))
+        print(kept.stem, flush=True)
+    return [[pd.DataFrame(json.loads(text)) for text in json.loads(kept.read_text())]]
 
 
 def main():
@@ -175,16 +190,9 @@ def main():
             table = cloud_truth(system)
             write_atomically(kept, lambda path, table=table: table.to_csv(path, index=False))
         clouds = pd.read_csv(kept, keep_default_na=False)
-        for seed in range(1, options.seeds + 1):
-            kept = options.folder / f"{system}_{seed:02d}.json"
-            if options.finished and not kept.is_file():
-                continue
-            if not kept.is_file():
-                parts = judged(system, seed, options.folder, clouds)
-                text = json.dumps([part.to_json(orient="records") for part in parts])
-                write_atomically(kept, lambda path, text=text: path.write_text(text))
-                print(kept.stem, flush=True)
-            tables.append([pd.DataFrame(json.loads(t)) for t in json.loads(kept.read_text())])
+        for part in PARTS:
+            for seed in range(1, options.seeds + 1):
+                tables += unit(options, system, seed, clouds, part)
     figures, found = (pd.concat(part, ignore_index=True) for part in zip(*tables, strict=True))
     shown = [coverage(figures), agreement(found)]
     print(*(table.to_string(index=False) for table in shown), sep="\n\n")
