@@ -5,16 +5,18 @@ import shutil
 from types import SimpleNamespace
 
 import cv2
+import laspy
 import numpy as np
 import pandas as pd
 import pytest
 
 from mmqa_lab.__main__ import main
+from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED
 from mmqa_lab.chart_image.placing import find_markers, map_of_markers
 from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
 from mmqa_lab.simulate import site as simulated
 from mmqa_lab.tender import photographs, published_criteria
-from mmqa_lab.tender.acceptance import accept
+from mmqa_lab.tender.acceptance import accept, speed_share
 from mmqa_lab.tender.site import read_site
 
 CRITERIA = {"test": published_criteria("test")}
@@ -155,6 +157,10 @@ def test_clouds_in_other_coordinates_are_named(bare):
     assert any("no points on any board; it extends over 56" in one for one in judged(bare)[1])
     file.write_bytes(file.read_bytes()[:500])
     assert any("Must be a complete LAS" in one for one in judged(bare)[1])
+    laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(str(file))
+    assert "The cloud has no points." in judged(bare)[1]
+    write_cloud(file, type(cloud)(cloud.points, {"gps_time": cloud["gps_time"] + 1e6}))
+    assert any("times are not the trajectory's" in one for one in judged(bare)[1])
 
 
 def test_the_site_of_another_place_is_refused_in_one_sentence(bare, capsys):
@@ -224,8 +230,13 @@ def test_the_command_writes_the_same_bytes_again(folder, done, tmp_path, monkeyp
     page = (tmp_path / "one" / "report.html").read_text()
     for title in ("Table 1", "Table 2", "SHA-256", "Could not be judged", "A/drive_05m/cloud.laz"):
         assert title in page
-    crops = pd.read_csv(tmp_path / "one" / "jury.csv")["crop"]
-    assert len(crops) == 4 == len(list((tmp_path / "one" / "crops").glob("*.png")))
+    form = pd.read_csv(tmp_path / "one" / "jury.csv")
+    crops = form["crop"]
+    photos = {name.split("_")[0] for name in crops}
+    assert len(photos) == 4
+    assert form["shows"].tolist() == 4 * list(JUDGED)
+    names = {file.stem for file in (tmp_path / "one" / "crops").glob("*.png")}
+    assert names == photos | set(crops)
     assert not [name for name in crops if "A" in name or "drive" in name]
 
 
@@ -262,6 +273,87 @@ def test_marks_of_three_jurors_in_both_forms(folder, tmp_path):
     (tmp_path / "bad.csv").write_text("crop,juror_1\n0a,d\n")
     with pytest.raises(ValueError, match="Invalid mark 'd'"):
         photographs.read_marks(tmp_path / "bad.csv")
+
+
+def test_elements_give_a_photograph_its_mark(tmp_path):
+    numbers = [k for k, (what, _, _) in enumerate(CHECK_LIST, start=1) if what in JUDGED]
+    table = pd.DataFrame({"crop": [f"0a_{k:02d}" for k in numbers], "shows": JUDGED})
+    table[["one", "two", "three"]] = "a"
+    table.loc[table["shows"] == "double l", ["one", "two"]] = ["b", "c"]
+    table.loc[table["shows"] == "raised h", ["one", "two"]] = "b"
+    table.to_csv(tmp_path / "marks.csv", index=False)
+    marks, said = photographs.read_marks(tmp_path / "marks.csv"), []
+    note = SimpleNamespace(say=lambda _, what: said.append(what))
+    photo = SimpleNamespace(found={"crop": "0a"}, board="b", drive=SimpleNamespace(name="d"))
+    assert photographs._jury(photo, marks, note) == {}  # a, b and c for the double l
+    assert said == ["Crop 0a: the jury has no majority of 'double l', or left it out."]
+    marks.loc[(marks["juror"] == "two") & (marks["mark"] == "c"), "mark"] = "a"
+    found = photographs._jury(photo, marks, note)
+    assert found == {"value": "b", "low": 0.0, "high": 1.0}  # raised h by two of three
+    assert (photo.found["because"], photo.found["marks"]) == ("raised h", "abb")
+    photo.found["crop"] = "0b"
+    assert photographs._jury(photo, marks, note) == {}
+    assert said[-1] == "Board 'b': the jury did not mark crop 0b."
+    (tmp_path / "bad.csv").write_text("")
+    with pytest.raises(ValueError, match="Must be CSV"):
+        photographs.read_marks(tmp_path / "bad.csv")
+    (tmp_path / "bad.csv").write_text("crop,juror_1\n0a_99,a\n")
+    with pytest.raises(ValueError, match=r"element 99\. Must be 1 to 24"):
+        photographs.read_marks(tmp_path / "bad.csv")
+
+
+def test_intervals_of_clouds_have_the_part_of_the_speed(done):
+    drive, _, quality = next(one for one in done.clouds if one[1]["view"] == "orthogonal")
+    middle = simulated.site_boards().set_index("board").loc["point orthogonal", "corners"]
+    share = speed_share(drive.path, middle.mean(axis=0))
+    assert 0.006 < share < 0.014  # wanders by 1 %
+    alone = quality.intervals().set_index("figure")
+    table = done.results.query("distance_m == 5").set_index("quantity")
+    for figure, quantity in (("density", "density_per_m2"), ("d4", "d4_mm"), ("f", "f")):
+        value, _, high, _ = alone.loc[figure]
+        of_speed = np.sqrt((table.loc[quantity, "high"] - value) ** 2 - (high - value) ** 2)
+        assert of_speed / value == pytest.approx(1.96 * share, rel=0.15)  # lines as far apart
+    assert table.loc["d1_mm", "high"] == pytest.approx(alone.loc["d1", "high"], rel=1e-3)
+    steady = pd.DataFrame({"time_s": [0.0, 5, 7], "northing_m": [0.0, 50, 100]})
+    steady = steady.assign(easting_m=0.0, height_m=0.0)
+    pace = np.array([0.1] * 50 + [0.04] * 49)  # half of it at 10, half at 25 m/s
+    found = speed_share(steady, np.array([0.0, 50.0, 0.0]))
+    assert found == pytest.approx(pace.std(ddof=1) / pace.mean(), rel=1e-6)
+
+
+def test_control_points_differ_by_what_the_navigation_is_off(done, bare):
+    table = pd.DataFrame(done.control)
+    assert len(table) == 2 * 6
+    off = table[["easting_m", "northing_m", "height_m"]]
+    assert 1 < np.sqrt((off**2).mean(axis=None)) < 40  # mm; drifts by 10 mm an axis
+    (bare / "A" / "drive_05m" / "control.csv").write_text("point,easting_m\n9,1\n")
+    found, said = judged(bare)
+    assert len(found.control) == 6
+    assert any("Invalid control.csv. Must have point, 1 to 6" in one for one in said)
+
+
+def test_images_tell_camera_date_aperture_and_exposure(done):
+    found = photographs.exif_texts(done.photographs[0].file)
+    assert found == {
+        "camera": f"mmqa_lab panorama, {simulated.VEHICLES['A'].camera.width} columns",
+        "date": "2021:01:12 10:00:00",
+        "f-number": "8",
+        "exposure (s)": "0.0005",
+    }
+
+
+def test_colour_fringes_are_read_where_a_photograph_has_colours(done, tmp_path):
+    photo = done.photographs[0]
+    assert photographs.fringes(photo) == {}  # a grey file
+    grey = cv2.imread(str(photo.file), cv2.IMREAD_GRAYSCALE)
+    shares = []
+    for step in (0, 1):
+        colours = np.dstack([grey, grey, np.roll(grey, step, axis=1)])
+        cv2.imwrite(str(tmp_path / "colour.png"), colours)
+        here = SimpleNamespace(file=tmp_path / "colour.png", quality=photo.quality)
+        shares.append(photographs.fringes(here)["h"])
+    assert shares[0] == pytest.approx(0, abs=0.02)
+    assert shares[1] > 0.2
 
 
 def test_the_example_is_not_written_over_anything(folder, capsys):

@@ -46,7 +46,10 @@ def test_image_prints_the_same_figures_however_it_finds_the_chart(photo, capsys,
     call = ["image", str(folder / "photo.png"), "--chart", str(folder / "own.json"), "--json"]
     outputs = ["--csv", str(tmp_path / "o.csv"), "--figure", str(tmp_path / "f.png")]
     rows = []
-    for more in ([], ["--corners", corners, "--patterns", str(tmp_path / "p.csv"), *outputs]):
+    for more in (
+        ["--legibility"],
+        ["--corners", corners, "--patterns", str(tmp_path / "p.csv"), *outputs],
+    ):
         assert main([*call, *more]) == 0
         rows += json.loads(capsys.readouterr().out)
     for row in rows:
@@ -54,6 +57,8 @@ def test_image_prints_the_same_figures_however_it_finds_the_chart(photo, capsys,
         assert row["pixel_v_mm"] == pytest.approx(5 / 1.2 / np.cos(np.radians(10)), rel=0.01)
         assert (row["w_h_mm"], row["w_v_mm"]) == (24, 20)
         assert row["w_h_next_mm"] is None  # the ladder ends there
+    assert rows[0]["px_per_40mm"] == pytest.approx(40 / rows[0]["pixel_v_mm"])
+    assert rows[0]["expected_mark"] == "b to c"  # 9.45 pixels; b begins at 9.0
     assert rows[0]["located_by"] == "4 coded targets, aligned"
     assert len(pd.read_csv(tmp_path / "p.csv")) == 6
     assert len(pd.read_csv(tmp_path / "o.csv")) == 1

@@ -176,6 +176,14 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
     return table
 
 
+def expected_text(cap_px):
+    """The mark that pixels per capital height make expected, with its range where it is open."""
+    if not np.isfinite(cap_px):
+        return ""
+    one = expected_marks(cap_px).iloc[0]
+    return one["mark"] if one["best"] == one["worst"] else f"{one['best']} to {one['worst']}"
+
+
 def mark_limits(judged):
     """Fewest pixels per capital height for marks a and b.
 

@@ -10,7 +10,11 @@ distances_m, speed_kmh, oblique_distance_m, crs and control_points.
 CRITERIA are CSV or JSON files as for mmqa tender, or pfeifer2021:test, pfeifer2021:1, pfeifer2021:2
 and pfeifer2021:g, the test with g in place of f; all four where left out. A file of marks has a
 column crop and one for each juror: the first run writes the crops, under names that tell nothing,
-and jury.csv to be filled in.
+and jury.csv to be filled in, a row for each element of the paper's check list in its order. A row
+with a photograph's crop alone marks all of it.
+
+A drive may have control.csv: point (its number in the site's file), easting_m, northing_m and
+height_m as seen in its data; the report has the differences.
 
 With --example the folder is made first: clouds, photographs and the jury's marks are simulated.
 

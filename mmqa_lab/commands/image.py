@@ -7,6 +7,10 @@ doi 10.3390/rs13020237). What cannot be measured is empty, and what speaks again
 stands in remark. Of several images those that cannot be evaluated have their row too, the last.
 The chart is found by its coded targets and long bars, at --corners, or from --orientation.
 
+With --legibility the row has the pixels per 40 mm capital and the mark that a jury would give by
+them, with its range, and where rapidocr-onnxruntime is installed the mark of what it reads of the
+check list's elements that count and the first element with that mark. They never stand for a jury.
+
 Corners are column and row of the printed chart's lower left, lower right, upper right and upper
 left corner. An orientation is a JSON file: position [east, north, height], heading_deg, pitch_deg,
 roll_deg, camera {width, height, focal_px, principal, distortion} or {width} for a panorama, and
@@ -48,6 +52,9 @@ def add_arguments(parser):
     parser.add_argument("--panorama", action="store_true", help="equirectangular, 2 : 1")
     parser.add_argument("--linear", action="store_true", help="grey values are linear in light")
     parser.add_argument(
+        "--legibility", action="store_true", help="how well text of 40 mm can be read"
+    )
+    parser.add_argument(
         "--patterns", type=output_file, metavar="FILE", help="write every pattern's reading as CSV"
     )
     parser.add_argument(
@@ -87,7 +94,8 @@ def run(options):
             rows.append(pd.DataFrame([{"file": str(file), "remark": str(error)}]))
             continue
         last = file
-        rows.append(quality.to_frame().assign(file=str(file)))
+        row = quality.to_frame().assign(file=str(file))
+        rows.append(row.assign(**_legibility(quality)) if options.legibility else row)
         patterns.append(quality.pairs.assign(file=str(file)))
     if not patterns:
         if len(faults) > 1:
@@ -101,6 +109,27 @@ def run(options):
     # one figure per line reads better than twenty columns
     rows.sort(key=lambda row: row["file"].item() in map(str, faults))
     print_rows(pd.concat(rows, ignore_index=True), options, upright="file")
+
+
+def _legibility(quality):
+    """What pixels, and a program where one is installed, say of text of 40 mm."""
+    from importlib.util import find_spec
+
+    from mmqa_lab.chart_image import legibility, text_crops
+
+    pixels = legibility.TEXT_MM / quality.pixel_size("v")[0]
+    found = {"px_per_40mm": pixels, "expected_mark": legibility.expected_text(pixels)}
+    if find_spec("rapidocr_onnxruntime") is None:
+        return found
+    try:
+        texts = legibility.check_list(quality.layout)
+    except ValueError:  # a chart of one's own, without the paper's texts
+        return found
+    texts = [text for text in texts if text.name in legibility.JUDGED]
+    crops = text_crops(quality.image, quality.layout, quality.chart_map, texts=texts)
+    read = legibility.read_texts(crops)
+    worst = read.sort_values("mark", ascending=False, kind="stable").iloc[0]
+    return found | {"read_mark": worst["mark"], "read_because": worst["element"]}
 
 
 def _draw(quality, file, name):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -63,17 +64,41 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
     return grey
 
 
-def image_size(path):
-    """Return columns and rows of an image file from its header; nothing is decoded."""
+@contextmanager
+def _raster(path):
+    """An image file as rasterio reads it."""
     import rasterio
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
             with rasterio.open(_checked_path(path)) as file:
-                return file.width, file.height
+                yield file
         except rasterio.errors.RasterioError:
             raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF.") from None
+
+
+def image_size(path):
+    """Return columns and rows of an image file from its header; nothing is decoded."""
+    with _raster(path) as file:
+        return file.width, file.height
+
+
+def image_tags(path):
+    """Return what the EXIF of an image file says, by its names without EXIF_; perhaps nothing."""
+    with _raster(path) as file:
+        tags = file.tags() | file.tags(ns="EXIF")
+    return {name.removeprefix("EXIF_"): text for name, text in tags.items()}
+
+
+def read_colours(path, origin, last):
+    """Return red, green and blue between two pixels (column, row), or None of a grey file."""
+    with _raster(path) as file:
+        if file.count < 3:
+            return None
+        (first_column, first_row), (column, row) = origin, last
+        part = file.read((1, 2, 3), window=((first_row, row), (first_column, column)))
+    return np.moveaxis(part, 0, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,24 +113,16 @@ class Bands:
 
 def read_bands(path):
     """Read all bands of an image file in the type of the file: a :class:`Bands`."""
-    import rasterio
-
-    path = _checked_path(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        try:
-            with rasterio.open(path) as file:
-                values, tags = file.read(), file.tags() | file.tags(ns="EXIF")
-                bands = [name or str(k) for k, name in enumerate(file.descriptions, start=1)]
-        except rasterio.errors.RasterioError:
-            values = np.zeros(0, complex)
+    with _raster(path) as file:
+        values, tags = file.read(), file.tags() | file.tags(ns="EXIF")
+        bands = [name or str(k) for k, name in enumerate(file.descriptions, start=1)]
     if values.dtype.kind not in "uif":
         raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF.")
-    numbers = [_exif_number(tags.get(f"EXIF_{name}", "")) for name in ("ExposureTime", "FNumber")]
+    numbers = [exif_number(tags.get(f"EXIF_{name}", "")) for name in ("ExposureTime", "FNumber")]
     return Bands(values, bands, tuple(numbers) if all(numbers) else None)
 
 
-def _exif_number(text):
+def exif_number(text):
     """A number as GDAL writes it, in brackets; None for none."""
     try:
         return float(text.strip("() "))

@@ -16,6 +16,7 @@ import pandas as pd
 
 from mmqa_lab import charts
 from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera, Pose
+from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED
 from mmqa_lab.chart_image.rules import blind_name, chart_site, choose_images
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_atomically, write_cloud
@@ -39,6 +40,15 @@ ORIGIN = np.array([2600.0, 341_200.0, 171.0])
 
 HEIGHT_M = 2.0
 """Of boards, cameras and scanners above the ground; not printed."""
+
+CONTROL = ORIGIN + [[3.0, north, height] for north in (0, 10, 20) for height in (0.0, 3.0)]
+"""Control points, which the paper's site has too; places and number are not printed."""
+
+CONTROL_SIGMA_M = 0.003
+"""By which a control point is misread in a cloud."""
+
+CAMERA = {"Make": "mmqa_lab", "FNumber": 8.0, "DateTimeOriginal": "2021:01:12 10:00:00"}
+"""What the images' EXIF says; the paper asks for aperture, date and time (section 4.1)."""
 
 BEFORE_M, AFTER_M = 30.0, 50.0
 """A drive begins and ends so far from the first pair of boards."""
@@ -65,7 +75,9 @@ LEGIBLE_PX = {"a": 11.0, "b": 9.0}
 marks of Table 1."""
 
 JUROR_SIGMA_PX = 0.15
-"""By which simulated jurors differ."""
+"""By which simulated jurors differ; each gives all elements of a photograph one mark."""
+
+JUDGED_NUMBERS = [k for k, (what, _, _) in enumerate(CHECK_LIST, start=1) if what in JUDGED]
 
 
 @dataclass(frozen=True)
@@ -179,7 +191,7 @@ def photographed(drive, boards) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["board", "station"])
 
 
-def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
+def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
     """Write the site, its criteria, and what systems deliver, with the marks of a simulated jury.
 
     Parameters
@@ -189,6 +201,8 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
         Of A, B and C.
     seed : int
     speed_kmh : float
+    images : bool
+        Without them clouds and trajectories alone, which take a tenth of the time.
     """
     folder, boards = Path(folder), site_boards()
     _write_plan(folder, boards)
@@ -198,9 +212,13 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0):
             drive = make_drive(distance, seed=seed + 1000 * ord(system), speed_kmh=speed_kmh)
             place = folder / system / f"drive_{distance:02.0f}m"
             _write_path(place, drive)
+            _write_control(place, drive, seed)
             cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)
             write_cloud(place / "cloud.laz", cloud, scale=0.0001)
-            marks += _write_images(place, VEHICLES[system], drive, boards, seed)
+            if images:
+                marks += _write_images(place, VEHICLES[system], drive, boards, seed)
+    if not images:
+        return
     jury = [f"juror_{number}" for number in (1, 2, 3)]
     table = pd.DataFrame(marks, columns=["crop", *jury]).sort_values("crop")
     _write_table(folder / "marks.csv", table)
@@ -245,14 +263,13 @@ def _write_plan(folder, boards):
         }
         for board in boards.itertuples()
     ]
-    control = [ORIGIN + [3.0, north, height] for north in (0, 10, 20) for height in (0.0, 3.0)]
     site = {
         "crs": CRS,
         "distances_m": list(DISTANCES),
         "oblique_distance_m": OBLIQUE_M,
         "speed_kmh": 40.0,
         "boards": rows,
-        "control_points": [place.tolist() for place in control],
+        "control_points": CONTROL.tolist(),
     }
     text = json.dumps(site, indent=1)
     write_atomically(folder / "site.json", lambda path: path.write_text(text, encoding="utf-8"))
@@ -262,6 +279,35 @@ def _write_path(place, drive):
     """The trajectory that a drive delivers, twenty rows a second."""
     times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
     _write_table(place / "trajectory.csv", _table(drive.reported, times))
+
+
+def _write_control(place, drive, seed):
+    """Control points as read in a drive's cloud: off by what the navigation is where it passes."""
+    rng = np.random.default_rng([seed, int(drive.distance_m)])
+    times = np.interp(CONTROL[:, 1], drive.path.position[:, 1], drive.path.time)
+    off = drive.reported.at(times)[0] - drive.path.at(times)[0]
+    seen = CONTROL + off + CONTROL_SIGMA_M * rng.standard_normal(CONTROL.shape)
+    table = pd.DataFrame(seen.round(4), columns=["easting_m", "northing_m", "height_m"])
+    table.insert(0, "point", np.arange(1, len(table) + 1))
+    _write_table(place / "control.csv", table)
+
+
+def _with_exif(data, camera):
+    """A JPEG with camera, date, aperture and exposure."""
+    from PIL.ExifTags import IFD, Base
+    from PIL.Image import Exif
+
+    exif = Exif()
+    exif[Base.Make], exif[Base.Model] = CAMERA["Make"], f"panorama, {camera.width} columns"
+    exif.get_ifd(IFD.Exif).update(
+        {
+            Base.DateTimeOriginal: CAMERA["DateTimeOriginal"],
+            Base.FNumber: CAMERA["FNumber"],
+            Base.ExposureTime: EXPOSURE_S,
+        }
+    )
+    block = exif.tobytes()
+    return data[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + data[2:]
 
 
 def _write_images(place, vehicle, drive, boards, seed):
@@ -278,11 +324,13 @@ def _write_images(place, vehicle, drive, boards, seed):
         file = f"image_{shot.station:03d}_{number}.jpg"
         quality = [cv2.IMWRITE_JPEG_QUALITY, SENSOR.jpeg_quality]
         data = cv2.imencode(".jpg", photo.image, quality)[1].tobytes()
+        data = _with_exif(data, vehicle.camera)
         write_atomically(place / file, lambda path, data=data: path.write_bytes(data))
         window = {"first_column": photo.origin[0], "first_row": photo.origin[1]}
         rows.append({"file": file, **station, **window, "exposure_s": EXPOSURE_S})
         crop = blind_name(place / file, board["board"])
-        marks.append((crop, *_judged(photo, np.random.default_rng(noise))))
+        given = tuple(_judged(photo, np.random.default_rng(noise)))
+        marks += [(f"{crop}_{number:02d}", *given) for number in JUDGED_NUMBERS]
     _write_table(place / "images.csv", pd.DataFrame(rows))
     camera = json.dumps({"width": vehicle.camera.width})
     write_atomically(place / "camera.json", lambda path: path.write_text(camera, encoding="utf-8"))

@@ -12,16 +12,19 @@ import pandas as pd
 
 from mmqa_lab._checks import check_same_crs
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
-from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, board_frame, board_view
+from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, PLACE, board_frame, board_view
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import CLOUD_ENDINGS
 from mmqa_lab.io.clouds import iterate_cloud
-from mmqa_lab.tender.criteria import qualification, verdicts
+from mmqa_lab.tender.criteria import COVERAGE, qualification, verdicts
 from mmqa_lab.tender.photographs import image_rows
 from mmqa_lab.tender.site import doubt, find_drives
 
 AROUND_M = 0.5
 """Points so far beyond a board's corners are kept with it."""
+
+SPEED_REACH_M = 50.0
+"""So far before and after the board along the path a drive tells how its speed wanders."""
 
 FIGURES = {
     "density": "density_per_m2",
@@ -45,6 +48,7 @@ class Acceptance:
     drives: list = field(default_factory=list)
     clouds: list = field(default_factory=list)
     photographs: list = field(default_factory=list)
+    control: list = field(default_factory=list)
     results: pd.DataFrame = None
     verdicts: dict = field(default_factory=dict)
     summaries: dict = field(default_factory=dict)
@@ -90,8 +94,11 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
     for drive in progress(done.drives):
         rows += _cloud_rows(drive, site, done)
         rows += image_rows(drive, site, marks, done)
+        done.control += _control_rows(drive, site, done)
     if marks is None:
         done.say("jury", "No marks of a jury: no text is judged. Give them with --marks.")
+    elif done.photographs and not any(photo.found["mark"] for photo in done.photographs):
+        done.say("jury", "No mark counts for these photographs: are they another delivery's?")
     rows = sorted(_with_gaps(rows, site, done), key=_place)
     done.results = pd.DataFrame(rows)
     for name, table in criteria.items():
@@ -124,8 +131,9 @@ def _cloud_rows(drive, site, done):
             if view == ALONG:
                 done.say(drive.name, f"No points on the board {board.board!r}.")
             continue
+        part, polygon = points[board.board], chart_polygon(board.corners)
         try:
-            quality = evaluate_cloud(points[board.board], polygon=chart_polygon(board.corners))
+            quality = evaluate_cloud(part, polygon=polygon)
         except ValueError as error:
             done.say(drive.name, f"Board {board.board!r}: {error}")
             continue
@@ -134,20 +142,77 @@ def _cloud_rows(drive, site, done):
         about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
         done.clouds.append((drive, about, quality))
         if view == ALONG:
-            rows += _cloud_figures(drive, quality)
+            rows += _cloud_figures(drive, quality, _by_speed(drive, part, polygon, done))
             for remark in quality.remarks:
                 done.say(drive.name, f"Board {board.board!r}: {remark}")
     return rows
 
 
-def _cloud_figures(drive, quality):
-    """A row for each figure that criteria may name."""
+def _cloud_figures(drive, quality, by_speed):
+    """A row for each figure that criteria may name; intervals of the pattern and of the speed."""
     table = quality.intervals().set_index("figure")
+    reach = by_speed.reindex(table.index, fill_value=0.0)
+    table["low"] = table["value"] - np.hypot(table["value"] - table["low"], reach)
+    table["high"] = table["value"] + np.hypot(table["high"] - table["value"], reach)
     place = {"system": drive.system, "distance_m": drive.distance_m, "view": "", "direction": ""}
     place |= doubt(drive, ALONG)
     return [
         {**place, "quantity": quantity, **table.loc[figure, ["value", "low", "high"]].to_dict()}
         for figure, quantity in FIGURES.items()
+    ]
+
+
+def _by_speed(drive, cloud, polygon, done):
+    """How far each figure is from that at the drive's mean speed, by 1.96 standard deviations.
+
+    The points are shifted along the path to where a slightly faster and slower drive would have
+    laid them; what one image pair gives at once stays as it is.
+    """
+    path = drive.path
+    if "gps_time" not in cloud:
+        done.say(drive.name, "The cloud has no times: its intervals are without the speed's part.")
+        return pd.Series(dtype=float)
+    time = cloud["gps_time"]
+    if time.min() < path["time_s"].min() or time.max() > path["time_s"].max():
+        done.say(drive.name, "The cloud's times are not the trajectory's: no part of the speed.")
+        return pd.Series(dtype=float)
+    at = np.column_stack([np.interp(time, path["time_s"], path[name]) for name in PLACE])
+    shift = COVERAGE * speed_share(path, polygon.mean(axis=0)) * (at - at.mean(axis=0))
+    ends = []
+    for moved in (cloud.points - shift, cloud.points + shift):
+        table = evaluate_cloud(moved, polygon=polygon).intervals()
+        ends.append(table.set_index("figure")["value"])
+    return (ends[1] - ends[0]).abs() / 2
+
+
+def speed_share(path, board):
+    """Standard deviation of the speed over lengths of a board (1 m), as a share of its mean."""
+    places = path[PLACE].to_numpy()
+    travel = places[-1] - places[0]
+    along = (places - board) @ (travel / np.linalg.norm(travel))
+    along = np.maximum.accumulate(along)
+    ends = max(along[0], -SPEED_REACH_M), min(along[-1], SPEED_REACH_M)
+    pace = np.diff(np.interp(np.arange(*ends), along, path["time_s"]))
+    return float(pace.std(ddof=1) / pace.mean())
+
+
+def _control_rows(drive, site, done):
+    """Differences of control points as seen in a drive's data from their survey, mm."""
+    file = drive.folder / "control.csv"
+    if not file.is_file():
+        return []
+    done.files.append(file)
+    try:
+        table = pd.read_csv(file)
+        numbers = table["point"].astype(int)
+        away = table[PLACE].to_numpy(dtype=float) - np.array(site.control)[numbers - 1]
+    except (KeyError, ValueError, IndexError):
+        needed = f"point, 1 to {len(site.control)}, and {', '.join(PLACE)}"
+        done.say(drive.name, f"Invalid control.csv. Must have {needed}, all numbers.")
+        return []
+    return [
+        {"drive": drive.name, "control point": number, **dict(zip(PLACE, 1000 * row, strict=True))}
+        for number, row in zip(numbers, away, strict=True)
     ]
 
 
@@ -170,7 +235,7 @@ def _points_on(boards, drive, site, done):
 def _points_of(file, boards, site):
     """Points near each board in one file; an error where it is in other coordinates."""
     parts, low, high = {}, np.full(3, np.inf), np.full(3, -np.inf)
-    for cloud in iterate_cloud(file, columns=()):
+    for cloud in iterate_cloud(file):
         check_same_crs("cloud", cloud.crs, "site", site.crs)
         low, high = np.fmin(low, cloud.points.min(axis=0)), np.fmax(high, cloud.points.max(axis=0))
         for board in boards.itertuples():
@@ -178,6 +243,8 @@ def _points_of(file, boards, site):
             inside = ((cloud.points >= near[0]) & (cloud.points <= near[1])).all(axis=1)
             if inside.any():
                 parts.setdefault(board.board, []).append(cloud[inside])
+    if np.isinf(low).any():
+        raise ValueError("The cloud has no points.")
     if not parts:
         extent = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in zip(low, high, strict=True))
         raise ValueError(f"The cloud has no points on any board; it extends over {extent} m.")

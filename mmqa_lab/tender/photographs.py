@@ -16,7 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from mmqa_lab.chart_image.evaluation import evaluate_window
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
-from mmqa_lab.chart_image.legibility import TEXT_MM
+from mmqa_lab.chart_image.legibility import (
+    CHECK_LIST,
+    JUDGED,
+    TEXT_MM,
+    colour_fringes,
+    photo_marks,
+)
 from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
 from mmqa_lab.chart_image.rules import (
     ALONG,
@@ -30,7 +36,7 @@ from mmqa_lab.chart_image.rules import (
 )
 from mmqa_lab.charts import LinePairs, Marker
 from mmqa_lab.io import read_grey
-from mmqa_lab.io.images import image_size
+from mmqa_lab.io.images import decode, exif_number, image_size, image_tags, read_colours
 from mmqa_lab.tender.site import Drive, doubt
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -65,13 +71,18 @@ def read_marks(path):
     """Return a jury's marks as ``juror``, ``element``, ``mark``.
 
     The file has ``crop`` and a column for each juror, or the three columns that the form of
-    :mod:`mmqa_lab.widgets` writes. Empty cells are no marks.
+    :mod:`mmqa_lab.widgets` writes. A crop is a photograph, or an element of it with its number in
+    the check list. Empty cells are no marks.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"Invalid marks {path}: no such file. Must exist.")
-    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except ValueError as error:  # empty, or no text
+        raise ValueError(f"Invalid marks {path}: {error}. Must be CSV.") from None
     if "crop" in table:
+        table = table.drop(columns="shows", errors="ignore")
         table = table.melt("crop", var_name="juror", value_name="mark")
         table = table.rename(columns={"crop": "element"})
     missing = {"juror", "element", "mark"} - set(table)
@@ -79,7 +90,21 @@ def read_marks(path):
         raise ValueError(f"Invalid marks {path}: no column {sorted(missing)[0]!r}. Must have one.")
     table = table[table["mark"].str.strip() != ""]
     agreement(table)  # refuses other marks, and two of one juror
+    for name in table["element"].unique():
+        _listed(name)
     return table
+
+
+def _listed(crop):
+    """The photograph of a crop, and its element of the check list; none where it is all of it."""
+    photo, _, number = crop.partition("_")
+    if not number:
+        return photo, ""
+    if not (number.isdigit() and 0 < int(number) <= len(CHECK_LIST)):
+        raise ValueError(
+            f"Invalid crop {crop!r}: element {number}. Must be 1 to {len(CHECK_LIST)}."
+        )
+    return photo, CHECK_LIST[int(number) - 1][0]
 
 
 def image_rows(drive, site, marks, done):
@@ -123,6 +148,7 @@ def _photographs(drive, file, choices, camera, gamma, done):
         except ValueError as error:
             done.say(drive.name, f"Board {board!r}: {error}")
             continue
+        row["shift_mm"] = _shift(choice, quality)
         about = (board, row["view"], choice["distance"], choice["file"], row)
         photos.append(Photograph(drive, *about, quality))
     return photos
@@ -329,6 +355,18 @@ def _evaluated(grey, choice, camera, gamma):
     return evaluate_window(grey, layout, there, gamma=gamma)
 
 
+def _shift(choice, quality):
+    """How far right of and above the place that survey and orientation give a board is seen, mm."""
+    if choice["map"] is None:
+        return None
+    layout = quality.layout
+    middle = np.array([[layout.width / 2, layout.height / 2]])
+    seen = quality.chart_map.pixels(middle) + quality.origin
+    right, down = (seen - choice["map"].pixels(middle))[0]
+    across, upright = quality.chart_map.pixel_sizes_mm(middle)[0]
+    return right * across, -down * upright
+
+
 def _check_board(there, choice):
     """Raise where targets are seen from elsewhere than they should be: those of another board."""
     board, expected = choice["board"], choice["found"]["distance_m"]
@@ -371,21 +409,68 @@ def width_interval(quality, direction):
 def _legibility(photo, place, marks, done):
     """The jury's mark of a photograph; text of 60 mm is as legible where that of 40 mm is."""
     crop = blind_name(photo.file, photo.board)
-    photo.found["crop"] = crop
     pixels = photo.quality.pixel_size("v")[0]
-    photo.found["cap_px"] = TEXT_MM / pixels
+    photo.found.update(crop=crop, cap_px=TEXT_MM / pixels, mark="", marks="", because="")
     rows = {"value": None, "low": np.nan, "high": np.nan}
-    given = [] if marks is None else marks.loc[marks["element"] == crop, "mark"].tolist()
-    if marks is not None and not given:
-        done.say(photo.drive.name, f"Board {photo.board!r}: the jury did not mark crop {crop}.")
-    if given:
-        ranks = sorted(MARKS.index(mark) for mark in given)
-        mark = agreement(marks[marks["element"] == crop]).verdict["mark"].item()
-        rows = {"value": mark, "low": float(ranks[0]), "high": float(ranks[-1])}
-    photo.found.update(mark=rows["value"] or "", marks="".join(sorted(given)))
+    if marks is not None:
+        rows |= _jury(photo, marks, done)
     place = {**place, "direction": ""}
     texts = [{**place, "quantity": "legibility_40mm", **rows}]
     larger = rows if rows["high"] < MARKS.index("c") else dict.fromkeys(rows)
     if photo.view == ALONG:
         texts.append({**place, "quantity": "legibility_60mm", **larger})
     return texts
+
+
+def _jury(photo, marks, done):
+    """Mark of the majority, and the range of the jurors; of elements the worst that counts."""
+    crop = photo.found["crop"]
+    listed = [_listed(name) for name in marks["element"]]
+    own = marks.assign(element=[element for _, element in listed])
+    own = own[[name == crop for name, _ in listed]]
+    own = own[own["element"].isin(["", *JUDGED])]
+    if own.empty:
+        done.say(photo.drive.name, f"Board {photo.board!r}: the jury did not mark crop {crop}.")
+        return {}
+    if (own["element"] == "").any():
+        own = own[own["element"] == ""]
+        mark, because = agreement(own).verdict["mark"].item(), ""
+    else:
+        mark, because = photo_marks(own.assign(photo=crop)).loc[0, ["mark", "because"]]
+    jurors = sorted(own.groupby("juror")["mark"].max())
+    photo.found.update(mark=mark or "", marks="".join(jurors), because=because)
+    if mark is None:
+        where = f" of {because!r}" if because else ""
+        done.say(photo.drive.name, f"Crop {crop}: the jury has no majority{where}, or left it out.")
+        return {}
+    ranks = [MARKS.index(one) for one in (*jurors, mark)]
+    return {"value": mark, "low": float(min(ranks)), "high": float(max(ranks))}
+
+
+def exif_texts(file):
+    """Camera, date, aperture and exposure as the EXIF of an image says them; empty where not."""
+    tags = image_tags(file)
+    camera = " ".join(filter(None, (tags.get("Make", ""), tags.get("Model", ""))))
+    date = tags.get("DateTimeOriginal", tags.get("DateTime", ""))
+    texts = {"camera": camera, "date": date}
+    for name, tag in (("f-number", "FNumber"), ("exposure (s)", "ExposureTime")):
+        number = exif_number(tags.get(tag, ""))
+        texts[name] = "" if number is None else f"{number:g}"
+    return texts
+
+
+def fringes(photo, gamma="srgb"):
+    """Colours of the line pairs at the limit of resolution, by direction; empty of a grey file."""
+    quality = photo.quality
+    last = np.add(quality.origin, quality.image.shape[::-1])
+    colours = read_colours(photo.file, quality.origin, last)
+    if colours is None:
+        return {}
+    values = decode(colours.astype(np.float32) / np.iinfo(colours.dtype).max, gamma)
+    table = colour_fringes(values, quality.layout, quality.chart_map)
+    found = {}
+    for direction, part in table.groupby("direction"):
+        width = quality.resolution(direction).width_mm
+        finer = part[part["width_mm"] <= (np.inf if np.isnan(width) else width)]
+        found[direction] = finer.nlargest(1, "width_mm")["fringe"].iloc[0]
+    return found

@@ -16,15 +16,15 @@ import pandas as pd
 from mmqa_lab import plots
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.chart_cloud import CHART_MARGINS_M
-from mmqa_lab.chart_image.legibility import expected_marks
-from mmqa_lab.chart_image.rules import ALONG
+from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED, check_list, expected_text
+from mmqa_lab.chart_image.rules import ALONG, text_crops
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.run.pages import filled
 from mmqa_lab.tender.acceptance import VIEWS
 from mmqa_lab.tender.criteria import COVERAGE
-from mmqa_lab.tender.photographs import LIMIT_SHARE
+from mmqa_lab.tender.photographs import LIMIT_SHARE, exif_texts, fringes
 from mmqa_lab.tender.site import sha256
 
 LIBRARIES = ("numpy", "scipy", "pandas", "opencv-python-headless", "laspy", "matplotlib")
@@ -41,6 +41,7 @@ PARAMETERS = {
     "factor of sigma_MAD": f"{CONSISTENT_SCALE}",
     "density": "of the selected part of the board (section 3.3)",
     "axes of the quadrants": "principal",
+    "a cloud's intervals": "noise and place of the pattern on the board, and by its speed",
     "tolerance of a drive's distance (m), our own": "0.5",
     "uncertainty of the width at which line pairs vanish": f"{100 * LIMIT_SHARE:g} %",
     "standard deviations of a pixel size in its interval": f"{COVERAGE}",
@@ -183,6 +184,8 @@ def _lines(done, site):
         "800 mm, pairs of lying bars.",
         "Expected marks follow from the pixels per letter, by thresholds fitted to the marks of "
         "Table 1; no verdict uses them.",
+        "Intervals of clouds are for another drive of the system at the same mean speed: they "
+        "contain the pattern's chance on the board and what the speed does as it wanders.",
         "All other figures are measured on the delivered data, after Pfeifer et al. 2021, "
         "doi:10.3390/rs13020237.",
     ]
@@ -198,8 +201,9 @@ def _parts(done, site, criteria, hashes):
     parts["Table 1: image quality (measured)"] = table_1(done)
     parts["Table 2: cloud quality of the chart parallel to the path (measured)"] = table_2(done)
     parts["Drives"] = _drive_table(done)
-    parts["Images"] = _image_table(done)
+    parts |= _image_tables(done)
     parts["Clouds on all point charts"] = _cloud_table(done)
+    parts["Control points: seen minus surveyed"] = _control_table(done)
     for name, table in criteria.items():
         parts[f"Criteria: {name}"] = table.map(_plain)
     parts["Parameters"] = pd.DataFrame(PARAMETERS.items(), columns=["name", "value"])
@@ -261,34 +265,45 @@ def _drive_table(done):
     return pd.DataFrame(rows)
 
 
-def _image_table(done):
-    """Which image counts for which board, from where, and how it was found."""
-    rows = [
-        {
+def _image_tables(done):
+    """Which image counts for which board and how it was found; its EXIF; its texts and colours."""
+    tables = {"Images": [], "Images: camera and remarks": [], "Images: legibility": []}
+    for photo in done.photographs:
+        found = photo.found
+        place = {
             "drive": photo.drive.name,
             "image": photo.file.name,
             "board": photo.board,
             "view": photo.view,
-            "distance (m)": f"{photo.found['distance_m']:.2f}",
-            "off normal (deg)": f"{photo.found['off_normal_deg']:.1f}",
+            "distance (m)": f"{found['distance_m']:.2f}",
+            "off normal (deg)": f"{found['off_normal_deg']:.1f}",
             "found by": photo.quality.chart_map.source,
-            "px per 40 mm": f"{photo.found['cap_px']:.1f}",
-            "crop": photo.found["crop"],
-            "marks": photo.found["marks"],
-            "expected mark": _expected(photo.found["cap_px"]),
-            "remark": photo.quality.to_frame()["remark"].item(),
+            "right, up of survey (mm)": _shift_text(found["shift_mm"]),
         }
-        for photo in done.photographs
-    ]
-    return pd.DataFrame(rows)
+        texts = {
+            "crop": found["crop"],
+            "px per 40 mm": f"{found['cap_px']:.1f}",
+            "marks": found["marks"],
+            "because of": found["because"],
+            "expected mark": expected_text(found["cap_px"]),
+            "colour fringes at the limit": _fringe_text(photo),
+        }
+        said = {**exif_texts(photo.file), "remark": photo.quality.to_frame()["remark"].item()}
+        image = {name: place[name] for name in ("drive", "image")}
+        for name, row in zip(tables, (place, image | said, image | texts), strict=True):
+            tables[name].append(row)
+    return {name: pd.DataFrame(rows) for name, rows in tables.items()}
 
 
-def _expected(cap_px):
-    """The mark that the pixels per letter make expected, with its range where it is open."""
-    if not np.isfinite(cap_px):
-        return ""
-    one = expected_marks(cap_px).iloc[0]
-    return one["mark"] if one["best"] == one["worst"] else f"{one['best']} to {one['worst']}"
+def _shift_text(shift):
+    """How far from its surveyed place a board is seen; empty where no orientation is given."""
+    return "" if shift is None else ", ".join(f"{round(one) + 0:d}" for one in shift)
+
+
+def _fringe_text(photo):
+    """Colours of the finest resolved pairs as shares of the contrast; empty of a grey file."""
+    found = fringes(photo)
+    return ", ".join(f"{direction} {100 * share:.0f} %" for direction, share in found.items())
 
 
 def _cloud_table(done):
@@ -307,6 +322,19 @@ def _cloud_table(done):
         place = {"board": about["board"], "view": about["view"]}
         rows.append({"drive": drive.name, **place, **figures})
     return pd.DataFrame(rows)
+
+
+def _control_table(done):
+    """Differences of each control point, and the root mean square of each drive."""
+    if not done.control:
+        return pd.DataFrame()
+    table = pd.DataFrame(done.control)
+    squares = table.drop(columns="control point").set_index("drive") ** 2
+    rms = np.sqrt(squares.groupby("drive", sort=False).mean()).reset_index()
+    table = pd.concat([table, rms.assign(**{"control point": "root mean square"})])
+    names = {name: name.removesuffix("_m") + " (mm)" for name in table if name.endswith("_m")}
+    numbers = table[list(names)].map("{:.1f}".format).rename(columns=names)
+    return pd.concat([table[["drive", "control point"]].astype(str), numbers], axis=1)
 
 
 def _board_table(site):
@@ -377,18 +405,40 @@ def _encoded(pictures):
 
 
 def _write_crops(done, folder):
-    """Crops under names that tell nothing, and the form for three jurors."""
+    """Crops under names that tell nothing, and the form for three jurors in the list's order."""
+    rows = []
+    for photo in done.photographs:
+        crop, quality = photo.found["crop"], photo.quality
+        _write_picture(folder / f"{crop}.png", quality.image)
+        for number, element, image in _elements(quality):
+            name = f"{crop}_{number:02d}"
+            _write_picture(folder / f"{name}.png", image)
+            rows.append((name, element))
+        if not any(name.startswith(crop) for name, _ in rows):
+            rows.append((crop, "the photograph"))
+    empty = dict.fromkeys(("juror_1", "juror_2", "juror_3"), "")
+    return pd.DataFrame(sorted(rows), columns=["crop", "shows"]).assign(**empty)
+
+
+def _elements(quality):
+    """Number, name and image of the elements that count; none where the chart lacks them."""
+    try:
+        texts = check_list(quality.layout)
+    except ValueError:
+        return
+    numbers = {what: number for number, (what, _, _) in enumerate(CHECK_LIST, start=1)}
+    texts = [text for text in texts if text.name in JUDGED]
+    for crop in text_crops(quality.image, quality.layout, quality.chart_map, texts=texts):
+        yield numbers[crop.name], crop.name, crop.image
+
+
+def _write_picture(file, image):
+    """Linear light as PNG."""
     import cv2
 
-    names = []
-    for photo in done.photographs:
-        grey = np.round(255 * encode(photo.quality.image, "srgb")).astype(np.uint8)
-        data = cv2.imencode(".png", grey)[1].tobytes()
-        names.append(photo.found["crop"])
-        file = folder / f"{names[-1]}.png"
-        write_atomically(file, lambda path, data=data: path.write_bytes(data))
-    empty = dict.fromkeys(("juror_1", "juror_2", "juror_3"), "")
-    return pd.DataFrame({"crop": sorted(names)}).assign(**empty)
+    grey = np.round(255 * np.clip(encode(image, "srgb"), 0, 1)).astype(np.uint8)
+    data = cv2.imencode(".png", grey)[1].tobytes()
+    write_atomically(file, lambda path: path.write_bytes(data))
 
 
 def _write_csv(file, table):

@@ -1,0 +1,207 @@
+"""Acceptances of simulated sites against their truth: write the table of the README.
+
+``python tests/benchmarks/acceptance.py FOLDER`` simulates and judges 20 sites of each of three
+systems, some ten minutes of processor time. What is finished stays in FOLDER, so that a run that
+was stopped goes on. Truth of a cloud's figure is its mean over 40 other drives of the same system
+at the same nominal speed and distance; of a pixel size the camera's geometry; of a pair width what
+the photograph without noise says; of a mark the simulated jury's rule without its scatter.
+"""
+
+import argparse
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import stats
+from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
+from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run.pages import markdown_table, replaced
+from mmqa_lab.simulate import site as simulated
+from mmqa_lab.tender import COVERAGE, published_criteria, verdicts
+from mmqa_lab.tender.acceptance import FIGURES, accept
+from mmqa_lab.tender.criteria import OWN_SET, SETS
+from mmqa_lab.tender.photographs import read_marks
+from mmqa_lab.tender.site import read_site
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+SYSTEMS, OTHERS = "ABC", range(100, 140)
+CLEAN = replace(simulated.SENSOR, noise=0.0, bits=16, jpeg_quality=None)
+PLACE = ["system", "quantity", "distance_m", "view", "direction"]
+PARTS = ("clouds", "images")
+PASSES = ("met", "exempt")
+BARS = {"h": ("bar_horizontal",), "v": ("bar_left", "bar_right")}
+
+
+def cloud_truth(system):
+    """Mean of every figure over many drives, by quantity and distance."""
+    boards = simulated.site_boards()
+    boards = boards[(boards["kind"] == "point") & (boards["view"] == "orthogonal")]
+    polygon, vehicle = chart_polygon(boards["corners"].iloc[0]), simulated.VEHICLES[system]
+    rows = []
+    for seed in OTHERS:
+        for distance in simulated.DISTANCES:
+            drive = simulated.make_drive(distance, seed=seed + 1000 * ord(system))
+            cloud = simulated.drive_cloud(vehicle, drive, boards, seed=seed)
+            stored = np.round(cloud.points, 4)  # as the delivered LAZ
+            found = evaluate_cloud(stored, polygon=polygon).intervals()
+            rows.append(found[["figure", "value"]].assign(distance_m=distance))
+    table = pd.concat(rows).groupby(["figure", "distance_m"])["value"].mean().reset_index()
+    table["quantity"] = table.pop("figure").map(FIGURES)
+    return table.dropna().assign(system=system, view="", direction="")
+
+
+def image_truth(photo, system, seed, boards):
+    """Rows of pixel size, pair width and marks of one photograph."""
+    vehicle, board = simulated.VEHICLES[system], boards.loc[photo.board]
+    drive = simulated.make_drive(photo.drive.distance_m, seed=seed + 1000 * ord(system))
+    time = drive.stations.iloc[int(photo.file.stem.split("_")[1])]["time_s"]
+    there = simulated.station_map(vehicle, drive, time, board)
+    clean = simulated.take_photo(vehicle, drive, time, board, seed=seed, sensor=CLEAN)
+    quality = evaluate_window(clean.image, board.layout, clean.chart_map, gamma="srgb")
+    place = {"system": system, "distance_m": photo.distance_m, "view": photo.view}
+    for direction, names in BARS.items():
+        size = bar_pixel(there, [board.layout[name] for name in names])
+        width = quality.resolution(direction).width_mm
+        width = np.inf if np.isnan(width) else width
+        for quantity, value in (("pixel_mm", size), ("w_mm", width)):
+            yield {**place, "direction": direction, "quantity": quantity, "value": value}
+    pixels = 40 / there.pixel_sizes_mm([[500.0, 500.0]])[0, 1]
+    mark = next((m for m, least in simulated.LEGIBLE_PX.items() if pixels >= least), "c")
+    yield {**place, "direction": "", "quantity": "legibility_40mm", "value": mark}
+    if photo.view == "orthogonal" and mark != "c":
+        yield {**place, "direction": "", "quantity": "legibility_60mm", "value": mark}
+
+
+def bar_pixel(there, bars):
+    """Length of bars over that of their image, from the middles of their ends."""
+    long, seen = 0.0, 0.0
+    for bar in bars:
+        ends = np.array([[bar.x, bar.y], [bar.x + bar.width, bar.y + bar.height]])
+        across = int(bar.height < bar.width)
+        ends[:, across] = ends[:, across].mean()
+        long += np.ptp(ends, axis=0).max()
+        seen += np.linalg.norm(np.diff(there.pixels(ends), axis=0))
+    return long / seen
+
+
+def judged(system, seed, folder, clouds, part):
+    """Figures and verdicts of one site beside their truth, of its clouds or of its images."""
+    site_folder = folder / f"site_{system}_{seed}_{part}"
+    shutil.rmtree(site_folder, ignore_errors=True)
+    simulated.write_site(site_folder, systems=system, seed=seed, images=part == "images")
+    criteria = {name: published_criteria(name) for name in (*SETS, OWN_SET)}
+    marks = read_marks(site_folder / "marks.csv") if part == "images" else None
+    done = accept(site_folder, read_site(site_folder / "site.json"), criteria, marks=marks)
+    boards = simulated.site_boards().set_index("board", drop=False)
+    rows = [row for p in done.photographs for row in image_truth(p, system, seed, boards)]
+    truth = pd.concat([clouds, pd.DataFrame(rows)], ignore_index=True)
+    shutil.rmtree(site_folder)
+    figures = done.results.merge(truth, how="left", on=PLACE, suffixes=("", "_true"))
+    unresolved = truth["value"].map(lambda value: value == np.inf)
+    bounds = truth.assign(low=np.where(unresolved, 40.1, np.nan))
+    bounds["high"] = np.where(unresolved, np.inf, np.nan)
+    bounds["value"] = truth["value"].mask(unresolved, None)
+    found = []
+    for name, table in done.verdicts.items():
+        true = verdicts(criteria[name], bounds)[[*PLACE, "criterion", "margin", "verdict"]]
+        both = table.merge(true, on=[*PLACE, "criterion"], suffixes=("", "_true"))
+        found.append(both.assign(set=name))
+    tables = figures.assign(seed=seed), pd.concat(found).assign(seed=seed)
+    of_clouds = part == "clouds"
+    return [table[table["quantity"].isin(FIGURES.values()) == of_clouds] for table in tables]
+
+
+def coverage(figures):
+    """How often intervals contain the truth, by figure."""
+    rows = []
+    figures = figures[~figures["quantity"].str.startswith("legibility")].copy()
+    for name in ("value", "value_true"):
+        figures[name] = pd.to_numeric(figures[name])
+    reach = (COVERAGE * figures["sigma"]).fillna(0)
+    low = figures["low"].fillna(figures["value"] - reach)
+    high = figures["high"].fillna(figures["value"] + reach)
+    figures["inside"] = (low <= figures["value_true"]) & (figures["value_true"] <= high)
+    for quantity, part in figures.groupby("quantity", sort=False):
+        found = stats.wilson(int(part["inside"].sum()), len(part))
+        ends = {"draws": len(part), "coverage": found.value, "from": found.low, "to": found.high}
+        systems = {f"system {s}": p["inside"].mean() for s, p in part.groupby("system")}
+        rows.append({"figure": quantity, **ends, **systems})
+    table = pd.DataFrame(rows)
+    shares = table.columns.drop(["figure", "draws"])
+    return table.assign(**{name: table[name].map("{:.3f}".format) for name in shares})
+
+
+def agreement(found):
+    """Verdicts beside those from truth, by system."""
+    rows = []
+    open_ones = found["verdict"].isin(["undecided", "not measured"])
+    same = found["verdict"].isin(PASSES) == found["verdict_true"].isin(PASSES)
+    rank = pd.to_numeric(found["margin"], errors="coerce")
+    half = (pd.to_numeric(found["high"]) - pd.to_numeric(found["low"])) / 2
+    clear = found["margin_true"].abs() > half.where(np.isfinite(half), np.inf)
+    for system, part in found.assign(open=open_ones, same=same, rank=rank).groupby("system"):
+        sure = clear.loc[part.index]
+        rows.append(
+            {
+                "system": system,
+                "verdicts": len(part),
+                "as from truth": int((part["same"] & ~part["open"]).sum()),
+                "undecided": int((part["verdict"] == "undecided").sum()),
+                "not measured": int((part["verdict"] == "not measured").sum()),
+                "against truth": int((~part["same"] & ~part["open"]).sum()),
+                "margin beyond the uncertainty": int(sure.sum()),
+                "of these decided as from truth": int((part["same"] & ~part["open"])[sure].sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def unit(options, system, seed, clouds, part):
+    """Tables of one site, kept or simulated; none of what is missing with --finished."""
+    kept = options.folder / f"{system}_{seed:02d}_{part}.json"
+    if not kept.is_file():
+        if options.finished:
+            return []
+        tables = judged(system, seed, options.folder, clouds, part)
+        text = json.dumps([table.to_json(orient="records") for table in tables])
+        write_atomically(kept, lambda path: path.write_text(text))
+        print(kept.stem, flush=True)
+    return [[pd.DataFrame(json.loads(text)) for text in json.loads(kept.read_text())]]
+
+
+def main():
+    """Simulate what is missing, print, and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--systems", default=SYSTEMS, help="only these, and no README")
+    parser.add_argument("--seeds", type=int, default=20, help="sites of each system")
+    parser.add_argument("--finished", action="store_true", help="tables of what is finished")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    tables = []
+    for system in options.systems:
+        kept = options.folder / f"clouds_{system}.csv"
+        if not kept.is_file():
+            table = cloud_truth(system)
+            write_atomically(kept, lambda path, table=table: table.to_csv(path, index=False))
+        clouds = pd.read_csv(kept, keep_default_na=False)
+        for part in PARTS:
+            for seed in range(1, options.seeds + 1):
+                tables += unit(options, system, seed, clouds, part)
+    figures, found = (pd.concat(part, ignore_index=True) for part in zip(*tables, strict=True))
+    shown = [coverage(figures), agreement(found)]
+    print(*(table.to_string(index=False) for table in shown), sep="\n\n")
+    if options.systems == SYSTEMS:
+        text = README.read_text(encoding="utf-8")
+        for name, table in zip(("acceptance", "acceptance verdicts"), shown, strict=True):
+            text = replaced(text, name, markdown_table(table))
+        write_atomically(README, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()
