@@ -32,7 +32,7 @@ PROBES = {
 }
 """What an environment made from these files can import."""
 
-COMPILED = {"lhd": "detection", "map": "_search", "poles": "candidates"}
+COMPILED = {"lhd": "detection", "map": "_search", "poles": "features"}
 """Commands that wait for the compiler when first called, and a module that they compile."""
 
 DESCRIPTION = """\

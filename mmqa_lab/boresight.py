@@ -345,6 +345,13 @@ def _calibration(adjustment, found, values, path_std):
             "std": np.sqrt(np.diag(covariance)),
         }
     )
+    vague = table["std"] > np.tile(np.repeat([FARTHEST_DEG, FARTHEST_M], 3), len(values))
+    if vague.any():
+        head, name, _, std = table[vague].iloc[0]
+        raise ValueError(
+            f"Invalid drives: they leave {name} of head {head + 1} uncertain by {std:.3g}. "
+            "Must run in both directions past walls and poles, with dense points."
+        )
     kinds = [feature.kind for feature in features]
     counts = (kinds.count(kind) for kind in OWN_PARAMETERS)
     sigma0, n = np.sqrt(2 * found.cost / freedom), sum(map(len, features))
@@ -596,7 +603,7 @@ class _Adjustment:
         """Leave out points, and features of which none is left."""
         self.shots = self.shots.select(np.concatenate(near))
         self.features = [
-            _Feature(feature.kind, feature.index[inside], feature.known)
+            replace(feature, index=feature.index[inside])
             for feature, inside in zip(self.features, near, strict=True)
             if inside.any()
         ]
@@ -674,25 +681,33 @@ def _plane_misfits(points, counts):
     return along[:, 0], axes[:, :, 0], basis
 
 
-def _pole_misfit(points, radius=None, steps=12):
+def _pole_misfit(points, radius=None):
     """Distances from the best cylinder, outward normals, derivatives by its parameters.
 
-    With a free radius, noise pushes the two sides of a thin pole apart by a millimetre or two.
+    With a free radius, noise pushes the two sides of a thin pole apart by a millimetre or two. A
+    known one is put in at the end: an arc has a mirrored circle of the same radius behind it.
     """
-    axis = _first_axis(points)
-    free = 5 if radius is None else 4
-    axis[4] = axis[4] if radius is None else radius
     height = points[:, 2] - points[:, 2].mean()
+    axis = _fitted_axis(points, height, _first_axis(points), free=5)
+    free = 5
+    if radius is not None:
+        free, axis[4] = 4, radius
+        axis = _fitted_axis(points, height, axis, free)
+    misfit, way, derivative = _from_axis(points, height, axis)
+    tilt = np.column_stack([way, -(way * axis[2:4]).sum(axis=1)])
+    return misfit, tilt, derivative[:, :free]
+
+
+def _fitted_axis(points, height, axis, free, steps=12):
+    """The axis whose first parameters, as many as are free, fit best."""
     for _ in range(steps):
-        misfit, way, derivative = _from_axis(points, height, axis)
+        misfit, _, derivative = _from_axis(points, height, axis)
         change = np.linalg.lstsq(derivative[:, :free], -misfit, rcond=1e-8)[0]
         axis[:free] += np.clip(change, -0.1, 0.1)
         axis[4] = np.clip(axis[4], 0.01, 0.5)
         if np.abs(change).max() < 1e-8:
             break
-    misfit, way, derivative = _from_axis(points, height, axis)
-    tilt = np.column_stack([way, -(way * axis[2:4]).sum(axis=1)])
-    return misfit, tilt, derivative[:, :free]
+    return axis
 
 
 def _from_axis(points, height, axis):

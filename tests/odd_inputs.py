@@ -77,8 +77,9 @@ def _write_clouds(folder, flat):
     write_cloud(folder / "coarse.laz", Cloud(flat), scale=0.05)
     for name, number in (("a", 25832), ("b", 25833)):
         write_cloud(folder / "mixed" / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
-    timed = Cloud(flat, {"gps_time": np.linspace(0, 5, len(flat))})
-    write_cloud(folder / "timed.laz", timed, scale=1e-4)
+    for name, last in (("timed.laz", 5.0), ("again.laz", 4.0)):
+        timed = Cloud(flat, {"gps_time": np.linspace(0, last, len(flat))})
+        write_cloud(folder / name, timed, scale=1e-4)
     (folder / "blank").mkdir()
     laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "blank" / "e.laz")
     for name in ("laz.ply", "laz.csv", "laz.las"):

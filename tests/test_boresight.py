@@ -8,7 +8,7 @@ import pytest
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
-from mmqa_lab.boresight import calibrate, corrected
+from mmqa_lab.boresight import _pole_misfit, calibrate, corrected
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
@@ -48,6 +48,17 @@ def test_correction_takes_points_to_their_surfaces(found, street, drives):
     after = found.correct(cloud, path).points[on_road, 2] - street.origin[2]
     # 5 mm of range noise is what may be left
     assert np.sqrt(np.mean(after**2)) < 0.006 < np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.parametrize("side", [0, 90, 200])
+def test_an_arc_of_known_radius_lies_on_its_own_side(side):
+    angle = np.radians(side + np.linspace(-60, 60, 40))
+    height = np.tile([0.0, 0.5, 1.0, 1.5], 10)
+    arc = np.column_stack([0.07 * np.cos(angle), 0.07 * np.sin(angle), height])
+    misfit, way, derivative = _pole_misfit(arc, 0.07)
+    assert np.abs(misfit).max() < 1e-6  # the circle behind the arc is 2 cm off
+    assert np.allclose(way[:, :2] * 0.07, arc[:, :2], atol=1e-6)
+    assert derivative.shape == (40, 4)
 
 
 def test_rejects(drives, street):

@@ -59,7 +59,7 @@ def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):
     for said in (True, False):
         assert main(["poles", "nowhere.laz"]) == 2
         assert ("compiles its searches, once" in capsys.readouterr().err) == said
-        (tmp_path / "candidates._seen-66.py311.nbi").touch()
+        (tmp_path / "features._seen-66.py311.nbi").touch()
     for room, module in zip(("planes", "spacing", "poles"), COMPILED.values(), strict=True):
         assert "njit" in Path(find_spec(f"mmqa_lab.{room}.{module}").origin).read_text()
 

@@ -214,15 +214,16 @@ def studies(options):
 
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
+    studies = chosen(options.name)
     several = check_count(options.workers, "workers") > 1
     run = _several_at_once if several else _one_by_one
     outcomes = []
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
     with (
         _filling(folder, STUDIES),
-        tqdm(total=len(chosen(options.name)), unit="study", desc="studies") as bar,
+        tqdm(total=len(studies), unit="study", desc="studies") as bar,
     ):
-        for study, outcome in run(chosen(options.name), folder, options, bar):
+        for study, outcome in run(studies, folder, options, bar):
             outcomes.append(outcome)
             bar.update()
             bar.write(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}")

@@ -469,10 +469,10 @@ def checks(*, edges, stars, sensors, reflectance, block):
     ]
     yield Check(
         "The adjustment removes nine tenths of the differences between images; with ten control "
-        "targets reflectances are right within 1 %.",
-        bool(after < 0.1 * before and rmse < 1),
+        "targets reflectances are right within 2.5 %.",
+        bool(after < 0.1 * before and rmse < 2.5),
         f"variation at ties {before:.2f} % before, {after:.2f} % after; RMSE {rmse:.2f} %",
-        "what is left is noise of 5 x 5 pixels; the controls are known to 0.002",
+        "controls known to 0.002 leave 0.3 to 2.1 % in 24 draws of their errors",
     )
 
 
