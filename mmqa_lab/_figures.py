@@ -179,16 +179,23 @@ def _update_legends(figure, ax, told):
         rows = [row for column in columns for row in column.get_children()]
         for area, text in (row.get_children() for row in rows):
             drawn = named.get(text.get_text())
-            for handle in area.get_children():
-                _look_like(handle, drawn)
+            handles = area.get_children()
+            single = any(isinstance(one, Line2D) and len(one.get_xdata()) == 1 for one in handles)
+            for handle in handles:
+                _look_like(handle, drawn, apart=single)
 
 
-def _look_like(handle, drawn):
-    """Give an artist of a legend the look of what it stands for."""
+def _look_like(handle, drawn, *, apart):
+    """Give an artist of a legend the look of what it stands for.
+
+    Error bars have their mark ``apart``: as one point, beside the line of two.
+    """
     if isinstance(handle, Line2D) and isinstance(drawn, Line2D):
         if handle.get_marker() in CAPS and drawn.get_marker() not in CAPS:
             return
-        handle.set(linestyle=_dashes(drawn), marker=drawn.get_marker())
+        handle.set_linestyle(_dashes(drawn))
+        if not apart or len(handle.get_xdata()) == 1:
+            handle.set_marker(drawn.get_marker())
     elif isinstance(handle, mpl.collections.PathCollection) and isinstance(drawn, type(handle)):
         handle.set_paths(drawn.get_paths())
     elif isinstance(handle, mpl.patches.Patch) and hasattr(drawn, "get_hatch"):

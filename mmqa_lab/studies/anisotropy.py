@@ -231,7 +231,7 @@ def draw_turn(turned, *, ax):
         (line,) = ax.plot(rows["angle_deg"], rows["f"], color=next(colours), label=name)
         ax.plot(93, rows["g"].iloc[0], "<", ms=5, color=line.get_color(), clip_on=False)
     look = {"color": plots.COLOURS["grey"], "lw": 0.8}
-    ax.axhline(expected_f("poisson", 1), ls="--", label="random pattern", **look)
+    ax.axhline(expected_f("poisson", 1), ls="--", label="random, closed form", **look)
     ax.axhline(F0, ls=":", label="threshold f0", **look)
     ax.set(xlabel="axes turned by (degrees)", ylabel="f (lines), g (triangles)", xlim=(0, 95))
     ax.set(xticks=range(0, 91, 15), ylim=(0, None))
