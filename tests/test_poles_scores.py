@@ -123,7 +123,7 @@ def test_diameters_are_compared_where_they_were_measured():
     truth = truth.assign(diameter_base_m=0.20, diameter_top_m=0.10, lean_x=0.0, lean_y=0.0)
     found = table([[0, 0]], z_base_m=[1.0], height_m=[2.0], diameter_m=[0.17])
     # at half height of the detection, 2 m of 8 m, the taper leaves 0.175 m
-    assert poles.score(found, truth).diameter_errors().bias == pytest.approx(-0.005)
+    assert poles.score(found, truth).diameter_residuals().mean() == pytest.approx(-0.005)
 
 
 def test_nothing_found_and_nothing_to_find():

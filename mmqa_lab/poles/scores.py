@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
 from mmqa_lab._polygons import path_distance
-from mmqa_lab.stats import Errors, Rate, errors, wilson
+from mmqa_lab.stats import Rate, wilson
 
 GATE_M = 0.5
 
@@ -199,15 +199,6 @@ class Score:
             chosen = truth["class"].isin(classes).to_numpy()
             hits, truth = hits[chosen], truth[chosen]
         return hits["diameter_m"].to_numpy() - _true_diameter(hits, truth)
-
-    def diameter_errors(self, *, classes: Sequence[str] | None = None) -> Errors:
-        """Return the ``Errors`` of the diameters of hits, metres."""
-        return errors(self.diameter_residuals(classes=classes))
-
-    def position_errors(self) -> Errors:
-        """Return the ``Errors`` of the horizontal distances of hits from the true axes, metres."""
-        hits = self.detections["outcome"] == "hit"
-        return errors(self.detections.loc[hits, "distance_m"])
 
 
 def _true_diameter(hits, truth):
