@@ -90,7 +90,7 @@ class _Around:
 
     def __init__(self, points, table, lines):
         self.lines = lines
-        self.middle = np.ascontiguousarray(table[["x_m", "y_m"]])  # compiled for one layout
+        self.middle = np.array(table[["x_m", "y_m"]], order="C")  # compiled for one kind
         self.lean = table[["lean_x", "lean_y"]].to_numpy()
         self.low, self.length = table["z_base_m"].to_numpy(), table["height_m"].to_numpy()
         self.width = table["diameter_m"].to_numpy()

@@ -564,7 +564,7 @@ def describe_facades(points, height, axes):
     """
     found = rows(tall_cells(points, height))
     out = np.zeros((len(axes), len(FACADE_NAMES)))
-    _facades(found.points, found.start, found.base, axes[:, :2], out)
+    _facades(found.points, found.start, found.base, np.ascontiguousarray(axes[:, :2]), out)
     return out
 
 
