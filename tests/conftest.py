@@ -16,17 +16,50 @@ import pytest
 
 from mmqa_lab import samples
 
+TOGETHER = ("poles", "browser")
+"""Files with these words are one share: one process compiles the detectors, one starts a server."""
+
+SLOW = (
+    *("poles", "[test_field]", "[chart_tables]", "browser", "[image_radiometry]"),
+    *("[repeatability]", "test_lines_edges.py", "[anisotropy]", "[chart_images]", "[mimic]"),
+    *("[lhd_weight]", "[poles]", "test_bench.py", "test_chart_image.py"),
+)
+"""How the names of shares end that take long: they come first, so that all processes end together.
+
+The notebook about poles comes late: by then the detectors are compiled.
+"""
+
+
+def share(nodeid):
+    """What one process tests in one go: a notebook, a file, or files that belong together."""
+    if "test_notebook_runs" in nodeid:
+        return nodeid
+    file = nodeid.split("::")[0]
+    return next((word for word in TOGETHER if word in file), file)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """Put what takes long first."""
+
+    def rank(item):
+        name = share(item.nodeid)
+        return next((k for k, end in enumerate(SLOW) if name.endswith(end)), len(SLOW))
+
+    items.sort(key=rank)
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Let processes share the tests file by file, and the notebooks one by one."""
+    """Let processes take one share after the other."""
     from xdist.scheduler import LoadScopeScheduling
 
-    class ByFile(LoadScopeScheduling):
+    class ByShare(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            return nodeid if "test_notebook_runs" in nodeid else nodeid.split("::")[0]
+            return share(nodeid)
 
-    return ByFile(config, log)
+    config.option.loadscopereorder = False  # by the number of tests
+    return ByShare(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.colors import to_rgb
 
-from mmqa_lab import widgets
+from mmqa_lab import run, widgets
 from mmqa_lab.run import Run
 
 TOUCHING_PX = 1.5
@@ -135,7 +135,11 @@ def grey(colour):
 
 
 def watch(file):
-    """Write what is found in every figure that a run saves or explores to a JSON file."""
+    """Write what is found in every figure that a run saves or explores to a JSON file.
+
+    Figures are saved as PNG alone: other tests save in all forms.
+    """
+    run.FORMATS = ("png",)
     save_figure, explore = Run.save_figure, widgets.explore
     found, seen = {}, []
 
@@ -146,9 +150,9 @@ def watch(file):
         seen.append(name)
         Path(file).write_text(json.dumps({"found": found, "seen": seen}), encoding="utf-8")
 
-    def save(run, figure, name, **choices):
-        save_figure(run, figure, name, **choices)
-        look_at(figure, name, not_redrawn(figure, run.folder / f"{name}_drawn.csv"))
+    def save(self, figure, name, **choices):
+        save_figure(self, figure, name, **choices)
+        look_at(figure, name, not_redrawn(figure, self.folder / f"{name}_drawn.csv"))
 
     def explored(function, **controls):
         figure = explore(function, **controls)

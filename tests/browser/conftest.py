@@ -45,8 +45,6 @@ SETTINGS = {
 """All cells stay in the page; no news pop up."""
 
 NOTEBOOKS = ("02_repeatability", "03_anisotropy")
-
-LONG = ("02_repeatability",)
 """Of these only the cells with controls and what they need: other tests run them whole."""
 
 
@@ -103,8 +101,7 @@ def lab(lab_folder):
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
         inject(notebook, chosen([name])[0].module.QUICK)
-        if name in LONG:
-            notebook.cells = explorers(notebook.cells)
+        notebook.cells = explorers(notebook.cells)
         nbformat.write(notebook, copies / f"{name}.ipynb")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
