@@ -79,7 +79,8 @@ def parser():
             epilog=command.EPILOG,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.add_arguments(one)
+        for names, about in command.ARGUMENTS:
+            one.add_argument(*names, **about)
         one.set_defaults(run=command.run)
     return whole
 

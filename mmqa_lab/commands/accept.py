@@ -25,7 +25,7 @@ system qualifies under the first set of criteria.
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands._output import OUTPUT, option, print_rows, switch, with_progress
 
 SUMMARY = "verdicts and one report on drives past the test site"
 
@@ -43,21 +43,17 @@ SETS = {
 }
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="what was delivered")
-    parser.add_argument("--site", type=Path, metavar="FILE", help="default FOLDER/site.json")
-    parser.add_argument(
-        "--criteria", nargs="+", metavar="CRITERIA", help="files or names, default all four sets"
-    )
-    parser.add_argument("--marks", type=Path, metavar="FILE", help="default FOLDER/marks.csv")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default FOLDER/report")
-    parser.add_argument(
-        "--example", action="store_true", help="make FOLDER by simulation first, then judge it"
-    )
-    parser.add_argument("--systems", default="ABC", help="of the example, default ABC")
-    parser.add_argument("--seed", type=int, default=1, help="of the example, default 1")
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("folder", "FOLDER", "what was delivered", Path),
+    option("--site", "FILE", "default FOLDER/site.json", Path),
+    option("--criteria", "CRITERIA", "files or names, default all four sets", nargs="+"),
+    option("--marks", "FILE", "default FOLDER/marks.csv", Path),
+    option("--out", "FOLDER", "default FOLDER/report", Path),
+    switch("--example", "make FOLDER by simulation first, then judge it"),
+    option("--systems", "SYSTEMS", "of the example, default ABC", str, "ABC"),
+    option("--seed", "SEED", "of the example", int, 1),
+    *OUTPUT,
+)
 
 
 def run(options):

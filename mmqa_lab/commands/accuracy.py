@@ -15,7 +15,7 @@ all together, with the shift in easting and northing kept and removed (equation 
 
 import sys
 
-from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows
+from mmqa_lab.commands._output import OUTPUT, choice, option, output_file, print_rows, switch
 
 SUMMARY = "accuracy of a cloud against surveyed heights or plan positions"
 
@@ -39,33 +39,24 @@ FAR_MM = 1000.0
 UNUSED = ("no_points", "not_surrounded", "slope", "gross_error")
 """Columns that count reference points without a valid difference."""
 
-NUMBERS = (
-    ("--radius", "M", 0.2, "of the surface, 0.2 m (default) where points are dense, 0.5 where not"),
-    ("--slope-limit", "DEG", 20.0, "steeper surfaces do not count, default 20 degrees"),
-    ("--gross-limit", "M", None, "differences farther off do not count; default five NMAD"),
-    ("--thin", "M", None, "take one reference point from each square this wide"),
-    ("--reference-std", "M", None, "standard deviation of the reference's own heights"),
-    ("--gap", "S", 3600.0, "time without points that separates drives, default 3600 s"),
-    ("--search", "M", 0.4, "points of poles and marks lie this near to the target, default 0.4 m"),
+ARGUMENTS = (
+    option("cloud", "CLOUD", "LAS, LAZ, COPC, PLY, PCD, E57 or text"),
+    option("reference", "REFERENCE", "points (CSV, LAS) or raster (GeoTIFF)", nargs="?"),
+    option("--targets", "FILE", "CSV of poles, corners and marks: accuracy in plan"),
+    choice("--slices", ("ours", "report"), "of height above the foot"),
+    option("--classes", "C,C", "take points of these classes only, such as 2,11"),
+    option("--trajectory", "FILE", "CSV of the path: adds the trend over the distance"),
+    option("--radius", "M", "of the surface, 0.5 where points are not dense", float, 0.2),
+    option("--slope-limit", "DEG", "steeper surfaces do not count", float, 20.0),
+    option("--gross-limit", "M", "differences beyond do not count, default five NMAD", float),
+    option("--thin", "M", "take one reference point from each square this wide", float),
+    option("--reference-std", "M", "standard deviation of the reference's own heights", float),
+    option("--gap", "S", "time without points that separates drives", float, 3600.0),
+    option("--search", "M", "points of poles and marks lie this near to the target", float, 0.4),
+    switch("--drives", "each drive on its own, and against the first"),
+    option("--out --differences", "FILE", "write each difference here", output_file),
+    *OUTPUT,
 )
-"""Options that take a number: flag, unit, default, help."""
-
-
-def add_arguments(parser):
-    """Declare the arguments."""
-    add = parser.add_argument
-    add("cloud", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text")
-    add("reference", metavar="REFERENCE", nargs="?", help="points (CSV, LAS) or raster (GeoTIFF)")
-    add("--targets", metavar="FILE", help="CSV of poles, corners and marks: accuracy in plan")
-    add("--slices", choices=("ours", "report"), default="ours", help="of height above the foot")
-    add("--classes", metavar="C,C", help="take points of these classes only, such as 2,11")
-    add("--trajectory", metavar="FILE", help="CSV of the path: adds the trend over the distance")
-    for flag, unit, default, text in NUMBERS:
-        add(flag, type=float, metavar=unit, default=default, help=text)
-    add("--drives", action="store_true", help="each drive on its own, and against the first")
-    differences = {"type": output_file, "metavar": "FILE", "help": "write each difference here"}
-    add("--out", "--differences", **differences)
-    add_output_arguments(parser)
 
 
 def run(options):

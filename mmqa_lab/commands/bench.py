@@ -10,7 +10,7 @@ a run that was interrupted goes on where it stopped.
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, write_figure
+from mmqa_lab.commands._output import OUTPUT, option, print_rows, switch, write_figure
 
 SUMMARY = "compare methods, yours too, on the cases of a study"
 
@@ -21,27 +21,18 @@ example:
 """
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("study", metavar="STUDY", help="stem of a study, such as poles")
-    parser.add_argument(
-        "--method",
-        action="append",
-        default=[],
-        metavar="MODULE:FUNCTION",
-        help="a method of your own; may be given several times",
-    )
-    parser.add_argument("--quick", action="store_true", help="few cases, for a first look")
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes, default %(default)s"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="write results, tables, figures and finished cells there",
-    )
-    add_output_arguments(parser)
+METHODS = {"action": "append", "default": []}
+
+ARGUMENTS = (
+    option("study", "STUDY", "stem of a study, such as poles"),
+    option(
+        "--method", "MODULE:FUNCTION", "a method of your own; may be given several times", **METHODS
+    ),
+    switch("--quick", "few cases, for a first look"),
+    option("--workers", "N", "processes", int, 1),
+    option("--out", "FOLDER", "write results, tables, figures and finished cells there", Path),
+    *OUTPUT,
+)
 
 
 def run(options):

@@ -10,7 +10,7 @@ drive looks like an error of the lever arm; standard errors contain it where --p
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands._output import OUTPUT, choice, option, print_rows, with_progress
 
 SUMMARY = "boresight and lever arms of scan heads from drives in both directions"
 
@@ -23,7 +23,7 @@ Vehicle frame: x right, y travel, z up. Roll is about y, pitch about x, heading 
 heads are told apart by the column head (0, 1, ...) of the clouds.
 """
 
-POLES = "CSV of poles: x, y, z of the foot, roughly, and diameter where it is known to millimetres"
+PATHS = {"nargs": "+", "required": True}
 
 HIGH = 0.95
 """Estimates that correlate more than this can hardly be told apart."""
@@ -31,32 +31,34 @@ HIGH = 0.95
 WEAK = 0.02
 """Degrees or metres: a parameter with a larger standard error is hardly determined."""
 
-
 NO_PATH_STD = (
     "The standard errors do not contain errors of the paths, which can be many times larger: give "
     "--path-std."
 )
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    add = parser.add_argument
-    add("drives", nargs="+", metavar="DRIVE", help="LAS or LAZ with GPS time, one each drive")
-    paths = {"nargs": "+", "required": True, "metavar": "FILE"}
-    add("--trajectory", **paths, help="CSV of the path of each drive, or one of all")
-    add("--time-unit", choices=("s", "ms", "us"), default="s", help="of the trajectories")
-    add("--angle-unit", choices=("degrees", "radians"), default="degrees", help="of the same")
-    arm = "assumed lever arm x,y,z of a head, m; once for each head, default 0,0,0"
-    add("--lever-arm", action="append", metavar="X,Y,Z", help=arm)
-    add("--control", metavar="FILE", help="points of the ground whose heights are known")
-    add("--poles", metavar="FILE", help=POLES)
-    add("--keep", metavar="NAME,NAME", default="", help="parameters that stay as assumed")
-    add("--cell", type=float, default=1.0, metavar="M", help="size of the planes, default 1 m")
-    add("--patches", type=int, default=500, metavar="N", help="most planes used, default 500")
-    path_std = "standard deviations of the paths over a whole drive: metres, degrees"
-    add("--path-std", metavar="M,DEG", help=path_std)
-    add("--out", type=Path, metavar="FOLDER", help="write corrected clouds and covariance here")
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("drives", "DRIVE", "LAS or LAZ with GPS time, one each drive", nargs="+"),
+    option("--trajectory", "FILE", "CSV of the path of each drive, or one of all", **PATHS),
+    choice("--time-unit", ("s", "ms", "us"), "of the trajectories"),
+    choice("--angle-unit", ("degrees", "radians"), "of the same"),
+    option(
+        "--lever-arm",
+        "X,Y,Z",
+        "assumed lever arm of a head, m; once for each head, default 0,0,0",
+        action="append",
+    ),
+    option("--control", "FILE", "points of the ground whose heights are known"),
+    option(
+        "--poles", "FILE", "CSV: x, y, z of the foot, roughly; diameter where known to millimetres"
+    ),
+    option("--keep", "NAME,NAME", "parameters that stay as assumed", str, ""),
+    option("--cell", "M", "size of the planes", float, 1.0),
+    option("--patches", "N", "most planes used", int, 500),
+    option("--path-std", "M,DEG", "standard deviations of the paths over a drive: metres, degrees"),
+    option("--out", "FOLDER", "write corrected clouds and covariance here", Path),
+    *OUTPUT,
+)
 
 
 def run(options):

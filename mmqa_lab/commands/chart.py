@@ -9,7 +9,7 @@ itself is written, for mmqa image --chart.
 
 from functools import partial
 
-from mmqa_lab.commands._output import add_output_arguments, output_file, print_rows
+from mmqa_lab.commands._output import OUTPUT, option, output_file, print_rows, switch
 
 SUMMARY = "write a test chart to print, as PDF or SVG"
 
@@ -22,43 +22,22 @@ example:
 """
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help=".pdf, .svg or .json"
-    )
-    parser.add_argument("--points", action="store_true", help="the point-distribution chart")
-    parser.add_argument(
-        "--revised",
-        action="store_true",
-        help="as the authors advise: pairs of 60 mm, too, and the lying bar black",
-    )
-    parser.add_argument("--bar", choices=("grey", "black"), help="tone of the lying bar: grey")
-    for direction, words in (("h", "standing"), ("v", "lying")):
-        parser.add_argument(
-            f"--widths-{direction}",
-            metavar="MM,MM,...",
-            help=f"widths of the line pairs with {words} bars, from coarse to fine",
-        )
-    parser.add_argument("--no-texts", action="store_true", help="line pairs and bars alone")
-    parser.add_argument("--no-targets", action="store_true", help="without coded targets")
-    parser.add_argument(
-        "--first-target",
-        type=int,
-        metavar="N",
-        help="number of the lower left target, so that charts differ",
-    )
-    parser.add_argument(
-        "--seed", type=int, metavar="N", help="of the point chart's cells, default 0"
-    )
-    parser.add_argument(
-        "--layout", type=output_file, metavar="FILE", help="also write the layout as JSON"
-    )
-    parser.add_argument(
-        "--crop-marks", action="store_true", help="a larger page with marks to cut the chart at"
-    )
-    parser.add_argument("--tiles", choices=("a3", "a4"), help="a page for each part, with marks")
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("--out", "FILE", ".pdf, .svg or .json", output_file, required=True),
+    switch("--points", "the point-distribution chart"),
+    switch("--revised", "as the authors advise: pairs of 60 mm, too, and the lying bar black"),
+    option("--bar", None, "tone of the lying bar: grey", choices=("grey", "black")),
+    option("--widths-h", "MM,MM,...", "widths of line pairs with standing bars, coarse to fine"),
+    option("--widths-v", "MM,MM,...", "widths of line pairs with lying bars, coarse to fine"),
+    switch("--no-texts", "line pairs and bars alone"),
+    switch("--no-targets", "without coded targets"),
+    option("--first-target", "N", "number of the lower left target, so that charts differ", int),
+    option("--seed", "N", "of the point chart's cells, default 0", int),
+    option("--layout", "FILE", "also write the layout as JSON", output_file),
+    switch("--crop-marks", "a larger page with marks to cut the chart at"),
+    option("--tiles", None, "a page for each part, with marks", choices=("a3", "a4")),
+    *OUTPUT,
+)
 
 
 def run(options):

@@ -11,9 +11,13 @@ taken for the surface.
 import argparse
 
 from mmqa_lab.commands._output import (
-    add_output_arguments,
-    output_file,
+    CLOUDS,
+    FIGURE,
+    OUTPUT,
+    SELECTION,
+    option,
     print_rows,
+    switch,
     with_progress,
     write_figure,
 )
@@ -35,74 +39,43 @@ CHOICES = ("polygon", "thickness", "axes", "radius", "rho0", "sectors", "statist
 """Options that are handed on under their names."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
-    )
-    parser.add_argument(
-        "--polygon",
-        metavar="VERTICES",
-        help="CSV or GeoJSON file of 3-D vertices, or 'x,y,z; x,y,z; ...' in metres",
-    )
-    parser.add_argument(
-        "--thickness",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="take points up to this far from the polygon's plane, default %(default)s m",
-    )
-    parser.add_argument(
+def axes(text):
+    """The axes' name, or a number of degrees."""
+    if text in ("principal", "horizontal"):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"Invalid axes {text!r}. Must be principal, horizontal or degrees."
+        ) from None
+
+
+def sectors(text):
+    """A number of sectors, or nearest points."""
+    return int(text) if text.isdigit() else text
+
+
+ARGUMENTS = (
+    CLOUDS,
+    *SELECTION,
+    option(
         "--axes",
-        type=_axes,
-        default="principal",
-        metavar="AXES",
-        help="of the quadrants: principal (default), horizontal, or degrees from principal",
-    )
-    parser.add_argument(
-        "--radius",
-        type=float,
-        default=0.5,
-        metavar="M",
-        help="farther neighbours do not count, default %(default)s m",
-    )
-    parser.add_argument(
-        "--rho0",
-        type=float,
-        metavar="DENSITY",
-        help="density that is asked for, points/m2: says where f does not matter",
-    )
-    parser.add_argument(
-        "--intervals",
-        action="store_true",
-        help="a row for each figure, and for g, with its 95 %% interval",
-    )
-    parser.add_argument(
-        "--sectors",
-        type=_sectors,
-        default=4,
-        metavar="N",
-        help="sectors in place of the 4 quadrants: 6, 8, ..., or 'nearest 8': the 8 nearest points",
-    )
-    parser.add_argument(
-        "--statistic",
-        type=float,
-        default=50.0,
-        metavar="PERCENT",
-        help="percentile of the distances that d1..d4 are, default %(default)g, the median",
-    )
-    parser.add_argument(
-        "--distinct", action="store_true", help="keep one point of those that share a place"
-    )
-    parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
-    parser.add_argument(
-        "--out",
-        "--figure",
-        type=output_file,
-        metavar="FILE",
-        help="draw the last cloud: .pdf, .svg or .png",
-    )
-    add_output_arguments(parser)
+        "AXES",
+        "of the quadrants: principal (default), horizontal, or degrees from principal",
+        axes,
+        "principal",
+    ),
+    option("--radius", "M", "farther neighbours do not count", float, 0.5),
+    option("--rho0", "DENSITY", "points/m2 asked for: says where f does not matter", float),
+    switch("--intervals", "a row for each figure, and for g, with its 95 %% interval"),
+    option("--sectors", "N", "instead of quadrants: 6, 8, ..., or 'nearest 8' points", sectors, 4),
+    option("--statistic", "PERCENT", "percentile of the distances that d1..d4 are", float, 50.0),
+    switch("--distinct", "keep one point of those that share a place"),
+    switch("--paper-scale", "sigma_MAD with 1.4862"),
+    FIGURE,
+    *OUTPUT,
+)
 
 
 def run(options):
@@ -132,20 +105,3 @@ def run(options):
             write_figure(options.out, quality.plot(), title=f"Quality of {options.cloud[-1]}")
     table = pd.concat(rows).drop(columns=LEFT_OUT, errors="ignore")
     print_rows(table, options, upright=None if options.intervals else "file")
-
-
-def _sectors(text):
-    """A number of sectors, or nearest points."""
-    return int(text) if text.isdigit() else text
-
-
-def _axes(text):
-    """The axes' name, or a number of degrees."""
-    if text in ("principal", "horizontal"):
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"Invalid axes {text!r}. Must be principal, horizontal or degrees."
-        ) from None

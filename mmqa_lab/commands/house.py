@@ -4,7 +4,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import OUTPUT, option, print_rows, switch
 
 NO_LIBRARY = ("__main__", "commands", "studies")
 """Modules of the package that make no names public."""
@@ -40,11 +40,6 @@ def completion(options):
     print(shtab.complete(whole, shell=options.shell))
 
 
-def _completion_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), metavar="SHELL")
-
-
 def lab(options):
     """Open JupyterLab with the notebooks.
 
@@ -75,11 +70,6 @@ def lab(options):
     return subprocess.call(command, cwd=root, env=environment)
 
 
-def _lab_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("jupyter", nargs="*", metavar="OPTION", help="handed to jupyter lab")
-
-
 def names(options):
     """List the public names of the library: room, name, and what it is for in a line.
 
@@ -87,12 +77,6 @@ def names(options):
     source: help(mmqa_lab.ROOM.NAME) in Python, or NAME? in a notebook.
     """
     print_rows(name_table(options.word), options)
-
-
-def _names_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("word", nargs="?", default="", metavar="WORD", help="all names if none")
-    add_output_arguments(parser)
 
 
 def name_table(word=""):
@@ -161,12 +145,6 @@ def readme(options):
     return 1 if options.check and not same else 0
 
 
-def _readme_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("--results", type=Path, metavar="FOLDER", help="default notebooks/results")
-    parser.add_argument("--check", action="store_true", help="only say whether it is up to date")
-
-
 def student(options):
     """Write copies of the notebooks for a class: without the answers, with checks of the work.
 
@@ -185,16 +163,6 @@ def student(options):
     if options.sheets:
         paths += write_sheets(studies, options.sheets)
     print(*paths, sep="\n")
-
-
-def _student_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
-    parser.add_argument("--quick", action="store_true", help="small parameters")
-    parser.add_argument(
-        "--sheets", type=Path, metavar="FOLDER", help="handouts and solutions, for the teacher"
-    )
-    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
 
 
 def studies(options):
@@ -309,20 +277,6 @@ def _several_at_once(studies, folder, options, bar):
             raise
 
 
-def _studies_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
-    parser.add_argument("--quick", action="store_true", help="small parameters, for a first look")
-    parser.add_argument(
-        "--resume", action="store_true", help="skip studies that ended with the same code"
-    )
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="of a study; default none")
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="studies at the same time, default 1"
-    )
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default notebooks/results")
-
-
 def test(options):
     """Run the whole test suite: style checks by ruff, then every test on up to four cores.
 
@@ -344,59 +298,83 @@ def test(options):
     return next((status for status in statuses if status), 0)
 
 
-def _test_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("pytest", nargs="*", metavar="OPTION", help="handed to pytest")
-
-
-def _command(run, arguments, summary, *calls):
+def _command(run, summary, *calls, arguments):
     """A command in the form that a module of its own has."""
     example = "\n".join(["example:", *(f"  mmqa {run.__name__} {call}".rstrip() for call in calls)])
     return SimpleNamespace(
-        run=run, add_arguments=arguments, SUMMARY=summary, EPILOG=example, __doc__=run.__doc__
+        run=run, ARGUMENTS=arguments, SUMMARY=summary, EPILOG=example, __doc__=run.__doc__
     )
 
+
+STUDIES = option("name", "NAME", "stems of studies; all if none", nargs="*")
 
 COMMANDS = {
     "completion": _command(
         completion,
-        _completion_arguments,
         "print shell completion for bash, zsh or tcsh",
         "bash > ~/.local/share/bash-completion/completions/mmqa",
         "zsh > ~/.zfunc/_mmqa",
+        arguments=[option("shell", "SHELL", "of yours", choices=("bash", "zsh", "tcsh"))],
     ),
     "lab": _command(
-        lab, _lab_arguments, "open the notebooks in JupyterLab", "", "-- --no-browser --port 8890"
+        lab,
+        "open the notebooks in JupyterLab",
+        "",
+        "-- --no-browser --port 8890",
+        arguments=[option("jupyter", "OPTION", "handed to jupyter lab", nargs="*")],
     ),
     "names": _command(
-        names, _names_arguments, "list the public names of the library", "", "density --json"
+        names,
+        "list the public names of the library",
+        "",
+        "density --json",
+        arguments=[option("word", "WORD", "all names if none", str, "", nargs="?"), *OUTPUT],
     ),
     "readme": _command(
-        readme, _readme_arguments, "insert the studies' answers into the README", "", "--check"
+        readme,
+        "insert the studies' answers into the README",
+        "",
+        "--check",
+        arguments=[
+            option("--results", "FOLDER", "default notebooks/results", Path),
+            switch("--check", "only say whether it is up to date"),
+        ],
     ),
     "student": _command(
         student,
-        _student_arguments,
         "write notebooks without the answers, for students",
         "course",
         "course anisotropy mimic --quick",
         "course --sheets mine",
+        arguments=[
+            option("out", "OUT_FOLDER", "made where missing", Path),
+            switch("--quick", "small parameters"),
+            option("--sheets", "FOLDER", "handouts and solutions, for the teacher", Path),
+            STUDIES,
+        ],
     ),
     "studies": _command(
         studies,
-        _studies_arguments,
         "run the studies and write their tables, figures and pages",
         "",
         "chart_tables anisotropy --quick",
         "--resume --workers 4",
+        arguments=[
+            STUDIES,
+            switch("--quick", "small parameters, for a first look"),
+            switch("--resume", "skip studies that ended with the same code"),
+            option("--timeout", "SECONDS", "of a study; default none", float),
+            option("--workers", "N", "studies at the same time", int, 1),
+            option("--out", "FOLDER", "default notebooks/results", Path),
+        ],
     ),
     "test": _command(
         test,
-        _test_arguments,
         "run the test suite",
         "",
         "-- -k planes",
         "-- --cov --cov-report term-missing",
+        arguments=[option("pytest", "OPTION", "handed to pytest", nargs="*")],
     ),
 }
 """What a module of its own would say of each."""

@@ -20,9 +20,12 @@ corners, four [east, north, height].
 from pathlib import Path
 
 from mmqa_lab.commands._output import (
-    add_output_arguments,
+    FIGURE,
+    OUTPUT,
+    option,
     output_file,
     print_rows,
+    switch,
     with_progress,
     write_figure,
 )
@@ -38,33 +41,18 @@ example:
 """
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("image", nargs="+", metavar="IMAGE", help="JPEG, PNG or TIFF")
-    parser.add_argument(
-        "--chart",
-        default="grey",
-        metavar="LAYOUT",
-        help="grey (default), black, revised, or a JSON file that mmqa chart wrote",
-    )
-    parser.add_argument("--corners", metavar="'X,Y; ...'", help="the chart's corners, pixels")
-    parser.add_argument("--orientation", type=Path, metavar="FILE", help="JSON, see above")
-    parser.add_argument("--panorama", action="store_true", help="equirectangular, 2 : 1")
-    parser.add_argument("--linear", action="store_true", help="grey values are linear in light")
-    parser.add_argument(
-        "--legibility", action="store_true", help="how well text of 40 mm can be read"
-    )
-    parser.add_argument(
-        "--patterns", type=output_file, metavar="FILE", help="write every pattern's reading as CSV"
-    )
-    parser.add_argument(
-        "--out",
-        "--figure",
-        type=output_file,
-        metavar="FILE",
-        help="draw the last image: .pdf, .svg or .png",
-    )
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("image", "IMAGE", "JPEG, PNG or TIFF", nargs="+"),
+    option("--chart", "LAYOUT", "grey (default), black, revised, JSON of mmqa chart", str, "grey"),
+    option("--corners", "'X,Y; ...'", "the chart's corners, pixels"),
+    option("--orientation", "FILE", "JSON, see above", Path),
+    switch("--panorama", "equirectangular, 2 : 1"),
+    switch("--linear", "grey values are linear in light"),
+    switch("--legibility", "how well text of 40 mm can be read"),
+    option("--patterns", "FILE", "write every pattern's reading as CSV", output_file),
+    FIGURE,
+    *OUTPUT,
+)
 
 
 def run(options):

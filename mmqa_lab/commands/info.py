@@ -5,7 +5,7 @@ counted in plan. The remarks say what the file cannot tell, and with it which co
 used on it.
 """
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands._output import CLOUDS, OUTPUT, print_rows, with_progress
 
 SUMMARY = "what a cloud file contains, and what it cannot tell"
 
@@ -28,12 +28,7 @@ MISSING = {
 """What is said of a column that is missing or the same for all points."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
-    )
-    add_output_arguments(parser)
+ARGUMENTS = (CLOUDS, *OUTPUT)
 
 
 def run(options):

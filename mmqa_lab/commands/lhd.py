@@ -11,12 +11,7 @@ displacement vector below it. --out writes the tables, matrices, figures and a p
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import (
-    add_output_arguments,
-    print_json,
-    print_rows,
-    write_rows,
-)
+from mmqa_lab.commands._output import OUTPUT, option, print_json, print_rows, write_rows
 
 SUMMARY = "line-segment Hausdorff distances of edge sets or clouds"
 
@@ -29,54 +24,41 @@ example:
 """
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments", "displaced")
+WITHIN = ("containment", "overlap")
+NORMS = ("pairs", "matched", "all")
 SETTINGS = ("weight", "sensitivity", "matcher", "radius", "rotate", "within", "norm")
 SIZES = ("tolerance", "size", "minimum")
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="file of segments, or a cloud"
-    )
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="the static survey")
-    parser.add_argument(
+ARGUMENTS = (
+    option("files", "FILE", "file of segments, or a cloud", Path, nargs="+"),
+    option("--reference", "FILE", "the static survey", Path),
+    option(
         "--truth",
-        type=Path,
-        metavar="FILE",
-        help="CSV of true pairs: test_set,model_set,test_segment,model_segment, counted from 0",
-    )
-    parser.add_argument(
-        "--settings",
-        type=Path,
-        metavar="FILE",
-        help='JSON of settings by name; of one file: {"C1": {"size": 3}}',
-    )
-    numbers = {
-        "weight": ("W", 10.0, "of the angle"),
-        "sensitivity": ("M", 0.5, "of the peak that gives the threshold"),
-        "radius": ("M", 4.0, "largest displacement that is sought"),
-        "tolerance": ("M", 0.05, "clouds: of a plane, about three times the noise"),
-        "size": ("M", 2.0, "clouds: extent of the smallest plane"),
-        "minimum": ("N", 30, "clouds: points of a plane; its least area grows with the size"),
-    }
-    for name, (unit, value, what) in numbers.items():
-        text = f"{what}, default {value:g}{' m' if unit == 'M' else ''}"
-        parser.add_argument(f"--{name}", type=type(value), metavar=unit, help=text)
-    for name, choices, what in (
-        ("matcher", MATCHERS, "who pairs"),
-        ("rotate", ("test", "shorter"), "the line that is turned"),
-        ("within", ("containment", "overlap"), "when the parallel part vanishes"),
-        ("norm", ("pairs", "matched", "all"), "denominator of equation 7"),
-    ):
-        text = f"{what}, default {choices[0]}"
-        parser.add_argument(f"--{name}", choices=choices, help=text)
-    parser.add_argument(
-        "--out", "--edges", type=Path, metavar="FOLDER", help="write the report and edges there"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the interval, default 0"
-    )
-    add_output_arguments(parser)
+        "FILE",
+        "CSV of true pairs: test_set,model_set,test_segment,model_segment, from 0",
+        Path,
+    ),
+    option("--settings", "FILE", 'settings by name as JSON; of one: {"C1": {"size": 3}}', Path),
+    option("--weight", "W", "of the angle, default 10", float),
+    option("--sensitivity", "M", "of the peak that gives the threshold, default 0.5 m", float),
+    option("--radius", "M", "largest displacement that is sought, default 4 m", float),
+    option("--tolerance", "M", "clouds: of a plane, three times the noise, default 0.05 m", float),
+    option("--size", "M", "clouds: extent of the smallest plane, default 2 m", float),
+    option(
+        "--minimum",
+        "N",
+        "clouds: points of a plane; its least area grows with the size, default 30",
+        int,
+    ),
+    option("--matcher", None, "who pairs, default all", choices=MATCHERS),
+    option("--rotate", None, "line that is turned, default test", choices=("test", "shorter")),
+    option("--within", None, "where the parallel part is 0, default containment", choices=WITHIN),
+    option("--norm", None, "denominator of equation 7, default pairs", choices=NORMS),
+    option("--out --edges", "FOLDER", "write the report and edges there", Path),
+    option("--seed", "N", "of the interval", int, 0),
+    *OUTPUT,
+)
 
 
 def run(options):

@@ -14,7 +14,7 @@ the summary says so, and how much area without points lies inside the map.
 import argparse
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import OUTPUT, choice, option, print_rows
 
 SUMMARY = "density, spacing, f and sigma_MAD of a whole campaign, cell by cell"
 
@@ -36,50 +36,45 @@ IN_MEMORY = 2**30
 METRICS = ("density", "linear_point_distance", "spacing", "f", "sigma_mad", "void_share")
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD_OR_FOLDER", help="LAS, LAZ or COPC")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".nc, .zarr, .tif")
-    parser.add_argument(
-        "--metrics", type=_names, default=METRICS, metavar="A,B", help=f"of {', '.join(METRICS)}"
-    )
-    lengths = {
-        "cell": (0.5, "side of the cells"),
-        "radius": (0.5, "farther neighbours do not count"),
-        "thickness": (0.1, "neighbours lie this near to the tangent plane"),
-        "void": (0.1, "side of the squares that count as void when empty"),
-    }
-    for name, (value, meaning) in lengths.items():
-        parser.add_argument(
-            f"--{name}",
-            type=float,
-            default=value,
-            metavar="M",
-            help=f"{meaning}, default %(default)s m",
-        )
-    parser.add_argument(
-        "--surface", choices=("local", "horizontal"), default="local", help="to measure spacing in"
-    )
-    parser.add_argument(
+def names(text):
+    """Names between commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def thresholds(text):
+    """Pairs NAME=VALUE between commas."""
+    try:
+        pairs = [pair.split("=") for pair in text.split(",")]
+        return {name.strip(): float(value) for name, value in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"Invalid thresholds {text!r}. Must be NAME=VALUE,NAME=VALUE,..."
+        ) from None
+
+
+ARGUMENTS = (
+    option("cloud", "CLOUD_OR_FOLDER", "LAS, LAZ or COPC", nargs="+"),
+    option("--out", "FILE", ".nc, .zarr, .tif", Path, required=True),
+    option("--metrics", "A,B", f"of {', '.join(METRICS)}", names, METRICS),
+    option("--cell", "M", "side of the cells", float, 0.5),
+    option("--radius", "M", "farther neighbours do not count", float, 0.5),
+    option("--thickness", "M", "neighbours lie this near to the tangent plane", float, 0.1),
+    option("--void", "M", "side of the squares that count as void when empty", float, 0.1),
+    choice("--surface", ("local", "horizontal"), "to measure spacing in"),
+    option(
         "--below",
-        type=_thresholds,
-        default={},
-        metavar="NAME=VALUE,...",
-        help="report the share of the area below these values, as density=1000,f=2",
-    )
-    parser.add_argument(
-        "--rho0",
-        type=float,
-        metavar="DENSITY",
-        help="density that is asked for, points/m2: map where f does not matter",
-    )
-    parser.add_argument("--crs", metavar="EPSG:N", help="of the files, where they do not say")
-    parser.add_argument(
-        "--tile", type=float, metavar="M", help="side of the tiles; changes no result"
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes, default one per core")
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a running Dask cluster")
-    add_output_arguments(parser)
+        "NAME=VALUE,...",
+        "report the share of the area below these, as density=1000,f=2",
+        thresholds,
+        {},
+    ),
+    option("--rho0", "DENSITY", "points/m2 asked for: map where f does not matter", float),
+    option("--crs", "EPSG:N", "of the files, where they do not say"),
+    option("--tile", "M", "side of the tiles; changes no result", float),
+    option("--workers", "N", "processes, default one per core", int),
+    option("--scheduler", "tcp://HOST:PORT", "of a running Dask cluster"),
+    *OUTPUT,
+)
 
 
 def run(options):
@@ -135,19 +130,3 @@ def _about(outcome, dataset):
         *(f"{name}: {value}" for name, value in dataset.attrs.items()),
     ]
     return {"title": f"Map {outcome.folder.stem}", "lines": lines}
-
-
-def _names(text):
-    """Names between commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _thresholds(text):
-    """Pairs NAME=VALUE between commas."""
-    try:
-        pairs = [pair.split("=") for pair in text.split(",")]
-        return {name.strip(): float(value) for name, value in pairs}
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"Invalid thresholds {text!r}. Must be NAME=VALUE,NAME=VALUE,..."
-        ) from None

@@ -7,7 +7,15 @@ One patch, one pass of one scanner head; without --polygon the whole cloud is ta
 After Cahalane et al. 2014 (doi 10.3390/s140609471), section 4, who clicked.
 """
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands._output import (
+    CLOUDS,
+    OUTPUT,
+    SELECTION,
+    option,
+    print_rows,
+    switch,
+    with_progress,
+)
 
 SUMMARY = "profile spacing, profile angle and point spacing in a cloud"
 
@@ -18,25 +26,14 @@ example:
 """
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY or text")
-    parser.add_argument(
-        "--polygon",
-        metavar="VERTICES",
-        help="CSV or GeoJSON file of 3-D vertices, or 'x,y,z; x,y,z; ...' in metres",
-    )
-    parser.add_argument(
-        "--thickness",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="take points up to this far from the polygon's plane, default %(default)s m",
-    )
-    parser.add_argument("--alone", action="store_true", help="use neither times nor scan lines")
-    for flag, text in (("--mirror-frequency", "revolutions"), ("--pulse-rate", "pulses")):
-        parser.add_argument(flag, type=float, metavar="HZ", help=f"{text} a second, if known")
-    add_output_arguments(parser)
+ARGUMENTS = (
+    CLOUDS,
+    *SELECTION,
+    switch("--alone", "use neither times nor scan lines"),
+    option("--mirror-frequency", "HZ", "revolutions a second, if known", float),
+    option("--pulse-rate", "HZ", "pulses a second, if known", float),
+    *OUTPUT,
+)
 
 
 def run(options):

@@ -11,7 +11,14 @@ After Cahalane et al. 2014 (doi 10.3390/s140609471), with the motion during a re
 import argparse
 import warnings
 
-from mmqa_lab.commands._output import add_output_arguments, print_json, print_rows, write_rows
+from mmqa_lab.commands._output import (
+    OUTPUT,
+    option,
+    print_json,
+    print_rows,
+    switch,
+    write_rows,
+)
 
 SUMMARY = "profile spacing, point spacing, density and f of a scan before it is driven"
 
@@ -27,64 +34,65 @@ example:
 """
 
 SETUP = {
-    "pulse_rate": ("pulse_rate_hz", "pulses per second"),
-    "mirror_frequency": ("mirror_frequency_hz", "revolutions of the mirror per second"),
-    "speed": ("speed_m_s", "speed of the vehicle"),
-    "scanner_heading": ("scanner_heading_deg", "scan plane turned about the vertical, default 0"),
-    "scanner_tilt": ("scanner_tilt_deg", "scan plane tilted about X, default 0"),
+    "pulse_rate": "pulse_rate_hz",
+    "mirror_frequency": "mirror_frequency_hz",
+    "speed": "speed_m_s",
+    "scanner_heading": "scanner_heading_deg",
+    "scanner_tilt": "scanner_tilt_deg",
 }
-"""Options that describe the set-up: fields of ``ScanSetup`` and what they are."""
+"""Options that describe the set-up, and the fields of ``ScanSetup`` that they give."""
+
+SCANNERS = "zf-9012, roamer, vq-250, vq-450, lynx-m1, lynx-m1-second"
+HEADS = "roamer, vmx-250, streetmapper-360, lynx, xp1, lynx-m1"
 
 GRAZING_DEG = 85.0
 """Incidence beyond which neighbouring points lie too far apart for a prediction at one point."""
 
-UNITS = {"_hz": "HZ", "_m_s": "M/S", "_deg": "DEG"}
+
+def limit(text):
+    """A quantity and its limit from ``quantity=limit``."""
+    quantity, _, value = text.partition("=")
+    try:
+        return quantity, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"Invalid limit {text!r}. Must be a quantity and a number, like density_per_m2=3000."
+        ) from None
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    for name, (field, text) in SETUP.items():
-        unit = next(unit for ending, unit in UNITS.items() if field.endswith(ending))
-        parser.add_argument(_flag(name), type=float, metavar=unit, help=text)
-    number = {"type": float, "default": 0.0}
-    parser.add_argument("--target-heading", metavar="DEG", help="default 0", **number)
-    parser.add_argument("--target-tilt", metavar="DEG", help="default 0", **number)
-    parser.add_argument(
-        "--range", type=float, required=True, metavar="M", help="X of the target at scanner height"
-    )
-    parser.add_argument(
-        "--height-difference", metavar="M", help="above the scanner, default 0", **number
-    )
-    presets = parser.add_mutually_exclusive_group()
-    presets.add_argument(
-        "--scanner",
-        metavar="PRESET",
-        help="a profile scanner by name: zf-9012, roamer, vq-250, vq-450, lynx-m1, lynx-m1-second",
-    )
-    presets.add_argument(
-        "--system",
-        metavar="NAME",
-        help="all heads of a system: roamer, vmx-250, streetmapper-360, lynx, xp1, lynx-m1; "
-        "the range is that from each head",
-    )
-    parser.add_argument(
+OF_ONE = ("sigma", "sensitivities", "largest_speed")
+"""Options that a whole system does not take."""
+
+SIGMA = {"action": "append", "default": []}
+
+ARGUMENTS = (
+    option("--pulse-rate", "HZ", "pulses per second", float),
+    option("--mirror-frequency", "HZ", "revolutions of the mirror per second", float),
+    option("--speed", "M/S", "speed of the vehicle", float),
+    option("--scanner-heading", "DEG", "scan plane turned about the vertical, default 0", float),
+    option("--scanner-tilt", "DEG", "scan plane tilted about X, default 0", float),
+    option("--target-heading", "DEG", "of the target", float, 0.0),
+    option("--target-tilt", "DEG", "of the target", float, 0.0),
+    option("--range", "M", "X of the target at scanner height", float, required=True),
+    option("--height-difference", "M", "above the scanner", float, 0.0),
+    option("--scanner", "PRESET", f"a profile scanner by name: {SCANNERS}"),
+    option("--system", "NAME", f"all heads of a system, range from each head: {HEADS}"),
+    option(
         "--sigma",
-        type=_limit,
-        action="append",
-        default=[],
-        metavar="INPUT=STD",
-        help="standard deviation of an input, such as speed_m_s=0.1; may be given several times",
-    )
-    parser.add_argument(
-        "--sensitivities", action="store_true", help="add the change of each figure per input"
-    )
-    parser.add_argument(
+        "INPUT=STD",
+        "standard deviation of an input, such as speed_m_s=0.1; may be given several times",
+        limit,
+        **SIGMA,
+    ),
+    switch("--sensitivities", "add the change of each figure per input"),
+    option(
         "--largest-speed",
-        type=_limit,
-        metavar="QUANTITY=LIMIT",
-        help="predict at the largest speed that keeps the limit, and name it",
-    )
-    add_output_arguments(parser)
+        "QUANTITY=LIMIT",
+        "predict at the largest speed that keeps the limit, and name it",
+        limit,
+    ),
+    *OUTPUT,
+)
 
 
 def run(options):
@@ -148,8 +156,8 @@ def _of_system(target, options):
 
     from mmqa_lab.scan_pattern import ScanSetup
 
-    others = [_flag(name) for name in (*SETUP, "sigma", "sensitivities", "largest_speed")
-              if name != "speed" and getattr(options, name)]  # fmt: skip
+    alone = [name for name in (*SETUP, "scanner", *OF_ONE) if name != "speed"]
+    others = [_flag(name) for name in alone if getattr(options, name)]
     if others:
         raise ValueError(f"Invalid {others[0]} with --system. Must be used with --scanner.")
     if options.speed is None:
@@ -211,7 +219,7 @@ def _setup(options):
         if name not in given:
             preset = "" if name == "speed" else ", or a preset with --scanner"
             raise ValueError(f"Invalid plan without {_flag(name)}. Must have it{preset}.")
-    values = {SETUP[name][0]: value for name, value in given.items()}
+    values = {SETUP[name]: value for name, value in given.items()}
     if scanner is None:
         return ScanSetup(**values)
     return replace(ScanSetup.of_scanner(scanner, speed_m_s=1.0), **values)
@@ -230,14 +238,3 @@ def _preset(name):
 
     profilers = {key: s for key, s in PRESETS.items() if isinstance(s, ProfileScanner)}
     return profilers[check_choice(name, "scanner", tuple(profilers))]
-
-
-def _limit(text):
-    """A quantity and its limit from ``quantity=limit``."""
-    quantity, _, limit = text.partition("=")
-    try:
-        return quantity, float(limit)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"Invalid limit {text!r}. Must be a quantity and a number, like density_per_m2=3000."
-        ) from None

@@ -20,10 +20,14 @@ import sys
 from pathlib import Path
 
 from mmqa_lab.commands._output import (
-    add_output_arguments,
+    CLOUDS,
+    OUTPUT,
+    choice,
+    option,
     output_file,
     print_json,
     print_rows,
+    switch,
     with_progress,
     write_rows,
 )
@@ -49,42 +53,26 @@ TILE_M = 100.0
 """Clouds with more points are searched in squares of that side."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
-    )
-    parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
-    parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
-    parser.add_argument(
+ARGUMENTS = (
+    CLOUDS,
+    choice("--method", ("ours", "fgi", "itc"), "see above"),
+    option("--trajectory", "FILE", "positions; clips the cloud"),
+    option(
         "--corridor",
-        type=float,
-        metavar="M",
-        help="half width about the trajectory, default 15 m for itc and 30 m for the others",
-    )
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="CSV of known poles")
-    parser.add_argument(
-        "--gate", type=float, default=0.5, metavar="M", help="of a match, default %(default)s m"
-    )
-    parser.add_argument(
-        "--explain", action="store_true", help="list every candidate and what rejected it"
-    )
-    parser.add_argument(
-        "--out",
-        "--geojson",
-        type=output_file,
-        metavar="FILE",
-        help="write the poles as .csv, .geojson or .gpkg",
-    )
-    parser.add_argument("--crs", metavar="EPSG:N", help="of the clouds, where they do not say")
-    parser.add_argument("--report", type=output_file, metavar="FILE", help="a page to check them")
-    parser.add_argument(
-        "--decisions", type=Path, metavar="FILE", help="of a page: leave out what was rejected"
-    )
-    parser.add_argument(
-        "--tile", type=float, metavar="M", help="side of the squares that are searched in turn"
-    )
-    add_output_arguments(parser)
+        "M",
+        "half width about the trajectory, default 15 m for itc and 30 m for the others",
+        float,
+    ),
+    option("--reference", "FILE", "CSV of known poles", Path),
+    option("--gate", "M", "of a match", float, 0.5),
+    switch("--explain", "list every candidate and what rejected it"),
+    option("--out --geojson", "FILE", "write the poles as .csv, .geojson or .gpkg", output_file),
+    option("--crs", "EPSG:N", "of the clouds, where they do not say"),
+    option("--report", "FILE", "a page to check them", output_file),
+    option("--decisions", "FILE", "of a page: leave out what was rejected", Path),
+    option("--tile", "M", "side of the squares that are searched in turn", float),
+    *OUTPUT,
+)
 
 
 def run(options):

@@ -33,7 +33,7 @@ without the column a target is in every image), name.
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands._output import OUTPUT, option, print_rows, switch, with_progress
 
 SUMMARY = "resolution, calibration and reflectance of images with several bands"
 
@@ -66,21 +66,21 @@ ROUNDING_DN = 12**-0.5
 """Standard deviation that rounding alone gives a pixel."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("measure", choices=tuple(NEEDED), help="what to measure, see above")
-    parser.add_argument("image", nargs="+", metavar="IMAGE", help="JPEG, PNG or TIFF")
-    parser.add_argument("--targets", type=Path, metavar="FILE", help="CSV, see above")
-    parser.add_argument("--linear", action="store_true", help="8-bit values are linear in light")
-    parser.add_argument("--gsd-cm", type=float, metavar="CM", help="size of a pixel on the ground")
-    parser.add_argument("--pixel-um", type=float, metavar="UM", help="size of a detector pixel")
-    parser.add_argument("--over-image", action="store_true", help="regression over the image")
-    parser.add_argument("--through-zero", action="store_true", help="calibrate without offset")
-    parser.add_argument("--radiance", metavar="FILE", help="image of known radiance, see above")
-    parser.add_argument("--even", action="store_true", help="images of even ground, see above")
-    parser.add_argument("--dark-pixel", action="store_true", help="darkest pixels as reference")
-    parser.add_argument("--repeatability", action="store_true", help="over images and heights")
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("measure", None, "what to measure, see above", choices=tuple(NEEDED)),
+    option("image", "IMAGE", "JPEG, PNG or TIFF", nargs="+"),
+    option("--targets", "FILE", "CSV, see above", Path),
+    switch("--linear", "8-bit values are linear in light"),
+    option("--gsd-cm", "CM", "size of a pixel on the ground", float),
+    option("--pixel-um", "UM", "size of a detector pixel", float),
+    switch("--over-image", "regression over the image"),
+    switch("--through-zero", "calibrate without offset"),
+    option("--radiance", "FILE", "image of known radiance, see above"),
+    switch("--even", "images of even ground, see above"),
+    switch("--dark-pixel", "darkest pixels as reference"),
+    switch("--repeatability", "over images and heights"),
+    *OUTPUT,
+)
 
 
 def run(options):

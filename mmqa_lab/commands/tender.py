@@ -14,10 +14,9 @@ RESULTS may be pfeifer2021, their Tables 1 and 2; pfeifer2021:pixels judges text
 pixels; pfeifer2021:repeated adds the repeatability that they print.
 """
 
-import argparse
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands._output import OUTPUT, option, print_rows, switch
 
 SUMMARY = "verdict per system and criterion, with margin and uncertainty"
 
@@ -28,23 +27,13 @@ example:
 """
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("criteria", metavar="CRITERIA", help="CSV or JSON file")
-    parser.add_argument("results", metavar="RESULTS", help="CSV or JSON file")
-    parser.add_argument(
-        "--details",
-        action=argparse.BooleanOptionalAction,
-        default=False,
-        help="a row per figure instead of one per system",
-    )
-    parser.add_argument(
-        "--rho0",
-        type=float,
-        metavar="POINTS",
-        help="density that is asked for, points per m2, from which the exemption of f follows",
-    )
-    add_output_arguments(parser)
+ARGUMENTS = (
+    option("criteria", "CRITERIA", "CSV or JSON file"),
+    option("results", "RESULTS", "CSV or JSON file"),
+    switch("--details", "a row per figure instead of one per system"),
+    option("--rho0", "POINTS", "density that is asked for, points per m2: exempts f", float),
+    *OUTPUT,
+)
 
 
 def run(options):
