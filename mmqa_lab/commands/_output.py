@@ -1,58 +1,11 @@
 """What all commands share: what is printed, what is written, what is said meanwhile."""
 
-import argparse
 import re
 import sys
 import textwrap
-from pathlib import Path
 
 PLACE = re.compile(r"([xyz]|easting|northing)(_low|_high|_base)?_m")
 """Columns of coordinates, which are printed to centimetres: they have more than four figures."""
-
-
-def output_file(text):
-    """A file to write to; a folder of that name is refused before any work."""
-    if Path(text).is_dir():
-        raise argparse.ArgumentTypeError(f"Invalid file {text}: a folder. Must be a file.")
-    return Path(text)
-
-
-def option(names, metavar, text, kind=str, default=None, **more):
-    """An argument with a value, as argparse takes it: its names, and the rest; help says a number's
-    default with its unit."""
-    if kind in (float, int) and default is not None:
-        text += f", default {default:g}{UNITS.get(metavar, '')}"
-    about = {"metavar": metavar, "help": text, "type": kind, "default": default}
-    return names.split(), about | more
-
-
-def choice(names, choices, text):
-    """An argument with one of a few values, the first where it is not given."""
-    text = f"{text}, default {choices[0]}"
-    return names.split(), {"choices": choices, "default": choices[0], "help": text}
-
-
-def switch(names, text):
-    """An argument without a value."""
-    return names.split(), {"action": "store_true", "help": text}
-
-
-UNITS = {"M": " m", "S": " s", "DEG": " degrees"}
-"""What is said behind a default, by the argument's metavar."""
-
-OUTPUT = (
-    switch("--json", "print JSON instead of a table"),
-    option("--csv", "FILE", "also write the rows to this file", output_file),
-)
-
-CLOUDS = option("cloud", "CLOUD", "LAS, LAZ, COPC, PLY, PCD, E57 or text", nargs="+")
-
-SELECTION = (
-    option("--polygon", "VERTICES", "CSV or GeoJSON of 3-D vertices, m, or 'x,y,z; x,y,z; ...'"),
-    option("--thickness", "M", "take points up to this far from the polygon's plane", float, 0.1),
-)
-
-FIGURE = option("--out --figure", "FILE", "draw the last one: .pdf, .svg or .png", output_file)
 
 
 def with_progress(items, unit):

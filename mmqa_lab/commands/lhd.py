@@ -1,36 +1,27 @@
-"""Line-segment Hausdorff distances between sets of 3-D edges, both ways.
-
-FILES are two or more sets: files of segments (CSV with x1,y1,z1,x2,y2,z2 in metres, a line each,
-header optional; GeoJSON; DXF where ezdxf is installed) or clouds (LAS, LAZ, COPC, PLY), whose edges
-are extracted first: planes are detected and adjacent ones intersected. Every set is compared with
-every other, and with --reference. The published method pairs all segments below a threshold
-(--matcher all, Poreba & Goulette 2013, hal-00846334). The value contains the noise of angles and
-ends and false pairs as well as displacement: compare it with the perpendicular part and the
-displacement vector below it. --out writes the tables, matrices, figures and a page.
-"""
+"""Distances between sets of 3-D edges."""
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import OUTPUT, option, print_json, print_rows, write_rows
+from mmqa_lab.commands import OUTPUT, Lazy, command, option
+from mmqa_lab.commands._output import print_json, print_rows, write_rows
 
-SUMMARY = "line-segment Hausdorff distances of edge sets or clouds"
-
-EPILOG = """\
-example:
-  mmqa lhd course.csv reference.csv
-  mmqa lhd course.csv reference.csv --matcher displaced --json
-  mmqa lhd course.laz reference.laz --tolerance 0.05 --size 2 --out edges
-  mmqa lhd C1.laz C2.laz C3.laz --reference TLS.laz --truth pairs.csv --out report
-"""
+pd = Lazy("pandas")
+checks = Lazy("mmqa_lab._checks")
+comparisons = Lazy("mmqa_lab.lines.comparisons")
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments", "displaced")
+
 WITHIN = ("containment", "overlap")
+
 NORMS = ("pairs", "matched", "all")
+
 SETTINGS = ("weight", "sensitivity", "matcher", "radius", "rotate", "within", "norm")
+
 SIZES = ("tolerance", "size", "minimum")
 
 
-ARGUMENTS = (
+@command(
+    "line-segment Hausdorff distances of edge sets or clouds",
     option("files", "FILE", "file of segments, or a cloud", Path, nargs="+"),
     option("--reference", "FILE", "the static survey", Path),
     option(
@@ -58,23 +49,33 @@ ARGUMENTS = (
     option("--out --edges", "FOLDER", "write the report and edges there", Path),
     option("--seed", "N", "of the interval", int, 0),
     *OUTPUT,
+    examples=(
+        "course.csv reference.csv",
+        "course.csv reference.csv --matcher displaced --json",
+        "course.laz reference.laz --tolerance 0.05 --size 2 --out edges",
+        "C1.laz C2.laz C3.laz --reference TLS.laz --truth pairs.csv --out report",
+    ),
 )
+def lhd(options):
+    """Line-segment Hausdorff distances between sets of 3-D edges, both ways.
 
-
-def run(options):
-    """Read or extract all sets, compare, print and write."""
-    from mmqa_lab._checks import check_count
-    from mmqa_lab.lines.comparisons import read_settings, study, write_report
-
-    check_count(options.seed, "seed", low=0)
-    settings = read_settings(options.settings)
+    FILES are two or more sets: files of segments (CSV with x1,y1,z1,x2,y2,z2 in metres, a line
+    each, header optional; GeoJSON; DXF where ezdxf is installed) or clouds (LAS, LAZ, COPC, PLY),
+    whose edges are extracted first: planes are detected and adjacent ones intersected. Every set is
+    compared with every other, and with --reference. The published method pairs all segments below a
+    threshold (--matcher all, Poreba & Goulette 2013, hal-00846334). The value contains the noise of
+    angles and ends and false pairs as well as displacement: compare it with the perpendicular part
+    and the displacement vector below it. --out writes the tables, matrices, figures and a page.
+    """
+    checks.check_count(options.seed, "seed", low=0)
+    settings = comparisons.read_settings(options.settings)
     given = {name: getattr(options, name) for name in (*SETTINGS, *SIZES)}
     settings |= {name: value for name, value in given.items() if value is not None}
-    found = study(
+    found = comparisons.study(
         options.files, reference=options.reference, truth=options.truth, settings=settings
     )
     if options.out is not None:
-        write_report(found, options.out)
+        comparisons.write_report(found, options.out)
     if len(found.results) == 1 and options.truth is None:
         _print_one(next(iter(found.results.values())), options)
     elif options.json:
@@ -100,8 +101,6 @@ def _print_one(result, options):
 
 def _row(result, values):
     """The figures as one row; pairs and covariances are left to JSON."""
-    import pandas as pd
-
     vector = dict(zip("xyz", values["displacement_m"], strict=True))
     plain = {name: value for name, value in values.items() if not isinstance(value, list)}
     plain |= {f"displacement_{axis}_m": value for axis, value in vector.items()}

@@ -1,46 +1,16 @@
-"""Detect poles in a cloud, deliver them, and score them where a reference is given.
-
-Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as recorded,
-or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: id,
-the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m,
-tilt_deg and lean_azimuth_deg (from north), score, method, class with class_probability,
-total_height_m, diameter_13_m (1.3 m above ground) with its interval, points on the shaft; of itc
-also is_tree. Clouds must be in metres; --crs says so where the files do not.
-
---out writes CSV, GeoJSON or GeoPackage. --report writes a page with a map and a picture of each
-pole, the doubtful ones first, on which each is accepted or rejected; --decisions reads what the
-page saved and leaves out what was rejected. A reference is a CSV file with x_m, y_m and, where
-known, class, height_m (below 1 m: no target), diameter_m, visible and ignore (no target where False
-and True); detections and references are matched one to one within --gate. Where there is a
-trajectory, points, detections and references beyond the corridor do not count. More than five
-million points are searched in squares of 100 m; poles on borders are found once.
-"""
+"""Poles in clouds, delivered and scored."""
 
 import sys
 from pathlib import Path
 
-from mmqa_lab.commands._output import (
-    CLOUDS,
-    OUTPUT,
-    choice,
-    option,
-    output_file,
-    print_json,
-    print_rows,
-    switch,
-    with_progress,
-    write_rows,
-)
+from mmqa_lab.commands import CLOUDS, OUTPUT, Lazy, choice, command, option, output_file, switch
+from mmqa_lab.commands._output import print_json, print_rows, with_progress, write_rows
 
-SUMMARY = "detect poles, and score them against a reference"
-
-EPILOG = """\
-example:
-  mmqa poles street.laz --method fgi --trajectory path.csv --csv poles.csv
-  mmqa poles street.laz --reference poles_field.csv --json
-  mmqa poles drive/*.laz --crs EPSG:25832 --out poles.gpkg --report poles.html
-  mmqa poles drive/*.laz --decisions decisions.csv --out poles.gpkg
-"""
+np = Lazy("numpy")
+checks = Lazy("mmqa_lab._checks")
+io = Lazy("mmqa_lab.io")
+poles = Lazy("mmqa_lab.poles")
+delivery = Lazy("mmqa_lab.poles.delivery")
 
 SHOWN = [
     *("id", "x_m", "y_m", "class", "class_probability", "total_height_m", "diameter_13_m"),
@@ -49,11 +19,13 @@ SHOWN = [
 """Columns of the printed table; files and JSON have all."""
 
 MANY = 5_000_000
+
 TILE_M = 100.0
 """Clouds with more points are searched in squares of that side."""
 
 
-ARGUMENTS = (
+@command(
+    "detect poles, and score them against a reference",
     CLOUDS,
     choice("--method", ("ours", "fgi", "itc"), "see above"),
     option("--trajectory", "FILE", "positions; clips the cloud"),
@@ -72,32 +44,42 @@ ARGUMENTS = (
     option("--decisions", "FILE", "of a page: leave out what was rejected", Path),
     option("--tile", "M", "side of the squares that are searched in turn", float),
     *OUTPUT,
+    examples=(
+        "street.laz --method fgi --trajectory path.csv --csv poles.csv",
+        "street.laz --reference poles_field.csv --json",
+        "drive/*.laz --crs EPSG:25832 --out poles.gpkg --report poles.html",
+        "drive/*.laz --decisions decisions.csv --out poles.gpkg",
+    ),
 )
+def poles_(options):
+    """Detect poles in a cloud, deliver them, and score them where a reference is given.
 
+    Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as
+    recorded, or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row
+    a pole: id, the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m,
+    diameter_m, tilt_deg and lean_azimuth_deg (from north), score, method, class with
+    class_probability, total_height_m, diameter_13_m (1.3 m above ground) with its interval, points
+    on the shaft; of itc also is_tree. Clouds must be in metres; --crs says so where the files do
+    not.
 
-def run(options):
-    """Detect, decide, write, score and print."""
-    from mmqa_lab import poles
-    from mmqa_lab._checks import check_positive
-    from mmqa_lab.io import read_trajectory
-    from mmqa_lab.poles.delivery import (
-        check_ending,
-        read_decisions,
-        read_table,
-        with_decisions,
-        write_report,
-    )
-
+    --out writes CSV, GeoJSON or GeoPackage. --report writes a page with a map and a picture of each
+    pole, the doubtful ones first, on which each is accepted or rejected; --decisions reads what the
+    page saved and leaves out what was rejected. A reference is a CSV file with x_m, y_m and, where
+    known, class, height_m (below 1 m: no target), diameter_m, visible and ignore (no target where
+    False and True); detections and references are matched one to one within --gate. Where there is
+    a trajectory, points, detections and references beyond the corridor do not count. More than five
+    million points are searched in squares of 100 m; poles on borders are found once.
+    """
     if options.out is not None:
-        check_ending(options.out)
-    path, gate = None, check_positive(options.gate, "gate", unit="m")
+        delivery.check_ending(options.out)
+    path, gate = None, checks.check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
-        table = read_trajectory(options.trajectory)
+        table = io.read_trajectory(options.trajectory)
         path = table[["easting_m", "northing_m"]].to_numpy()
     reference = None
     if options.reference is not None:
-        reference = read_table(options.reference, "reference", ("x_m", "y_m"))
-    decisions = None if options.decisions is None else read_decisions(options.decisions)
+        reference = delivery.read_table(options.reference, "reference", ("x_m", "y_m"))
+    decisions = None if options.decisions is None else delivery.read_decisions(options.decisions)
     scope = {"trajectory": path, "corridor": options.corridor}
     cloud = _read_clouds(options)
     tile = TILE_M if options.tile is None and len(cloud) > MANY else options.tile
@@ -105,12 +87,12 @@ def run(options):
     found = found.drop(columns=["lean_x", "lean_y"])
     accepted = found[found["rejected_by"] == ""] if options.explain else found
     if decisions is not None:
-        accepted, unused = with_decisions(accepted.reset_index(drop=True), decisions)
+        accepted, unused = delivery.with_decisions(accepted.reset_index(drop=True), decisions)
         if unused:
             print(f"mmqa poles: {unused} decisions are about no pole found here", file=sys.stderr)
     if options.report is not None:
         lines = _about(cloud, options)
-        write_report(options.report, cloud.points, accepted, title="Poles", lines=lines)
+        delivery.write_report(options.report, cloud.points, accepted, title="Poles", lines=lines)
     if decisions is not None:
         found = accepted = accepted[accepted["decision"] != "reject"].reset_index(drop=True)
     if options.out is not None:
@@ -125,23 +107,19 @@ def run(options):
 
 def _read_clouds(options):
     """All clouds as one; the lines of different files are kept apart."""
-    import numpy as np
-
-    from mmqa_lab._checks import check_crs, check_metres
     from mmqa_lab.cloud import Cloud
-    from mmqa_lab.io import read_cloud
 
-    crs = None if options.crs is None else check_crs(options.crs)
-    check_metres(crs, "coordinate system")
+    crs = None if options.crs is None else checks.check_crs(options.crs)
+    checks.check_metres(crs, "coordinate system")
     clouds = []
     for number, file in enumerate(with_progress(options.cloud, "cloud")):
-        cloud = read_cloud(file)
-        check_metres(cloud.crs, f"cloud {file}")
+        cloud = io.read_cloud(file)
+        checks.check_metres(cloud.crs, f"cloud {file}")
         columns = dict(cloud.columns)
         if len(options.cloud) > 1:
             columns.setdefault("head", np.full(len(cloud), number))
         known = cloud.crs or crs
-        check_metres(known, f"cloud {file}")
+        checks.check_metres(known, f"cloud {file}")
         clouds.append(Cloud(cloud.points, columns, cloud.name, cloud.resolution, known))
     return Cloud.concatenate(clouds) if len(clouds) > 1 else clouds[0]
 
