@@ -22,8 +22,8 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.run.pages import filled
+from mmqa_lab.tender import COVERAGE
 from mmqa_lab.tender.acceptance import VIEWS
-from mmqa_lab.tender.criteria import COVERAGE
 from mmqa_lab.tender.photographs import LIMIT_SHARE, exif_texts, fringes
 from mmqa_lab.tender.site import sha256
 
