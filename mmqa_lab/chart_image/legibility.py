@@ -12,6 +12,7 @@ from dataclasses import replace
 from difflib import SequenceMatcher
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -314,8 +315,6 @@ def _plain(text):
 
 def _to_read(crop):
     """A crop as programs want it: dark on light, 8 bits, large enough."""
-    import cv2
-
     low, high = np.percentile(crop.image, [1, 99])
     coded = encode((crop.image - low) / max(high - low, 1e-9), "srgb")
     times = max(READ_PX / crop.cap_px, 1.0)

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -133,8 +134,6 @@ def text_crops(
     >>> [crop.text for crop in text_crops(image, layout, there)][:2]
     ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
-    import cv2
-
     if texts is None:
         texts = [text for text in layout.of_kind(Text) if not text.name.startswith("label_")]
     crops = []

@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import expit, j1, ndtr
 
 from mmqa_lab._checks import check_choice, check_count
 from mmqa_lab._results import Shown
@@ -372,8 +374,6 @@ def crossing(frequencies, mtf, level):
 
 def _rising(image):
     """The image turned so that its rows cross the edge from dark to bright."""
-    import cv2
-
     by_row, by_column = np.gradient(cv2.GaussianBlur(image, (0, 0), 1.5))
     if (by_row**2).sum() > (by_column**2).sum():
         image = image.T
@@ -382,8 +382,6 @@ def _rising(image):
 
 def _edge_line(image, order):
     """Polynomial column(row) of the edge, both counted from the middle, and those coordinates."""
-    import cv2
-
     rows = np.arange(image.shape[0]) - (image.shape[0] - 1) / 2
     columns = np.arange(image.shape[1]) - (image.shape[1] - 1) / 2
     smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
@@ -429,8 +427,6 @@ def _single_width(model, distance, along, values, order):
 
 def _disc(x):
     """Transfer of a defocused lens at cycles per radius."""
-    from scipy.special import j1
-
     turn = 2 * np.pi * np.maximum(x, 1e-9)
     return 2 * j1(turn) / turn
 
@@ -480,8 +476,6 @@ class _Model:
     def edge(self, distance, width):
         """One edge as a pixel sees it."""
         if self.shape == "logistic":
-            from scipy.special import expit
-
             return expit(distance / width)
         if self.shape == "gaussian":
             return spread_edge(distance, width, self.angle)
@@ -685,15 +679,11 @@ def _remark(mtf50, binned50, angle, mtf, unfit):
 
 def _integral(x, sigma):
     """The first antiderivative of the normal distribution function."""
-    from scipy.special import ndtr
-
     z = x / sigma
     return sigma * (z * ndtr(z) + np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))
 
 
 def _double_integral(x, sigma):
     """The second antiderivative of the normal distribution function."""
-    from scipy.special import ndtr
-
     z = x / sigma
     return sigma**2 / 2 * ((z**2 + 1) * ndtr(z) + z * np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from scipy.special import j0
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
@@ -152,8 +153,6 @@ class StarMtf(Shown):
         The Hankel transform of the contrast, for a function of revolution. Below and above the
         measured frequencies the fitted Gaussian takes the measurement's place.
         """
-        from scipy.special import j0
-
         f = np.linspace(0, 1.5, 1501)
         gaussian = np.exp(-2 * (np.pi * self.sigma_px() * f) ** 2)
         known = np.isfinite(self.mtf)

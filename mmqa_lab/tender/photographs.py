@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
@@ -326,8 +327,6 @@ def _same_targets(boards):
 
 def _camera_place(there, board):
     """Where the camera stands in the world, from the map of a board of known size and place."""
-    import cv2
-
     layout = board.layout
     places = layout.corners() - [layout.width / 2, layout.height / 2]
     rays = np.column_stack([layout.corners(), np.ones(4)]) @ there.matrix.T

@@ -10,6 +10,7 @@ import textwrap
 from importlib import metadata
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -434,8 +435,6 @@ def _elements(quality):
 
 def _write_picture(file, image):
     """Linear light as PNG."""
-    import cv2
-
     grey = np.round(255 * np.clip(encode(image, "srgb"), 0, 1)).astype(np.uint8)
     data = cv2.imencode(".png", grey)[1].tobytes()
     write_atomically(file, lambda path: path.write_bytes(data))
