@@ -27,12 +27,17 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap, four_corners, rectangle_frame
 from mmqa_lab.charts import Layout, Text
 
+PAIRS_APART_M = 10.0
+
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
 PLACE = ["easting_m", "northing_m", "height_m"]
 
 REACH_M = 12.0
 """A drive counts so far before and after a board."""
+
+TOLERANCE_M, LARGEST_DEG = 0.5, {"roll_deg": 3.0, "pitch_deg": 3.0, "heading_deg": 5.0}
+"""Of a drive's distance from the charts, and of its angles; heading counts from their line."""
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -157,21 +162,18 @@ def text_crops(
     return crops
 
 
-def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0) -> pd.DataFrame:
+def chart_site(*, height: float = 1.5) -> pd.DataFrame:
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
-    second stands along the line and faces west; the third faces north, to be seen behind. The paper
-    does not say how far apart the pairs are, how high they stand and which way they face.
+    second stands along the line and faces west; the third faces north, to be seen behind. Boards
+    are 1 m wide and, in a pair, 1 m apart; pairs are 10 m apart. The paper does not say how far apart
+    pairs are, how high they stand and which way they face.
 
     Parameters
     ----------
-    spacing : float
-        Between the pairs, metres; the two boards of a pair are one size apart.
     height : float
         Of the boards' middle above the ground, metres.
-    size : float
-        Side of a board, metres.
 
     Returns
     -------
@@ -182,7 +184,7 @@ def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0)
     Raises
     ------
     ValueError
-        If a length is not above zero.
+        If the height is not above zero.
 
     References
     ----------
@@ -193,16 +195,15 @@ def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0)
     >>> chart_site()["chart"].tolist()[:3]
     ['image forward', 'point forward', 'image orthogonal']
     """
-    for name, value in (("spacing", spacing), ("height", height), ("size", size)):
-        check_positive(value, name, unit="m")
+    check_positive(height, "height", unit="m")
     # to the right as one looks at the board
     rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
     rows = []
     for number, (view, right) in enumerate(rightward.items()):
         step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
         for place, kind in enumerate(("image", "point")):
-            middle = np.array([0.0, number * spacing, height]) + 2 * size * place * step
-            aside, up = np.array(right) * size / 2, np.array([0.0, 0.0, size / 2])
+            middle = np.array([0.0, number * PAIRS_APART_M, height]) + 2 * place * step
+            aside, up = np.array(right) / 2, np.array([0.0, 0.0, 0.5])
             corners = middle + [-aside - up, aside - up, aside + up, up - aside]
             rows.append((f"{kind} {view}", kind, view, corners))
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
@@ -293,15 +294,12 @@ def check_drive(
     corners: ArrayLike,
     *,
     distance: float,
-    tolerance: float = 0.5,
     speed_kmh: float = 40.0,
-    roll_deg: float = 3.0,
-    pitch_deg: float = 3.0,
-    heading_deg: float = 5.0,
 ) -> pd.DataFrame:
     """Check a drive past a board that stands along it: distance, speed and attitude.
 
-    The paper gives distance and smallest speed; the tolerances are this package's own.
+    The paper gives distance and smallest speed; the tolerances are this package's own: 0.5 m, 3
+    degrees of roll and pitch, 5 degrees between heading and the line of charts.
 
     Parameters
     ----------
@@ -310,14 +308,10 @@ def check_drive(
         count clockwise from north.
     corners : array_like, shape (4, 3)
         Of a board along the path, from the lower left counterclockwise, metres.
-    distance, tolerance : float
+    distance : float
         Between the path and the line of charts, metres.
     speed_kmh : float
         At least.
-    roll_deg, pitch_deg : float
-        Largest values to either side.
-    heading_deg : float
-        Largest angle between heading and the line of charts.
 
     Returns
     -------
@@ -345,10 +339,8 @@ def check_drive(
     >>> found["low"].round(6).tolist(), found["passed"].tolist()
     ([5.0, 43.2], [True, True])
     """
-    limits = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}
-    lengths = {"distance": distance, "tolerance": tolerance, "speed_kmh": speed_kmh}
-    for name, value in (limits | lengths).items():
-        check_positive(value, name)
+    check_positive(distance, "distance", unit="m")
+    check_positive(speed_kmh, "speed_kmh")
     middle, right, normal = board_frame(corners)
     places = _places(trajectory) - middle
     if _view(right, normal, places) != ALONG:
@@ -359,9 +351,9 @@ def check_drive(
     steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
     speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
     away = (places @ normal)[near]
-    rows = [("distance_m", away, distance - tolerance, distance + tolerance)]
+    rows = [("distance_m", away, distance - TOLERANCE_M, distance + TOLERANCE_M)]
     rows.append(("speed_kmh", speed, speed_kmh, np.inf))
-    for name, limit in limits.items():
+    for name, limit in LARGEST_DEG.items():
         if name in trajectory:
             # the board's line has no direction
             heading = name == "heading_deg"

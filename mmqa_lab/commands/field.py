@@ -10,6 +10,7 @@ np = Lazy("numpy")
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
 io = Lazy("mmqa_lab.io")
+tables = Lazy("mmqa_lab.io.tables")
 image_files = Lazy("mmqa_lab.io.images")
 boresight = Lazy("mmqa_lab.boresight")
 testfield = Lazy("mmqa_lab.testfield")
@@ -111,12 +112,7 @@ def _plan_remark(reason):
 
 def read_targets(path, kind=None):
     """Targets of a CSV file as ``plan_differences`` takes them; all of a kind where it is given."""
-    try:
-        table = pd.read_csv(path, skipinitialspace=True)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"Invalid targets {path}: no such file. Must exist.") from None
-    except (ValueError, UnicodeDecodeError):
-        raise ValueError(f"Invalid targets {path}: no table. Must be a CSV file.") from None
+    table = tables.read_table(path, "targets")
     table = table.rename(columns={name: f"{name}_m" for name in ("x", "y", "z", "diameter")})
     table = table if kind is None else table.assign(kind=kind)
     missing = [name for name in ("x_m", "y_m", "z_m", "kind") if name not in table]

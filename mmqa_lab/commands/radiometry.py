@@ -11,6 +11,7 @@ checks = Lazy("mmqa_lab._checks")
 image_files = Lazy("mmqa_lab.io.images")
 mtf = Lazy("mmqa_lab.mtf")
 stats = Lazy("scipy.stats")
+tables = Lazy("mmqa_lab.io.tables")
 radiometry = Lazy("mmqa_lab.radiometry")
 
 REGION = ("x_px", "y_px", "width_px", "height_px")
@@ -152,17 +153,10 @@ def _targets(options):
         if needed and options.measure != "edge" and not (options.even or options.radiance):
             raise ValueError(f"Invalid {options.measure} without targets. Must have --targets.")
         return None
-    if not options.targets.is_file():
-        raise FileNotFoundError(f"Invalid targets {options.targets}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(options.targets)
-    except (ValueError, pd.errors.ParserError):
-        raise ValueError(f"Invalid targets {options.targets}. Must be CSV.") from None
+    table = tables.read_table(options.targets, "targets", needed)
     for column in needed:
-        if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
-            raise ValueError(f"Invalid targets: no numbers in {column!r}. Must have them.")
-        if table[column].isna().any():
-            raise ValueError(f"Invalid targets: {column!r} has gaps. Must be complete.")
+        if not pd.api.types.is_numeric_dtype(table[column]) or table[column].isna().any():
+            raise ValueError(f"Invalid targets: {column!r} has gaps. Must be numbers throughout.")
     return table
 
 

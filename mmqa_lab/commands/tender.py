@@ -9,6 +9,7 @@ from mmqa_lab.commands._output import print_rows, with_progress
 
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
+tables = Lazy("mmqa_lab.io.tables")
 tender = Lazy("mmqa_lab.tender")
 
 
@@ -69,17 +70,15 @@ def tender_(options):
 def read_table(file, what):
     """A table from CSV or JSON."""
     path = Path(file)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid {what} {path}: no such file. Must exist.")
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return tables.read_table(path, what)
     try:
-        if path.suffix.lower() == ".json":
-            rows = json.loads(path.read_text(encoding="utf-8"))
-            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-                raise ValueError("no list of objects")
-            return pd.DataFrame(rows)
-        return pd.read_csv(path, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise ValueError("no list of objects")
+    except ValueError as error:
         raise ValueError(f"Invalid {what} {path}: {error}. Must be CSV or JSON.") from None
+    return pd.DataFrame(rows)
 
 
 @command(

@@ -153,9 +153,7 @@ def read_trajectory(
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
     check_choice(time_unit, "time_unit", tuple(seconds))
     check_choice(angle_unit, "angle_unit", ("degrees", "radians"))
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid trajectory {path}: no such file. Must exist.")
-    raw = _read_csv(path, sep=",", skipinitialspace=True)
+    raw = read_table(path, "trajectory")
     lower = {str(name).strip().lower(): name for name in raw.columns}
     found = {}
     for column, names in TRAJECTORY_COLUMNS.items():
@@ -326,6 +324,17 @@ def text_tables(path, chunk):
             points = frame[coordinates].apply(pd.to_numeric, errors="raise")
             rest = frame.columns.drop(coordinates)
             yield points.to_numpy(dtype="float64"), {name: frame[name].to_numpy() for name in rest}
+
+
+def read_table(path, name, columns=(), **choices):
+    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
+    table = _read_csv(path, skipinitialspace=True, **choices)
+    missing = [column for column in columns if column not in table]
+    if missing:
+        raise ValueError(f"Invalid {name} {path}: no column {missing[0]!r}. Must have one.")
+    return table
 
 
 def _read_csv(path, **choices):

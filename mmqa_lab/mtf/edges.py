@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, j1, ndtr
 
-from mmqa_lab._checks import check_choice, check_count
+from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
 from mmqa_lab.io.images import check_image
 
@@ -152,7 +152,7 @@ class EdgeResponse(Shown):
         return ax
 
 
-def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:
+def fit_edge(image: ArrayLike, *, method: str = "isogaussian") -> EdgeResponse:
     """Measure the resolution of an image that shows one straight edge.
 
     Parameters
@@ -165,8 +165,6 @@ def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -
         square pixel; the plain logistic function 1 / (1 + exp(-d / w)), whose line spread function
         has longer tails; or that of a Gaussian, a defocused disc and a lens limited by diffraction
         which fits best, for edges with little ground beside them, where tails are not seen.
-    order : int
-        Degree of the polynomial along the edge: 2 for edges bent by distortion.
 
     Returns
     -------
@@ -205,16 +203,15 @@ def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -
     """
     check_choice(method, "method", METHODS)
     image = check_image(image)
-    order = check_count(order, "order")
     if min(image.shape) < 10:
         raise ValueError(f"Invalid edge of {image.shape} pixels. Must be 10 x 10 or larger.")
     image = _rising(image)
-    place, rows, columns = _edge_line(image, order)
-    angle = np.arctan(np.polyval(np.polyder(place), 0.0))
+    place, rows, columns = _edge_line(image)
+    angle = np.arctan(place[0])
     distance = (columns[None, :] - np.polyval(place, rows)[:, None]) * np.cos(angle)
     along = np.broadcast_to((rows / np.abs(rows).max())[:, None], image.shape)
     pixels = distance.ravel(), along.ravel(), image.ravel()
-    return fit_pixels(*pixels, angle, order=order, method=method)
+    return fit_pixels(*pixels, angle, method=method)
 
 
 def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="isogaussian"):
@@ -380,8 +377,8 @@ def _rising(image):
     return image[:, ::-1] if image[:, -3:].mean() < image[:, :3].mean() else image
 
 
-def _edge_line(image, order):
-    """Polynomial column(row) of the edge, both counted from the middle, and those coordinates."""
+def _edge_line(image):
+    """Line column(row) of the edge, both counted from the middle, and those coordinates."""
     rows = np.arange(image.shape[0]) - (image.shape[0] - 1) / 2
     columns = np.arange(image.shape[1]) - (image.shape[1] - 1) / 2
     smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
@@ -393,10 +390,10 @@ def _edge_line(image, order):
         weight = slope * np.clip(1 - (gap / reach) ** 2, 0, None)
         total = weight.sum(axis=1)
         clear = total > 0.2 * np.median(total)
-        if clear.sum() < max(5, order + 2) or not total.max() > 0:
+        if clear.sum() < 5 or not total.max() > 0:
             raise ValueError("Invalid image: no edge from side to side. Must show one.")
         centre = (weight @ between)[clear] / total[clear]
-        line = np.polyfit(rows[clear], centre, order)
+        line = np.polyfit(rows[clear], centre, 1)
     return line, rows, columns
 
 

@@ -193,7 +193,6 @@ def measure_star(
     cycles: int,
     radius_px: float,
     azimuth_deg: tuple = (0.0, 360.0),
-    refine: bool = True,
 ) -> StarMtf:
     """Measure the contrast of a Siemens star, circle by circle.
 
@@ -217,8 +216,6 @@ def measure_star(
         Of the star; where it is an ellipse, half of its long axis.
     azimuth_deg : (float, float)
         The part of the circle to use, from x towards y: a half star, or a direction of interest.
-    refine : bool
-        Whether to refine centre and ellipse.
 
     Returns
     -------
@@ -259,10 +256,9 @@ def measure_star(
     place = np.array([x0, y0, 0.0, 0.0])
     _plain_levels(pixels, place, n, radius)
     rings = np.arange(n / np.pi, radius - 1 - PLAIN_PX, RING_STEP_PX)
-    if refine:
-        place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
-        radius *= 1 - np.hypot(*place[2:])
-        rings = rings[rings < radius - 1 - PLAIN_PX]
+    place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
+    radius *= 1 - np.hypot(*place[2:])
+    rings = rings[rings < radius - 1 - PLAIN_PX]
     fits = [_ring(pixels, place, n, ring) for ring in rings]
     amplitude, std = np.array([(np.hypot(*fit[0]), fit[1]) for fit in fits]).T
     frequency = n / (2 * np.pi * rings)

@@ -38,6 +38,7 @@ from mmqa_lab.chart_image.rules import (
 from mmqa_lab.charts import LinePairs, Marker
 from mmqa_lab.io import read_grey
 from mmqa_lab.io.images import decode, exif_number, image_size, image_tags, read_colours
+from mmqa_lab.io.tables import read_table
 from mmqa_lab.tender.site import Drive, doubt
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -75,13 +76,7 @@ def read_marks(path):
     :mod:`mmqa_lab.widgets` writes. A crop is a photograph, or an element of it with its number in
     the check list. Empty cells are no marks.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid marks {path}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except ValueError as error:  # empty, or no text
-        raise ValueError(f"Invalid marks {path}: {error}. Must be CSV.") from None
+    table = read_table(path, "marks", dtype=str, keep_default_na=False)
     if "crop" in table:
         table = table.drop(columns="shows", errors="ignore")
         table = table.melt("crop", var_name="juror", value_name="mark")
