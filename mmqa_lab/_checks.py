@@ -3,6 +3,7 @@
 import numbers
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -221,6 +222,20 @@ def _coordinates(points, name, columns):
         wanted = ", ".join("xyz"[:columns])
         raise ValueError(f"Invalid {name} with columns {listed}. Must have {wanted}.")
     return points.to_numpy()
+
+
+def check_file(path, name):
+    """Return the path of a file that exists.
+
+    Examples
+    --------
+    >>> check_file("none.csv", "marks")
+    Traceback (most recent call last):
+    FileNotFoundError: Invalid marks none.csv: no such file. Must exist.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
+    return Path(path)
 
 
 def check_number(value, name, *, low=None, high=None, unit=""):

@@ -166,9 +166,9 @@ def chart_site(*, height: float = 1.5) -> pd.DataFrame:
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
-    second stands along the line and faces west; the third faces north, to be seen behind. Boards
-    are 1 m wide and, in a pair, 1 m apart; pairs are 10 m apart. The paper does not say how far apart
-    pairs are, how high they stand and which way they face.
+    second stands along the line and faces west; the third faces north, to be seen behind. The
+    boards of 1 m x 1 m stand 1 m apart in a pair, the pairs 10 m apart. The paper does not say how
+    far apart pairs are, how high they stand and which way they face.
 
     Parameters
     ----------

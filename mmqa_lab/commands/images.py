@@ -10,7 +10,6 @@ from mmqa_lab.commands._output import print_rows, with_progress, write_figure
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
 chart_image = Lazy("mmqa_lab.chart_image")
-evaluation = Lazy("mmqa_lab.chart_image.evaluation")
 charts = Lazy("mmqa_lab.charts")
 io = Lazy("mmqa_lab.io")
 plots = Lazy("mmqa_lab.plots")
@@ -143,7 +142,7 @@ def image(options):
     """
     if options.out is not None:
         checks.check_choice(options.out.suffix.lower(), "figure", (".pdf", ".svg", ".png"))
-    layout = evaluation.read_layout(options.chart)
+    layout = chart_image.read_layout(options.chart)
     choices = {
         "corners": None if options.corners is None else _corners(options.corners),
         "camera": "panorama" if options.panorama else "plain",

@@ -88,50 +88,16 @@ def lhd(options):
 
 
 def _print_one(result, options):
-    """One comparison in detail."""
+    """One comparison in detail; pairs and covariances are left to JSON."""
     interval = result.interval(seed=options.seed)
     values = result.to_dict() | dict(zip(("lhd_low_m", "lhd_high_m"), interval, strict=True))
-    if options.csv is not None:
-        write_rows(_row(result, values), options)
+    row = {"test": result.test.name, "model": result.model.name}
+    row |= {name: value for name, value in values.items() if not isinstance(value, list)}
+    moved = result.displacement
+    for axis, shift, variance in zip("xyz", moved.vector, moved.covariance.diagonal(), strict=True):
+        row |= {f"displacement_{axis}_m": shift, f"displacement_{axis}_sigma_m": variance**0.5}
     if options.json:
+        write_rows(pd.DataFrame([row]), options)
         print_json(values)
     else:
-        print("\n".join(_lines(result, interval)))
-
-
-def _row(result, values):
-    """The figures as one row; pairs and covariances are left to JSON."""
-    vector = dict(zip("xyz", values["displacement_m"], strict=True))
-    plain = {name: value for name, value in values.items() if not isinstance(value, list)}
-    plain |= {f"displacement_{axis}_m": value for axis, value in vector.items()}
-    return pd.DataFrame([{"test": result.test.name, "model": result.model.name, **plain}])
-
-
-def _lines(result, interval):
-    """What the table says."""
-    forward, backward = result.test_model, result.model_test
-    low, high = interval
-    moved = result.displacement
-    vector = " ".join(f"{value:8.3f}" for value in moved.vector)
-    sigma = " ".join(f"{value**0.5:8.3f}" for value in moved.covariance.diagonal())
-    rows = [
-        ("segments", f"{len(result.test)} test, {len(result.model)} model"),
-        ("matcher", result.matcher),
-        ("LHD", f"{result.value:.3f} m  (95 % {low:.3f} to {high:.3f})"),
-        ("  test to model", _direction(forward, result.weight)),
-        ("  model to test", _direction(backward, result.weight)),
-        ("same pairs, W = 0", f"{result.at_weight(0):.3f} m"),
-        ("perpendicular only", f"{result.perpendicular_only:.3f} m"),
-        ("displacement", f"{vector} m"),
-        ("  standard dev.", f"{sigma} m"),
-        ("turn", f"{moved.turn_deg:.3f} degrees, standard deviation {moved.turn_sigma_deg:.3f}"),
-        ("coverage", f"{forward.coverage:.0%} of test, {backward.coverage:.0%} of model length"),
-    ]
-    return [f"{name:<20}{text}" for name, text in rows]
-
-
-def _direction(direction, weight):
-    """One direction in words."""
-    value = f"{direction.olhd(weight):.3f} m, {direction.n} pairs"
-    delta = direction.threshold.delta
-    return value if delta != delta else f"{value} within {delta:.3f} m"
+        print_rows(pd.DataFrame([row]), options, upright="test")

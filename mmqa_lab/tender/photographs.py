@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab.chart_image import evaluate_window
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.legibility import (
     CHECK_LIST,

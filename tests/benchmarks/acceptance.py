@@ -18,7 +18,7 @@ import pandas as pd
 
 from mmqa_lab import stats
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
-from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab.chart_image import evaluate_window
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.pages import markdown_table, replaced
 from mmqa_lab.simulate import site as simulated
