@@ -50,6 +50,17 @@ def command(summary, *arguments, examples=()):
     return made
 
 
+def numbers(text, name, wanted, count=None):
+    """Numbers between commas, of which there must be so many where a count is given."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if not found or len(found) != (count or len(found)):
+        raise ValueError(f"Invalid {name} {text}. Must be {wanted}.")
+    return found
+
+
 def option(names, metavar, text, kind=str, default=None, **more):
     """An argument with a value, as argparse takes it: its names, and the rest; help says a number's
     default with its unit."""

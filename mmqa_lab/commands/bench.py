@@ -20,10 +20,7 @@ METHODS = {"action": "append", "default": []}
     "compare methods, yours too, on the cases of a study",
     option("study", "STUDY", "stem of a study, such as poles"),
     option(
-        "--method",
-        "MODULE:FUNCTION",
-        "a method of your own; may be given several times",
-        **METHODS,
+        "--method", "MODULE:FUNCTION", "a method of your own; may be given several times", **METHODS
     ),
     switch("--quick", "few cases, for a first look"),
     option("--workers", "N", "processes", int, 1),

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from mmqa_lab.commands import OUTPUT, Lazy, choice, command, option, output_file, switch
+from mmqa_lab.commands import OUTPUT, Lazy, choice, command, numbers, option, output_file, switch
 from mmqa_lab.commands._output import print_rows, with_progress
 
 np = Lazy("numpy")
@@ -158,12 +158,7 @@ def _read(options, also=()):
     checks.check_metres(cloud.crs, f"cloud {options.cloud}")
     if options.classes is None:
         return cloud
-    try:
-        classes = [int(text) for text in options.classes.split(",")]
-    except ValueError:
-        raise ValueError(
-            f"Invalid classes {options.classes!r}. Must be whole numbers such as 2,11."
-        ) from None
+    classes = numbers(options.classes, "classes", "whole numbers such as 2,11")
     chosen = np.isin(cloud["classification"], classes)
     if not chosen.any():
         there = ", ".join(str(number) for number in np.unique(cloud["classification"]))
@@ -281,9 +276,7 @@ NO_PATH_STD = (
     ),
     option("--control", "FILE", "points of the ground whose heights are known"),
     option(
-        "--poles",
-        "FILE",
-        "CSV: x, y, z of the foot, roughly; diameter where known to millimetres",
+        "--poles", "FILE", "CSV: x, y, z of the foot, roughly; diameter where known to millimetres"
     ),
     option("--keep", "NAME,NAME", "parameters that stay as assumed", str, ""),
     option("--cell", "M", "size of the planes", float, 1.0),
@@ -316,7 +309,8 @@ def calibrate_(options):
         raise ValueError(
             "Invalid drives: one drive of one head. Must be two, there and back, or several heads."
         )
-    path_std = _path_std(options.path_std)
+    wanted = "metres and degrees, such as 0.01,0.005"
+    path_std = numbers(options.path_std or "0,0", "path-std", wanted, count=2)
     keep = [name.strip() for name in options.keep.split(",") if name.strip()]
     found = boresight.calibrate(
         drives,
@@ -333,17 +327,6 @@ def calibrate_(options):
         _write(options, drives, found)
     remarks = "" if any(path_std) else NO_PATH_STD
     print_rows(_table(found, keep).assign(remarks=remarks), options)
-
-
-def _path_std(text):
-    """Standard deviations of the paths: metres, degrees."""
-    try:
-        metres, degrees = map(float, (text or "0,0").split(","))
-    except ValueError:
-        raise ValueError(
-            f"Invalid path-std {text!r}. Must be metres and degrees, such as 0.01,0.005."
-        ) from None
-    return metres, degrees
 
 
 def _drives(options):
@@ -383,14 +366,10 @@ def _lever_arms(texts, heads):
     """Assumed lever arms, (heads, 3)."""
     if texts is None:
         return np.zeros((heads, 3))
-    try:
-        arms = np.array([[float(part) for part in text.split(",")] for text in texts])
-    except ValueError:
-        arms = np.empty((0, 0))
+    wanted = f"x,y,z once for each of {heads} heads"
+    arms = np.array([numbers(text, "lever-arm", wanted, count=3) for text in texts])
     if arms.shape != (heads, 3):
-        raise ValueError(
-            f"Invalid lever-arm {' '.join(texts)}. Must be x,y,z once for each of {heads} heads."
-        )
+        raise ValueError(f"Invalid lever-arm {' '.join(texts)}. Must be {wanted}.")
     return arms
 
 

@@ -183,11 +183,7 @@ def readme(options):
     switch("--quick", "small parameters"),
     option("--sheets", "FOLDER", "handouts and solutions, for the teacher", Path),
     STUDIES,
-    examples=(
-        "course",
-        "course anisotropy mimic --quick",
-        "course --sheets mine",
-    ),
+    examples=("course", "course anisotropy mimic --quick", "course --sheets mine"),
 )
 def student(options):
     """Write copies of the notebooks for a class: without the answers, with checks of the work.
@@ -217,11 +213,7 @@ def student(options):
     option("--timeout", "SECONDS", "of a study; default none", float),
     option("--workers", "N", "studies at the same time", int, 1),
     option("--out", "FOLDER", "default notebooks/results", Path),
-    examples=(
-        "",
-        "chart_tables anisotropy --quick",
-        "--resume --workers 4",
-    ),
+    examples=("", "chart_tables anisotropy --quick", "--resume --workers 4"),
 )
 def studies(options):
     """Run the studies: every notebook of the catalogue, without a screen.
@@ -330,11 +322,7 @@ def _several_at_once(studies, folder, options, bar):
 @command(
     "run the test suite",
     option("pytest", "OPTION", "handed to pytest", nargs="*"),
-    examples=(
-        "",
-        "-- -k planes",
-        "-- --cov --cov-report term-missing",
-    ),
+    examples=("", "-- -k planes", "-- --cov --cov-report term-missing"),
 )
 def test(options):
     """Run the whole test suite: style checks by ruff, then every test on up to four cores.

@@ -4,7 +4,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from mmqa_lab.commands import FIGURE, OUTPUT, Lazy, command, option, output_file, switch
+from mmqa_lab.commands import FIGURE, OUTPUT, Lazy, command, numbers, option, output_file, switch
 from mmqa_lab.commands._output import print_rows, with_progress, write_figure
 
 pd = Lazy("pandas")
@@ -13,6 +13,9 @@ chart_image = Lazy("mmqa_lab.chart_image")
 charts = Lazy("mmqa_lab.charts")
 io = Lazy("mmqa_lab.io")
 plots = Lazy("mmqa_lab.plots")
+
+
+WIDTHS = "numbers between commas"
 
 
 @command(
@@ -73,8 +76,8 @@ def _layout(options):
     given = {
         "revised": options.revised or None,
         "horizontal_bar": options.bar,
-        "widths_h": _numbers(options.widths_h, "widths_h"),
-        "widths_v": _numbers(options.widths_v, "widths_v"),
+        "widths_h": options.widths_h and numbers(options.widths_h, "widths_h", WIDTHS),
+        "widths_v": options.widths_v and numbers(options.widths_v, "widths_v", WIDTHS),
         "first_marker": options.first_target,
         "texts": False if options.no_texts else None,
     }
@@ -88,16 +91,6 @@ def _layout(options):
     if options.no_targets:
         choices["dictionary"] = None
     return charts.imaging_chart(**choices)
-
-
-def _numbers(text, name):
-    """Numbers between commas, None for no text."""
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ValueError(f"Invalid {name} {text!r}. Must be numbers between commas.") from None
 
 
 @command(
