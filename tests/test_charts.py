@@ -331,22 +331,6 @@ def test_crop_marks_leave_the_chart_at_its_size():
     assert bar.min(axis=0) == pytest.approx([134 + 14, 100 + 14], abs=1e-3)
 
 
-@pytest.mark.parametrize("choices", [{"crop_marks": True}, {"tiles": "a3"}])
-def test_boxes_say_where_the_sheet_is_cut_and_how_far_it_bleeds(choices):
-    pdf = Layout("one", 300, 500, (charts.Bar("bar", 0, 0, 300, 500),)).to_pdf(**choices)
-    table = pdf[int(pdf.rsplit(b"startxref", 1)[1].split()[0]) :]  # of the update
-    starts = [int(row.split()[0]) for row in table.split(b"\n") if row.endswith(b" n ")]
-    pages, size = pages_of(pdf)
-    assert len(starts) == len(pages)
-    part = [300, 250 if "tiles" in choices else 500]  # two sheets of A3, lying
-    for start in starts:
-        found = re.findall(rb"/(Trim|Bleed)Box \[ (.*?) \]", pdf[start:].split(b"endobj")[0])
-        boxes = {name: np.array(ends.split(), float) / 72 * 25.4 for name, ends in found}
-        assert boxes[b"Trim"][2:] - boxes[b"Trim"][:2] == pytest.approx(part, abs=1e-3)
-        assert boxes[b"Trim"][:2] + boxes[b"Trim"][2:] == pytest.approx(size, abs=1e-3)
-        assert boxes[b"Bleed"] - boxes[b"Trim"] == pytest.approx([-3, -3, 3, 3], abs=1e-3)
-
-
 def test_the_revised_chart_is_the_one_that_the_authors_ask_for():
     revised = charts.imaging_chart(revised=True)
     widths = {
