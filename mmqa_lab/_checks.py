@@ -238,6 +238,20 @@ def check_file(path, name):
     return Path(path)
 
 
+def check_columns(table, columns, name):
+    """Raise where a table lacks a column.
+
+    Examples
+    --------
+    >>> check_columns({"juror": [1]}, ("juror", "mark"), "marks")
+    Traceback (most recent call last):
+    ValueError: Invalid marks: no column 'mark'. Must have one.
+    """
+    for column in columns:
+        if column not in table:
+            raise ValueError(f"Invalid {name}: no column {column!r}. Must have one.")
+
+
 def check_number(value, name, *, low=None, high=None, unit=""):
     """Return ``value`` as a finite float within ``[low, high]``.
 

@@ -18,6 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
+from mmqa_lab._checks import check_columns
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.chart_image.rules import MARKS, Crop, agreement
@@ -129,8 +130,7 @@ def photo_marks(marks: pd.DataFrame) -> pd.DataFrame:
       photo mark   because  unanimous
     0     1    c  double l        1.0
     """
-    if "photo" not in marks.columns:
-        raise ValueError("Invalid marks: no column 'photo'. Must have one.")
+    check_columns(marks, ["photo"], "marks")
     rows = []
     for photo, part in marks.groupby("photo", sort=False):
         found = agreement(part)

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._checks import check_choice, check_columns, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap, four_corners, rectangle_frame
 from mmqa_lab.charts import Layout, Text
@@ -412,9 +412,7 @@ def agreement(marks: pd.DataFrame) -> Agreement:
 
 def check_marks(marks):
     """Return a jury's marks as a DataFrame, checked."""
-    missing = {"juror", "element", "mark"} - set(marks.columns)
-    if missing:
-        raise ValueError(f"Invalid marks: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(marks, ("juror", "element", "mark"), "marks")
     for mark in marks["mark"].unique():
         check_choice(mark, "mark", MARKS)
     if marks.duplicated(["juror", "element"]).any():
@@ -466,9 +464,7 @@ def board_frame(corners):
 
 def _places(stations):
     """Eastings, northings and heights of two or more stations."""
-    missing = set(PLACE) - set(stations.columns)
-    if missing:
-        raise ValueError(f"Invalid stations: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(stations, PLACE, "stations")
     if len(stations) < 2:
         raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
     return stations[PLACE].to_numpy(dtype=float)

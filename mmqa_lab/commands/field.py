@@ -115,16 +115,10 @@ def read_targets(path, kind=None):
     table = tables.read_table(path, "targets")
     table = table.rename(columns={name: f"{name}_m" for name in ("x", "y", "z", "diameter")})
     table = table if kind is None else table.assign(kind=kind)
-    missing = [name for name in ("x_m", "y_m", "z_m", "kind") if name not in table]
-    if missing or not len(table):
-        lacks = f"no column {missing[0].removesuffix('_m')!r}" if missing else "no targets"
-        raise ValueError(f"Invalid targets {path}: {lacks}. Must have x, y, z and kind.")
-    xyz = table[["x_m", "y_m", "z_m"]].apply(pd.to_numeric, errors="coerce")
-    bad = ~np.isfinite(xyz).all(axis=1)
-    if bad.any():
-        line = bad.idxmax() + 2
-        raise ValueError(f"Invalid targets {path}: no finite number in line {line}. Must be three.")
-    return table.assign(**xyz)
+    checks.check_columns(table, ["kind"], f"targets {path}")
+    if not len(table):
+        raise ValueError(f"Invalid targets {path}: no targets. Must have some.")
+    return tables.with_numbers(table, ("x_m", "y_m", "z_m"), f"targets {path}")
 
 
 def _heights(options):

@@ -153,11 +153,8 @@ def _targets(options):
         if needed and options.measure != "edge" and not (options.even or options.radiance):
             raise ValueError(f"Invalid {options.measure} without targets. Must have --targets.")
         return None
-    table = tables.read_table(options.targets, "targets", needed)
-    for column in needed:
-        if not pd.api.types.is_numeric_dtype(table[column]) or table[column].isna().any():
-            raise ValueError(f"Invalid targets: {column!r} has gaps. Must be numbers throughout.")
-    return table
+    table = tables.read_table(options.targets, "targets")
+    return tables.with_numbers(table, needed, "targets")
 
 
 def _of_image(targets, file):
@@ -360,8 +357,7 @@ def _in_units(row, options):
 def _patches(image, targets, name, number):
     """Statistics of all targets in one band, and what is known of them in this band."""
     column = f"{name}_{number}" if f"{name}_{number}" in targets else name
-    if column not in targets:
-        raise ValueError(f"Invalid targets: no column {name!r}. Must have one.")
+    checks.check_columns(targets, [column], "targets")
     first, size = targets[["y_px", "x_px"]], targets[["height_px", "width_px"]]
     places = np.round(np.stack([first.to_numpy(), first.to_numpy() + size.to_numpy()], axis=-1))
     found = radiometry.patch_statistics(image.values[number - 1], places.reshape(-1, 4).astype(int))

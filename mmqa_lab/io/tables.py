@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_crs, check_file, check_metres, coordinate_columns
+from mmqa_lab._checks import (
+    check_choice,
+    check_columns,
+    check_crs,
+    check_file,
+    check_metres,
+    coordinate_columns,
+)
 from mmqa_lab._polygons import CrsNotCompared, polygon_parts
 
 if TYPE_CHECKING:
@@ -154,16 +161,9 @@ def read_trajectory(
     for column, names in TRAJECTORY_COLUMNS.items():
         present = next((lower[name] for name in names if name in lower), None)
         if present is not None:
-            found[column] = pd.to_numeric(raw[present], errors="coerce").astype(float)
-        elif column in ("time_s", "easting_m", "northing_m", "height_m"):
-            raise ValueError(f"Invalid trajectory {path}: no column {column!r}. Must have one.")
-    table = pd.DataFrame(found)
-    bad = ~np.isfinite(table).all(axis=1)
-    if bad.any():
-        raise ValueError(
-            f"Invalid trajectory {path}: no finite number in line {bad.idxmax() + 2}. "
-            "Must be numbers throughout."
-        )
+            found[column] = raw[present]
+    check_columns(found, list(TRAJECTORY_COLUMNS)[:4], f"trajectory {path}")
+    table = with_numbers(pd.DataFrame(found), list(found), f"trajectory {path}")
     table["time_s"] *= seconds[time_unit]
     if angle_unit == "radians":
         angles = [column for column in table if column.endswith("_deg")]
@@ -322,10 +322,19 @@ def text_tables(path, chunk):
 def read_table(path, name, columns=(), **choices):
     """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
     table = _read_csv(check_file(path, name), skipinitialspace=True, **choices)
-    missing = [column for column in columns if column not in table]
-    if missing:
-        raise ValueError(f"Invalid {name} {path}: no column {missing[0]!r}. Must have one.")
+    check_columns(table, columns, f"{name} {path}")
     return table
+
+
+def with_numbers(table, columns, name):
+    """Return a table with finite numbers in these columns, or raise a sentence on the first line."""
+    check_columns(table, columns, name)
+    found = table[list(columns)].apply(pd.to_numeric, errors="coerce").astype(float)
+    bad = ~np.isfinite(found).all(axis=1)
+    if bad.any():
+        line = bad.idxmax() + 2
+        raise ValueError(f"Invalid {name}: no finite number in line {line}. Must be numbers.")
+    return table.assign(**found)
 
 
 def _read_csv(path, **choices):

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._checks import check_choice, check_columns, check_positive
 from mmqa_lab.chart_image.legibility import expected_marks
 from mmqa_lab.chart_image.rules import MARKS
 from mmqa_lab.published.ledger import COARSEST_MM
@@ -289,9 +289,7 @@ def _results(results):
 
 def _with_columns(frame, needed, what):
     """A copy with the optional columns, all missing words empty."""
-    missing = [name for name in needed if name not in frame.columns]
-    if missing:
-        raise ValueError(f"Invalid {what}: no column {missing[0]!r}. Must have one.")
+    check_columns(frame, needed, what)
     if frame.empty:
         raise ValueError(f"Invalid {what}: no rows. Must have one or more.")
     frame = frame.copy()

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from mmqa_lab._checks import check_columns
 from mmqa_lab.chart_image import evaluate_window
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.legibility import (
@@ -81,9 +82,7 @@ def read_marks(path):
         table = table.drop(columns="shows", errors="ignore")
         table = table.melt("crop", var_name="juror", value_name="mark")
         table = table.rename(columns={"crop": "element"})
-    missing = {"juror", "element", "mark"} - set(table)
-    if missing:
-        raise ValueError(f"Invalid marks {path}: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(table, ("juror", "element", "mark"), f"marks {path}")
     table = table[table["mark"].str.strip() != ""]
     agreement(table)  # refuses other marks, and two of one juror
     for name in table["element"].unique():
