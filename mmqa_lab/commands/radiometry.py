@@ -100,12 +100,7 @@ def radiometry_(options):
     images = {}
     for file in with_progress(options.image, "image"):
         images[file] = image = image_files.read_bands(file)
-        first = images[options.image[0]]
-        if len(image.values) != len(first.values):
-            raise ValueError(
-                f"Invalid image {file}: {len(image.values)} bands. Must have {len(first.values)} "
-                f"as {options.image[0]} has."
-            )
+        _check_bands(f"image {file}", image, options.image[0], images[options.image[0]])
         physical = options.measure in ("calibrate", "reflect")
         if image.values.dtype.itemsize == 1 and physical and not options.linear:
             raise ValueError(
@@ -131,6 +126,13 @@ def radiometry_(options):
 
 HIDDEN = ("x", "y", "corner", "across_deg", "place", "height_m")
 """Columns of rows that only sums over them need."""
+
+
+def _check_bands(name, image, file, other):
+    """Raise where two images have different numbers of bands."""
+    count, wanted = len(image.values), len(other.values)
+    if count != wanted:
+        raise ValueError(f"Invalid {name}: {count} bands. Must have {wanted} as {file} has.")
 
 
 def _check_choices(options):
@@ -339,8 +341,9 @@ def _sharpness(values, target):
 
 def _interval(name, unit, value, reach):
     """A figure with the ends of its interval."""
-    ends = {f"{name}_low_{unit}": value - reach, f"{name}_high_{unit}": value + reach}
-    return {f"{name}_{unit}": value} | ends
+    unit = unit and f"_{unit}"
+    ends = {f"{name}_low{unit}": value - reach, f"{name}_high{unit}": value + reach}
+    return {f"{name}{unit}": value} | ends
 
 
 def _in_units(row, options):
@@ -411,11 +414,7 @@ def _against_image(images, options):
     """A row for each band of each image: DN against the radiance of another sensor's image."""
     known = image_files.read_bands(options.radiance)
     for file, image in images.items():
-        if len(known.values) != len(image.values):
-            raise ValueError(
-                f"Invalid radiance {options.radiance}: {len(known.values)} bands. Must have "
-                f"{len(image.values)} as {file} has."
-            )
+        _check_bands(f"radiance {options.radiance}", known, file, image)
         for band, dn, radiance in zip(image.bands, image.values, known.values, strict=True):
             _check_unsaturated(dn, band)
             pairs = radiometry.coarse_pairs(dn, radiance)
@@ -446,34 +445,30 @@ def _calibrated(images, targets, options):
             parts.append(part.assign(setting=label, exposure=exposure))
         table = pd.concat(parts)
         unsaturated = table[(table["saturated_share"] == 0) & table["known"].notna()]
-        zero = {"through_zero": options.through_zero}
-        fits = {
-            name: radiometry.fit_sensor(
-                *(rows["known"], rows["mean_dn"]),
-                **{"exposure": rows["exposure"], "std_dn": rows["std_dn"]} | zero,
-            )
-            for name, rows in [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
-        }
+        groups = [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
+        fits = {name: _fitted(rows, options) for name, rows in groups}
         own = {name: fit for name, fit in fits.items() if name != "all"}
         moved = {}
         if len(own) > 1:
             known = unsaturated["known"][unsaturated["known"] > 0]
             moved = radiometry.stability(own, known).groupby("setting")["difference_percent"].mean()
+        saturated = int((table["saturated_share"] > 0).sum())
         for name, fit in fits.items():
-            yield (
-                {"band": band, "setting": name}
-                | _sensor(fit)
-                | {
-                    "saturated": int((table["saturated_share"] > 0).sum()),
-                    "stability_percent": moved.get(name, float("nan")),
-                }
-            )
+            more = {"saturated": saturated, "stability_percent": moved.get(name, np.nan)}
+            yield {"band": band, "setting": name} | _sensor(fit) | more
+
+
+def _fitted(rows, options):
+    """The sensor that targets of known radiance show."""
+    choices = {"exposure": rows["exposure"], "std_dn": rows["std_dn"]}
+    choices |= {"through_zero": options.through_zero}
+    return radiometry.fit_sensor(rows["known"], rows["mean_dn"], **choices)
 
 
 def _sensor(fit):
     """Gain and offset with their intervals."""
     reach = stats.t.ppf(0.975, fit.freedom) * fit.std
-    figures = {"gain": fit.gain, "gain_low": fit.gain - reach[0], "gain_high": fit.gain + reach[0]}
+    figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "dn", fit.offset, reach[1])
     return figures | {"r_squared": fit.r_squared, "n": fit.n}
 
@@ -498,28 +493,23 @@ def _repeated(table):
         if np.ndim(heights) and heights.value_counts().min() < 2:
             heights = 0.0  # one image a height: their differences are part of one spread
         found = repeatability(rows.assign(height=heights), "reflectance", group="height")
-        percent = 100 / found.mean
-        ends = {"within_low_percent": found.s_r_low, "within_high_percent": found.s_r_high}
-        numbers = {"within_percent": found.s_r} | ends | {"between_heights_percent": found.s_l}
-        yield {
-            **{"band": band, "target": target, "reflectance": found.mean},
-            **{name: percent * value for name, value in numbers.items()},
-            **{"images": found.n, "heights": found.groups},
-        }
+        spreads = {"within": found.s_r, "within_low": found.s_r_low, "within_high": found.s_r_high}
+        spreads |= {"between_heights": found.s_l}
+        row = {"band": band, "target": target, "reflectance": found.mean}
+        row |= {f"{name}_percent": 100 / found.mean * one for name, one in spreads.items()}
+        yield row | {"images": found.n, "heights": found.groups}
 
 
 def _reflectances(images, targets, options):
     """A row for each target without a known reflectance, in each band of each image."""
+    usual = {"anisotropy": 1.0, "reflectance_std": 0.0, "height_m": np.nan}
     for file, image in images.items():
         shown = _of_image(targets, file)
-        height = shown["height_m"] if "height_m" in shown else np.full(len(shown), np.nan)
-        heights = dict(zip(shown["name"], height, strict=True))
         for number, band in enumerate(image.bands, start=1):
             table = _patches(image, shown, "reflectance", number)
-            for name, other in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
+            for name, other in usual.items():
                 table[name] = shown[name].fillna(other).to_numpy() if name in shown else other
-            clear = table["saturated_share"] == 0
-            references = table[table["known"].notna() & clear]
+            references = table[table["known"].notna() & (table["saturated_share"] == 0)]
             if options.dark_pixel:
                 dark = _dark_reference(image.values[number - 1])
                 references = pd.concat([references, dark], ignore_index=True)
@@ -528,33 +518,23 @@ def _reflectances(images, targets, options):
                     f"Invalid targets of {file}: {len(references)} unsaturated with a known "
                     "reflectance. Must be two or more."
                 )
-            stated = {"std_dn": references["std_error_dn"], "std": references["reflectance_std"]}
-            if not (references["reflectance_std"] > 0).all() and len(references) > 2:
-                stated = {}  # the residuals tell more than the noise of the pixels alone
-            line = radiometry.empirical_line(
-                references["mean_dn"],
-                references["known"],
-                anisotropy=references["anisotropy"],
-                **stated,
-            )
-            factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
-            for row in table[table["known"].isna()].itertuples():
-                value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
-                reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
-                low, high = references["mean_dn"].min(), references["mean_dn"].max()
-                remarks = {
-                    "saturated": row.saturated_share > 0,
-                    "beyond the reference targets": not low <= row.mean_dn <= high,
-                }
-                value = np.nan if row.saturated_share > 0 else value
-                yield {
-                    "image": Path(file).name,
-                    "band": band,
-                    "target": row.name,
-                    "reflectance": value,
-                    "reflectance_low": value - reach,
-                    "reflectance_high": value + reach,
-                    "references": line.n,
-                    "height_m": heights.get(row.name, float("nan")),
-                    "remark": "; ".join(text for text, true in remarks.items() if true),
-                }
+            known = {"image": Path(file).name, "band": band}
+            yield from (known | row for row in _sought(table, references))
+
+
+def _sought(table, references):
+    """A row for each target whose reflectance follows from those of the references."""
+    stated = {"std_dn": references["std_error_dn"], "std": references["reflectance_std"]}
+    if not (references["reflectance_std"] > 0).all() and len(references) > 2:
+        stated = {}  # the residuals tell more than the noise of the pixels alone
+    dn, known = references["mean_dn"], references["known"]
+    line = radiometry.empirical_line(dn, known, anisotropy=references["anisotropy"], **stated)
+    factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
+    for row in table[table["known"].isna()].itertuples():
+        saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
+        value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
+        value = np.nan if saturated else value
+        reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
+        said = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
+        more = {"references": line.n, "height_m": row.height_m, "remark": "; ".join(said)}
+        yield {"target": row.name} | _interval("reflectance", "", value, reach) | more

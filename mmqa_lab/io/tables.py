@@ -327,7 +327,7 @@ def read_table(path, name, columns=(), **choices):
 
 
 def with_numbers(table, columns, name):
-    """Return a table with finite numbers in these columns, or raise a sentence on the first line."""
+    """Return a table with finite numbers in these columns; a sentence names the first bad line."""
     check_columns(table, columns, name)
     found = table[list(columns)].apply(pd.to_numeric, errors="coerce").astype(float)
     bad = ~np.isfinite(found).all(axis=1)
