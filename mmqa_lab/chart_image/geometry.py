@@ -8,18 +8,14 @@ pixels. So a frame camera is a homography and its distortion, a panorama exactly
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from mmqa_lab.charts import Layout
+from mmqa_lab.charts import Layout
 
 STEP_MM = 0.5
 """Half of the step that local scales are measured over."""
