@@ -31,20 +31,10 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_file
 from mmqa_lab._results import Shown
+from mmqa_lab.chart_image import reading
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.chart_image.placing import align, locate
-from mmqa_lab.chart_image.reading import (
-    HIDDEN,
-    SMALLEST_GAP,
-    SMALLEST_PAIR_PX,
-    Resolution,
-    Tones,
-    bar_edges,
-    find_tones,
-    pixel_sizes,
-    read_pairs,
-    resolution,
-)
+from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,
     chart_site,
@@ -201,7 +191,7 @@ class ImageQuality(Shown):
         for direction in "hv":
             refused = f"not even the coarsest line pairs are resolved in direction {direction}"
             doubts[refused] = bool(np.isnan(row[f"w_{direction}_mm"]))
-        hidden = self.pairs[self.pairs["reason"] == HIDDEN]["name"]
+        hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]["name"]
         doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
         # blurred pairs are half white, half black in linear light only
         tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
@@ -249,8 +239,8 @@ class ImageQuality(Shown):
             faces = part["resolved"].map({True: "C0", False: "none"})
             shape = {"marker": marker, "s": 18, "facecolors": faces, "edgecolors": "C0"}
             ax.scatter(part["width_px"], part["contrast"], label=label, **shape)
-        ax.axhline(SMALLEST_GAP, color="C1", ls="--", lw=0.8)
-        ax.axvspan(0.3, SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
+        ax.axhline(reading.SMALLEST_GAP, color="C1", ls="--", lw=0.8)
+        ax.axvspan(0.3, reading.SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
         ax.set(xscale="log", xlabel="width of a line pair (pixels)", ylabel="contrast")
         ax.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
         ax.minorticks_off()
@@ -299,8 +289,11 @@ def evaluate_image(
     """
     if aligned:
         chart_map = align(image, layout, chart_map)
-    tones = find_tones(image, layout, chart_map)
-    tables = [read(tones, layout, chart_map) for read in (pixel_sizes, read_pairs, bar_edges)]
+    tones = reading.find_tones(image, layout, chart_map)
+    tables = [
+        read(tones, layout, chart_map)
+        for read in (reading.pixel_sizes, read_pairs, reading.bar_edges)
+    ]
     return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
 
 

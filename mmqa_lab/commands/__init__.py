@@ -91,7 +91,7 @@ OUTPUT = (
 
 CLOUDS = option("cloud", "CLOUD", "LAS, LAZ, COPC, PLY, PCD, E57 or text", nargs="+")
 
-SELECTION = (
+POLYGON = (
     option("--polygon", "VERTICES", "CSV or GeoJSON of 3-D vertices, m, or 'x,y,z; x,y,z; ...'"),
     option("--thickness", "M", "take points up to this far from the polygon's plane", float, 0.1),
 )

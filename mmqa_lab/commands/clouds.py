@@ -4,17 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from mmqa_lab.commands import (
-    CLOUDS,
-    FIGURE,
-    OUTPUT,
-    SELECTION,
-    Lazy,
-    choice,
-    command,
-    option,
-    switch,
-)
+from mmqa_lab.commands import CLOUDS, FIGURE, OUTPUT, POLYGON, Lazy, choice, command, option, switch
 from mmqa_lab.commands._output import print_rows, with_progress, write_figure
 
 np = Lazy("numpy")
@@ -139,7 +129,7 @@ def sectors(text):
 @command(
     "point density, planarity and point spacing of a surface in a cloud",
     CLOUDS,
-    *SELECTION,
+    *POLYGON,
     option(
         "--axes",
         "AXES",

@@ -4,7 +4,7 @@ import argparse
 import warnings
 from dataclasses import replace
 
-from mmqa_lab.commands import CLOUDS, OUTPUT, SELECTION, Lazy, command, option, switch
+from mmqa_lab.commands import CLOUDS, OUTPUT, POLYGON, Lazy, command, option, switch
 from mmqa_lab.commands._output import print_json, print_rows, with_progress, write_rows
 
 pd = Lazy("pandas")
@@ -221,7 +221,7 @@ def _preset(name):
 @command(
     "profile spacing, profile angle and point spacing in a cloud",
     CLOUDS,
-    *SELECTION,
+    *POLYGON,
     switch("--alone", "use neither times nor scan lines"),
     option("--mirror-frequency", "HZ", "revolutions a second, if known", float),
     option("--pulse-rate", "HZ", "pulses a second, if known", float),
