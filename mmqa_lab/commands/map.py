@@ -94,8 +94,8 @@ def run(options):
         check_positive,
         check_same_crs,
     )
+    from mmqa_lab.maps import check_place, check_thresholds, write_report
     from mmqa_lab.maps.campaign import known_crs
-    from mmqa_lab.maps.results import check_place, check_thresholds, write_report
     from mmqa_lab.maps.tile import variables
 
     check_thresholds(options.below, variables(options.metrics))

@@ -171,7 +171,7 @@ def _of_system(target, options):
 def _heads(name):
     """The heads of a system of profile scanners."""
     from mmqa_lab._checks import check_choice
-    from mmqa_lab.simulate.scanners import ProfileScanner
+    from mmqa_lab.simulate import ProfileScanner
     from mmqa_lab.simulate.systems import SYSTEMS
 
     known = {
@@ -225,7 +225,7 @@ def _flag(name):
 def _preset(name):
     """A profile scanner of the simulator."""
     from mmqa_lab._checks import check_choice
-    from mmqa_lab.simulate.scanners import ProfileScanner
+    from mmqa_lab.simulate import ProfileScanner
     from mmqa_lab.simulate.systems import PRESETS
 
     profilers = {key: s for key, s in PRESETS.items() if isinstance(s, ProfileScanner)}

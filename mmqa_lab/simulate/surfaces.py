@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import charts
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.planes.regression import across
+from mmqa_lab.planes import across
 
 PARALLELOGRAM, ELLIPSE, POLYGON, FRUSTUM, ELLIPSOID = range(5)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""

@@ -17,8 +17,7 @@ import numpy as np
 from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.scan import MatchingCamera, match, scan
-from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
+from mmqa_lab.simulate.scan import MatchingCamera, MultiBeamScanner, ProfileScanner, match, scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import chart, chart_corners
 from mmqa_lab.simulate.trajectories import NavigationErrors, straight
