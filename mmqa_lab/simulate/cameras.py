@@ -131,7 +131,7 @@ class Photo:
     origin: tuple
 
 
-def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, height=0.0, aim_deg=0.0):
+def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, aim_deg=0.0):
     """Return the map of a chart for a camera of the test configuration.
 
     The chart stands upright; its middle is the target. The camera is at ``distance`` on the line
@@ -147,8 +147,6 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, heigh
         Direction of view against the normal, below 90 degrees.
     roll_deg : float
         Of the camera.
-    height : float
-        Of the camera above the chart's middle, metres.
     aim_deg : float
         Turns the camera to the right, away from the target.
 
@@ -166,7 +164,7 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, heigh
     """
     distance = check_positive(distance, "distance", unit="m")
     heading = np.radians(check_number(heading_deg, "heading_deg", low=-89, high=89, unit="degrees"))
-    place = np.array([distance * np.tan(heading), -distance, height])
+    place = np.array([distance * np.tan(heading), -distance, 0.0])
     pose = Pose.looking(place, (0.0, 0.0, 0.0), roll_deg=roll_deg)
     aim = np.radians(check_number(aim_deg, "aim_deg"))
     turn = np.array([[np.cos(aim), 0, -np.sin(aim)], [0, 1, 0], [np.sin(aim), 0, np.cos(aim)]])
