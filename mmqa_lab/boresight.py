@@ -688,8 +688,10 @@ def _pole_misfit(points, radius=None):
     known one is put in at the end: an arc has a mirrored circle of the same radius behind it.
     """
     height = points[:, 2] - points[:, 2].mean()
-    axis = _fitted_axis(points, height, _first_axis(points), free=5)
-    free = 5
+    middle = np.median(points[:, :2], axis=0)
+    spread = np.median(np.hypot(*(points[:, :2] - middle).T))
+    upright = np.array([*middle, 0.0, 0.0, max(spread, 0.03)])
+    axis, free = _fitted_axis(points, height, upright, free=5), 5
     if radius is not None:
         free, axis[4] = 4, radius
         axis = _fitted_axis(points, height, axis, free)
@@ -860,10 +862,3 @@ def _round(placed, index, fewest):
     if sigma_mad(misfit) > 0.02:
         return None
     return index[_near(misfit)]
-
-
-def _first_axis(points):
-    """Upright axis to begin with: x, y, tilt x, tilt y, radius at the mean height."""
-    middle = np.median(points[:, :2], axis=0)
-    spread = np.median(np.hypot(*(points[:, :2] - middle).T))
-    return np.array([*middle, 0.0, 0.0, max(spread, 0.03)])

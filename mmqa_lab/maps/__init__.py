@@ -352,8 +352,7 @@ def _dataset(arrays, record, crs, rho0):
     data = {}
     for name, values in arrays.items():
         _, unit, meaning = FIGURES[name]
-        about = {"units": unit, "long_name": meaning}
-        data[name] = (("layer", "y", "x"), values, about)
+        data[name] = (("layer", "y", "x"), values, {"units": unit, "long_name": meaning})
     dataset = xr.Dataset(data, coords=axes)
     lengths = {f"{name}_m": record[name] for name in ("cell", "radius", "thickness", "void")}
     turned = "quadrants: east and north; on upright planes horizontal and steepest line"
@@ -439,11 +438,10 @@ def _draw_panel(values, ax, label):
     shown = values.values
     known = shown[np.isfinite(shown)]
     low, high = np.percentile(known, [2, 98]) if len(known) else (0, 1)
-    widths = []
-    for axis in ("x", "y"):
-        centres = values[axis].values
-        step = centres[1] - centres[0] if len(centres) > 1 else 1.0
-        widths.append(centres[-1] - centres[0] + step)
+    places = [values[axis].values for axis in ("x", "y")]
+    widths = [
+        np.ptp(centres) * len(centres) / max(len(centres) - 1, 1) or 1.0 for centres in places
+    ]
     place = {"origin": "lower", "extent": (0, widths[0], 0, widths[1]), "interpolation": "nearest"}
     image = ax.imshow(shown, vmin=low, vmax=high, **place)
     ax.figure.colorbar(image, ax=ax, label=label, location="top", shrink=0.9)

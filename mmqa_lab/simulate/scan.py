@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter, map_coordinates
+from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab._threads import enough_threads
@@ -57,7 +58,6 @@ def scan(
     measured: Trajectory | None = None,
     between: tuple[float, float] | None = None,
     block_s: float = 0.25,
-    rounding_m: float = 0.0,
     progress: bool = False,
 ) -> Iterable[Cloud]:
     """Yield the point cloud of a drive, one ``Cloud`` a block of time.
@@ -82,8 +82,6 @@ def scan(
         start all the same: parts add up to the whole, and an interrupted run can be taken up.
     block_s : float
         Seconds a block; memory grows with it and not with the drive.
-    rounding_m : float
-        Grid to which coordinates are rounded, metres; 0 for none.
     progress : bool
         Show a bar.
 
@@ -118,7 +116,6 @@ def scan(
     if not heads or not all(isinstance(head, Scanner) for head in heads):
         raise TypeError(f"Invalid scanner {scanner!r}. Must be a scanner or a list of them.")
     block = check_positive(block_s, "block_s", unit="s")
-    check_number(rounding_m, "rounding_m", low=0, unit="m")
     known = trajectory if measured is None else measured
     if known.time[0] > trajectory.time[0] or known.time[-1] < trajectory.time[-1]:
         raise ValueError(
@@ -129,12 +126,9 @@ def scan(
     check_number(stop, "between", low=0, high=trajectory.duration_s, unit="s")
     check_number(start, "between", low=0, high=stop, unit="s")
     edges = np.append(np.arange(start, stop, block), stop)
-    drive = _blocks(scene, heads, trajectory, known, edges, int(seed), rounding_m)
-    if not progress:
-        return drive
-    from tqdm.auto import tqdm
-
-    return tqdm(drive, total=len(edges) - 1, unit="block", desc="scan")
+    drive = _blocks(scene, heads, trajectory, known, edges, int(seed))
+    bar = {"total": len(edges) - 1, "unit": "block", "desc": "scan"}
+    return tqdm(drive, **bar, disable=not progress)
 
 
 def scan_all(
@@ -169,7 +163,7 @@ def scan_all(
     return Cloud.concatenate(scan(scene, scanner, trajectory, seed=seed, **options))
 
 
-def _blocks(scene, heads, trajectory, known, edges, seed, rounding):
+def _blocks(scene, heads, trajectory, known, edges, seed):
     """The clouds of all blocks; heads of a block one after the other."""
     for start, stop in pairwise(edges):
         clouds = []
@@ -177,14 +171,14 @@ def _blocks(scene, heads, trajectory, known, edges, seed, rounding):
             first, last = (int(np.ceil(t * head.pulse_rate_hz)) for t in (start, stop))
             pulse = np.arange(first, last)
             with enough_threads(len(pulse), RAYS_A_THREAD):
-                cloud = _shoot(scene, head, trajectory, known, pulse, [seed, number], rounding)
+                cloud = _shoot(scene, head, trajectory, known, pulse, [seed, number])
             if len(heads) > 1:
                 cloud.columns["head"] = np.full(len(cloud), number, np.uint8)
             clouds.append(cloud)
         yield Cloud.concatenate(clouds)
 
 
-def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
+def _shoot(scene, scanner, trajectory, known, pulse, seed):
     """The cloud of some pulses of one head."""
     firing, left = scanner.fire(pulse)
     pulse = pulse[left]
@@ -205,8 +199,6 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed, rounding):
         known, scanner, firing, scanner.mounting, 0.0, trajectory.time[0] - known.time[0]
     )
     points = known.origin + (origin + (echo.range_m + noise)[:, None] * direction)
-    if rounding:
-        points = np.round(points / rounding) * rounding
     truth = _columns(scanner, firing, echo)
     times = trajectory.time[0] + firing.since_start
     pulses = {"gps_time": times, "pulse": pulse[kept], "range_noise_m": noise}
@@ -241,12 +233,9 @@ def _detected(scanner, echo, normal, uniform):
     """Range noise, and which pulses come back."""
     weakest = scanner.max_range_reflectance / scanner.max_range_m**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        strength = echo.signal / weakest
-        weak = scanner.range_noise_weak_m / np.sqrt(strength)
-        heard = strength * np.exp(scanner.fading * normal[:, 2]) > 1
-    spread = np.hypot(scanner.range_noise_m, np.where(np.isfinite(weak), weak, 0.0))
-    kept = heard & (echo.range_m >= scanner.min_range_m)
-    return spread * normal[:, 1], kept & (uniform[:, 1] >= scanner.dropout_share)
+        heard = echo.signal / weakest * np.exp(scanner.fading * normal[:, 2]) > 1
+    kept = heard & (echo.range_m >= scanner.min_range_m) & (uniform[:, 1] >= scanner.dropout_share)
+    return scanner.range_noise_m * normal[:, 1], kept
 
 
 def draws(seed, pulse):
@@ -258,22 +247,12 @@ def draws(seed, pulse):
     doi:10.1145/2660193.2660195).
     """
     key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
-    u = _uniform(key, pulse.astype(np.uint64))
+    place = pulse.astype(np.uint64)[:, None] * np.uint64(6) + np.arange(1, 7, dtype=np.uint64)
+    z = key + place * np.uint64(0x9E3779B97F4A7C15)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+        z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
+    u = ((z >> np.uint64(11)) + 0.5) * 2.0**-53
     return _normal(u), u[:, 4:]
-
-
-@njit(cache=True, parallel=True)
-def _uniform(key, pulse):
-    """Six numbers between 0 (exclusive) and 1 for each pulse."""
-    made = np.empty((len(pulse), 6))
-    for k in prange(len(pulse)):
-        for j in range(6):
-            z = key + (pulse[k] * np.uint64(6) + np.uint64(j + 1)) * np.uint64(0x9E3779B97F4A7C15)
-            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-            z = z ^ (z >> np.uint64(31))
-            made[k, j] = (np.float64(z >> np.uint64(11)) + 0.5) * 2.0**-53
-    return made
 
 
 @njit(cache=True, parallel=True)
@@ -508,10 +487,7 @@ class Scanner:
         What the mounting differs from that in truth and the evaluation does not know: small
         rotations about the vehicle's y (roll), x (pitch) and -z (heading).
     range_noise_m : float
-        Standard deviation of the range on a bright target.
-    range_noise_weak_m : float
-        What is added (in quadrature) where the signal is as weak as at ``max_range_m``; in
-        proportion to the inverse square root of the signal.
+        Standard deviation of the range.
     angle_noise_deg : float
         Standard deviation of the true scan angle about the recorded one.
     exit_diameter_m, divergence_mrad : float
@@ -551,7 +527,6 @@ class Scanner:
     tilt_deg: float = 0.0
     boresight_deg: tuple = (0.0, 0.0, 0.0)
     range_noise_m: float = 0.0
-    range_noise_weak_m: float = 0.0
     angle_noise_deg: float = 0.0
     exit_diameter_m: float = 0.0
     divergence_mrad: float = 0.0
