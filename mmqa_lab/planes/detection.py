@@ -329,17 +329,14 @@ def _distance(points, p, centre, normal):
 @numba.njit(cache=True)
 def _add(moments, points, p, origin):
     """Add a point to count, sums and products (10 numbers) about an origin."""
-    x, y, z = points[p, 0] - origin[0], points[p, 1] - origin[1], points[p, 2] - origin[2]
     moments[0] += 1
-    moments[1] += x
-    moments[2] += y
-    moments[3] += z
-    moments[4] += x * x
-    moments[5] += x * y
-    moments[6] += x * z
-    moments[7] += y * y
-    moments[8] += y * z
-    moments[9] += z * z
+    k = 4
+    for i in range(3):
+        along = points[p, i] - origin[i]
+        moments[1 + i] += along
+        for j in range(i, 3):
+            moments[k] += along * (points[p, j] - origin[j])
+            k += 1
 
 
 @numba.njit(cache=True)

@@ -120,7 +120,7 @@ class PointSpread:
         return float(2 * brentq(above_half, 0, 6 * np.sqrt(self.blur.max()) + 2))
 
 
-def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=0.6):
+def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, **levels):
     """Return an image of one straight edge.
 
     Parameters
@@ -132,24 +132,15 @@ def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=
         Direction from dark to bright, from x towards y.
     position_px : float
         Of the edge along that direction from the image's centre.
-    low, high : float
-        Levels of the two sides.
+    **levels
+        ``low``, ``high``: of the two sides, 0.1 and 0.6.
     """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return _render(shape, spread, lambda x, y: x * c + y * s - position_px, low, high)
+    return _render(shape, spread, lambda x, y: x * c + y * s - position_px, **levels)
 
 
 def render_star(
-    shape,
-    spread,
-    *,
-    cycles=36,
-    radius_px,
-    centre=(0.0, 0.0),
-    tilt_deg=0.0,
-    half=False,
-    low=0.1,
-    high=0.6,
+    shape, spread, *, cycles=36, radius_px, centre=(0.0, 0.0), tilt_deg=0.0, half=False, **levels
 ):
     """Return an image of a Siemens star on a dark ground.
 
@@ -168,8 +159,8 @@ def render_star(
         Of the star about y: it is seen narrower along x.
     half : bool
         Only the half with y below the centre's (upwards in the image).
-    low, high : float
-        Levels of dark and bright sectors.
+    **levels
+        ``low``, ``high``: of dark and bright sectors, 0.1 and 0.6.
     """
     n = check_count(cycles, "cycles", low=2)
 
@@ -185,7 +176,7 @@ def render_star(
         inside = inside * np.sqrt(shrink)
         return np.minimum(inside, -y) if half else inside
 
-    return _render(shape, spread, distance, low, high)
+    return _render(shape, spread, distance, **levels)
 
 
 def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
@@ -205,7 +196,7 @@ def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
     offset_px : float
         Of the group's centre along that direction.
     **levels
-        ``low``, ``high``.
+        ``low``, ``high``: of dark and bright bars, 0.1 and 0.6.
     """
     period = check_positive(period_px, "period_px", unit="px")
     count = check_count(bars, "bars")
@@ -218,7 +209,7 @@ def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
         near = np.clip(np.round(place), 0, count - 1)
         return np.minimum((0.25 - np.abs(place - near)) * period, 1.25 * period - np.abs(v))
 
-    return _render(shape, spread, distance, **{"low": 0.1, "high": 0.6} | levels)
+    return _render(shape, spread, distance, **levels)
 
 
 def texture(shape, *, seed):
@@ -509,7 +500,7 @@ def fly_block(flight=None, *, seed):
     return ImageBlock(dn, stations, flight, reflectance, surface)
 
 
-def _render(shape, spread, distance, low, high):
+def _render(shape, spread, distance, low=0.1, high=0.6):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
     margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * np.sqrt(spread.blur.max())))

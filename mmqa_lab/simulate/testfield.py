@@ -41,6 +41,8 @@ system; the 20 mm of the control points (3.1.2.2) must be common to the field.""
 PLAN_STD_M = 0.02 / np.sqrt(2)
 """Of a surveyed coordinate in plan: about 2 cm in both together (section 3.3.2)."""
 
+ORIGIN = (380_000.0, 6_672_000.0, 20.0)
+
 SNOW_M = 4.0
 """Side of the squares in which snow lies or does not."""
 
@@ -111,12 +113,7 @@ class SimulatedField:
 
 
 def make_testfield(
-    *,
-    length_m=120.0,
-    origin=(380_000.0, 6_672_000.0, 20.0),
-    reference_std_m=REFERENCE_STD_M,
-    plan_std_m=None,
-    seed=1,
+    *, length_m=120.0, origin=ORIGIN, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1
 ):
     """Return a street with everything that is measured on the test field.
 

@@ -231,12 +231,7 @@ def straight(
     return Trajectory(times, np.array([start, end]), roll, pitch, heading)
 
 
-def with_speed_variation(
-    trajectory: Trajectory,
-    *,
-    share: float,
-    seed: int,
-) -> Trajectory:
+def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> Trajectory:
     """Return the same path driven at a speed that wanders about its own within half a second.
 
     Parameters
