@@ -686,13 +686,9 @@ def _nearest_in_windows(xy, rows, order, first, count, quadrant):
     shift = np.repeat(first.ravel() - (ends - count.ravel()), count.ravel())
     offset = xy[order[np.arange(ends[-1]) + shift]] - np.repeat(xy[rows], size, axis=0)
     dx, dy = offset.T
-    inside = (
-        (dx > 0) & (dy >= 0),
-        (dx <= 0) & (dy > 0),
-        (dx < 0) & (dy <= 0),
-        (dx >= 0) & (dy < 0),
-    )[quadrant]
-    distances = np.where(inside, np.sqrt(dx * dx + dy * dy), np.inf)
+    for _ in range(quadrant):  # turned back into the first quadrant
+        dx, dy = dy, -dx
+    distances = np.where((dx > 0) & (dy >= 0), np.sqrt(dx * dx + dy * dy), np.inf)
     return np.minimum.reduceat(distances, np.cumsum(size) - size)
 
 
