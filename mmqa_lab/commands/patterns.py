@@ -12,7 +12,7 @@ checks = Lazy("mmqa_lab._checks")
 chart_cloud = Lazy("mmqa_lab.chart_cloud")
 io = Lazy("mmqa_lab.io")
 scan_pattern = Lazy("mmqa_lab.scan_pattern")
-scanners = Lazy("mmqa_lab.simulate.scanners")
+simulate = Lazy("mmqa_lab.simulate")
 systems = Lazy("mmqa_lab.simulate.systems")
 
 SETUP = {
@@ -171,7 +171,7 @@ def _heads(name):
     known = {
         key: system.heads
         for key, system in systems.SYSTEMS.items()
-        if all(isinstance(head, scanners.ProfileScanner) for head in system.heads)
+        if all(isinstance(head, simulate.ProfileScanner) for head in system.heads)
     }
     return known[checks.check_choice(name, "system", tuple(known))]
 
@@ -213,7 +213,7 @@ def _flag(name):
 def _preset(name):
     """A profile scanner of the simulator."""
     profilers = {
-        key: s for key, s in systems.PRESETS.items() if isinstance(s, scanners.ProfileScanner)
+        key: s for key, s in systems.PRESETS.items() if isinstance(s, simulate.ProfileScanner)
     }
     return profilers[checks.check_choice(name, "scanner", tuple(profilers))]
 
