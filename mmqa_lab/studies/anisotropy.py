@@ -7,7 +7,6 @@ from scipy.spatial import ConvexHull, cKDTree
 from mmqa_lab import bench, io, plots, samples
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.published import number
-from mmqa_lab.run import Check
 from mmqa_lab.simulate.point_patterns import (
     KINDS,
     aligned_lines_f,
@@ -16,7 +15,7 @@ from mmqa_lab.simulate.point_patterns import (
     true_ratio,
 )
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
-from mmqa_lab.studies import SMALL
+from mmqa_lab.studies import SMALL, stated
 
 QUICK = SMALL["anisotropy"]
 
@@ -267,6 +266,9 @@ def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
     return figure
 
 
+check = stated("anisotropy")
+
+
 def checks(*, results, forms, lines, verdicts, real):
     """Compare what the notebook says with this run.
 
@@ -279,54 +281,48 @@ def checks(*, results, forms, lines, verdicts, real):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
-    yield Check(
-        "f has its closed form on lattices, scan lines and random patterns.",
-        bool((forms["z"].abs() < 3).all()),
+    yield check(
+        "closed_forms",
+        (forms["z"].abs() < 3).all(),
         f"|z| up to {forms['z'].abs().max():.1f} in {len(forms)} cases",
-        "three standard errors of the simulated mean",
     )
     noisy = lines.query("cloud == 'noise 0.5 mm'").set_index("angle_deg")["f"]
-    yield Check(
-        "f of noisy scan lines falls when the axes follow the lines, as the closed form says.",
-        bool(noisy.loc[0] < 0.7 * noisy.max() and noisy.loc[0] < 1.5 * aligned_lines_f()),
+    yield check(
+        "along_lines",
+        noisy.loc[0] < 0.7 * noisy.max() and noisy.loc[0] < 1.5 * aligned_lines_f(),
         f"f = {noisy.loc[0]:.1f} along the lines, {noisy.max():.1f} off them",
-        "jitter and noise raise the closed form's 5 by less than one half",
     )
     f = results["value"].sel({"method": "f"})
     uneven = float(f.sel(kind=["gradient", "holes"]).mean() / f.sel(kind="poisson").mean())
-    yield Check(
-        "f does not see gradients and holes, though it is called inhomogeneity.",
+    yield check(
+        "blind_to_gradients",
         abs(uneven - 1) < 0.15,
         f"f is {uneven:.2f} times that of homogeneous random patterns",
-        "15 %, what holes add by the points at their edges",
     )
     pair = bench.rank(results.sel({"method": ["f", "g"]}), truth="ratio")
     best, other = pair.to_dict("records")
-    yield Check(
-        "g orders the patterns by their true ratio better than f does.",
-        bool(best["method"] == "g" and other["behind_low"] > 0),
+    yield check(
+        "g_orders_better",
+        best["method"] == "g" and other["behind_low"] > 0,
         f"rank correlation {best['spearman']:.2f} of {best['method']} against "
         f"{other['spearman']:.2f}, which is behind by {other['behind_low']:.2f} or more",
-        "95 % interval of the difference, bootstrap over cases",
     )
     right = bench.compare(verdicts, "right", reference="f < 2", better="higher", over="cases")
     right = right.set_index("method")
-    yield Check(
-        "With the exemption, f < 2 is right about more clouds than without.",
-        bool(right.loc["f < 2 or exempt", "low"] > 0),
+    yield check(
+        "exemption",
+        right.loc["f < 2 or exempt", "low"] > 0,
         f"right in {100 * right.loc['f < 2 or exempt', 'difference']:.0f} % more of the cases; "
         f"g < 2 in {100 * right.loc['g < 2', 'difference']:.0f} % more",
-        "95 % interval of the paired difference",
     )
     found = real.groupby("cloud")["f"].agg(["min", "max"])
     heads, both = found.loc[["road, head A", "road, head B"]], found.loc["road, both heads"]
-    yield Check(
-        "Two crossing scan heads together have a smaller f than each of them, for all axes.",
-        bool(both["max"] < heads["min"].min()),
+    yield check(
+        "two_heads",
+        both["max"] < heads["min"].min(),
         f"both {both['min']:.1f} to {both['max']:.1f}, each {heads['min'].min():.1f} or more",
-        "an order, no tolerance",
     )
 
 

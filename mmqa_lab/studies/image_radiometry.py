@@ -15,7 +15,6 @@ from mmqa_lab import bench, io, plots, samples
 from mmqa_lab.mtf import fit_edge
 from mmqa_lab.published import ledger, table
 from mmqa_lab.radiometry import fit_sensor, patch_statistics, relative_exposure
-from mmqa_lab.run import Check
 from mmqa_lab.simulate.targets import (
     ATMOSPHERES,
     Atmosphere,
@@ -25,7 +24,7 @@ from mmqa_lab.simulate.targets import (
     render_edge,
     render_star,
 )
-from mmqa_lab.studies import NOTES, SMALL
+from mmqa_lab.studies import NOTES, SMALL, stated
 
 QUICK = SMALL["image_radiometry"]
 """Small parameters for the tests."""
@@ -405,6 +404,9 @@ def _entry(name, cell, value, ends, note, kind="measured"):
     return ledger.entry(SOURCE, name, cell, value, kind=kind, **choices)
 
 
+check = stated("image_radiometry")
+
+
 def checks(*, edges, stars, sensors, reflectance, block):
     """Compare what the notebook says with this run.
 
@@ -419,60 +421,45 @@ def checks(*, edges, stars, sensors, reflectance, block):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
     cells = bench.cell_table(edges).query("noise <= 0.01")
     names = ["mtf50_error_percent", "fwhm_px_error_percent"]
     worst = cells.query("method == 'Gaussian sigmoid'")[names].abs().quantile(0.95)
-    yield Check(
-        "At 1 % noise, FWHM and MTF50 of edges by the Gaussian sigmoid are right within 1 %.",
-        bool(worst.max() < 1),
+    yield check(
+        "edges",
+        worst.max() < 1,
         f"95 % of edges within {worst.iloc[1]:.2f} % and {worst.iloc[0]:.2f} %",
-        "the limit asked for, 95 % of edges",
     )
     logistic = cells.query("method == 'logistic sigmoid'")["fwhm_px_error_percent"].median()
-    yield Check(
-        "A logistic sigmoid reads the FWHM of a Gaussian blur more than 10 % too small.",
-        bool(logistic < -10),
-        f"median {logistic:.1f} %",
-        "without noise it is 12 to 16 %",
-    )
+    yield check("logistic", logistic < -10, f"median {logistic:.1f} %")
     star = float(stars["mtf_error"].max())
-    yield Check(
-        "The contrast of Siemens stars is right within 0.02 up to 0.9 of the Nyquist frequency.",
-        star < 0.02,
-        f"largest error {star:.4f}",
-        "the limit asked for",
-    )
+    yield check("stars", star < 0.02, f"largest error {star:.4f}")
     weighted = sensors.query("method == 'weighted, without saturated targets' and label_std == 0")
     shares = [(weighted[f"{name}_z"].abs() <= 2).mean() for name in ("gain", "offset")]
     slack = 3 * np.sqrt(0.95 * 0.05 / len(weighted))
-    yield Check(
-        "Gain and offset lie within two standard errors in 95 % of the seeds.",
-        bool(min(shares) > 0.95 - slack),
+    yield check(
+        "sensor",
+        min(shares) > 0.95 - slack,
         f"gain {100 * shares[0]:.1f} %, offset {100 * shares[1]:.1f} % of {len(weighted)}",
-        f"95 % less three standard errors of the share, {100 * slack:.1f} %",
+        percent=100 * slack,
     )
     exact = reflectance.query("reference_std == 0 and air == 'clean'").groupby("method")
     error = exact["uniform_percent"].mean()
-    yield Check(
-        "The empirical line is right within 1 % in clean air if the references and their "
-        "anisotropy are known, and twice as far off if the anisotropy is ignored.",
-        bool(error["empirical line"] < 1 and error["line, anisotropy ignored"] > 2),
+    yield check(
+        "empirical_line",
+        error["empirical line"] < 1 and error["line, anisotropy ignored"] > 2,
         f"uniform surfaces {error['empirical line']:.2f} % and "
         f"{error['line, anisotropy ignored']:.2f} %",
-        "mean RMSE of bands and seeds; the targets reflect 3 to 6 % more than at nadir",
     )
     rows = block.set_index("adjustment")
     before, after, rmse = rows.loc[
         "absolute", ["cv_before_percent", "cv_after_percent", "rmse_percent"]
     ]
-    yield Check(
-        "The adjustment removes nine tenths of the differences between images; with ten control "
-        "targets reflectances are right within 2.5 %.",
-        bool(after < 0.1 * before and rmse < 2.5),
+    yield check(
+        "block",
+        after < 0.1 * before and rmse < 2.5,
         f"variation at ties {before:.2f} % before, {after:.2f} % after; RMSE {rmse:.2f} %",
-        "controls known to 0.002 leave 0.3 to 2.1 % in 24 draws of their errors",
     )
 
 

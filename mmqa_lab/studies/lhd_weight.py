@@ -12,9 +12,8 @@ from scipy.stats import chi2, t
 from mmqa_lab import bench, io, lines, plots, samples
 from mmqa_lab.lines.segments import otsu_threshold
 from mmqa_lab.published import ledger, table
-from mmqa_lab.run import Check
 from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
-from mmqa_lab.studies import SMALL
+from mmqa_lab.studies import SMALL, stated
 
 QUICK = SMALL["lhd_weight"]
 
@@ -474,6 +473,9 @@ def figure_of_components(angle, shift, offset, length, weight):
     return figure
 
 
+check = stated("lhd_weight")
+
+
 def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
     """Compare what the notebook says with this run.
 
@@ -487,55 +489,48 @@ def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
     f1, rate = _means(by_weight, "f1"), _means(by_weight, "rate_percent")
     scenes = by_weight.sizes["seed"]
     tolerance = 0.03 * np.sqrt(30 / scenes)
-    yield Check(
-        f"W = 10 lies on a plateau: its F1 is within {tolerance:.2f} of the best W.",
-        bool(f1.max() - f1["W = 10"] <= tolerance),
+    yield check(
+        "plateau",
+        f1.max() - f1["W = 10"] <= tolerance,
         f"{f1.max() - f1['W = 10']:.3f} behind {f1.idxmax()}",
-        f"three standard errors of a mean over {scenes} scenes; 0.03 over 30",
+        tolerance=tolerance,
+        scenes=scenes,
     )
-    yield Check(
-        "The detection rate moves by less than half a point over all W.",
-        bool(np.ptp(rate) < 0.5),
-        f"{np.ptp(rate):.2f} points, while F1 moves by {np.ptp(f1):.3f}",
-        "nearly all cells are true negatives",
+    yield check(
+        "rate", np.ptp(rate) < 0.5, f"{np.ptp(rate):.2f} points, while F1 moves by {np.ptp(f1):.3f}"
     )
     loud = by_noise.sel(angle_noise_deg=by_noise["angle_noise_deg"].max())
     loudest = _means(loud, "f1")
-    yield Check(
-        "With the noisiest directions W = 10 is too much.",
-        bool(loudest.max() - loudest["W = 10"] > 0.03),
+    yield check(
+        "noisy_directions",
+        loudest.max() - loudest["W = 10"] > 0.03,
         f"{loudest.max() - loudest['W = 10']:.3f} behind {loudest.idxmax()}",
-        "three standard errors of a mean over 30 scenes",
     )
     far = by_displacement.sel(displacement_m=by_displacement["displacement_m"].max())
     bias, across = _means(far, "lhd_bias_m"), _means(far, "across_bias_m")
-    yield Check(
-        "At the largest displacement the published distance reads at least 0.2 m too little, the "
-        "displaced matcher's perpendicular distance is right to 3 cm.",
-        bool(bias["all"] < -0.2 and abs(across["displaced"]) < 0.03),
+    yield check(
+        "saturates",
+        bias["all"] < -0.2 and abs(across["displaced"]) < 0.03,
         f"{bias['all']:+.2f} m and {across['displaced']:+.3f} m",
-        "false neighbours within 3 m replace the true partners",
     )
     gain = bench.compare(held_out, "f1", reference="published", better="higher").iloc[0]
-    yield Check(
-        "On held-out scenes the displaced matcher pairs better than the published method.",
-        bool(gain["low"] > 0),
+    yield check(
+        "held_out",
+        gain["low"] > 0,
         f"F1 {gain['difference']:+.3f} ({gain['low']:+.3f} to {gain['high']:+.3f})",
-        "95 % interval of the paired difference",
     )
     inside = rows["olhd_printed_m"].between(rows["low_m"], rows["high_m"])
     others = rows["kind"] == "predicted"
-    yield Check(
-        "Simulated canyons reach the printed distances, also in the rows that were held out.",
-        bool(inside[others].all() and inside.mean() >= 12 / 14),
+    yield check(
+        "printed_distances",
+        inside[others].all() and inside.mean() >= 12 / 14,
         f"{inside.sum()} of {len(rows)} within the range of single scenes; of the rows held out "
         f"{inside[others].sum()} of {others.sum()}",
-        "95 % range of single scenes; one in 20 may lie outside",
     )
 
 
