@@ -8,15 +8,7 @@ alone; ``python -m mmqa_lab.studies.poles_training`` grows them anew.
 import numpy as np
 from scipy.stats import t as student
 
-from mmqa_lab.poles.common import (
-    beside,
-    fit_ground,
-    near_axis,
-    rows,
-    shaft_chords,
-    slice_widths,
-    thinned,
-)
+from mmqa_lab.poles import common
 from mmqa_lab.poles.features import BIN_M, REACH_M, describe
 from mmqa_lab.poles.ours import WIDEST_M, chord_points, read_model
 
@@ -24,6 +16,8 @@ CLASSES = ("lamp or utility pole", "sign or signal", "trunk", "bollard or post",
 
 BREAST_M = 1.3
 """Height above ground of the diameter that foresters and surveyors give."""
+
+GIRTH = ("diameter_13_m", "diameter_13_low_m", "diameter_13_high_m")
 
 OUTSIDE_M = 0.5
 """That height may lie so far beyond the measured part of the shaft."""
@@ -63,13 +57,7 @@ def with_attributes(points, found, lines=None):
     DataFrame
         With the columns that :func:`mmqa_lab.poles.detect` names.
     """
-    made = found.assign(
-        total_height_m=np.nan,
-        diameter_13_m=np.nan,
-        diameter_13_low_m=np.nan,
-        diameter_13_high_m=np.nan,
-        points=0,
-    )
+    made = found.assign(total_height_m=np.nan, **dict.fromkeys(GIRTH, np.nan), points=0)
     made["class"], made["class_probability"] = "", np.nan
     made["lean_azimuth_deg"] = np.degrees(np.arctan2(made["lean_x"], made["lean_y"])) % 360
     kept = np.flatnonzero(made.get("rejected_by", np.full(len(made), "")) == "")
@@ -96,18 +84,18 @@ class _Around:
         self.width = table["diameter_m"].to_numpy()
         foot = self.middle - self.lean * (self.length / 2)[:, None]
         ends = np.column_stack([foot, self.low])
-        self.ground = fit_ground(points)
+        self.ground = common.fit_ground(points)
         self.base = self.ground.height(ends)  # of the lower end
         reach = REACH_M + np.hypot(*self.lean.T).max() * self.length.max()
-        self.chosen = beside(points, self.middle, reach)
+        self.chosen = common.beside(points, self.middle, reach)
         self.near = points[self.chosen]
         self.reach = reach
 
     def poles(self):
         """Yield what is measured about each pole."""
-        found = rows(self.near)
+        found = common.rows(self.near)
         for k in range(len(self.low)):
-            which = near_axis(*found[:3], *self.middle[k], self.reach)
+            which = common.near_axis(*found[:3], *self.middle[k], self.reach)
             part, number = found.points[which], self.chosen[found.order[which]]
             h = part[:, 2] - self.low[k]
             off = part[:, :2] - self.middle[k] - self.lean[k] * (h - self.length[k] / 2)[:, None]
@@ -117,9 +105,8 @@ class _Around:
             close = inside & (across <= WIDEST_M)
             lines = None if self.lines is None else [v[number[close]] for v in self.lines]
             girth = self._girth(k, part[close], off[close], lines)
-            names = ("diameter_13_m", "diameter_13_low_m", "diameter_13_high_m")
             total = {"total_height_m": self.base[k] + top, "points": int(seen.sum())}
-            yield total | dict(zip(names, girth, strict=True))
+            yield total | dict(zip(GIRTH, girth, strict=True))
 
     def _radius(self, k):
         """Radius of a shaft, 5 cm where it is not known."""
@@ -130,17 +117,17 @@ class _Around:
         z = self.low[k] - self.base[k] + BREAST_M
         if lines is None:
             near = np.abs(part[:, 2] - z) <= OUTSIDE_M
-            return _mean_width(slice_widths(off[near], part[near, 2]))
+            return _mean_width(common.slice_widths(off[near], part[near, 2]))
         direction = np.array([*self.lean[k], 1.0])
         direction /= np.linalg.norm(direction)
         which, line = chord_points(part, off, *lines)
-        return _diameter_at(z, shaft_chords(part[which], direction, line))
+        return _diameter_at(z, common.shaft_chords(part[which], direction, line))
 
     def features(self):
         """What the trees of the classes judge, (k, n)."""
-        thin = thinned(self.near, VOXEL_M)
+        thin = common.thinned(self.near, VOXEL_M)
         height = self.ground.height(thin)
-        found = rows(thin)
+        found = common.rows(thin)
         half = self.base + self.length / 2
         given = np.column_stack([self.middle, self.lean, half])
         where = (found.points, height[found.order], found.start, found.base)

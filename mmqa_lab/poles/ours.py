@@ -2,9 +2,9 @@
 
 Works without scan lines: the cloud is thinned, columns that have points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
-stands around it (``features``), on scan lines also by how its points stack up (``groups``) and by
-the rays that it stops (``rays``), and small decision trees, trained on simulated streets alone,
-give the probability that it is a pole.
+stands around it (``features``), on scan lines also by how its points stack up and by the rays that
+it stops (``on_lines``), and small decision trees, trained on simulated streets alone, give the
+probability that it is a pole.
 
 The trees stand in ``model.txt`` in the text format of LightGBM. They were grown on 240 simulated
 streets (393,102 candidates, 50,671 of them poles) by the histogram gradient boosting of
@@ -18,19 +18,7 @@ from importlib import resources
 
 import numpy as np
 
-from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.common import (
-    beside,
-    drop_duplicates,
-    first_reason,
-    fit_ground,
-    near_axis,
-    pole_table,
-    rows,
-    shaft_diameter,
-    slice_widths,
-    thinned,
-)
+from mmqa_lab.poles import common, on_lines
 from mmqa_lab.poles.features import (
     BIN_M,
     FACADE_NAMES,
@@ -40,9 +28,8 @@ from mmqa_lab.poles.features import (
     describe,
     describe_facades,
 )
-from mmqa_lab.poles.profiles import in_order
 
-FEATURES = NAMES + FACADE_NAMES + groups.NAMES + rays.NAMES
+FEATURES = NAMES + FACADE_NAMES + on_lines.STACK_NAMES + on_lines.RAY_NAMES
 """Of a candidate; those of stacks and rays on scan lines are -1 where there are no lines."""
 
 WIDEST_M = 0.45
@@ -118,68 +105,54 @@ def read_model(name="model.txt"):
 def judged(points, where, probability, settings, *, lines=None, explain=False):
     """Return the table of candidates with given probabilities; ``where`` is from ``described``."""
     features, axes, ground = where
-    reason = first_reason(
+    reason = common.first_reason(
         len(axes),
         probability=probability < settings.threshold,
         length=features[:, NAMES.index("column_m")] < settings.minimum_length,
     )
-    table = _rows(axes, ground, probability, reason)
-    drop_duplicates(table, settings.apart)
+    low, high = axes[:, 5], axes[:, 6]
+    middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]
+    table = common.axis_rows(middle, ground + low, axes[:, 2:4], high - low)
+    table |= {"score": probability, "rejected_by": reason}
+    common.drop_duplicates(table, settings.apart)
     _measure(points, lines, table, axes[:, 7])
-    return pole_table(table, "ours", explain=explain)
+    return common.pole_table(table, "ours", explain=explain)
 
 
 def described(points, settings, *, lines=None):
     """Return features (k, len(FEATURES)), axes (k, 8) and ground heights (k,) of all candidates."""
     if not len(points):
         return np.empty((0, len(FEATURES))), np.empty((0, 8)), np.empty(0)
-    thin = thinned(points, settings.voxel)
-    ground = fit_ground(thin)
+    thin = common.thinned(points, settings.voxel)
+    ground = common.fit_ground(thin)
     height = ground.height(thin)
     xy = candidates(thin, height)
     given = np.full((len(xy), 5), np.nan)
     ordered = stacks = None
     if lines is not None:
-        ordered = in_order(points, *lines)
-        stacks = groups.line_groups(ordered, ground.height)
+        ordered = on_lines.in_order(points, *lines)
+        stacks = on_lines.line_groups(ordered, ground.height)
         xy, given = _with_stacks(xy, given, stacks)
-    sorted_thin = rows(thin)
+    sorted_thin = common.rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(*where, xy, given)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
     features = np.column_stack([features, describe_facades(thin, height, axes)])
-    on_lines = np.full((len(xy), len(groups.NAMES + rays.NAMES)), -1.0)
+    evidence = np.full((len(xy), len(on_lines.STACK_NAMES + on_lines.RAY_NAMES)), -1.0)
     if stacks is not None:
-        beside, ends = groups.describe(stacks, axes)
-        on_lines = np.column_stack([beside, rays.describe(ordered, axes, level)])
+        beside, ends = on_lines.describe_stacks(stacks, axes)
+        evidence = np.column_stack([beside, on_lines.describe_rays(ordered, axes, level)])
         longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
         axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(np.column_stack([features, on_lines]), 5), axes, level
+    return np.round(np.column_stack([features, evidence]), 5), axes, level
 
 
 def _with_stacks(xy, given, stacks):
     """Candidates and known axes, with those of stacked groups."""
-    more = groups.candidates(stacks)
-    axes = groups.axes_of(*stacks[:4], more)
+    more = on_lines.stack_candidates(stacks)
+    axes = on_lines.axes_of(*stacks[:4], more)
     return np.concatenate([xy, axes[:, :2]]), np.concatenate([given, axes])
-
-
-def _rows(axes, ground, probability, reason):
-    """Columns of the table but for the diameter; axes are taken at half the height."""
-    low, high = axes[:, 5], axes[:, 6]
-    shift = ((low + high) / 2 - axes[:, 4])[:, None]
-    middle = axes[:, :2] + axes[:, 2:4] * shift
-    return {
-        "x_m": middle[:, 0],
-        "y_m": middle[:, 1],
-        "z_base_m": ground + low,
-        "height_m": high - low,
-        "lean_x": axes[:, 2],
-        "lean_y": axes[:, 3],
-        "score": probability,
-        "rejected_by": reason,
-    }
 
 
 def _measure(points, lines, table, radius):
@@ -192,11 +165,11 @@ def _measure(points, lines, table, radius):
     accepted = np.flatnonzero(table["rejected_by"] == "")
     xy = np.column_stack([table["x_m"], table["y_m"]])[accepted]
     reaches = WIDEST_M + np.hypot(table["lean_x"], table["lean_y"]) * table["height_m"] / 2
-    chosen = beside(points, xy, reaches[accepted].max(initial=0))
-    found = rows(points[chosen])
+    chosen = common.beside(points, xy, reaches[accepted].max(initial=0))
+    found = common.rows(points[chosen])
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
-        near = near_axis(found.points, found.start, found.base, x, y, reaches[k])
+        near = common.near_axis(found.points, found.start, found.base, x, y, reaches[k])
         part = found.points[near]
         inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
         part, number = part[inside], chosen[found.order[near[inside]]]
@@ -208,12 +181,12 @@ def _measure(points, lines, table, radius):
         off = part[:, :2] - axis[0] - lean * rise[:, None]
         if lines is None:
             own = np.hypot(*off.T) <= max(radius[k], WITHIN_M)
-            widths = slice_widths(off[own], part[own, 2])
+            widths = common.slice_widths(off[own], part[own, 2])
             table["diameter_m"][k] = np.quantile(widths, 0.25) if len(widths) else np.nan
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
             which, line = chord_points(part, off, *(values[number] for values in lines))
-            table["diameter_m"][k] = shaft_diameter(part[which], direction, line)
+            table["diameter_m"][k] = common.shaft_diameter(part[which], direction, line)
 
 
 def _straightened(xy, rise, axis, within):

@@ -44,13 +44,13 @@ def g_at_axes(xy):
     return max(ratio, 1 / ratio)
 
 
-def structure_tensor(xy, k=16):
-    """Median of sqrt(largest / smallest eigenvalue) of the scatter of the k nearest points.
+def structure_tensor(xy):
+    """Median of sqrt(largest / smallest eigenvalue) of the scatter of the 16 nearest points.
 
-    Random neighbourhoods are longer than wide: a Poisson pattern has about 1.5 for k = 16. On lines
-    the k nearest points are all on one line and the ratio is infinite.
+    Random neighbourhoods are longer than wide: a Poisson pattern has about 1.5. On lines
+    the nearest points are all on one line and the ratio is infinite.
     """
-    near = cKDTree(xy).query(xy, k=min(k + 1, len(xy)))[1][:, 1:]
+    near = cKDTree(xy).query(xy, k=min(17, len(xy)))[1][:, 1:]
     offsets = xy[near] - xy[:, None]
     scatter = np.einsum("nki,nkj->nij", offsets, offsets)
     smallest, largest = np.clip(np.linalg.eigvalsh(scatter), 0, None).T
@@ -58,14 +58,14 @@ def structure_tensor(xy, k=16):
         return float(np.median(np.sqrt(largest / smallest)))
 
 
-def pair_contrast(xy, reach=None):
+def pair_contrast(xy):
     """Contrast of Ripley's K between the directions with most and fewest pairs: 0 none, 1 all.
 
-    Of the pairs up to ``reach`` apart (twice the linear point distance), N lie within 45 degrees of
+    Of the pairs up to twice the linear point distance apart, N lie within 45 degrees of
     the direction of their second harmonic and M at a right angle to it: (N - M) / (N + M). Illian
     et al. 2008, section 4.5, doi:10.1002/9780470725160.
     """
-    reach = 2 * np.sqrt(np.prod(np.ptp(xy, axis=0)) / len(xy)) if reach is None else reach
+    reach = 2 * np.sqrt(np.prod(np.ptp(xy, axis=0)) / len(xy))
     first, second = cKDTree(xy).query_pairs(reach, output_type="ndarray").T
     if not len(first):
         return np.nan
@@ -248,22 +248,6 @@ def real_clouds():
             clouds[name] = io.read_cloud(samples.real_path(relative), columns=()).points
     distinct = {name: np.unique(points, axis=0) for name, points in clouds.items()}
     return {name: fit_plane(points).project(points) for name, points in distinct.items()}
-
-
-def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
-    """Return a figure of one pattern, its f over the turn of the axes, and its spacing around."""
-    xy, _ = pattern(kind, stretched_by, angle=angle, n=points, noise_mm=noise_mm, seed=1)
-    found = directional(xy)
-    figure, axes = plots.subplots(1, 3, width="double", height_mm=65)
-    plots.draw_points(xy, ax=axes[0])
-    turned = turns({"this pattern": xy}, step=5.0)
-    draw_turn(turned, ax=axes[1])
-    axes[1].set_title(f"f = {turned['f'].min():.2f} to {turned['f'].max():.2f}")
-    axes[2].plot(found.directions_deg, 1000 * found.spacing, color=plots.COLOURS["blue"])
-    axes[2].axvline(found.direction_deg, color=plots.COLOURS["green"], ls=":")
-    axes[2].set(xlabel="direction (degrees)", ylabel="spacing (mm)", ylim=(0, None))
-    axes[2].set_title(f"g = {found.g:.2f}, along {found.direction_deg:.0f}°")
-    return figure
 
 
 check = stated("anisotropy")

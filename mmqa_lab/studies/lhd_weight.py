@@ -445,34 +445,6 @@ def _fitted(points, moving, fixed):
     return (points - centres[0]) @ turn.as_matrix().T + centres[1]
 
 
-def figure_of_components(angle, shift, offset, length, weight):
-    """A figure of two segments and the parts of their distance, for sliders.
-
-    ``angle`` (degrees), ``shift`` along and ``offset`` across (m) place the test segment of
-    ``length`` (m) against a model segment of 10 m.
-    """
-    turn = np.radians(angle)
-    half = length / 2 * np.array([np.cos(turn), np.sin(turn), 0])
-    test = lines.Segments([[[shift, offset, 0] - half, [shift, offset, 0] + half]])
-    model = lines.Segments([[[-5.0, 0, 0], [5.0, 0, 0]]])
-    parts = lines.components(test, model)
-    figure, axes = plots.subplots(1, 2, width="double", height_mm=60, width_ratios=(2, 1))
-    for one, colour, name in ((model, "grey", "model"), (test, "black", "test")):
-        axes[0].plot(*one.ends[0, :, :2].T, "-o", ms=3, color=plots.COLOURS[colour], label=name)
-    axes[0].plot([shift, shift], [0, offset], color=plots.COLOURS["blue"], label="perpendicular")
-    axes[0].set(xlabel="along the model (m)", ylabel="across (m)", aspect="equal")
-    axes[0].set(xlim=(-13, 13), ylim=(-6, 6))
-    axes[0].legend(loc="upper left", ncols=3)
-    values = {"√W · angle": np.sqrt(weight) * parts.angle, "parallel": parts.parallel}
-    values |= {"perpendicular": parts.perpendicular, "d": parts.distance(weight)}
-    sizes = [value.item() for value in values.values()]
-    bars = axes[1].barh(list(values), sizes, color=plots.COLOURS["sky"])
-    axes[1].bar_label(bars, fmt="%.2f m", padding=2)
-    axes[1].set(xlabel="metres", xlim=(0, 1.35 * max(*sizes, 0.5)))
-    axes[1].invert_yaxis()
-    return figure
-
-
 check = stated("lhd_weight")
 
 

@@ -20,26 +20,21 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
 from mmqa_lab.poles.attributes import CLASSES
 from mmqa_lab.poles.features import NAMES
-from mmqa_lab.poles.profiles import scan_lines
+from mmqa_lab.poles.on_lines import scan_lines
 from mmqa_lab.simulate import streets, surfaces
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
+from mmqa_lab.studies import NOTES
 
 EXAMPLES = 240
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
+_ROAMER = ("roamer", 150.0, (5.0, 14.0))
+_PUSH_BROOM = ("push-broom", 140.0, (3.0, 9.0))
 SETUPS = (
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("vq-450", 60.0, (8.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("dense-profiler", 50.0, (8.0, 14.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
+    *(_ROAMER, _PUSH_BROOM, ("vq-450", 60.0, (8.0, 14.0)), _PUSH_BROOM, _ROAMER, _PUSH_BROOM),
+    *(("dense-profiler", 50.0, (8.0, 14.0)), _ROAMER, _PUSH_BROOM, _ROAMER),
 )
 """Scanner, length of the street (m) and range of speeds (m/s), by turns."""
 
@@ -66,34 +61,13 @@ SCATTER_M = (0.0, 0.0, 0.01, 0.03)
 def random_plan(rng):
     """Return a street plan drawn at random between few and many of everything."""
     setback, thinnest = rng.uniform(7, 20), rng.uniform(1, 10)
-    return streets.Plan(
-        trees_per_100m=rng.uniform(8, 20),
-        signs_per_100m=rng.uniform(5, 14),
-        lamps_per_100m=rng.uniform(3, 8),
-        others_per_100m=rng.uniform(5, 14),
-        far_share=rng.uniform(0.1, 0.8),
-        shrub_share=rng.uniform(0, 0.7),
-        thicket_share=rng.uniform(0, 1),
-        thicket_density=(thinnest, thinnest + rng.uniform(0, 20)),
-        thicket_height_m=(2.0, rng.uniform(3, 8)),
-        low_crown_share=rng.uniform(0, 0.7),
-        low_branch_share=rng.uniform(0, 0.9),
-        trunk_radius_m=(0.05, rng.uniform(0.15, 0.4)),
-        trunk_lean_deg=rng.uniform(1.0, 5.0),
-        crown_height_m=(2.5, rng.uniform(4.0, 10.0)),
-        crown_density=rng.uniform(0.5, 1.8),
-        cars_per_100m=rng.uniform(0, 15),
-        pedestrians_per_100m=rng.uniform(0, 5),
-        billboards_per_100m=rng.uniform(0, 2),
-        hedges_per_100m=rng.uniform(0, 8),
-        building_share=rng.uniform(0.1, 1.0),
-        setback_m=(setback, setback + rng.uniform(1, 10)),
-        balcony_share=rng.uniform(0, 0.9),
-        columns_per_100m=rng.uniform(0, 10),
-        pipes_per_100m=rng.uniform(0, 10),
-        slope=rng.normal(0, 0.02),
-        cross_slope=rng.normal(0, 0.02),
-    )
+    drawn = {name: rng.uniform(*ends) for name, ends in NOTES["poles_training"]["plan"].items()}
+    least = {"thicket_height_m": 2.0, "trunk_radius_m": 0.05, "crown_height_m": 2.5}
+    drawn |= {name: (low, drawn[name]) for name, low in least.items()}
+    drawn["setback_m"] = setback, setback + drawn["setback_m"]
+    drawn["thicket_density"] = thinnest, thinnest + drawn["thicket_density"]
+    slope, cross_slope = rng.normal(0, 0.02), rng.normal(0, 0.02)
+    return streets.Plan(**drawn, slope=slope, cross_slope=cross_slope)
 
 
 def example(number, *, seed=FIRST_SEED, stretch=1.0):

@@ -368,25 +368,6 @@ def stray_sweep(surface, *, shares, depths, seeds):
     return pd.DataFrame(rows, columns=["share", "seed", *names])
 
 
-def figure_of_operator(surface):
-    """Return a function that draws one selection for a click error, strays and a seed."""
-
-    def draw(click_cm, strays_percent, seed):
-        """The figures of one selection, with its histograms."""
-        choices = {"repeats": 1, "click": click_cm / 100, "seed": seed}
-        polygon = operator_polygons(surface.corners, **choices)[0]
-        share = strays_percent / 100
-        points = with_strays(surface.points, share=share, depths=(0.1, 0.5), seed=seed)
-        quality = evaluate_cloud(points, polygon=polygon, thickness=1.0)
-        figure = quality.plot()
-        figure.axes[0].set_title(
-            f"{quality.density_polygon_per_m2:.0f} points/m², f = {quality.f:.2f}"
-        )
-        return figure
-
-    return draw
-
-
 check = stated("repeatability")
 
 

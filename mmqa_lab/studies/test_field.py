@@ -467,13 +467,9 @@ def full(survey):
 
 def calibration_tables(results):
     """Return the mean of each figure by method and field."""
-    parts = []
-    for figure in bench.figure_names(results):
-        by = [name for name in ("navigation", "reference_std_m") if name in results.coords]
-        means = bench.summary(results, figure, by=by)
-        mean = next(name for name in means if name.startswith("mean"))
-        parts.append(means.set_index(["method", *by])[mean].rename(figure))
-    return {"calibrations": pd.concat(parts, axis=1).reset_index()}
+    by = ["method", *(n for n in ("navigation", "reference_std_m") if n in results.coords)]
+    groups = bench.cell_table(results).groupby(by, sort=False)
+    return {"calibrations": groups[list(bench.figure_names(results))].mean().reset_index()}
 
 
 def calibration_figures(results):
