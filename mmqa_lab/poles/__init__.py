@@ -148,7 +148,7 @@ def detect(
 
 def _search(points, lines, method, settings, choices):
     """The poles of points near the origin, with their attributes."""
-    from mmqa_lab.poles.attributes import with_attributes
+    from mmqa_lab.poles.ours import with_attributes
 
     choices |= {} if method == "itc" else {"lines": lines}
     detect_with = import_module(f"mmqa_lab.poles.{method}").detect

@@ -171,12 +171,7 @@ def _clusters(groups, settings):
 
 def _features(points, line, member):
     """Axis, length, eigenvalue ratio and sweeps of each cluster, and its radius about the axis."""
-    if not len(points):
-        empty = np.empty(0)
-        names = ("length", "low", "ratio", "sweeps", "radius")
-        vectors = {"centre": np.empty((0, 3)), "direction": np.empty((0, 3))}
-        return vectors | dict.fromkeys(names, empty)
-    n = member.max() + 1
+    n = member.max(initial=-1) + 1
     count, centre, covariance = common.moments(points, member, n)
     values, vectors = np.linalg.eigh(covariance)
     direction = vectors[:, :, 2] * np.where(vectors[:, 2, 2] < 0, -1.0, 1.0)[:, None]

@@ -72,7 +72,8 @@ def scan_lines(cloud):
         return None
     if line is None:
         return None
-    return line - line.min(initial=0) + source * _apart(line), np.asarray(place, dtype=np.float64)
+    apart = np.ptp(line) + 10 if len(line) else 0  # lines of other heads are no neighbours
+    return line - line.min(initial=0) + source * apart, np.asarray(place, dtype=np.float64)
 
 
 def pulse_numbers(line, place):
@@ -141,11 +142,6 @@ def _source(cloud):
             _, number = np.unique(cloud[name], return_inverse=True)
             source = source * (number.max(initial=0) + 1) + number
     return source
-
-
-def _apart(line):
-    """What keeps lines of different heads from being neighbours."""
-    return np.ptp(line) + 10 if len(line) else 0
 
 
 def _lines_by_angle(time, angle, source):

@@ -400,11 +400,6 @@ def contrast_alone(seen):
     return seen.pairs["contrast"].abs() >= SMALLEST_GAP
 
 
-def score_mark(mark, truth):
-    """How many steps a mark is worse than the published one."""
-    return {"steps": "abc".index(mark) - "abc".index(truth["published"]["legibility"])}
-
-
 def by_pixels(seen):
     """Mark a photograph by the pixels of capitals of 40 mm."""
     pixel_mm = seen.pixel_size("v")[0]

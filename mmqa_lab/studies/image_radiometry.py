@@ -20,9 +20,7 @@ from mmqa_lab.simulate.targets import (
     Atmosphere,
     PointSpread,
     expose,
-    render_bars,
     render_edge,
-    render_star,
 )
 from mmqa_lab.studies import NOTES, SMALL, stated
 
@@ -33,9 +31,6 @@ SOURCE, TOLD = "eurosdr2013_radiometry", NOTES["image_radiometry"]
 
 LOW, HIGH = 0.1, 0.6
 """Levels of all targets of resolution; their noise is a share of the difference."""
-
-HIGHEST = 0.45
-"""Cycles per pixel, 0.9 of the Nyquist frequency."""
 
 PHOTOGRAPHS = (
     "images/panorama.jpg",
@@ -191,39 +186,9 @@ def real_patch(photograph, seed=0):
     return io.read_grey(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
-def star_patch(sigma_px, cycles, noise, seed):
-    """A star as ``measure_star(**star)`` takes it, its centre known to half a pixel; the truth."""
-    rng = np.random.default_rng(seed)
-    spread, radius = PointSpread(sigma_px), 2.6 * cycles + 20
-    size, centre = 2 * int(radius + 8), rng.uniform(-0.5, 0.5, 2)
-    known = {"cycles": cycles, "radius_px": radius}
-    clean = render_star((size, size), spread, centre=centre, low=LOW, high=HIGH, **known)
-    middle = centre + (size - 1) / 2
-    rough = middle + rng.uniform(-0.5, 0.5, 2)
-    star = {"image": noisy(clean, noise, rng), "centre": rough, **known}
-    return star, {"spread": spread, "centre": middle}
-
-
-def star_errors(star, truth):
-    """Largest error of a star's contrast up to 0.9 of the Nyquist frequency, and of its centre."""
-    error = star.mtf - truth["spread"].mtf_mean(star.frequency)
-    off = np.hypot(*(np.array(star.centre) - truth["centre"]))
-    return {"mtf_error": np.abs(error[star.frequency <= HIGHEST]).max(), "centre_error_px": off}
-
-
 def noisy(image, noise, rng):
     """An image with noise of a share of the targets' contrast."""
     return image + noise * (HIGH - LOW) * rng.standard_normal(image.shape)
-
-
-def bar_image(period_px, sigma_px, noise, rng):
-    """A noisy image of four bars, and the table that tells ``read_bars`` where they are."""
-    size, offset = int(6 * period_px) + 12, rng.uniform(-0.5, 0.5)
-    choices = {"period_px": period_px, "offset_px": offset, "low": LOW, "high": HIGH}
-    image = noisy(render_bars((size, size), PointSpread(sigma_px), **choices), noise, rng)
-    middle = {"x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
-    group = {"period_px": period_px, **middle, "angle_deg": 0.0, "bars": 4}
-    return image, pd.DataFrame([group])
 
 
 def grey_wedge(radiance, exposure, seed):

@@ -29,7 +29,6 @@ IDENTITY = (
     "From the printed counts, 100 (1 - (FN + FP) / (p q)): the identity is checked, not the counts."
 )
 
-ELLIPSOID = chi2.ppf(0.95, 3)
 BOARD_M = np.array([0.85, 0.61])
 """The board's sides (acfr/cam_lidar_calibration)."""
 
@@ -138,16 +137,6 @@ def score(result, truth):
         "lhd_bias_m": result.value - truth.mean(truth.displacements),
         "across_bias_m": result.perpendicular_only - truth.mean(truth.across),
     }
-
-
-def score_vector(result, truth):
-    """As :func:`score`, with the displacement: ``vector_error_m``, and ``inside`` its ellipsoid."""
-    error = result.displacement.vector - truth.displacements.mean(axis=0)
-    covariance = result.displacement.covariance
-    known = np.isfinite(covariance).all()
-    square = error @ np.linalg.solve(covariance, error) if known else np.nan
-    inside = float(square <= ELLIPSOID) if known else np.nan
-    return score(result, truth) | {"vector_error_m": np.linalg.norm(error), "inside": inside}
 
 
 def score_directions(result, truth):

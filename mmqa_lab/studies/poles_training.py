@@ -18,7 +18,6 @@ import pandas as pd
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
-from mmqa_lab.poles.attributes import CLASSES
 from mmqa_lab.poles.features import NAMES
 from mmqa_lab.poles.on_lines import scan_lines
 from mmqa_lab.simulate import streets, surfaces
@@ -323,7 +322,7 @@ def lessons(numbers, folder, *, progress=True, **choices):
     -------
     features, label, kind
         (k, features) without scan lines, (k,) of :func:`labels`, and (k,) row of
-        ``attributes.CLASSES`` of the nearest target.
+        ``ours.CLASSES`` of the nearest target.
     """
     from tqdm.auto import tqdm
 
@@ -352,7 +351,7 @@ def _lesson(number, **choices):
 
 
 def kinds(targets):
-    """Return the class of each target, a row of :data:`mmqa_lab.poles.attributes.CLASSES`.
+    """Return the class of each target, a row of :data:`mmqa_lab.poles.ours.CLASSES`.
 
     Bare shafts and the targets called other are classed by their sizes, as the generator makes
     them: utility poles are wider than flagpoles, signals stand 3 to 4 m high, shafts wider than
@@ -378,7 +377,7 @@ def fit_classes(features, label, kind, *, rounds=40):
     data = lightgbm.Dataset(features, kind, weight=weight / weight.mean(), feature_name=list(NAMES))
     choices = TREES | {
         "objective": "multiclass",
-        "num_class": len(CLASSES),
+        "num_class": len(ours.CLASSES),
         "num_leaves": 8,
         "learning_rate": 0.08,
         "feature_fraction_bynode": 0.4,

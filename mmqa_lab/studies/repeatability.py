@@ -14,7 +14,6 @@ from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.published import ledger
 from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.simulate import chart_corners, systems
-from mmqa_lab.simulate.point_patterns import point_pattern
 from mmqa_lab.studies import NOTES, SMALL, stated
 
 QUICK = SMALL["repeatability"]
@@ -295,17 +294,6 @@ def entries(ranges):
             given = {"kind": "measured", "low": low, "high": high, "note": text}
             found.append(ledger.entry("pfeifer2021", "numbers", cell, middle, **given))
     return found
-
-
-def upright_pattern(area, density, click, repeats, seed, kind="poisson", **choices):
-    """A point pattern on an upright wall, and an operator's polygons of its middle."""
-    side = np.sqrt(area)
-    size = side + 12 * click
-    xy = point_pattern(kind, density=density, size=size, seed=seed, **choices) - size / 2
-    depth = 0.005 * np.random.default_rng([seed, 1]).standard_normal(len(xy))
-    corners = side / 2 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
-    polygons = operator_polygons(corners, repeats=repeats, click=click, seed=[seed, 2])
-    return np.column_stack([xy[:, 0], depth, xy[:, 1]]), polygons
 
 
 def with_strays(points, *, share, depths, seed):
