@@ -160,24 +160,6 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
-def pair_limits(sigmas_px, blurs_px, *, seed=0):
-    """Return :func:`pair_limit` over point spreads and motion blurs.
-
-    Returns
-    -------
-    DataArray
-        Dimensions ``sigma_px`` and ``blur_px``; pixels.
-    """
-    from tqdm.auto import tqdm
-
-    limits = [
-        [pair_limit(sigma, blur, seed=seed) for blur in blurs_px]
-        for sigma in tqdm(sigmas_px, desc="point spreads", leave=False)
-    ]
-    coords = {"sigma_px": list(sigmas_px), "blur_px": list(blurs_px)}
-    return xr.DataArray(limits, coords, tuple(coords), name="pair_limit", attrs={"units": "px"})
-
-
 def limits_mm(cells, limits, sigma_px, blur_mm=0.0):
     """Return the narrowest resolved width of each cell, millimetres, linear between the limits.
 
@@ -186,7 +168,7 @@ def limits_mm(cells, limits, sigma_px, blur_mm=0.0):
     cells : DataFrame
         Of :func:`width_cells`.
     limits : DataArray
-        Of :func:`pair_limits`.
+        :func:`pair_limit` over ``sigma_px`` and ``blur_px``.
     sigma_px, blur_mm : float
         Point spread, and way of the vehicle during the exposure.
 
@@ -245,7 +227,7 @@ def spread_trials(cells, limits, sigmas_px, blurs_mm=(0.0,)):
     cells : DataFrame
         Of :func:`width_cells`.
     limits : DataArray
-        Of :func:`pair_limits`; spreads beyond its range are left out.
+        As for :func:`limits_mm`; spreads beyond its range are left out.
     sigmas_px, blurs_mm : sequence of float
         What is tried, every combination.
 

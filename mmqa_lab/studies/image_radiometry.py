@@ -32,12 +32,7 @@ SOURCE, TOLD = "eurosdr2013_radiometry", NOTES["image_radiometry"]
 LOW, HIGH = 0.1, 0.6
 """Levels of all targets of resolution; their noise is a share of the difference."""
 
-PHOTOGRAPHS = (
-    "images/panorama.jpg",
-    "images/street_signs_french.jpg",
-    "images/iso_chart_mono.jpg",
-    "images/line_pairs_44.png",
-)
+PHOTOGRAPHS = TOLD["photographs"]
 
 REAL_EDGES = {
     "slanted edge": ("images/slanted_edge.tif", (slice(None), slice(None)), 0.285),
@@ -72,11 +67,7 @@ BANDS = {"green": (1.08, 1.5), "red": (1.0, 1.0), "near infrared": (0.68, 0.4)}
 ANISOTROPY = np.array([1.03, 1.06, 1.04])
 """How much more than at nadir the reference targets reflect towards the camera, assumed."""
 
-UNIFORM_AND_GRASS = {
-    "green": (0.10, 0.20, 0.09),
-    "red": (0.11, 0.24, 0.06),
-    "near infrared": (0.13, 0.29, 0.42),
-}
+UNIFORM_AND_GRASS = TOLD["uniform_and_grass"]
 """Assumed reflectances of asphalt, gravel and grass."""
 
 WATER = 0.015
