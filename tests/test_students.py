@@ -51,6 +51,12 @@ def test_a_wrong_unit_is_named(work, said):
         run(given.replace("needed_m = ...", f"needed_m = {work}"))
 
 
+def test_a_wrong_unit_is_named_for_speeds_and_arrays():
+    given = student_cell("# 2: all alike\nv_m_s = [5.0, 10.0]\nassert abs(v_m_s[1] - 10) < 0.1")
+    with pytest.raises(AssertionError, match="2: v_m_s is expected in m/s; 18 looks like km/h"):
+        run(given.replace("v_m_s = ...", "v_m_s = [18, 36]"))
+
+
 def test_what_a_check_says_and_needs_goes_with_it():
     given = student_cell(
         "# 3: it is even\n# asked for: n, a whole number\nimport math\nn = 4\n"

@@ -14,10 +14,10 @@ import shutil
 import subprocess
 import textwrap
 import zlib
-from numbers import Real
 from pathlib import Path
 
 import nbformat
+import numpy as np
 
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.io import write_atomically
@@ -36,6 +36,7 @@ NUMBER = "number"
 SCALES = (
     {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
     {"ms": 1e-3, "s": 1.0},
+    {"km/h": 1 / 3.6, "m/s": 1.0},
     {"degrees": math.pi / 180, "radians": 1.0},
     {"%": 0.01, "as a share": 1.0},
 )
@@ -143,14 +144,17 @@ def _wrong(checks, scope):
 
 
 def _other_unit(name, checks, scope):
-    """A sentence where a number would be right in another unit."""
-    value, unit = scope[name], split_unit(name)[1]
+    """A sentence where a number, or an array of them, would be right in another unit."""
+    unit = split_unit(name)[1]
     unit = UNITS.get(unit, unit)
     scales = next((each for each in SCALES if unit in each), {})
-    if isinstance(value, Real):
-        for other, scale in scales.items():
-            if _wrong(checks, scope | {name: value * scale / scales[unit]}) is None:
-                return f"{name} is expected in {unit}; {value:g} looks like {other}."
+    try:
+        given = np.asarray(scope[name], float)
+    except (TypeError, ValueError):
+        return ""
+    for other, scale in scales.items():
+        if _wrong(checks, scope | {name: given[()] * scale / scales[unit]}) is None:
+            return f"{name} is expected in {unit}; {np.ravel(given)[0]:g} looks like {other}."
     return ""
 
 
