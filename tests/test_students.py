@@ -7,6 +7,7 @@ import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import students
+from mmqa_lab.run.pages import glossary_rows
 from mmqa_lab.run.students import student_cell, write_sheets, write_student_notebooks
 from mmqa_lab.studies import STUDIES
 
@@ -154,6 +155,19 @@ def test_sheets_have_task_words_and_answers_apart(tmp_path, monkeypatch):
     assert "Lesson plan" not in handout
     assert "All studies" not in handout + solutions
     assert 'alt="d_0 = ' in handout  # formulas are typeset
+
+
+def test_words_of_the_glossary_are_the_notebooks_own():
+    rows = glossary_rows()
+    assert all(all(row.values()) for row in rows)
+    assert len({row["english"].lower() for row in rows}) == len(rows)
+    for study in STUDIES:
+        cells = nbformat.read(study.path, as_version=4).cells
+        text = " ".join(" ".join(cell.source.lower().split()) for cell in cells)
+        for row in rows:
+            if study.stem in row["studies"].split():
+                forms = re.findall(r"[^,()]+", row["english"].lower())
+                assert any(form.strip() in text for form in forms), (study.stem, row["english"])
 
 
 def test_a_class_can_have_small_parameters(tmp_path):
