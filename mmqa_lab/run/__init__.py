@@ -248,7 +248,8 @@ class Run:
 
         The index page and the README take them from the run record.
         """
-        self._record["answer"] = {"sentence": sentence, "figure": figure}
+        spaced = re.sub(r"(?<=\d)%", " %", sentence)
+        self._record["answer"] = {"sentence": spaced, "figure": figure}
         self._write_record()
 
     def save_checks(self, *groups: Iterable[Check]) -> None:

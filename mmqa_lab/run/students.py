@@ -262,6 +262,8 @@ def write_sheets(studies, folder):
         cells = nbformat.read(study.path, as_version=4).cells
         tagged = [k for k, cell in enumerate(cells) if "solution" in _tags(cell)]
         task = next(k for k in reversed(range(tagged[0])) if cells[k].cell_type == "markdown")
+        heading = "## " + cells[task].source.rpartition("## ")[2]  # without what is above it
+        exercises = nbformat.v4.new_markdown_cell(heading)
         asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
         words = nbformat.v4.new_markdown_cell(_words(study.stem))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
@@ -269,8 +271,8 @@ def write_sheets(studies, folder):
             nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
         ]
         sheets = {
-            "handout": [*cells[:2], cells[task], *asked, words],
-            "solutions": [cells[0], cells[task], *answers, *lesson],
+            "handout": [*cells[:2], exercises, *asked, words],
+            "solutions": [cells[0], exercises, *answers, *lesson],
         }
         for kind, chosen in sheets.items():
             book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
