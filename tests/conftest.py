@@ -20,13 +20,14 @@ TOGETHER = ("poles", "browser")
 """Files with these words are one share: one process compiles the detectors, one starts a server."""
 
 SLOW = (
-    *("poles", "[test_field]", "[chart_tables]", "browser", "[image_radiometry]"),
+    *("poles", "browser", "[test_field]", "[chart_tables]", "[image_radiometry]"),
     *("[repeatability]", "test_lines_edges.py", "[anisotropy]", "[chart_images]", "[mimic]"),
     *("[lhd_weight]", "[poles]", "test_bench.py", "test_chart_image.py"),
 )
 """How the names of shares end that take long: they come first, so that all processes end together.
 
-The notebook about poles comes late: by then the detectors are compiled.
+The browser starts beside the detectors, for it needs no scanner, which these compile; the notebook
+about poles comes late, when the detectors are compiled.
 """
 
 

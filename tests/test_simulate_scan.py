@@ -1,6 +1,7 @@
 """Scans with known truth: lattice and density in closed form, errors one by one, same seeds."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from mmqa_lab.simulate.surfaces import ellipsoid
 
 SPEED = 10.0
 PROFILER = ProfileScanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)
-WALL = Scene([simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 40))])
 UTM = np.array([600_123.4, 4_800_456.7, 150.2])
 
 
@@ -22,8 +22,14 @@ def drive(length=2.0, **options):
     return simulate.straight(length, SPEED, **options)
 
 
-def scan(scene=WALL, scanner=PROFILER, path=None, **options):
-    return simulate.scan_all(scene, scanner, path or drive(), **{"seed": 1, **options})
+@cache
+def wall():
+    """Made by the first test, not where tests are collected: it waits for the compiler."""
+    return Scene([simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 40))])
+
+
+def scan(scene=None, scanner=PROFILER, path=None, **options):
+    return simulate.scan_all(scene or wall(), scanner, path or drive(), **{"seed": 1, **options})
 
 
 def turned_wall(turn, lean, distance=5.0):
@@ -296,7 +302,7 @@ def test_laz_keeps_points_and_truth(tmp_path):
 
 
 def test_progress_bar_counts_blocks(capsys):
-    blocks = list(simulate.scan(WALL, PROFILER, drive(), seed=1, block_s=0.05, progress=True))
+    blocks = list(simulate.scan(wall(), PROFILER, drive(), seed=1, block_s=0.05, progress=True))
     assert len(blocks) == 4
     assert "4/4" in capsys.readouterr().err
 
