@@ -37,7 +37,14 @@ from mmqa_lab._polygons import (
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
-from mmqa_lab.spacing import DirectionalSpacing, Spacing, directional, exempt, quadrants
+from mmqa_lab.spacing import (
+    DirectionalSpacing,
+    Spacing,
+    directional,
+    exempt,
+    quadrants,
+    said_coincident,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -647,11 +654,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
             "not measured."
         )
     if gaps.coincident:
-        share = 100 * gaps.coincident / gaps.n
-        remarks.append(
-            f"{gaps.coincident} points ({share:.3g} %) share their place with another: "
-            "they raise the density."
-        )
+        remarks.append(said_coincident(gaps.coincident, gaps.n))
     return remarks
 
 

@@ -20,7 +20,7 @@ from mmqa_lab.scan_pattern import (
     scan_lattice,
     sensitivities,
 )
-from mmqa_lab.simulate.scanners import ProfileScanner
+from mmqa_lab.simulate import ProfileScanner
 from mmqa_lab.simulate.systems import PRESETS, SYSTEMS
 
 MIMIC = ScanSetup(

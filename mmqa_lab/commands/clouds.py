@@ -14,7 +14,6 @@ chart_cloud = Lazy("mmqa_lab.chart_cloud")
 io = Lazy("mmqa_lab.io")
 maps = Lazy("mmqa_lab.maps")
 map_campaigns = Lazy("mmqa_lab.maps.campaign")
-map_results = Lazy("mmqa_lab.maps.results")
 planes = Lazy("mmqa_lab.planes")
 
 HEADS = ("scanner_channel", "point_source_id", "user_data", "head", "scanner")
@@ -255,7 +254,7 @@ def map_(options):
     """
     from mmqa_lab.maps.tile import variables
 
-    map_results.check_thresholds(options.below, variables(options.metrics))
+    maps.check_thresholds(options.below, variables(options.metrics))
     if options.rho0 is not None:
         checks.check_positive(options.rho0, "rho0", unit="points per m2")
         checks.check_choice("spacing", "metric for --rho0", options.metrics)
@@ -264,9 +263,7 @@ def map_(options):
         checks.check_metres(given, "crs")
         checks.check_same_crs("crs", given, "files", checks.check_crs(stated) if stated else None)
     lazily = options.out.suffix == ".tif" and not options.crs
-    map_results.check_place(
-        options.out, map_campaigns.known_crs(options.cloud) if lazily else "given"
-    )
+    maps.check_place(options.out, map_campaigns.known_crs(options.cloud) if lazily else "given")
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
@@ -277,7 +274,7 @@ def map_(options):
     table = maps.summarise(dataset, below=options.below)
     maps.write_map(dataset, options.out)
     about = _about(outcome, dataset) | {"problems": outcome.problems}
-    map_results.write_report(options.out.with_suffix(".html"), dataset, table, **about)
+    maps.write_report(options.out.with_suffix(".html"), dataset, table, **about)
     options.csv = options.csv or options.out.with_suffix(".csv")
     print_rows(table, options)
     for problem in outcome.problems:

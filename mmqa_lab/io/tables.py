@@ -444,8 +444,8 @@ def _numbered(path, rows):
         raise ValueError(
             f"Invalid table {path}: {count} columns. Must be rows of numbers, x y z first."
         )
-    first = [row[0] for row in rows]
-    counted = [[str(k + start) for k in range(len(rows))] for start in (0, 1)]
+    first = pd.to_numeric([row[0] for row in rows], errors="coerce").tolist()
+    counted = [list(range(start, start + len(rows))) for start in (0, 1)]
     if count > 3 and len(rows) > 2 and first in counted:
         raise ValueError(
             f"Invalid table {path}: its first column numbers the rows. "
