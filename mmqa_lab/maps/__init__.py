@@ -27,7 +27,7 @@ from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps.campaign import Grid, Outcome, corner, map_campaign, read_array, tile_name
 from mmqa_lab.maps.tile import FIGURES, LAYERS, METRICS, evaluate_tile, variables
-from mmqa_lab.spacing import exempt
+from mmqa_lab.spacing import exempt, said_coincident
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -200,7 +200,7 @@ def summarise(dataset: xr.Dataset, *, below: Mapping[str, float] | None = None) 
         ``threshold`` and ``share_below`` (of the area; NaN without a threshold). Where the map
         says where f is exempt, the rows of f have ``exempt_share`` of their area, too. ``remarks``
         says where coordinates are too coarse for a figure, how much area without points lies
-        between cells with points, and which files were left out.
+        between cells with points, how many points share their place, and which files were left out.
 
     Raises
     ------
@@ -217,7 +217,9 @@ def summarise(dataset: xr.Dataset, *, below: Mapping[str, float] | None = None) 
     [[1.5, 0.75]]
     """
     below = {} if below is None else below
-    names = [name for name in dataset.data_vars if name not in ("n", "area", "exempt")]
+    names = [
+        name for name in dataset.data_vars if name not in ("n", "coincident", "area", "exempt")
+    ]
     check_thresholds(below, names)
     whole = dataset.transpose("layer", ...)
     figures = {name: whole[name].values for name in names}
@@ -234,7 +236,7 @@ def summarise(dataset: xr.Dataset, *, below: Mapping[str, float] | None = None) 
             rows.append(about)
     table = pd.DataFrame(rows)
     table = table[table["n"] > 0].reset_index(drop=True)
-    general = [dataset.attrs.get("remarks", ""), _gaps(dataset)]
+    general = [dataset.attrs.get("remarks", ""), _gaps(dataset), _shared(dataset)]
     coarse = _too_coarse(table, 1000 * dataset.attrs.get("resolution_m", np.nan))
     return table.assign(remarks=[" ".join(filter(None, [*general, one])) for one in coarse])
 
@@ -375,8 +377,9 @@ def _blocks(folder, name, places, done, shape):
     import dask.array as da
     from dask import delayed
 
-    kind = np.int64 if name == "n" else np.float64
-    empty = da.full(shape, 0 if name in ("n", "area") else np.nan, dtype=kind, chunks=shape)
+    kind = np.int64 if name in ("n", "coincident") else np.float64
+    nothing = 0 if name in ("n", "coincident", "area") else np.nan
+    empty = da.full(shape, nothing, dtype=kind, chunks=shape)
     load = delayed(read_array, pure=True)
 
     def block(place):
@@ -423,6 +426,13 @@ def _gaps(dataset):
         f"{cells} cells ({area:.4g} m2) without points lie between others: no figure counts them."
     )
     return text if cells else ""
+
+
+def _shared(dataset):
+    """A sentence on points that share their place, as those of a tile given twice."""
+    if "coincident" not in dataset:
+        return ""
+    return said_coincident(int(dataset["coincident"].sum()), int(dataset["n"].sum()))
 
 
 def _too_coarse(table, step_mm):

@@ -36,6 +36,7 @@ NEAREST = "median distance to the {} of the nearest points in four quadrants"
 
 FIGURES = {
     "n": ("", "1", "points in the cell"),
+    "coincident": ("", "1", "of these, points that share their place with another one"),
     "area": ("", "m2", "area of the surface in the cell"),
     "density": ("density", "m-2", "points per area of the surface"),
     "linear_point_distance": ("linear_point_distance", "mm", "sqrt(1 / density)"),
@@ -143,8 +144,9 @@ def evaluate_tile(
     Returns
     -------
     dict of str to array, shape (layers, rows, columns)
-        ``n`` and ``area`` (m2 of the surface in the cell), and the variables of the
-        metrics, in the units of ``FIGURES``; NaN where not measurable.
+        ``n``, ``coincident`` (of these, points that share their place with another one), ``area``
+        (m2 of the surface in the cell), and the variables of the metrics, in the units of
+        ``FIGURES``; NaN where not measurable.
 
     Raises
     ------
@@ -179,7 +181,7 @@ def evaluate_tile(
     thickness, void = check_positive(thickness, "thickness"), check_positive(void, "void")
     shape = (len(LAYERS[surface]), window[3], window[2])
     result = {name: np.full(shape, np.nan) for name in variables(metrics)}
-    result["n"] = np.zeros(shape, np.int64)
+    result["n"], result["coincident"] = np.zeros((2, *shape), np.int64)
     result["area"] = np.zeros(shape)
     if len(points):
         _fill(result, points, window, cell, surface, (radius, thickness, void))
@@ -196,7 +198,7 @@ def _fill(result, points, window, cell, surface, lengths):
     column, row = patches.index[:, 0] - window[0], patches.index[:, 1] - window[1]
     inside = (column >= 0) & (column < window[2]) & (row >= 0) & (row < window[3])
     layer = found.tangents.layer if local else np.zeros(len(column), int)
-    distances = None
+    distances, same = None, coincident(patches.xyz)
     if ("d1" in result or "f" in result) and local:
         planar = np.flatnonzero(inside & (layer != OTHER))
         near = {"radius": radius, "thickness": thickness}
@@ -209,8 +211,16 @@ def _fill(result, points, window, cell, surface, lengths):
             figures = _Layer(found, chosen, distances, local)
             place = (k, row[chosen[figures.first]], column[chosen[figures.first]])
             result["n"][place] = figures.n
+            result["coincident"][place] = np.add.reduceat(same[figures.points], figures.starts[:-1])
             if not local or k != OTHER:
                 figures.enter(result, place, max(1, round(cell / void)))
+
+
+def coincident(xyz):
+    """1 where points (3, n) share their place with another one, else 0."""
+    sums = xyz[0] + np.sqrt(2) * xyz[1] + np.sqrt(3) * xyz[2]
+    _, place, count = np.unique(sums, return_inverse=True, return_counts=True)
+    return (count[place] > 1).astype(np.int64)
 
 
 class _Layer:

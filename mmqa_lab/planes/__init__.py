@@ -44,6 +44,9 @@ CONSISTENT_SCALE = 1.482602218505602
 PAPER_SCALE = 1.4862
 """The factor in the code of Pfeifer et al. 2021, Appendix A (two digits changed places)."""
 
+CLEARLY = 5.0
+"""Log of the likelihood ratio by which a circle must fit better than one on the other side."""
+
 TUKEY = 4.685
 """Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
 
@@ -393,7 +396,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     Returns
     -------
     Circle
-        The best one from seven starts: the algebraic circle, and circles beside the points.
+        The best one from seven starts: the algebraic circle, and circles beside the points. Its
+        covariance is unknown where another one, on the other side of the points, fits as well.
 
     Raises
     ------
@@ -434,12 +438,15 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         for start in [(x, y), *around]
     ]
     best = min(fits, key=lambda fit: fit.cost)
-    normal = best.jac.T @ best.jac
+    normal, freedom = best.jac.T @ best.jac, len(xy) - len(best.x)
     covariance = np.full((2, 2), np.nan)
-    if np.linalg.cond(normal) < 1e10 and len(xy) > len(best.x):
+    apart = np.exp(best.x[2]) / 2 if free else radius / 2
+    rivals = [fit.cost for fit in fits if np.hypot(*(fit.x - best.x)[:2]) > apart]
+    worse = min(rivals, default=np.inf) - best.cost
+    if np.linalg.cond(normal) < 1e10 and freedom > 0 and worse * freedom > CLEARLY * 2 * best.cost:
         pulls = jacobian(best.x) * (best.fun / (1 + (best.fun / FAR) ** 2))[:, None]
         effects = np.linalg.solve(normal, pulls.T)[:2]
-        covariance = len(xy) / (len(xy) - len(best.x)) * effects @ effects.T
+        covariance = len(xy) / freedom * effects @ effects.T
     return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), covariance)
 
 

@@ -50,6 +50,12 @@ MANY = 150  # points from which on curvature, twist and the turning of the beam 
 GRID = 9  # nodes for each of the two unknown variances of the mean gap
 # More profiles than that are averaged in so many blocks: matrices are this large at most.
 MOST = 300
+SPARSEST = 5  # times as far apart as profiles: points along them, in patterns of slow vehicles
+DENSEST_TAKEN = (
+    "Told from the pattern alone: the lines with the densest points are taken for the profiles. "
+    "Where points lie farther apart along a profile than profiles do, they are not: give gps_time "
+    "or scan_line."
+)
 CLEAR = 1 / 3  # the straightest lines are taken if points stray from others three times as far
 ENOUGH = 1500  # points from which straying from the lines of a family is found
 PHASES = 1500  # parts of a revolution within which the beam is taken to have one direction
@@ -105,10 +111,13 @@ class PatternMeasurement(Shown):
     std: dict
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a DataFrame: ``quantity``, ``measured``, ``std``, ``n`` (profiles or points)."""
+        """Return ``quantity``, ``measured``, ``std``, ``n`` (profiles or points), ``remarks``."""
         found = {"quantity": list(self.std), "measured": [getattr(self, one) for one in self.std]}
         counts = [self.profiles] * 4 + [self.points]
-        return pd.DataFrame(found | {"std": self.std.values(), "n": counts})
+        gap, along = self.profile_spacing_perpendicular_m, self.point_spacing_m
+        doubtful = self.numbering == "pattern" and along < gap < SPARSEST * along
+        remarks = DENSEST_TAKEN if doubtful else ""
+        return pd.DataFrame(found | {"std": self.std.values(), "n": counts, "remarks": remarks})
 
 
 def measure_pattern(

@@ -549,6 +549,16 @@ def _count_coincident(xy):
     return int((np.append(same, False) | np.append(False, same)).sum())
 
 
+def said_coincident(count, n):
+    """A sentence on points that share their place with another one, "" without any."""
+    return (
+        f"{count} points ({100 * count / n:.3g} %) share their place with another: they raise the "
+        "density."
+        if count
+        else ""
+    )
+
+
 def _check_width(xy):
     """Reject coordinates whose differences, squared, would overflow."""
     with np.errstate(over="ignore"):
