@@ -165,7 +165,7 @@ def test_checks_hold_or_fall_with_the_numbers(replicated):
     found = list(study.checks(**runs, rows=rows))
     assert len(found) == 6
     said = study.answer(runs["by_weight"], runs["held_out"], rows)
-    assert "for any W from 0 to 10 and" in said
+    assert "for W from 0 to 10, and is" in said
     worse = [
         ("by_weight", "f1", "W = 10", -0.5, 0),
         ("by_weight", "rate_percent", "W = 10", -5.0, 1),

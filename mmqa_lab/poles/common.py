@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab.cloud import sort_into_cells
-from mmqa_lab.planes.regression import algebraic_circle
+from mmqa_lab.planes import algebraic_circle
 
 ROW_M = 0.5
 

@@ -311,14 +311,14 @@ def checks(*, results, forms, lines, verdicts, real):
 
 
 def answer(ranks, verdicts):
-    """The study's answer in one sentence."""
+    """The study's answer in two sentences."""
     found = ranks.set_index("method")["spearman"]
     right = verdicts["right"].mean([d for d in verdicts["right"].dims if d != "method"])
     names = ("f < 2", "f < 2 or exempt", "g < 2")
     plain, exempted, by_g = (100 * float(right.sel({"method": name})) for name in names)
     return (
-        "f follows its axes as much as the pattern: rank correlation with true anisotropy "
-        f"{found['f']:.2f}, of g, spacing across over along, {found['g']:.2f}; f < 2 judges "
-        f"{plain:.0f} % of the simulated clouds rightly, with the exemption of dense ones "
-        f"{exempted:.0f} %, g < 2 {by_g:.0f} %."
+        "The rank correlation with the true anisotropy is "
+        f"{found['f']:.2f} for f, which depends on its axes, and {found['g']:.2f} for g, the "
+        f"spacing across over along. f < 2 judges {plain:.0f} % of the simulated clouds rightly, "
+        f"with the exemption of dense ones {exempted:.0f} %, and g < 2 {by_g:.0f} %."
     )
