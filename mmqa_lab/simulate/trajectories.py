@@ -239,7 +239,7 @@ def with_speed_variation(
     correlation_s: float = 0.5,
     interval_s: float = 0.01,
 ) -> Trajectory:
-    """Return the same path driven at a speed that wanders about its own.
+    """Return the same path driven at a speed that varies about its own.
 
     Parameters
     ----------
