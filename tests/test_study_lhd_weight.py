@@ -184,14 +184,6 @@ def test_checks_hold_or_fall_with_the_numbers(replicated):
     assert not list(study.checks(**runs, rows=wide.assign(low_m=4.0)))[5].passed
 
 
-def test_figures_for_sliders():
-    for values in ((5, 3, 1, 6, 10), (0, 0, 0, 10, 0)):
-        figure = study.figure_of_components(*values)
-        bars = [bar.get_width() for bar in figure.axes[1].patches]
-        assert bars[-1] == pytest.approx(np.sqrt(sum(size**2 for size in bars[:-1])))
-        plt.close(figure)
-
-
 def test_conditions_refuse_negative_noise():
     with pytest.raises(ValueError, match="Invalid own_m -1"):
         Conditions(own_m=-1)
