@@ -157,7 +157,10 @@ def _typeset(found):
         except ValueError:
             return found[0]
     coded = base64.b64encode(picture.getvalue()).decode()
-    text, place = html.escape(formula, quote=True), f"vertical-align: -{depth:.1f}pt"
+    height = float(re.search(rb'height="([\d.]+)pt"', picture.getvalue())[1])
+    in_em = (one / FORMULA_PT for one in (height, depth))  # as large as the text around it
+    place = "height: {:.2f}em; vertical-align: -{:.2f}em".format(*in_em)
+    text = html.escape(formula, quote=True)
     image = f'<img src="data:image/svg+xml;base64,{coded}" alt="{text}" style="{place}">'
     return f'<p style="text-align: center">{image}</p>' if found[1] else image
 
