@@ -40,7 +40,7 @@ COLOURS = dict(zip(KINDS, plots.COLOURS, strict=False)) | {"holes": "grey"}
 
 def g_at_axes(xy):
     """Directional spacing across over along, at the given axes instead of the direction found."""
-    found = directional(xy)
+    found = directed(xy)
     ratio = found.at(90) / found.at(0)
     return max(ratio, 1 / ratio)
 
@@ -88,16 +88,22 @@ def clark_evans(xy):
     return float(nearest.mean() / expected)
 
 
-def f_over_turn(xy):
-    """f at every turn of TURN; the last points are kept, as the bench hands each method a copy."""
-    key = xy.tobytes()
-    if key not in _OVER_TURN:
-        _OVER_TURN.clear()
-        _OVER_TURN[key] = turned_f(xy, angles=TURN)
-    return _OVER_TURN[key]
+def kept(measure):
+    """The measure of points; asked twice for the same ones, it remembers."""
+    last = {}
+
+    def again(xy):
+        key = xy.tobytes()
+        if key not in last:
+            last.clear()
+            last[key] = measure(xy)
+        return last[key]
+
+    return again
 
 
-_OVER_TURN = {}
+directed = kept(directional)
+f_over_turn = kept(lambda xy: turned_f(xy, angles=TURN))
 
 PEERS = {
     "f, smallest over a turn": lambda xy: f_over_turn(xy).min(),
@@ -109,7 +115,7 @@ PEERS = {
 }
 """Measures beside f and g."""
 
-METHODS = {"f": lambda xy: quadrants(xy).f, "g": lambda xy: directional(xy).g, **PEERS}
+METHODS = {"f": lambda xy: quadrants(xy).f, "g": lambda xy: directed(xy).g, **PEERS}
 
 
 def pattern(kind, stretch, *, angle, n, noise_mm, seed, density=3000.0):
