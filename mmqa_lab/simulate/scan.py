@@ -759,17 +759,6 @@ def _perpendicular(dx, dy, dz, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _echo(tree, ray, t, i, echo):
-    """Write range, signal, cosine and surface of a ray that meets primitive ``i`` at ``t``."""
-    c = tree.centre[i]
-    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
-    nx, ny, nz, reflectance = describe(tree, i, x, y, z)
-    cosine = abs(nx * ray[3] + ny * ray[4] + nz * ray[5])
-    echo[0], echo[1] = t, reflectance * cosine / (t * t)
-    echo[2], echo[3] = cosine, tree.surface[i]
-
-
-@njit(cache=True, error_model="numpy")
 def _strongest(hits, n, separation):
     """First and last of the sorted hits that make the strongest echo."""
     best, first, last = -1.0, 0, 0
@@ -799,23 +788,27 @@ def _spread(rays, radius, growth, axis, turn):
         if more > 0.0:
             along = (ex * axis[0] + ey * axis[1] + ez * axis[2]) / np.sqrt(more)
             ex, ey, ez = ex + along * axis[0], ey + along * axis[1], ez + along * axis[2]
-        part = rays[k + 1]
-        part[0] = ray[0] + RING * radius * ex
-        part[1] = ray[1] + RING * radius * ey
-        part[2] = ray[2] + RING * radius * ez
-        part[3] = (ray[3] + g * ex) / length
-        part[4] = (ray[4] + g * ey) / length
-        part[5] = (ray[5] + g * ez) / length
+        across = (ex, ey, ez)
+        for j in range(3):
+            rays[k + 1, j] = ray[j] + RING * radius * across[j]
+            rays[k + 1, j + 3] = (ray[j + 3] + g * across[j]) / length
 
 
 @njit(cache=True, error_model="numpy")
 def _sorted_hits(tree, rays, best, hit, hits):
-    """Write what the rays met, nearest first, and return how many met something."""
+    """Write range, signal, cosine and surface of the rays that met something, nearest first.
+
+    Returns their number.
+    """
     n = 0
     for k in range(len(rays)):
-        if hit[k] < 0:
+        ray, t, i = rays[k], best[k], hit[k]
+        if i < 0:
             continue
-        _echo(tree, rays[k], best[k], hit[k], hits[n])
+        nx, ny, nz, reflectance = describe(tree, ray, t, i)
+        cosine = abs(nx * ray[3] + ny * ray[4] + nz * ray[5])
+        hits[n, 0], hits[n, 1] = t, reflectance * cosine / (t * t)
+        hits[n, 2], hits[n, 3] = cosine, tree.surface[i]
         j = n
         while j > 0 and hits[j, 0] < hits[j - 1, 0]:
             for m in range(4):

@@ -316,13 +316,12 @@ def _reciprocal(x):
 @njit(cache=True, error_model="numpy", inline="always")
 def _may_hit(low, high, node, rays, k, best):
     """Whether ray ``k`` meets the box of a node before ``best``."""
-    a, b = (low[node, 0] - rays[k, 0]) * rays[k, 6], (high[node, 0] - rays[k, 0]) * rays[k, 6]
-    enter, leave = min(a, b), max(a, b)
-    a, b = (low[node, 1] - rays[k, 1]) * rays[k, 7], (high[node, 1] - rays[k, 1]) * rays[k, 7]
-    enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    a, b = (low[node, 2] - rays[k, 2]) * rays[k, 8], (high[node, 2] - rays[k, 2]) * rays[k, 8]
-    enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    return leave >= max(enter, 0.0) and enter <= best
+    enter, leave = 0.0, best
+    for j in range(3):
+        a = (low[node, j] - rays[k, j]) * rays[k, 6 + j]
+        b = (high[node, j] - rays[k, j]) * rays[k, 6 + j]
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    return leave >= enter
 
 
 @njit(cache=True, error_model="numpy")
@@ -367,8 +366,10 @@ def nearest(tree, stack, rays, best, hit):
 
 
 @njit(cache=True, error_model="numpy")
-def describe(tree, i, x, y, z):
-    """Unit normal and reflectance of primitive ``i`` at a point of it, given from its centre."""
+def describe(tree, ray, t, i):
+    """Unit normal and reflectance of primitive ``i`` where a ray meets it at ``t``."""
+    c = tree.centre[i]
+    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
     s = tree.shape[i]
     kind = tree.kind[i]
     if kind == FRUSTUM:
@@ -418,11 +419,7 @@ def _cast(tree, origins, directions):
             nearest(tree, stack, ray, best, hit)
             t, i = best[0], hit[0]
             if i >= 0:
-                c = tree.centre[i]
-                ox, oy, oz = origins[k] - c
-                dx, dy, dz = directions[k]
-                normal[k, 0], normal[k, 1], normal[k, 2], reflectance[k] = describe(
-                    tree, i, ox + t * dx, oy + t * dy, oz + t * dz
-                )
+                nx, ny, nz, reflectance[k] = describe(tree, ray[0], t, i)
+                normal[k, 0], normal[k, 1], normal[k, 2] = nx, ny, nz
                 ranges[k], surface[k] = t, tree.surface[i]
     return ranges, surface, normal, reflectance
