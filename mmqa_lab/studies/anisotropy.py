@@ -96,15 +96,16 @@ def kept(measure):
             last[:] = xy.tobytes(), measure(xy)
         return last[1]
 
+    again.__doc__ = f"``{measure.__name__}`` of points, kept for the next method."
     return again
 
 
 directed = kept(directional)
-f_over_turn = kept(lambda xy: turned_f(xy, angles=TURN))
+_f_over_turn = kept(lambda xy: turned_f(xy, angles=TURN))
 
 PEERS = {
-    "f, smallest over a turn": lambda xy: f_over_turn(xy).min(),
-    "f, largest over a turn": lambda xy: f_over_turn(xy).max(),
+    "f, smallest over a turn": lambda xy: _f_over_turn(xy).min(),
+    "f, largest over a turn": lambda xy: _f_over_turn(xy).max(),
     "g at the given axes": g_at_axes,
     "structure tensor": structure_tensor,
     "Ripley's K by direction": pair_contrast,
