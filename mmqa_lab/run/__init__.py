@@ -39,14 +39,7 @@ SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefi
 LONGEST_LATEX = 60
 """Rows of a table that is written for LaTeX too; longer ones are data."""
 
-LATEX = {
-    "<=": "$\\leq$",
-    ">=": "$\\geq$",
-    "<": "$<$",
-    ">": "$>$",
-    "m2)": "m$^2$)",
-    "(deg)": "($^\\circ$)",
-}
+LATEX = {"<=": "$\\leq$", ">=": "$\\geq$", "<": "$<$", ">": "$>$", "m2)": "m$^2$)"}
 """What LaTeX prints otherwise than it is written."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
@@ -442,11 +435,14 @@ def _heading(name):
 
 
 def _typeset(number):
-    """A number of four digits or whole for LaTeX, powers of ten as such."""
-    if 1e4 <= abs(number) < 1e9:
-        return f"{number:.0f}"
-    digits, _, power = f"{number + 0.0:.4g}".partition("e")
+    """A number for LaTeX, powers of ten as such."""
+    digits, _, power = four_digits(number).partition("e")
     return f"${digits} \\times 10^{{{int(power)}}}$" if power else digits
+
+
+def four_digits(number):
+    """A number as text: of four digits or, if it is large, whole."""
+    return f"{number:.0f}" if 1e4 <= abs(number) < 1e9 else f"{number + 0.0:.4g}"
 
 
 def _says_kind(frame):
