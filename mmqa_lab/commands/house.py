@@ -207,11 +207,14 @@ def studies(options):
     that fails does not stop the others. The exit status is 1 where a study failed or, with the
     delivered parameters, a check did not pass.
     """
+    import signal
+
     from tqdm import tqdm
 
     from mmqa_lab._checks import check_count
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill is an interruption, too
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
     studies = chosen(options.name)
@@ -220,7 +223,7 @@ def studies(options):
     outcomes = []
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
     with (
-        _filling(folder, STUDIES),
+        _filling(folder, STUDIES, studies),
         tqdm(total=len(studies), unit="study", desc="studies") as bar,
     ):
         for study, outcome in run(studies, folder, options, bar):
@@ -231,7 +234,7 @@ def studies(options):
 
 
 @contextmanager
-def _filling(folder, studies):
+def _filling(folder, studies, running):
     """Write the pages every few seconds while studies run; open the index once it shows one."""
     import threading
 
@@ -242,7 +245,7 @@ def _filling(folder, studies):
     def fill():
         opened = False
         while not ended.wait(FILL_S):
-            pages.write_pages(folder, studies, running=True)
+            pages.write_pages(folder, studies, running=running)
             if not opened and any(folder.glob("*/*.png")):
                 opened = True
                 _open(folder / "index.html")
@@ -293,8 +296,13 @@ def _several_at_once(studies, folder, options, bar):
     threads = max(1, (os.cpu_count() or 1) // options.workers)
     place = {"NUMBA_NUM_THREADS": str(threads), **os.environ}
 
+    running = []
+
     def run(study):
-        subprocess.run([*command, study.stem], env=place, capture_output=True)
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        alone = {"start_new_session": True}  # or Ctrl-C reaches it twice
+        running.append(subprocess.Popen([*command, study.stem], env=place, **quiet, **alone))
+        running[-1].wait()
 
     with ThreadPoolExecutor(options.workers) as pool:
         order = sorted(studies, key=lambda study: study.stem not in LONGEST)
@@ -304,8 +312,10 @@ def _several_at_once(studies, folder, options, bar):
                 study = tasks[task]
                 empty = Outcome(study.stem, options.quick, "")
                 yield study, read_outcome(folder / study.stem) or empty
-        except KeyboardInterrupt:  # those that run have got it too
-            pool.shutdown(cancel_futures=True)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in running:
+                child.terminate()
             raise
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
@@ -390,15 +391,27 @@ def _show(checks):
 
 
 def _described(figure):
-    """What the axes of a figure show, from their titles, labels and legends."""
+    """What the axes of a figure show: titles, labels, legends, and how far the data reach."""
     said = []
     for ax in figure.axes:
-        seen = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
+        seen = " over ".join(filter(None, [_reach(ax.yaxis), _reach(ax.xaxis)]))
         if ax.get_legend():
             names = ", ".join(text.get_text() for text in ax.get_legend().get_texts())
             seen = f"{seen} of {names}".lstrip()
-        said.append(": ".join(filter(None, [ax.get_title(), seen])))
-    return "; ".join(filter(None, said))
+        said.append(": ".join(filter(None, [ax.get_title().replace("\n", " "), seen])))
+    text = "; ".join(filter(None, said))
+    return re.sub(r"\\mathrm|[$\\{}]", "", text)  # without the marks of LaTeX
+
+
+def _reach(axis):
+    """An axis' label with the ends of its data, or of its names."""
+    label = axis.get_label_text()
+    low, high = axis.get_data_interval()
+    if not label or not np.isfinite([low, high]).all():
+        return label
+    if axis.have_units():  # names of cases
+        return label
+    return f"{label} from {low:.3g} to {high:.3g}"
 
 
 def _latex(frame):
