@@ -6,9 +6,6 @@ from types import SimpleNamespace
 
 from mmqa_lab.commands._output import add_output_arguments, print_rows
 
-NO_LIBRARY = ("__main__", "commands", "studies")
-"""Modules of the package that make no names public."""
-
 CORES = ("-n=logical", "--maxprocesses=4")
 """Tests run on all cores, up to four: each process has its own fixtures and libraries in memory."""
 
@@ -102,11 +99,15 @@ def name_table(word=""):
 
     import pandas as pd
 
-    rows = [
-        (room, name, inspect.getdoc(member).splitlines()[0])
-        for room in _rooms()
-        for name, member in _members(importlib.import_module(f"mmqa_lab.{room}"))
-    ]
+    rows = []
+    for room in _rooms():
+        module = importlib.import_module(f"mmqa_lab.{room}")
+        members = [(name, getattr(module, name)) for name in module.__all__]
+        rows += [
+            (room, name, inspect.getdoc(one).splitlines()[0])
+            for name, one in members
+            if inspect.isfunction(one) or inspect.isclass(one)
+        ]
     rows = [row for row in rows if word.lower() in " ".join(row).lower()]
     if not rows:
         raise ValueError(f"Invalid word {word!r}. Must occur in a room, a name or its summary.")
@@ -114,36 +115,12 @@ def name_table(word=""):
 
 
 def _rooms():
-    """Dotted names of the modules that make names public.
-
-    A room that is a package makes public what is in its ``__all__``; one that only gathers modules
-    what those make public; a module its functions and classes, or its ``__all__``.
-    """
-    import importlib
-    import pkgutil
-
-    import mmqa_lab
-
-    for found in pkgutil.iter_modules(mmqa_lab.__path__):
-        if found.name.startswith("_") or found.name in NO_LIBRARY:
-            continue
-        yield found.name
-        room = importlib.import_module(f"mmqa_lab.{found.name}")
-        if found.ispkg and not hasattr(room, "__all__"):
-            inner = pkgutil.iter_modules(room.__path__)
-            yield from (f"{found.name}.{one.name}" for one in inner if one.name[0] != "_")
-
-
-def _members(module):
-    """Names and objects that a module makes public."""
-    import inspect
-
-    given = getattr(module, "__all__", None)
-    for name in vars(module) if given is None else given:
-        member = getattr(module, name)
-        own = getattr(member, "__module__", None) == module.__name__ and not name.startswith("_")
-        if (given is not None or own) and (inspect.isfunction(member) or inspect.isclass(member)):
-            yield name, member
+    """Dotted names of the rooms that list public names, and of the ledger."""
+    package = Path(__file__).parents[1]
+    rooms = [*package.glob("*.py"), *package.glob("*/__init__.py"), package / "published/ledger.py"]
+    for path in sorted(rooms):
+        if "\n__all__ = " in path.read_text(encoding="utf-8"):
+            yield ".".join(path.relative_to(package).with_suffix("").parts).removesuffix(".__init__")
 
 
 def readme(options):

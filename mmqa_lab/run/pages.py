@@ -321,10 +321,7 @@ def ledger_table(ledger):
     """Return the ledger's figure and its counts by source and verdict as Markdown."""
     from mmqa_lab.published.ledger import summary
 
-    counts = summary(ledger)
-    lines = [["source", *counts.columns], ["---"] * (1 + len(counts.columns))]
-    lines += [[source, *map(str, row)] for source, *row in counts.itertuples()]
-    return LEDGER_FIGURE + "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return LEDGER_FIGURE + markdown_table(summary(ledger).reset_index())
 
 
 def ledger_figure(ledger):
