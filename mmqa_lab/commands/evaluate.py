@@ -35,6 +35,21 @@ CHOICES = ("polygon", "thickness", "axes", "radius", "rho0", "sectors", "statist
 """Options that are handed on under their names."""
 
 
+NUMBERS = {
+    "thickness": (0.1, "M", "take points this near to the polygon's plane, default %(default)s m"),
+    "radius": (0.5, "M", "farther neighbours do not count, default %(default)s m"),
+    "rho0": (None, "DENSITY", "asked for, points/m2: says where f does not matter"),
+    "statistic": (50.0, "PERCENT", "percentile that d1..d4 are, default %(default)g, the median"),
+}
+"""Options that are numbers: default, unit and meaning."""
+
+FLAGS = {
+    "intervals": "a row for each figure, and for g, with its 95 %% interval",
+    "distinct": "keep one point of those that share a place",
+    "paper-scale": "sigma_MAD with 1.4862",
+}
+
+
 def add_arguments(parser):
     """Declare the arguments."""
     parser.add_argument(
@@ -46,13 +61,6 @@ def add_arguments(parser):
         help="CSV or GeoJSON file of 3-D vertices, or 'x,y,z; x,y,z; ...' in metres",
     )
     parser.add_argument(
-        "--thickness",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="take points up to this far from the polygon's plane, default %(default)s m",
-    )
-    parser.add_argument(
         "--axes",
         type=_axes,
         default="principal",
@@ -60,41 +68,16 @@ def add_arguments(parser):
         help="of the quadrants: principal (default), horizontal, or degrees from principal",
     )
     parser.add_argument(
-        "--radius",
-        type=float,
-        default=0.5,
-        metavar="M",
-        help="farther neighbours do not count, default %(default)s m",
-    )
-    parser.add_argument(
-        "--rho0",
-        type=float,
-        metavar="DENSITY",
-        help="density that is asked for, points/m2: says where f does not matter",
-    )
-    parser.add_argument(
-        "--intervals",
-        action="store_true",
-        help="a row for each figure, and for g, with its 95 %% interval",
-    )
-    parser.add_argument(
         "--sectors",
-        type=_sectors,
+        type=lambda text: int(text) if text.isdigit() else text,
         default=4,
         metavar="N",
         help="sectors in place of the 4 quadrants: 6, 8, ..., or 'nearest 8': the 8 nearest points",
     )
-    parser.add_argument(
-        "--statistic",
-        type=float,
-        default=50.0,
-        metavar="PERCENT",
-        help="percentile of the distances that d1..d4 are, default %(default)g, the median",
-    )
-    parser.add_argument(
-        "--distinct", action="store_true", help="keep one point of those that share a place"
-    )
-    parser.add_argument("--paper-scale", action="store_true", help="sigma_MAD with 1.4862")
+    for name, (value, unit, meaning) in NUMBERS.items():
+        parser.add_argument(f"--{name}", type=float, default=value, metavar=unit, help=meaning)
+    for name, meaning in FLAGS.items():
+        parser.add_argument(f"--{name}", action="store_true", help=meaning)
     parser.add_argument(
         "--out",
         "--figure",
@@ -121,7 +104,10 @@ def run(options):
     rows = []
     for file in with_progress(options.cloud, "cloud"):
         cloud = read_cloud(file, columns=())
-        quality = evaluate_cloud(cloud, scale=scale, **choices)
+        try:
+            quality = evaluate_cloud(cloud, scale=scale, **choices)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from None
         table = quality.intervals() if options.intervals else quality.to_frame()
         table.insert(0, "file", str(file))
         rows.append(table.assign(remarks=" ".join(quality.remarks)))
@@ -132,11 +118,6 @@ def run(options):
             write_figure(options.out, quality.plot(), title=f"Quality of {options.cloud[-1]}")
     table = pd.concat(rows).drop(columns=LEFT_OUT, errors="ignore")
     print_rows(table, options, upright=None if options.intervals else "file")
-
-
-def _sectors(text):
-    """A number of sectors, or nearest points."""
-    return int(text) if text.isdigit() else text
 
 
 def _axes(text):

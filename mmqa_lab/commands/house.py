@@ -120,7 +120,8 @@ def _rooms():
     rooms = [*package.glob("*.py"), *package.glob("*/__init__.py"), package / "published/ledger.py"]
     for path in sorted(rooms):
         if "\n__all__ = " in path.read_text(encoding="utf-8"):
-            yield ".".join(path.relative_to(package).with_suffix("").parts).removesuffix(".__init__")
+            parts = path.relative_to(package).with_suffix("").parts
+            yield ".".join(part for part in parts if part != "__init__")
 
 
 def readme(options):
@@ -273,13 +274,13 @@ def _several_at_once(studies, folder, options, bar):
     threads = max(1, (os.cpu_count() or 1) // options.workers)
     place = {"NUMBA_NUM_THREADS": str(threads), **os.environ}
 
-    running = []
+    alone = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    running = []  # Ctrl-C reaches them through this process alone
 
     def run(study):
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        alone = {"start_new_session": True}  # or Ctrl-C reaches it twice
-        running.append(subprocess.Popen([*command, study.stem], env=place, **quiet, **alone))
-        running[-1].wait()
+        child = subprocess.Popen([*command, study.stem], env=place, **alone)
+        running.append(child)
+        child.wait()
 
     with ThreadPoolExecutor(options.workers) as pool:
         order = sorted(studies, key=lambda study: study.stem not in LONGEST)

@@ -140,6 +140,7 @@ class Run:
             **_environment(),
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
+        self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
         for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
             left.unlink()
         self._write_record()
@@ -180,13 +181,12 @@ class Run:
         without the picture; without it the axes' labels and the legends do.
         """
         finish_figure(figure)
-        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
+        subject = {"CreationDate": None, "Subject": self._record["study"], "Creator": self._made}
         details = {
-            "pdf": {"CreationDate": None, "Title": name, "Subject": self._record["study"]},
-            "svg": {"Date": None, "Title": name, "Description": made},
-            "png": {"Title": name, "Software": made},
+            "pdf": {"Title": name, **subject},
+            "svg": {"Date": None, "Title": name, "Description": self._made},
+            "png": {"Title": name, "Software": self._made},
         }
-        details["pdf"]["Creator"] = made
         self._record["figures"][name] = {
             "seen": seen or _described(figure),
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
@@ -223,8 +223,7 @@ class Run:
         page = report_page(picture.getvalue(), **whole)
         self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
         sheet = report_sheet(picture.getvalue(), **whole)
-        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
-        metadata = {"CreationDate": None, "Title": title, "Creator": made}
+        metadata = {"CreationDate": None, "Title": title, "Creator": self._made}
         self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
         return [self.folder / name for name in ("report.html", "report.pdf")]
 
@@ -407,9 +406,7 @@ def _reach(axis):
     """An axis' label with the ends of its data, or of its names."""
     label = axis.get_label_text()
     low, high = axis.get_data_interval()
-    if not label or not np.isfinite([low, high]).all():
-        return label
-    if axis.have_units():  # names of cases
+    if not label or axis.have_units() or not np.isfinite([low, high]).all():  # units: names
         return label
     return f"{label} from {low:.3g} to {high:.3g}"
 
@@ -418,11 +415,9 @@ def _latex(frame):
     """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
     from mmqa_lab.bench._tables import split_unit
 
-    heads = {}
-    for name in map(str, frame.columns):
-        plain, unit = split_unit(name)
-        heads[name] = f"{plain.replace('_', ' ')} ({unit})" if unit else plain.replace("_", " ")
-    shown = frame.rename(columns=str).rename(columns=heads)
+    heads = [split_unit(str(name)) for name in frame]
+    heads = [f"{name} ({unit})" if unit else name for name, unit in heads]
+    shown = frame.set_axis([head.replace("_", " ") for head in heads], axis="columns")
     text = shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
     return re.sub(r"\bm([23])\)", r"m\\textsuperscript{\1})", text)
 

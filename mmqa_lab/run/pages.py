@@ -223,7 +223,8 @@ def filled(name, **values):
 def _card(study, folder, running):
     """What the index shows of one study, from what its run left on the disk."""
     record, outcome = read_record(folder), read_outcome(folder)
-    files = record.get("files", [])
+    file, files = folder / "checks.csv", record.get("files", [])
+    checks = pd.read_csv(file, keep_default_na=False) if file.is_file() else pd.DataFrame()
     figures = [name.removesuffix(".png") for name in files if name.endswith(".png")]
     answer = record.get("answer", {"sentence": "", "figure": ""})
     shown = answer["figure"] or (figures or [""])[-1]  # the last one where no answer was reached
@@ -238,14 +239,8 @@ def _card(study, folder, running):
         "seen": record.get("figures", {}).get(shown, {}),
         "figures": figures,
         "tables": [name for name in files if re.search(r"(?<!_drawn)\.csv$", name)],
-        "checks": _checks(folder),
+        "checks": checks.to_dict("records"),
     }
-
-
-def _checks(folder):
-    """The checks of a run."""
-    file = folder / "checks.csv"
-    return pd.read_csv(file, keep_default_na=False).to_dict("records") if file.is_file() else []
 
 
 def _ledger(folder, studies):
