@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import base64
 import io
 import json
 import os
@@ -214,13 +215,15 @@ class Run:
         list of Path
             Both files.
         """
-        from mmqa_lab.run.pages import report_page, report_sheet
+        from mmqa_lab.run.pages import filled, report_sheet
 
         picture = io.BytesIO()
         with mpl.rc_context({"savefig.dpi": 200}):
             figure.savefig(picture, format="png")
         whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
-        page = report_page(picture.getvalue(), **whole)
+        rows = table.to_html(index=False, border=0, na_rep="", float_format="{:.4g}".format)
+        coded = base64.b64encode(picture.getvalue()).decode()
+        page = filled("report.html", **whole | {"table": rows, "picture": coded})
         self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
         sheet = report_sheet(picture.getvalue(), **whole)
         metadata = {"CreationDate": None, "Title": title, "Creator": self._made}

@@ -173,18 +173,6 @@ def _typeset(found):
     return f'<p style="text-align: center">{image}</p>' if found[1] else image
 
 
-def report_page(picture, *, title, table, inputs, record):
-    """Return a report with a figure, given as PNG, and a table as one HTML page."""
-    return filled(
-        "report.html",
-        title=title,
-        picture=base64.b64encode(picture).decode(),
-        table=table.to_html(index=False, border=0, na_rep="", float_format="{:.4g}".format),
-        inputs=inputs,
-        record=record,
-    )
-
-
 def report_sheet(picture, *, title, table, inputs, record):
     """Return the same report as a matplotlib figure of the size A4."""
     from matplotlib.figure import Figure
