@@ -58,6 +58,12 @@ def _write_texts(folder, flat, places):
         "levelled_feet.csv": ("x,y,z", places / 0.3048),
         "levelled_mm.csv": ("x,y,z", 1000 * places),
         "levelled_plan.csv": ("x,y", places[:, :2]),
+        "levelled_id.csv": (
+            "id,easting,northing,height",
+            np.column_stack([np.arange(1, 41), places]),
+        ),
+        "id.csv": ("id,x,y,z", np.column_stack([np.arange(1, 901), flat])),
+        "intensity.csv": ("intensity,x,y,z", np.column_stack([7 * np.arange(900) % 255, flat])),
     }
     for name, (header, rows) in tables.items():
         np.savetxt(folder / name, rows, fmt="%.9g", delimiter=",", header=header, comments="")
@@ -72,8 +78,9 @@ def _write_clouds(folder, flat):
     systems = {"flat": 25832, "zone33": 25833, "feet": 2263, "degrees": 4326}
     for name, number in systems.items():
         write_cloud(folder / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
-    for name in ("box.las", "tiles/a.las", "tiles/a.laz"):
+    for name in ("box.las", "tiles/a.las", "tiles/a.laz", "again/a.las"):
         write_cloud(folder / name, Cloud(flat), scale=1e-4)
+    write_cloud(folder / "again" / "b.las", Cloud(flat[:0:-1]), scale=1e-4)
     write_cloud(folder / "coarse.laz", Cloud(flat), scale=0.05)
     for name, number in (("a", 25832), ("b", 25833)):
         write_cloud(folder / "mixed" / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)

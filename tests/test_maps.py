@@ -179,7 +179,7 @@ def test_voids_are_the_squares_without_a_point():
     points = points[~((points[:, 0] < 0.2) & (points[:, 1] < 0.3))]  # 2 x 3 squares of 0.1 m
     found = evaluate_tile(points, (0, 0, 2, 2), cell=0.5, metrics=("void_share",))
     assert found["void_share"][LEVEL].ravel() == pytest.approx([6 / 25, 0, 0, 0])
-    assert set(found) == {"n", "area", "void_share"}
+    assert set(found) == {"n", "coincident", "area", "void_share"}
 
 
 @settings(max_examples=15, deadline=None)
@@ -227,7 +227,7 @@ def test_nothing_and_next_to_nothing_are_not_measurable():
     assert not empty["n"].any()
     few = evaluate_tile(np.full((3, 3), 0.1), (0, 0, 2, 1), cell=0.5)
     assert few["n"][OTHER].tolist() == [[3, 0]]
-    for name in set(FIGURES) - {"n", "area"}:
+    for name in set(FIGURES) - {"n", "coincident", "area"}:
         assert np.isnan(few[name]).all()
 
 

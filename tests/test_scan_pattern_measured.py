@@ -16,8 +16,12 @@ from mmqa_lab.scan_pattern import (
     revolutions_from_time,
     scan_lattice,
 )
-from mmqa_lab.scan_pattern.measure import mean_gap
-from mmqa_lab.scan_pattern.numbering import mirror_frequency, profiles_from_pattern, pulse_period
+from mmqa_lab.scan_pattern.measure import (
+    mean_gap,
+    mirror_frequency,
+    profiles_from_pattern,
+    pulse_period,
+)
 from mmqa_lab.studies.mimic import simulate_patch
 
 
@@ -399,6 +403,19 @@ def test_profiles_closer_than_their_points_are_told_by_their_straightness(gap_se
     gap = truth.profile_spacing_perpendicular_m
     assert truth.point_spacing_m > 1.1 * gap
     assert found.profile_spacing_perpendicular_m == pytest.approx(gap, rel=0.01)
+
+
+def test_what_the_densest_lines_alone_say_is_doubted():
+    # points 70 mm apart on profiles 18 mm apart look like denser points on lines 46 mm apart
+    with pytest.warns(UserWarning, match="fit as well"):
+        sparse = measure_pattern(lattice(35, 0.018, 0.07)).to_frame()
+    dense = measure_pattern(lattice(35, 0.05, 0.018)).to_frame()
+    assert sparse["measured"][0] > 0.03
+    for table in (sparse, dense):
+        assert table["remarks"].str.contains("the lines with the densest points").all()
+    line = np.repeat(np.arange(5), 20)
+    points = np.stack([0 * line, 0.05 * line, np.tile(np.arange(20) * 0.02, 5)], axis=1)
+    assert (measure_pattern(points, scan_line=line).to_frame()["remarks"] == "").all()
 
 
 def test_an_exact_lattice_of_two_equal_families_warns():

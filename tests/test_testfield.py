@@ -145,6 +145,16 @@ def test_poles_seen_from_one_side_and_far_from_the_origin(rng):
     assert set(nothing["reason"]) == {"too few points"}
 
 
+def test_an_arc_that_fits_on_either_side_gives_no_position(rng):
+    turn = np.linspace(-0.5, 0.5, 12)
+    points = np.column_stack([0.03 * np.cos(turn), 0.03 * np.sin(turn), np.linspace(0.6, 1.4, 12)])
+    pole = pd.DataFrame({"x_m": [0.0], "y_m": [0.0], "z_m": [0.0], "diameter_m": [0.06]})
+    sharp = plan_differences(points, pole).iloc[0]
+    assert np.hypot(sharp["dx_m"], sharp["dy_m"]) < 1e-6
+    points[:, :2] *= 1 + rng.normal(0, 0.005, 12)[:, None] / 0.03  # the arc is 3.7 mm deep
+    assert plan_differences(points, pole)["reason"][0] == "no circle near"
+
+
 def test_corner_of_two_walls_and_of_one(rng):
     n = 400
     wall = np.column_stack([rng.uniform(0, 2, n), np.zeros(n), rng.uniform(0, 4, n)])
@@ -344,7 +354,7 @@ def test_command_needs_heights_or_targets(surveyed, capsys):
     assert "either REFERENCE or --targets" in capsys.readouterr().err
     pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
     assert main(["accuracy", cloud, "--targets", str(file)]) == 2
-    assert "no column 'z'" in capsys.readouterr().err
+    assert "no column 'z_m'" in capsys.readouterr().err
 
 
 def test_le90_counts_differences_of_either_sign():
