@@ -31,7 +31,7 @@ HATCHES = ("", "////", "....", "xxxx", "----", "++++", "oooo")
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
 """Spacings d1, d2, ..., ratios f and g, thresholds, s_r and sigma_MAD, as words of a text."""
 
-JOINT = re.compile(r"(?<=[a-z0-9])_(?=[a-z0-9])")
+JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
 """What joins the words of a name."""
 
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
@@ -218,9 +218,8 @@ def _set_symbols(figure):
             text.set_text(_with_symbols(text.get_text()))
     for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
         ticks, names = _ticks(axis)
-        labels = [_with_symbols(name) for name in names]
         if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
-            axis.set_ticks(ticks, labels=labels)
+            axis.set_ticks(ticks, labels=[_with_symbols(name) for name in names])
 
 
 def _ticks(axis):
@@ -242,10 +241,7 @@ def _with_symbols(text):
         symbol = f"{letter}_{index}" if index else ratio or r"\sigma_\mathrm{MAD}"
         return f"${symbol}$"
 
-    if "$" in text:
-        return text
-    parts = SYMBOL.sub(set_one, text).split("$")  # every second one is a formula
-    return "$".join([JOINT.sub(" ", one) if k % 2 == 0 else one for k, one in enumerate(parts)])
+    return text if "$" in text else JOINT.sub(" ", SYMBOL.sub(set_one, text))
 
 
 def _is_drawn(line):

@@ -9,6 +9,7 @@ import contextlib
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -18,6 +19,7 @@ from cycler import cycler
 from matplotlib import font_manager
 from numpy.typing import ArrayLike
 
+from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 
@@ -62,40 +64,7 @@ class Journal:
 
 
 JOURNALS = {
-    "house": Journal((85.0, 178.0), ("DejaVu Sans",), 8.0, "this project's own choice"),
-    "elsevier": Journal(
-        (90.0, 190.0),
-        ("Arial", "Helvetica"),
-        7.0,
-        "elsevier.com, artwork and media instructions: artwork sizing, artwork types",
-    ),
-    "ieee": Journal(
-        (88.9, 182.0),
-        ("Arial", "Helvetica"),
-        8.0,
-        "ieeeauthorcenter.ieee.org, size requirements for graphics; callouts of 8 points: "
-        "IEEE guidelines for author supplied electronic text and graphics",
-    ),
-    "mdpi": Journal(
-        (138.6, 184.6),
-        ("Palatino", "Palatino Linotype"),
-        8.0,
-        "mdpi.cls of 12 September 2024: text from 58.7 mm to 12.7 mm within A4, fulllength",
-    ),
-    "isprs": Journal(
-        (82.0, 170.0),
-        ("Times New Roman", "Times"),
-        8.0,
-        "ISPRS guidelines for authors of the Archives and Annals: A4 with margins of 20 mm, two "
-        "columns 6 mm apart, text of 9 points",
-    ),
-    "springer": Journal(
-        (84.0, 174.0),
-        ("Helvetica", "Arial"),
-        8.0,
-        "springer.com, artwork instructions: figures 39, 84, 129 or 174 mm wide, lettering of 8 "
-        "to 12 points",
-    ),
+    name: Journal(**one) for name, one in _tables(Path(__file__).with_suffix(".toml")).items()
 }
 """Widths, fonts and lettering by publisher; other publishers join with their source."""
 

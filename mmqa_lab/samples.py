@@ -80,7 +80,7 @@ def path(name: str) -> Path:
 
 
 def road_patch_heads() -> dict:
-    """Return the road patch parted by scan head, without repeated points.
+    """Return the road patch split by scan head, without repeated points.
 
     The two heads passed it one after the other, so the largest gap in GPS time parts them.
 

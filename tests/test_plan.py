@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.__main__ import main
+from mmqa_lab.commands import patterns
 from mmqa_lab.scan_pattern import (
     QUANTITIES,
     ScanSetup,
@@ -19,6 +20,8 @@ from mmqa_lab.scan_pattern import (
     scan_lattice,
     sensitivities,
 )
+from mmqa_lab.simulate import ProfileScanner
+from mmqa_lab.simulate.systems import PRESETS, SYSTEMS
 
 MIMIC = ScanSetup(
     pulse_rate_hz=300_000,
@@ -187,3 +190,14 @@ def test_pattern_measures_a_patch_from_the_shell(tmp_path, capsys):
     assert gap["measured"] == pytest.approx(truth.profile_spacing_perpendicular_m, abs=2e-4)
     assert main(["pattern", str(file), "--alone", "--csv", str(tmp_path / "p.csv")]) == 0
     assert (tmp_path / "p.csv").read_text().count(",pattern\n") == 5
+
+
+def test_the_scanners_and_systems_named_are_all_that_measure_profiles():
+    profilers = {key for key, one in PRESETS.items() if isinstance(one, ProfileScanner)}
+    assert profilers == set(patterns.SCANNERS)
+    whole = {
+        key
+        for key, system in SYSTEMS.items()
+        if all(isinstance(head, ProfileScanner) for head in system.heads)
+    }
+    assert whole == set(patterns.HEADS)

@@ -180,7 +180,7 @@ def test_decisions_are_read_back(leaning, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("a,b\n1,2\n", "Must have x_m, y_m and decision."),
+        ("a,b\n1,2\n", "no column 'x_m'. Must have one."),
         ("x_m,y_m,decision\n1,2,maybe\n", "Must be one of accept, reject."),
     ],
 )

@@ -424,4 +424,4 @@ def test_command_says_what_is_wrong(tmp_path, capsys):
     (tmp_path / "truth.csv").write_text("a,b\n1,2\n")
     words = ["poles", str(tmp_path / "cloud.csv"), "--reference", str(tmp_path / "truth.csv")]
     assert main(words) == 2
-    assert "Must have x_m and y_m." in capsys.readouterr().err
+    assert "no column 'x_m'. Must have one." in capsys.readouterr().err

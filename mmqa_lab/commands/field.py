@@ -117,7 +117,7 @@ def read_targets(path, kind=None):
     table = table if kind is None else table.assign(kind=kind)
     checks.check_columns(table, ["kind"], f"targets {path}")
     if not len(table):
-        raise ValueError(f"Invalid targets {path}: no targets. Must have some.")
+        raise ValueError(f"Invalid targets {path}: no targets. Must have x, y, z and kind.")
     return tables.with_numbers(table, ("x_m", "y_m", "z_m"), f"targets {path}")
 
 

@@ -12,7 +12,6 @@ checks = Lazy("mmqa_lab._checks")
 chart_cloud = Lazy("mmqa_lab.chart_cloud")
 io = Lazy("mmqa_lab.io")
 scan_pattern = Lazy("mmqa_lab.scan_pattern")
-simulate = Lazy("mmqa_lab.simulate")
 systems = Lazy("mmqa_lab.simulate.systems")
 
 SETUP = {
@@ -24,9 +23,13 @@ SETUP = {
 }
 """Options that describe the set-up, and the fields of ``ScanSetup`` that they give."""
 
-SCANNERS = "zf-9012, roamer, vq-250, vq-450, lynx-m1, lynx-m1-second"
+SCANNERS = (
+    *("zf-9012", "zf-9012-fitted", "roamer", "roamer-dense", "vq-250", "vq-450", "lynx-m1"),
+    *("lynx-m1-second", "push-broom"),
+)
 
-HEADS = "roamer, vmx-250, streetmapper-360, lynx, xp1, lynx-m1"
+HEADS = ("roamer", "vmx-250", "streetmapper-360", "lynx", "xp1", "lynx-m1")
+"""Scanners and systems that measure profiles."""
 
 GRAZING_DEG = 85.0
 """Incidence beyond which neighbouring points lie too far apart for a prediction at one point."""
@@ -60,8 +63,8 @@ SIGMA = {"action": "append", "default": []}
     option("--target-tilt", "DEG", "of the target", float, 0.0),
     option("--range", "M", "X of the target at scanner height", float, required=True),
     option("--height-difference", "M", "above the scanner", float, 0.0),
-    option("--scanner", "PRESET", f"a profile scanner by name: {SCANNERS}"),
-    option("--system", "NAME", f"all heads of a system, range from each head: {HEADS}"),
+    option("--scanner", "PRESET", f"a profile scanner by name: {', '.join(SCANNERS)}"),
+    option("--system", "NAME", f"all heads of a system, range from each head: {', '.join(HEADS)}"),
     option(
         "--sigma",
         "INPUT=STD",
@@ -152,8 +155,9 @@ def _of_system(target, options):
         raise ValueError(f"Invalid {others[0]} with --system. Must be without it.")
     if options.speed is None:
         raise ValueError("Invalid plan without --speed. Must have it.")
+    heads = systems.SYSTEMS[checks.check_choice(options.system, "system", HEADS)].heads
     found = pd.DataFrame()
-    for number, head in enumerate(_heads(options.system), start=1):
+    for number, head in enumerate(heads, start=1):
         setup = scan_pattern.ScanSetup.of_scanner(head, speed_m_s=options.speed)
         if abs(target.heading_deg - setup.scanner_heading_deg) < 90:
             found[f"head_{number}"] = pd.Series(_prediction(setup, target))
@@ -164,16 +168,6 @@ def _of_system(target, options):
         )
     found.loc["density_per_m2", "together"] = found.loc["density_per_m2"].sum()
     return found.rename_axis("quantity").reset_index()
-
-
-def _heads(name):
-    """The heads of a system of profile scanners."""
-    known = {
-        key: system.heads
-        for key, system in systems.SYSTEMS.items()
-        if all(isinstance(head, simulate.ProfileScanner) for head in system.heads)
-    }
-    return known[checks.check_choice(name, "system", tuple(known))]
 
 
 def _with_errors(answer, setup, target, options):
@@ -191,7 +185,9 @@ def _with_errors(answer, setup, target, options):
 
 def _setup(options):
     """The set-up from the preset and from what was given beside it."""
-    scanner = _preset(options.scanner) if options.scanner else None
+    scanner = None
+    if options.scanner is not None:
+        scanner = systems.PRESETS[checks.check_choice(options.scanner, "scanner", SCANNERS)]
     given = {name: getattr(options, name) for name in SETUP if getattr(options, name) is not None}
     if options.largest_speed is not None:
         given.setdefault("speed", 1.0)
@@ -208,14 +204,6 @@ def _setup(options):
 def _flag(name):
     """An option as it is typed."""
     return "--" + name.replace("_", "-")
-
-
-def _preset(name):
-    """A profile scanner of the simulator."""
-    profilers = {
-        key: s for key, s in systems.PRESETS.items() if isinstance(s, simulate.ProfileScanner)
-    }
-    return profilers[checks.check_choice(name, "scanner", tuple(profilers))]
 
 
 @command(

@@ -321,7 +321,7 @@ def text_tables(path, chunk):
 
 def read_table(path, name, columns=(), **choices):
     """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
-    table = _read_csv(check_file(path, name), skipinitialspace=True, **choices)
+    table = _read_csv(check_file(path, name), name, skipinitialspace=True, **choices)
     check_columns(table, columns, f"{name} {path}")
     return table
 
@@ -337,13 +337,13 @@ def with_numbers(table, columns, name):
     return table.assign(**found)
 
 
-def _read_csv(path, **choices):
+def _read_csv(path, name="table", **choices):
     """``pandas.read_csv`` with one sentence where the file is no table."""
     try:
         return pd.read_csv(path, encoding="utf-8-sig", encoding_errors="replace", **choices)
     except (pd.errors.EmptyDataError, pd.errors.ParserError, ValueError) as error:
         reason = first_sentence(error)
-        raise ValueError(f"Invalid table {path}: {reason}. Must be rows of columns.") from error
+        raise ValueError(f"Invalid {name} {path}: {reason}. Must be rows of columns.") from error
 
 
 def _layout_of(path):

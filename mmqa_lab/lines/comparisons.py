@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_number
+from mmqa_lab._checks import check_columns, check_number
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines.displacement import match_displaced
@@ -353,12 +353,10 @@ def _truth(truth, sets, pairs):
                 )
         return {names: np.asarray(matrix, dtype=bool) for names, matrix in truth.items()}
     if not isinstance(truth, pd.DataFrame):
-        truth = _read_truth(truth)
-    missing = [name for name in TRUTH_COLUMNS if name not in truth]
-    if missing:
-        raise ValueError(
-            f"Invalid truth without {missing[0]}. Must have {', '.join(TRUTH_COLUMNS)}."
-        )
+        from mmqa_lab.io.tables import read_table
+
+        truth = read_table(truth, "truth", dtype={"test_set": str, "model_set": str})
+    check_columns(truth, TRUTH_COLUMNS, "truth")
     found = {}
     for row, (a, b, i, j) in enumerate(truth[TRUTH_COLUMNS].itertuples(index=False), start=1):
         names = (a, b) if (a, b) in pairs else (b, a)
@@ -376,16 +374,6 @@ def _truth(truth, sets, pairs):
         shape = tuple(len(sets[name]) for name in names)
         found.setdefault(names, np.zeros(shape, dtype=bool))[tuple(map(int, cell))] = True
     return found
-
-
-def _read_truth(path):
-    """The table of a truth file."""
-    try:
-        return pd.read_csv(path, dtype={"test_set": str, "model_set": str})
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"Invalid truth {path}: no such file. Must exist.") from error
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ValueError(f"Invalid truth {path}: no table. Must be a CSV file.") from error
 
 
 def write_report(found, folder):

@@ -590,11 +590,12 @@ def _hypotheses(lines, radius, most):
     normal = np.einsum("nkd,nke->nde", seen.frame, seen.frame)
     right = np.einsum("nkd,nk->nd", seen.frame, seen.offset)
     a, b = np.random.default_rng(0).integers(len(lines), size=(2, 8 * most))
-    crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
+    apart = (lines.rows[a] != lines.rows[b]) & (lines.columns[a] != lines.columns[b])
+    a, b = a[apart], b[apart]
     near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
-    usable = crossing & near & (lines.rows[a] != lines.rows[b])
-    usable &= lines.columns[a] != lines.columns[b]
-    a, b = a[usable][:most], b[usable][:most]
+    a, b = a[near], b[near]
+    crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
+    a, b = a[crossing][:most], b[crossing][:most]
     shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
     return shifts, _scores(shifts, normal, right, lines)

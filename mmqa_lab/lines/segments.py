@@ -20,7 +20,7 @@ from __future__ import annotations
 import warnings
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -781,6 +781,8 @@ class PairingScores(Shown):
     fn: int
     tn: int
 
+    _derived = ("detection_rate", "null_rate", "precision", "recall", "f1")
+
     @property
     def detection_rate(self) -> float:
         """(TP + TN) / (p q), the paper's rate, as a share; near 1 whatever is paired."""
@@ -809,11 +811,6 @@ class PairingScores(Shown):
     @property
     def _cells(self):
         return self.tp + self.fp + self.fn + self.tn
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return one row with the counts and the rates."""
-        rates = ("detection_rate", "null_rate", "precision", "recall", "f1")
-        return pd.DataFrame([asdict(self) | {name: getattr(self, name) for name in rates}])
 
 
 def pairing_scores(pairs: ArrayLike, truth: ArrayLike) -> PairingScores:

@@ -291,10 +291,7 @@ class _Layer:
     def _sigma_mad(self):
         """sigma_MAD of the distances from the patches' planes, mm; NaN of few points."""
         patches, (centres, axes, *_) = self.found.patches, self.found.tangents
-        counts = patches.counts[self.chosen]
-        dx, dy, dz = patches.xyz[:, self.points] - np.repeat(centres[self.chosen], counts, axis=0).T
-        x, y, z = np.repeat(axes[self.chosen, 2], counts, axis=0).T
-        residuals = dx * x + dy * y + dz * z
+        residuals = _residuals(patches.xyz, patches.starts, centres, axes[:, 2])[self.points]
         middle = group_medians(residuals, self.starts)
         deviations = np.abs(residuals - np.repeat(middle, self.n))
         mads = group_medians(deviations, self.starts)
@@ -648,6 +645,16 @@ def _centred_scatter(xyz, starts):
                 scatter[g, a, b] = total
                 scatter[g, b, a] = total
     return centres, scatter
+
+
+@njit(cache=True)
+def _residuals(xyz, starts, centres, normals):
+    """Signed distance of each point from the plane of its own patch, m."""
+    heights = np.empty(xyz.shape[1])
+    for g in range(len(starts) - 1):
+        for i in range(starts[g], starts[g + 1]):
+            heights[i] = _along(xyz, i, centres[g], normals[g])
+    return heights
 
 
 @njit(cache=True)

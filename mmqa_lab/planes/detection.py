@@ -276,15 +276,8 @@ class _Search:
         pieces, scores = _try_planes(grid.layout, self.owner, seeds, self.trials, tolerance, thin)
         best = np.argsort(-scores, kind="stable")
         best = best[scores[best] > LEAST_TRIAL / 2]
-        found, taken = _grow_all(
-            grid.layout,
-            self.owner,
-            seeds[best],
-            pieces[best],
-            tolerance,
-            self.least,
-            len(self.centres),
-        )
+        starts, limits = (seeds[best], pieces[best]), (tolerance, self.least)
+        found, taken = _grow_all(grid.layout, self.owner, *starts, *limits, len(self.centres))
         self.centres = np.concatenate([self.centres, found[:, 0]])
         self.normals = np.concatenate([self.normals, found[:, 1]])
         self.taken = np.concatenate([self.taken, *taken], axis=1)

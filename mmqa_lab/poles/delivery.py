@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_crs, check_metres
+from mmqa_lab._checks import check_choice, check_crs, check_metres
 from mmqa_lab.io import write_atomically
+from mmqa_lab.io.tables import read_table
 from mmqa_lab.poles.common import beside, near_axis, rows
 from mmqa_lab.poles.scores import match
 
@@ -168,22 +169,6 @@ def _plain_rows(table):
 WRITERS = {".csv": _write_csv, ".geojson": _write_geojson, ".gpkg": _write_geopackage}
 
 
-def read_table(path, name, columns):
-    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(path)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
-        raise ValueError(f"Invalid {name} {path}: not a table. Must be a CSV file.") from None
-    if not set(columns) <= set(table):
-        raise ValueError(
-            f"Invalid {name} {path}: columns {', '.join(map(str, table))}. "
-            f"Must have {', '.join(columns[:-1])} and {columns[-1]}."
-        )
-    return table
-
-
 def read_decisions(path):
     """Return the decisions that a page saved: ``x_m``, ``y_m``, ``decision``.
 
@@ -193,12 +178,8 @@ def read_decisions(path):
         If the file has other columns or a decision is neither accept nor reject.
     """
     table = read_table(path, "decisions", ("x_m", "y_m", "decision"))
-    wrong = table[~table["decision"].isin(DECISIONS)]
-    if len(wrong):
-        raise ValueError(
-            f"Invalid decision {wrong['decision'].iloc[0]!r} in {path}. "
-            f"Must be one of {', '.join(DECISIONS)}."
-        )
+    for decision in table["decision"]:
+        check_choice(decision, f"decision in {path}", DECISIONS)
     return table
 
 

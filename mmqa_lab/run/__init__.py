@@ -40,14 +40,7 @@ SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefi
 LONGEST_LATEX = 60
 """Rows of a table that is written for LaTeX too; longer ones are data."""
 
-LATEX = {
-    "<=": "$\\leq$",
-    ">=": "$\\geq$",
-    "<": "$<$",
-    ">": "$>$",
-    "m2)": "m$^2$)",
-    "(deg)": "($^\\circ$)",
-}
+LATEX = {"<=": "$\\leq$", ">=": "$\\geq$", "<": "$<$", ">": "$>$", "m2)": "m$^2$)"}
 """What LaTeX prints otherwise than it is written."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
@@ -231,7 +224,7 @@ class Run:
         with mpl.rc_context({"savefig.dpi": 200}):
             figure.savefig(picture, format="png")
         whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
-        rows = table.to_html(index=False, border=0, na_rep="", float_format="{:.4g}".format)
+        rows = table.to_html(index=False, border=0, na_rep="", float_format=four_digits)
         coded = base64.b64encode(picture.getvalue()).decode()
         page = filled("report.html", **whole | {"table": rows, "picture": coded})
         self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
@@ -454,11 +447,14 @@ def _heading(name):
 
 
 def _typeset(number):
-    """A number of four digits or whole for LaTeX, powers of ten as such."""
-    if 1e4 <= abs(number) < 1e9:
-        return f"{number:.0f}"
-    digits, _, power = f"{number + 0.0:.4g}".partition("e")
+    """A number for LaTeX, powers of ten as such."""
+    digits, _, power = four_digits(number).partition("e")
     return f"${digits} \\times 10^{{{int(power)}}}$" if power else digits
+
+
+def four_digits(number):
+    """A number as text: of four digits or, if it is large, whole."""
+    return f"{number:.0f}" if 1e4 <= abs(number) < 1e9 else f"{number + 0.0:.4g}"
 
 
 def _says_kind(frame):

@@ -21,7 +21,7 @@ import pandas as pd
 from matplotlib.font_manager import FontProperties
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run import FORMATS, read_record, write_text
+from mmqa_lab.run import FORMATS, four_digits, read_record, write_text
 
 OUTCOME = "outcome.json"
 
@@ -168,7 +168,10 @@ def _typeset(found):
         except ValueError:
             return found[0]
     coded = base64.b64encode(picture.getvalue()).decode()
-    text, place = html.escape(formula, quote=True), f"vertical-align: -{depth:.1f}pt"
+    height = float(re.search(rb'height="([\d.]+)pt"', picture.getvalue())[1])
+    in_em = (one / FORMULA_PT for one in (height, depth))  # as large as the text around it
+    place = "height: {:.2f}em; vertical-align: -{:.2f}em".format(*in_em)
+    text = html.escape(formula, quote=True)
     image = f'<img src="data:image/svg+xml;base64,{coded}" alt="{text}" style="{place}">'
     return f'<p style="text-align: center">{image}</p>' if found[1] else image
 
@@ -183,7 +186,7 @@ def report_sheet(picture, *, title, table, inputs, record):
     places = (0.08, 0.5, 0.84, 0.42), (0.08, 0.28, 0.84, 0.2)
     above, below = (sheet.add_axes(place, frame_on=False, xticks=[], yticks=[]) for place in places)
     above.imshow(imread(io.BytesIO(picture)))
-    texts = table.map(lambda one: f"{one:.4g}" if isinstance(one, float) else str(one))
+    texts = table.map(lambda one: four_digits(one) if isinstance(one, float) else str(one))
     cells = below.table(texts.to_numpy(), colLabels=list(texts), loc="upper center")
     cells.auto_set_font_size(False)
     cells.set_fontsize(8)
@@ -245,7 +248,7 @@ def _ledger(folder, studies):
 
 def _shown(row):
     """What the ledger's page shows of a row."""
-    ours, low, high = (f"{row[name]:.4g}" for name in ("ours", "ours_low", "ours_high"))
+    ours, low, high = (four_digits(row[name]) for name in ("ours", "ours_low", "ours_high"))
     interval = "" if low == "nan" or high == "nan" else f" ({low} to {high})"
     return {
         **{name: row[name] for name in ("source", "role", "kind", "study", "verdict", "note")},
@@ -304,7 +307,7 @@ def ledger_table(ledger):
     """Return the ledger's figure and its counts by source and verdict as Markdown."""
     from mmqa_lab.published.ledger import summary
 
-    return LEDGER_FIGURE + markdown_table(summary(ledger).reset_index())
+    return LEDGER_FIGURE + markdown_table(summary(ledger).rename_axis("source").reset_index())
 
 
 def ledger_figure(ledger):

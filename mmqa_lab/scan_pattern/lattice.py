@@ -856,7 +856,7 @@ def propagate(
     draws: int = 20_000,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Return what errors of set-up and target make of the prediction.
+    """Propagate errors of set-up and target to the prediction.
 
     First order adds the squares of sensitivity times standard deviation; Monte Carlo draws
     independent normal errors and predicts each time.

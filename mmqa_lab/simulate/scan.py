@@ -759,21 +759,6 @@ def _perpendicular(dx, dy, dz, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _hit(tree, stack, ray, echo):
-    """Write range, signal, cosine and surface of a unit ray into ``echo``; False where none."""
-    t, i = nearest(tree, stack, ray[0], ray[1], ray[2], ray[3], ray[4], ray[5])
-    if i < 0:
-        return False
-    c = tree.centre[i]
-    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
-    nx, ny, nz, reflectance = describe(tree, i, x, y, z)
-    cosine = abs(nx * ray[3] + ny * ray[4] + nz * ray[5])
-    echo[0], echo[1] = t, reflectance * cosine / (t * t)
-    echo[2], echo[3] = cosine, tree.surface[i]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
 def _strongest(hits, n, separation):
     """First and last of the sorted hits that make the strongest echo."""
     best, first, last = -1.0, 0, 0
@@ -790,33 +775,46 @@ def _strongest(hits, n, separation):
 
 
 @njit(cache=True, error_model="numpy")
-def _footprint(tree, stack, ray, part, hits, radius, growth, axis, turn):
-    """Hits of the rays that stand for equal shares of a Gaussian beam, nearest first.
+def _spread(rays, radius, growth, axis, turn):
+    """Write the ring of rays that stand for equal shares of a Gaussian beam about the first one.
 
     ``axis`` is a vector across the beam: along it the beam grows by its length as much again.
     """
-    n = 1 if _hit(tree, stack, ray, hits[0]) else 0
-    for k in range(FOOTPRINT - 1):
+    ray, g = rays[0], RING * growth
+    more = axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]
+    length = np.sqrt(1 + g * g)
+    for k in range(len(rays) - 1):
         ex, ey, ez = _perpendicular(ray[3], ray[4], ray[5], turn + 2 * np.pi * k / (FOOTPRINT - 1))
-        g = RING * growth
-        more = axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]
         if more > 0.0:
             along = (ex * axis[0] + ey * axis[1] + ez * axis[2]) / np.sqrt(more)
             ex, ey, ez = ex + along * axis[0], ey + along * axis[1], ez + along * axis[2]
-        length = np.sqrt(1 + g * g)
-        part[0] = ray[0] + RING * radius * ex
-        part[1] = ray[1] + RING * radius * ey
-        part[2] = ray[2] + RING * radius * ez
-        part[3] = (ray[3] + g * ex) / length
-        part[4] = (ray[4] + g * ey) / length
-        part[5] = (ray[5] + g * ez) / length
-        if _hit(tree, stack, part, hits[n]):
-            j = n
-            while j > 0 and hits[j, 0] < hits[j - 1, 0]:
-                for m in range(4):
-                    hits[j, m], hits[j - 1, m] = hits[j - 1, m], hits[j, m]
-                j -= 1
-            n += 1
+        across = (ex, ey, ez)
+        for j in range(3):
+            rays[k + 1, j] = ray[j] + RING * radius * across[j]
+            rays[k + 1, j + 3] = (ray[j + 3] + g * across[j]) / length
+
+
+@njit(cache=True, error_model="numpy")
+def _sorted_hits(tree, rays, best, hit, hits):
+    """Write range, signal, cosine and surface of the rays that met something, nearest first.
+
+    Returns their number.
+    """
+    n = 0
+    for k in range(len(rays)):
+        ray, t, i = rays[k], best[k], hit[k]
+        if i < 0:
+            continue
+        nx, ny, nz, reflectance = describe(tree, ray, t, i)
+        cosine = abs(nx * ray[3] + ny * ray[4] + nz * ray[5])
+        hits[n, 0], hits[n, 1] = t, reflectance * cosine / (t * t)
+        hits[n, 2], hits[n, 3] = cosine, tree.surface[i]
+        j = n
+        while j > 0 and hits[j, 0] < hits[j - 1, 0]:
+            for m in range(4):
+                hits[j, m], hits[j - 1, m] = hits[j - 1, m], hits[j, m]
+            j -= 1
+        n += 1
     return n
 
 
@@ -851,23 +849,18 @@ def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
     """
     n = len(origins)
     wide = radius > 0.0 or growth > 0.0
+    parts = FOOTPRINT if wide else 1
     ranges, surface = np.full(n, np.nan), np.full(n, -1, np.int32)
     cosine, signal = np.full(n, np.nan), np.zeros(n)
     mixed = np.zeros(n, np.bool_)
     for task in prange((n + TASK - 1) // TASK):
-        stack = np.empty(STACK, np.int64)
-        ray, part, hits = np.empty(6), np.empty(6), np.empty((FOOTPRINT, 4))
+        stack, hit = np.empty(STACK, np.int64), np.empty(parts, np.int64)
+        rays, best, hits = np.empty((parts, 9)), np.empty(parts), np.empty((parts, 4))
         for k in range(task * TASK, min((task + 1) * TASK, n)):
-            ray[:3], ray[3:] = origins[k], directions[k]
-            found, share = 0, 1.0
-            if wide:
-                share = 1.0 / FOOTPRINT
-                wider = axis[k % len(axis)]
-                found = _footprint(
-                    tree, stack, ray, part, hits, radius, growth, wider, 2 * np.pi * turn[k]
-                )
-            elif _hit(tree, stack, ray, hits[0]):
-                found = 1
+            rays[0, :3], rays[0, 3:6] = origins[k], directions[k]
+            _spread(rays, radius, growth, axis[k % len(axis)], 2 * np.pi * turn[k])
+            nearest(tree, stack, rays, best, hit)
+            found = _sorted_hits(tree, rays, best, hit, hits)
             if found == 0:
                 continue
             first, last = _strongest(hits, found, separation)
@@ -880,5 +873,5 @@ def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
                     top = j
             ranges[k] = hits[first, 0] + (weighted / signal[k] if signal[k] > 0.0 else 0.0)
             surface[k], cosine[k] = hits[top, 3], hits[top, 2]
-            signal[k] *= share
+            signal[k] *= 1.0 / parts
     return ranges, surface, cosine, signal, mixed

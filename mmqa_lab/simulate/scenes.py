@@ -215,11 +215,11 @@ def _cut(members, centre, depth):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _planar(tree, i, ox, oy, oz, dx, dy, dz):
-    """Range to a planar primitive; ``ox`` ... is the ray's start from the centre."""
+def _planar(tree, i, ox, oy, oz, dx, dy, dz, best):
+    """Range to a planar primitive, inf beyond ``best``; ``ox`` ... is the start from the centre."""
     s = tree.shape[i]
     t = -(s[6] * ox + s[7] * oy + s[8] * oz) / (s[6] * dx + s[7] * dy + s[8] * dz)
-    if not 0.0 < t < np.inf:
+    if not 0.0 < t < best:
         return np.inf
     x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
     u = s[0] * x + s[1] * y + s[2] * z
@@ -296,15 +296,15 @@ def mapped(s, x, y, z):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _range_to(tree, i, ox, oy, oz, dx, dy, dz):
-    """Range along a unit ray to primitive ``i``, inf where it misses."""
-    c = tree.centre[i]
-    ox, oy, oz = ox - c[0], oy - c[1], oz - c[2]
+def _range_to(tree, i, rays, k, best):
+    """Range along unit ray ``k`` to primitive ``i``, inf where it misses or is beyond ``best``."""
+    c, dx, dy, dz = tree.centre, rays[k, 3], rays[k, 4], rays[k, 5]
+    ox, oy, oz = rays[k, 0] - c[i, 0], rays[k, 1] - c[i, 1], rays[k, 2] - c[i, 2]
     if tree.kind[i] == FRUSTUM:
         return _frustum(tree.shape[i], ox, oy, oz, dx, dy, dz)
     if tree.kind[i] == ELLIPSOID:
         return _ellipsoid(tree.shape[i], ox, oy, oz, dx, dy, dz)
-    return _planar(tree, i, ox, oy, oz, dx, dy, dz)
+    return _planar(tree, i, ox, oy, oz, dx, dy, dz, best)
 
 
 @njit(cache=True)
@@ -313,42 +313,63 @@ def _reciprocal(x):
     return 1.0 / x if abs(x) > 1e-290 else 1e290
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _may_hit(low, high, node, rays, k, best):
+    """Whether ray ``k`` meets the box of a node before ``best``."""
+    enter, leave = 0.0, best
+    for j in range(3):
+        a = (low[node, j] - rays[k, j]) * rays[k, 6 + j]
+        b = (high[node, j] - rays[k, j]) * rays[k, 6 + j]
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    return leave >= enter
+
+
 @njit(cache=True, error_model="numpy")
-def nearest(tree, stack, ox, oy, oz, dx, dy, dz):
-    """Range and index of the first primitive a unit ray meets; (inf, -1) where none."""
-    ix, iy, iz = _reciprocal(dx), _reciprocal(dy), _reciprocal(dz)
-    best, hit = np.inf, -1
+def nearest(tree, stack, rays, best, hit):
+    """Write range and index of the first primitive that each unit ray meets; inf, -1 where none.
+
+    Parameters
+    ----------
+    tree : Tree
+    stack : array of int, shape (STACK,)
+        To work with.
+    rays : array, shape (k, 9)
+        Start, direction, and room for the reciprocals of the direction. Rays that stay close
+        together share their way down the tree.
+    best, hit : array, shape (k,)
+    """
+    for k in range(len(rays)):
+        best[k], hit[k] = np.inf, -1
+        for j in range(3, 6):
+            rays[k, j + 3] = _reciprocal(rays[k, j])
+    low, high = tree.low, tree.high
     depth = 1
     stack[0] = 0
     while depth > 0:
         depth -= 1
         node = stack[depth]
-        low, high = tree.low[node], tree.high[node]
-        a, b = (low[0] - ox) * ix, (high[0] - ox) * ix
-        enter, leave = min(a, b), max(a, b)
-        a, b = (low[1] - oy) * iy, (high[1] - oy) * iy
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-        a, b = (low[2] - oz) * iz, (high[2] - oz) * iz
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-        if leave < max(enter, 0.0) or enter > best:
-            continue
         if tree.count[node] > 0:
-            for i in range(tree.link[node], tree.link[node] + tree.count[node]):
-                t = _range_to(tree, i, ox, oy, oz, dx, dy, dz)
-                if t < best:
-                    best, hit = t, i
+            for k in range(len(rays)):
+                if _may_hit(low, high, node, rays, k, best[k]):
+                    for i in range(tree.link[node], tree.link[node] + tree.count[node]):
+                        t = _range_to(tree, i, rays, k, best[k])
+                        if t < best[k]:
+                            best[k], hit[k] = t, i
             continue
-        axis = tree.axis[node]
-        forward = (dx, dy, dz)[axis] >= 0.0
-        stack[depth] = tree.link[node] if forward else node + 1
-        stack[depth + 1] = node + 1 if forward else tree.link[node]
-        depth += 2
-    return best, hit
+        for k in range(len(rays)):
+            if _may_hit(low, high, node, rays, k, best[k]):
+                forward = rays[0, 3 + tree.axis[node]] >= 0.0
+                stack[depth] = tree.link[node] if forward else node + 1
+                stack[depth + 1] = node + 1 if forward else tree.link[node]
+                depth += 2
+                break
 
 
 @njit(cache=True, error_model="numpy")
-def describe(tree, i, x, y, z):
-    """Unit normal and reflectance of primitive ``i`` at a point of it, given from its centre."""
+def describe(tree, ray, t, i):
+    """Unit normal and reflectance of primitive ``i`` where a ray meets it at ``t``."""
+    c = tree.centre[i]
+    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
     s = tree.shape[i]
     kind = tree.kind[i]
     if kind == FRUSTUM:
@@ -391,16 +412,14 @@ def _cast(tree, origins, directions):
     ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
     normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
     for task in prange((n + TASK - 1) // TASK):
-        stack = np.empty(STACK, np.int64)
+        stack, ray = np.empty(STACK, np.int64), np.empty((1, 9))
+        best, hit = np.empty(1), np.empty(1, np.int64)
         for k in range(task * TASK, min((task + 1) * TASK, n)):
-            ox, oy, oz = origins[k, 0], origins[k, 1], origins[k, 2]
-            dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
-            t, i = nearest(tree, stack, ox, oy, oz, dx, dy, dz)
+            ray[0, :3], ray[0, 3:6] = origins[k], directions[k]
+            nearest(tree, stack, ray, best, hit)
+            t, i = best[0], hit[0]
             if i >= 0:
-                c = tree.centre[i]
-                x, y, z = ox - c[0] + t * dx, oy - c[1] + t * dy, oz - c[2] + t * dz
-                normal[k, 0], normal[k, 1], normal[k, 2], reflectance[k] = describe(
-                    tree, i, x, y, z
-                )
+                nx, ny, nz, reflectance[k] = describe(tree, ray[0], t, i)
+                normal[k, 0], normal[k, 1], normal[k, 2] = nx, ny, nz
                 ranges[k], surface[k] = t, tree.surface[i]
     return ranges, surface, normal, reflectance

@@ -232,7 +232,7 @@ def straight(
 
 
 def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> Trajectory:
-    """Return the same path driven at a speed that wanders about its own within half a second.
+    """Return the same path driven at a speed that varies about its own within half a second.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ COLOURS = dict(zip(KINDS, plots.COLOURS, strict=False)) | {"holes": "grey"}
 
 def g_at_axes(xy):
     """Directional spacing across over along, at the given axes instead of the direction found."""
-    found = directional(xy)
+    found = directed(xy)
     ratio = found.at(90) / found.at(0)
     return max(ratio, 1 / ratio)
 
@@ -87,20 +87,25 @@ def clark_evans(xy):
     return float(nearest.mean() / expected)
 
 
-def f_over_turn(xy):
-    """f at every turn of TURN; the last points are kept, as the bench hands each method a copy."""
-    key = xy.tobytes()
-    if key not in _OVER_TURN:
-        _OVER_TURN.clear()
-        _OVER_TURN[key] = turned_f(xy, angles=TURN)
-    return _OVER_TURN[key]
+def kept(measure):
+    """The measure of points; asked twice for the same ones, it remembers."""
+    last = [None, None]
+
+    def again(xy):
+        if last[0] != xy.tobytes():
+            last[:] = xy.tobytes(), measure(xy)
+        return last[1]
+
+    again.__doc__ = f"``{measure.__name__}`` of points, kept for the next method."
+    return again
 
 
-_OVER_TURN = {}
+directed = kept(directional)
+_f_over_turn = kept(lambda xy: turned_f(xy, angles=TURN))
 
 PEERS = {
-    "f, smallest over a turn": lambda xy: f_over_turn(xy).min(),
-    "f, largest over a turn": lambda xy: f_over_turn(xy).max(),
+    "f, smallest over a turn": lambda xy: _f_over_turn(xy).min(),
+    "f, largest over a turn": lambda xy: _f_over_turn(xy).max(),
     "g at the given axes": g_at_axes,
     "structure tensor": structure_tensor,
     "Ripley's K by direction": pair_contrast,
@@ -108,7 +113,7 @@ PEERS = {
 }
 """Measures beside f and g."""
 
-METHODS = {"f": lambda xy: quadrants(xy).f, "g": lambda xy: directional(xy).g, **PEERS}
+METHODS = {"f": lambda xy: quadrants(xy).f, "g": lambda xy: directed(xy).g, **PEERS}
 
 
 def pattern(kind, stretch, *, angle, n, noise_mm, seed, density=3000.0):

@@ -67,7 +67,7 @@ class Truth:
         return self.displacements - along * self.axes
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _scene(seed, conditions) -> Canyon:
     return canyon(seed, conditions=conditions)
 

@@ -211,7 +211,7 @@ def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFr
 
 
 def published_results(*, repeatability: bool = False, by_pixels: bool = False) -> pd.DataFrame:
-    """Return Tables 1 and 2 of Pfeifer et al. 2021 in the form that :func:`verdicts` wants.
+    """Return Tables 1 and 2 of Pfeifer et al. 2021 in the form that :func:`verdicts` takes.
 
     Parameters
     ----------
