@@ -418,7 +418,7 @@ def test_columns_of_text_are_found_by_their_names(
     values = np.column_stack([np.arange(1, 21), np.round(rng.random((20, 4)) * 900, 3)])
     titles = np.array(["id", *names, "intensity"])
     rows = [separator.join(f"{v:.3f}" for v in row[order]) for row in values]
-    if separator == ";" and commas:
+    if separator in (";", "\t", " ") and commas:
         rows = [row.replace(".", ",") for row in rows]
     header = ("# " if commented else "") + separator.join(titles[order])
     path = tmp_path_factory.mktemp("text") / "c.csv"

@@ -621,6 +621,9 @@ def test_collect_keeps_every_value_and_lets_one_decide(tmp_path):
     assert counts.loc["pfeifer2021", "contradicted"] == 1
     results = (ledger.cells()["role"] == "result").sum()
     assert counts.loc["all"].sum() == results
+    waiting = ledger.summary(ledger.collect(tmp_path, not_run=["pfeifer2021 table_2"]))
+    assert waiting["not run"].tolist() == [30 - 2, 0, 0, 0, 0, 28]  # two are answered above
+    assert waiting.loc["pfeifer2021", "not comparable"] == counts.iloc[0]["not comparable"] - 28
 
 
 @pytest.mark.parametrize(

@@ -145,13 +145,16 @@ def drawn(height_mm=40):
 
 
 def test_a_figure_has_its_data_and_says_what_is_seen(run):
-    figure, _ = drawn()
+    figure, ax = drawn()
+    ax.set_ylabel(r"$\sigma_\mathrm{MAD}$ (mm)")
     run.save_figure(figure, "errors", data=pd.DataFrame({"range_m": [0.1, 1], "error_mm": [0, 1]}))
     run.save_figure(figure, "again", seen="One rising line.")
     plt.close(figure)
     assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
     figures = read_record(run.folder)["figures"]
-    assert figures["errors"]["seen"] == "plain: error (mm) over range (m) of a line"
+    assert figures["errors"]["seen"] == (
+        "plain: sigma_MAD (mm) from 0 to 1 over range (m) from 0.1 to 1 of a line"
+    )
     assert figures["errors"]["width_mm"] == pytest.approx(85, abs=5)
     assert figures["again"]["seen"] == "One rising line."
 

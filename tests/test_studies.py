@@ -60,7 +60,7 @@ def before_the_answers(study, folder):
     watch = f"import sys; sys.path.insert(0, {TESTS!r}); import overlaps"
     watch += f"; overlaps.watch({str(folder / 'overlaps.json')!r})"
     notebook.cells = [nbformat.v4.new_code_cell(watch), *cells]
-    here = Elsewhere(study.number, study.stem, study.title, study.question, study.source)
+    here = Elsewhere(**vars(study))
     object.__setattr__(here, "folder", folder)
     nbformat.write(notebook, here.path)
     return here, exercises
@@ -89,6 +89,9 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     readme = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
     # written by mmqa readme; real clouds, where they are available, add to an answer
     assert f"| {masked(answer['sentence']).rstrip('.')}" in masked(readme)
+    if (folder / "ledger.csv").is_file():
+        ledger = pd.read_csv(folder / "ledger.csv")
+        assert set(ledger["source"] + " " + ledger["table"]) == set(study.tables)
     assert {path.name for path in folder.iterdir()} >= {*record["files"], f"{study.stem}.html"}
     for name in record["figures"]:
         assert len(pd.read_csv(folder / f"{name}.csv")) > 0, f"no data of {name}"
@@ -150,13 +153,26 @@ def test_a_failing_cell_is_named_and_what_it_made_is_shown(broken, tmp_path):
     assert not outcome.ok
     assert outcome.verdict == "ValueError: f is <missing>"
     assert pages.read_outcome(folder / "broken") == outcome
-    assert "f is &lt;missing&gt;" in (folder / "broken" / "broken.html").read_text()
+    page = (folder / "broken" / "broken.html").read_text()
+    assert "Stopped: ValueError: f is &lt;missing&gt;" in page
+    assert page.count('id="stopped"') == page.count('href="#stopped"') == 1
     never_run = Study(98, "never", "Never", "?", "nowhere")
     pages.write_pages(folder, [study, never_run])
     index = (folder / "index.html").read_text()
     assert "ValueError: f is &lt;missing&gt;" in index
     assert index.count('href="broken/made.csv"') == 1
     assert "Never" not in index
+
+
+def test_a_study_that_is_interrupted_shows_what_it_made(broken, tmp_path):
+    stop = "import os, signal, time; os.kill(os.getppid(), signal.SIGTERM); time.sleep(600)"
+    with pytest.raises(KeyboardInterrupt):
+        broken("seed = 1", MADE, "print('so far')", stop)
+    folder = tmp_path / "results" / "broken"
+    assert pages.read_outcome(folder).verdict == "stopped before its end"
+    page = (folder / "broken.html").read_text()
+    assert "Stopped: stopped before its end" not in page
+    assert "so far" in page
 
 
 def test_a_check_that_fails_stops_nothing(broken, tmp_path):
@@ -216,7 +232,7 @@ def test_studies_run_side_by_side(tmp_path, capsys):
 def test_the_index_fills_while_studies_run(tmp_path, monkeypatch):
     monkeypatch.setattr(house, "FILL_S", 0.05)
     stem, index, seen = STUDIES[0].stem, tmp_path / "index.html", ""
-    with house._filling(tmp_path, STUDIES):
+    with house._filling(tmp_path, STUDIES, STUDIES):
         notebooks._write(pages.Outcome(stem, True, ""), tmp_path / stem)
         for _ in range(600):
             seen = index.read_text() if index.is_file() else ""

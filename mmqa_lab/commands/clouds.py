@@ -169,7 +169,10 @@ def evaluate(options):
     rows = []
     for file in with_progress(options.cloud, "cloud"):
         cloud = io.read_cloud(file, columns=())
-        quality = chart_cloud.evaluate_cloud(cloud, scale=scale, **choices)
+        try:
+            quality = chart_cloud.evaluate_cloud(cloud, scale=scale, **choices)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from None
         table = quality.intervals() if options.intervals else quality.to_frame()
         table.insert(0, "file", str(file))
         rows.append(table.assign(remarks=" ".join(quality.remarks)))

@@ -3,8 +3,8 @@
 import importlib
 import inspect
 import os
-import pkgutil
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -16,9 +16,6 @@ from mmqa_lab.commands._output import print_rows
 
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
-
-NO_LIBRARY = ("__main__", "commands", "studies")
-"""Modules of the package that make no names public."""
 
 CORES = ("-n=logical", "--maxprocesses=4")
 """Tests run on all cores, up to four: each process has its own fixtures and libraries in memory."""
@@ -114,11 +111,15 @@ def names(options):
 
 def name_table(word=""):
     """Return every public function and class: room, name and the first line of its docstring."""
-    rows = [
-        (room, name, inspect.getdoc(member).splitlines()[0])
-        for room in _rooms()
-        for name, member in _members(importlib.import_module(f"mmqa_lab.{room}"))
-    ]
+    rows = []
+    for room in _rooms():
+        module = importlib.import_module(f"mmqa_lab.{room}")
+        members = [(name, getattr(module, name)) for name in module.__all__]
+        rows += [
+            (room, name, inspect.getdoc(one).splitlines()[0])
+            for name, one in members
+            if inspect.isfunction(one) or inspect.isclass(one)
+        ]
     rows = [row for row in rows if word.lower() in " ".join(row).lower()]
     if not rows:
         raise ValueError(f"Invalid word {word!r}. Must occur in a room, a name or its summary.")
@@ -126,31 +127,13 @@ def name_table(word=""):
 
 
 def _rooms():
-    """Dotted names of the modules that make names public.
-
-    A room that is a package makes public what is in its ``__all__``; one that only gathers modules
-    what those make public; a module its functions and classes, or its ``__all__``.
-    """
-    import mmqa_lab
-
-    for found in pkgutil.iter_modules(mmqa_lab.__path__):
-        if found.name.startswith("_") or found.name in NO_LIBRARY:
-            continue
-        yield found.name
-        room = importlib.import_module(f"mmqa_lab.{found.name}")
-        if found.ispkg and not hasattr(room, "__all__"):
-            inner = pkgutil.iter_modules(room.__path__)
-            yield from (f"{found.name}.{one.name}" for one in inner if one.name[0] != "_")
-
-
-def _members(module):
-    """Names and objects that a module makes public."""
-    given = getattr(module, "__all__", None)
-    for name in vars(module) if given is None else given:
-        member = getattr(module, name)
-        own = getattr(member, "__module__", None) == module.__name__ and not name.startswith("_")
-        if (given is not None or own) and (inspect.isfunction(member) or inspect.isclass(member)):
-            yield name, member
+    """Dotted names of the rooms that list public names, and of the ledger."""
+    package = Path(__file__).parents[1]
+    rooms = [*package.glob("*.py"), *package.glob("*/__init__.py"), package / "published/ledger.py"]
+    for path in sorted(rooms):
+        if "\n__all__ = " in path.read_text(encoding="utf-8"):
+            parts = path.relative_to(package).with_suffix("").parts
+            yield ".".join(part for part in parts if part != "__init__")
 
 
 @command(
@@ -229,6 +212,7 @@ def studies(options):
 
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill is an interruption, too
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
     studies = chosen(options.name)
@@ -237,7 +221,7 @@ def studies(options):
     outcomes = []
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
     with (
-        _filling(folder, STUDIES),
+        _filling(folder, STUDIES, studies),
         tqdm(total=len(studies), unit="study", desc="studies") as bar,
     ):
         for study, outcome in run(studies, folder, options, bar):
@@ -248,7 +232,7 @@ def studies(options):
 
 
 @contextmanager
-def _filling(folder, studies):
+def _filling(folder, studies, running):
     """Write the pages every few seconds while studies run; open the index once it shows one."""
     from mmqa_lab.run import pages
 
@@ -257,7 +241,7 @@ def _filling(folder, studies):
     def fill():
         opened = False
         while not ended.wait(FILL_S):
-            pages.write_pages(folder, studies, running=True)
+            pages.write_pages(folder, studies, running=running)
             if not opened and any(folder.glob("*/*.png")):
                 opened = True
                 _open(folder / "index.html")
@@ -303,8 +287,13 @@ def _several_at_once(studies, folder, options, bar):
     threads = max(1, (os.cpu_count() or 1) // options.workers)
     place = {"NUMBA_NUM_THREADS": str(threads), **os.environ}
 
+    alone = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    running = []  # Ctrl-C reaches them through this process alone
+
     def run(study):
-        subprocess.run([*command, study.stem], env=place, capture_output=True)
+        child = subprocess.Popen([*command, study.stem], env=place, **alone)
+        running.append(child)
+        child.wait()
 
     with ThreadPoolExecutor(options.workers) as pool:
         order = sorted(studies, key=lambda study: study.stem not in LONGEST)
@@ -314,8 +303,10 @@ def _several_at_once(studies, folder, options, bar):
                 study = tasks[task]
                 empty = Outcome(study.stem, options.quick, "")
                 yield study, read_outcome(folder / study.stem) or empty
-        except KeyboardInterrupt:  # those that run have got it too
-            pool.shutdown(cancel_futures=True)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in running:
+                child.terminate()
             raise
 
 

@@ -357,7 +357,7 @@ def _layout_of(path):
     if not _is_data(_words(first, separator)):
         header, skip, lines = _words(first), skip + 1, lines[1:]
     rows = [_words(line, separator) for _, line in lines]
-    comma = separator == ";" and any("," in word for row in rows for word in row)
+    comma = separator != "," and any("," in word for row in rows for word in row)
     names = header or _commented_names(before, rows)
     if names is None:
         names = _numbered(path, rows)
@@ -387,7 +387,10 @@ def _first_lines(path):
 
 
 def _separator(line):
-    """What stands between the words of a line."""
+    """What stands between the words of a line; a comma within a number is its decimal sign."""
+    words = line.split()
+    if len(words) > 2 and _is_data(words) and all(word.strip(",") == word for word in words):
+        return "\t" if "\t" in line else " "
     return next((mark for mark in (";", ",", "\t") if mark in line), " ")
 
 

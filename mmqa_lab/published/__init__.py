@@ -31,7 +31,8 @@ from importlib import resources
 
 import pandas as pd
 
-__dir__ = ["ledger", "number", "raw", "table"].copy
+__all__ = ["number", "raw", "table"]
+__dir__ = ["ledger", *__all__].copy
 
 DATA = resources.files("mmqa_lab.published") / "data"
 

@@ -9,14 +9,15 @@ cells and gives each one a verdict:
   satisfies what is printed as a bound, a range or with "about";
 - **contradicted**: neither; the note gives the argument;
 - **not comparable**: there is no value of ours; the note gives the reason, by default that of
-  ``data/reasons.csv``.
+  ``data/reasons.csv``;
+- **not run**: there is none, because a study that answers this table did not come so far.
 
 The rounding interval reaches half a unit of the last printed digit to both sides; with "about" a
 whole unit of the last digit that is not zero. Legibility marks count as a = 1, b = 2, c = 3.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from decimal import Decimal
 from fnmatch import fnmatchcase
 from functools import cache
@@ -31,7 +32,7 @@ __all__ = ["cells", "collect", "entry", "summary", "verdict"]
 __dir__ = __all__.copy
 
 KINDS = ("predicted", "measured", "fitted")
-VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable")
+VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable", "not run")
 COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
@@ -152,13 +153,15 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
     return "consistent" if _meets(printed, low, high) else "contradicted"
 
 
-def collect(folder: str | os.PathLike) -> pd.DataFrame:
+def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.DataFrame:
     """Return the whole ledger of a run.
 
     Parameters
     ----------
     folder : path
         Results of a run; every ``<study>/ledger.csv`` below it is read.
+    not_run : collection of str
+        Source and table, such as ``"pfeifer2021 table_2"``, of studies that left no ledger.
 
     Returns
     -------
@@ -183,7 +186,7 @@ def collect(folder: str | os.PathLike) -> pd.DataFrame:
     reasons = [_reason(cell, rules) for cell in cells().to_dict("records")]
     ledger = cells().assign(reason=reasons)
     ledger = ledger.merge(_entries(folder), on=["source", "table", "cell"], how="left")
-    ledger["verdict"] = [_verdict_of_row(row) for row in ledger.to_dict("records")]
+    ledger["verdict"] = [_verdict_of_row(row, not_run) for row in ledger.to_dict("records")]
     silent = (ledger["verdict"] == "not comparable") & (ledger["note"].fillna("") == "")
     ledger["note"] = ledger["note"].fillna("").where(~silent, ledger["reason"])
     ledger["decides"] = ~ledger.duplicated(["source", "table", "cell"])
@@ -201,7 +204,7 @@ def summary(ledger: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Sources by verdicts, with a row ``all``.
+        Sources by verdicts, with a row ``all``; without ``not run`` where all studies have run.
 
     Examples
     --------
@@ -213,7 +216,7 @@ def summary(ledger: pd.DataFrame) -> pd.DataFrame:
     counts = pd.crosstab(rows["source"], rows["verdict"])
     counts = counts.reindex(index=sources, columns=VERDICTS, fill_value=0)
     counts.loc["all"] = counts.sum()
-    return counts
+    return counts if counts["not run"].any() else counts.drop(columns="not run")
 
 
 @cache
@@ -372,9 +375,10 @@ def _check_entry(row):
         )
 
 
-def _verdict_of_row(row):
+def _verdict_of_row(row, not_run):
     """The verdict of one row of the joined table."""
     if pd.isna(row["kind"]):
-        return "not comparable"
+        waits = row["role"] == "result" and f"{row['source']} {row['table']}" in not_run
+        return "not run" if waits else "not comparable"
     ours = {name: row[f"ours_{name}"] for name in ("low", "high")}
     return verdict(row, {"value": row["ours"], "kind": row["kind"], **ours})

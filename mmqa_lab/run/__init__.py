@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import base64
 import io
 import json
 import os
@@ -143,6 +144,7 @@ class Run:
             **_environment(),
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
+        self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
         for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
             left.unlink()
         self._write_record()
@@ -183,13 +185,12 @@ class Run:
         without the picture; without it the axes' labels and the legends do.
         """
         finish_figure(figure)
-        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
+        subject = {"CreationDate": None, "Subject": self._record["study"], "Creator": self._made}
         details = {
-            "pdf": {"CreationDate": None, "Title": name, "Subject": self._record["study"]},
-            "svg": {"Date": None, "Title": name, "Description": made},
-            "png": {"Title": name, "Software": made},
+            "pdf": {"Title": name, **subject},
+            "svg": {"Date": None, "Title": name, "Description": self._made},
+            "png": {"Title": name, "Software": self._made},
         }
-        details["pdf"]["Creator"] = made
         self._record["figures"][name] = {
             "seen": seen or _described(figure),
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
@@ -217,17 +218,18 @@ class Run:
         list of Path
             Both files.
         """
-        from mmqa_lab.run.pages import report_page, report_sheet
+        from mmqa_lab.run.pages import filled, report_sheet
 
         picture = io.BytesIO()
         with mpl.rc_context({"savefig.dpi": 200}):
             figure.savefig(picture, format="png")
         whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
-        page = report_page(picture.getvalue(), **whole)
+        rows = table.to_html(index=False, border=0, na_rep="", float_format=four_digits)
+        coded = base64.b64encode(picture.getvalue()).decode()
+        page = filled("report.html", **whole | {"table": rows, "picture": coded})
         self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
         sheet = report_sheet(picture.getvalue(), **whole)
-        made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
-        metadata = {"CreationDate": None, "Title": title, "Creator": made}
+        metadata = {"CreationDate": None, "Title": title, "Creator": self._made}
         self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
         return [self.folder / name for name in ("report.html", "report.pdf")]
 
@@ -395,15 +397,25 @@ def _show(checks):
 
 
 def _described(figure):
-    """What the axes of a figure show, from their titles, labels and legends."""
+    """What the axes of a figure show: titles, labels, legends, and how far the data reach."""
     said = []
     for ax in figure.axes:
-        seen = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
+        seen = " over ".join(filter(None, [_reach(ax.yaxis), _reach(ax.xaxis)]))
         if ax.get_legend():
             names = ", ".join(text.get_text() for text in ax.get_legend().get_texts())
             seen = f"{seen} of {names}".lstrip()
-        said.append(": ".join(filter(None, [ax.get_title(), seen])))
-    return "; ".join(filter(None, said))
+        said.append(": ".join(filter(None, [ax.get_title().replace("\n", " "), seen])))
+    text = "; ".join(filter(None, said))
+    return re.sub(r"\\mathrm|[$\\{}]", "", text)  # without the marks of LaTeX
+
+
+def _reach(axis):
+    """An axis' label with the ends of its data, or of its names."""
+    label = axis.get_label_text()
+    low, high = axis.get_data_interval()
+    if not label or axis.have_units() or not np.isfinite([low, high]).all():  # units: names
+        return label
+    return f"{label} from {low:.3g} to {high:.3g}"
 
 
 def _latex(frame):

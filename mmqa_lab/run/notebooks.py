@@ -14,7 +14,7 @@ from pathlib import Path
 import nbformat
 
 from mmqa_lab.run import read_record, write_text
-from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page, read_outcome
+from mmqa_lab.run.pages import OUTCOME, UNFINISHED, Outcome, notebook_page, read_outcome
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -51,20 +51,26 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
     done = read_outcome(target)
     if resume and done is not None and done.ok and done.code == outcome.code:
         return done
+    for summary in ("checks.csv", "ledger.csv", f"{study.stem}.html"):  # of an earlier run
+        (target / summary).unlink(missing_ok=True)
     _write(outcome, target)
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.module.QUICK)
     began = time.monotonic()
     environment = {**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(target.parent)}
-    failure = execute(notebook, study.path.parent, environment=environment, timeout=timeout)
-    seconds = round(time.monotonic() - began, 1)
-    record = read_record(target)
-    page = notebook_page(notebook, study.title, figures=record.get("figures", {}))
-    write_text(target / f"{study.stem}.html", page)
-    counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
-    outcome = replace(outcome, seconds=seconds, failure=failure, **counts)
-    _write(outcome, target)
+    failure = UNFINISHED
+    try:
+        failure = execute(notebook, study.path.parent, environment=environment, timeout=timeout)
+    finally:  # where it is interrupted, too
+        seconds = round(time.monotonic() - began, 1)
+        record = read_record(target)
+        seen = record.get("figures", {})
+        page = notebook_page(notebook, study.title, figures=seen, failure=failure)
+        write_text(target / f"{study.stem}.html", page)
+        counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
+        outcome = replace(outcome, seconds=seconds, failure=failure, **counts)
+        _write(outcome, target)
     return outcome
 
 
@@ -116,7 +122,7 @@ def _run(coroutine):
 
 
 def _let_interrupt(interrupted):
-    """Ctrl-C stops all studies; the client alone would stop this kernel and go on."""
+    """Ctrl-C and ``kill`` stop all studies; the client alone would stop this kernel and go on."""
     task = asyncio.current_task()
 
     def stop():
@@ -125,7 +131,8 @@ def _let_interrupt(interrupted):
 
     # Windows has no such handlers, and no thread but the first has them
     with suppress(NotImplementedError, RuntimeError, ValueError):
-        asyncio.get_running_loop().add_signal_handler(signal.SIGINT, stop)
+        for one in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(one, stop)
 
 
 def _code(study, quick):

@@ -41,6 +41,11 @@ FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$"
 
 FORMULA_PT = 12.5
 
+HEADING = re.compile(r"^#+ (.+)", re.MULTILINE)
+
+WIDGET = "application/vnd.jupyter.widget-view+json"
+"""An output that needs the kernel it came from."""
+
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 
@@ -81,7 +86,7 @@ def read_outcome(folder):
     return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
 
-def write_pages(folder, studies, *, running=False):
+def write_pages(folder, studies, *, running=()):
     """Write ``index.html``, ``glossary.html`` and, where a study left a ledger, ``ledger.html``.
 
     Parameters
@@ -90,20 +95,18 @@ def write_pages(folder, studies, *, running=False):
         Of all results.
     studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
-    running : bool
-        Studies without an end still run, and the index loads itself again every ten seconds.
+    running : list of mmqa_lab.studies.Study
+        Those of them without an end still run, and the index loads itself again every ten seconds.
     """
     folder = Path(folder)
-    cards = [_card(study, folder / study.stem) for study in studies]
-    cards = [card for card in cards if card["outcome"] is not None]
-    ledger = _ledger(folder)
+    ran = [study for study in studies if read_outcome(folder / study.stem) is not None]
+    cards = [_card(study, folder / study.stem, study in running) for study in ran]
+    ledger = _ledger(folder, studies)
     if ledger is not None:
         write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
     write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
-    said = {UNFINISHED: "still running"} if running else {}
-    shown = {"cards": cards, "ledger": ledger, "formats": FORMATS}
-    text = filled("index.html", **shown, running=running, said=said)
-    write_text(folder / "index.html", text)
+    shown = {"cards": cards, "ledger": ledger, "formats": FORMATS, "running": running}
+    write_text(folder / "index.html", filled("index.html", **shown))
 
 
 def glossary_rows():
@@ -112,7 +115,7 @@ def glossary_rows():
         return list(csv.DictReader(file))
 
 
-def notebook_page(notebook, title, *, figures, alone=False):
+def notebook_page(notebook, title, *, figures, failure="", alone=False):
     """Return an executed notebook as a page.
 
     Parameters
@@ -121,26 +124,34 @@ def notebook_page(notebook, title, *, figures, alone=False):
     title : str
     figures : dict
         Of the run record; what is seen in a figure becomes the text in place of the picture.
+    failure : str
+        What stopped the run; the page begins with it, and with a link to the cell that failed.
     alone : bool
         Without a link to the index of all studies.
     """
     from nbconvert import HTMLExporter
     from pygments.formatters import HtmlFormatter
 
-    notebook = copy.deepcopy(notebook)
+    notebook, place = copy.deepcopy(notebook), title
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
+            place = (HEADING.findall(cell.source) or [place])[-1]
             cell.source = FORMULA.sub(_typeset, cell.source)
+            continue
         names = [name for name in SAVED_FIGURE.findall(cell.source) if name in figures]
         seen = ". ".join(figures[name]["seen"] for name in names)
-        cell.metadata["alt"] = seen or f"Figure of {title}"
+        cell.metadata["alt"] = seen or f"What the section {place} draws"
+        cell.outputs = [one for one in cell.get("outputs", []) if WIDGET not in one.get("data", ())]
     exporter = HTMLExporter(
         template_name="study", extra_template_basedirs=[str(TEMPLATES)], embed_images=True
     )
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
     body = body.replace("<table ", '<table tabindex="0" ')  # wide ones scroll, by keys too
-    return filled("notebook.html", title=title, body=body, style=style, alone=alone)
+    if failure and 'output_error"' in body:
+        body = 'output_error" id="stopped"'.join(body.rsplit('output_error"', 1))
+    shown = {"body": body, "style": style, "failure": failure, "alone": alone}
+    return filled("notebook.html", title=title, **shown)
 
 
 def _typeset(found):
@@ -163,18 +174,6 @@ def _typeset(found):
     text = html.escape(formula, quote=True)
     image = f'<img src="data:image/svg+xml;base64,{coded}" alt="{text}" style="{place}">'
     return f'<p style="text-align: center">{image}</p>' if found[1] else image
-
-
-def report_page(picture, *, title, table, inputs, record):
-    """Return a report with a figure, given as PNG, and a table as one HTML page."""
-    return filled(
-        "report.html",
-        title=title,
-        picture=base64.b64encode(picture).decode(),
-        table=table.to_html(index=False, border=0, na_rep="", float_format=four_digits),
-        inputs=inputs,
-        record=record,
-    )
 
 
 def report_sheet(picture, *, title, table, inputs, record):
@@ -212,39 +211,37 @@ def filled(name, **values):
     return environment.get_template(name).render(**values)
 
 
-def _card(study, folder):
+def _card(study, folder, running):
     """What the index shows of one study, from what its run left on the disk."""
-    record = read_record(folder)
-    files = record.get("files", [])
+    record, outcome = read_record(folder), read_outcome(folder)
+    file, files = folder / "checks.csv", record.get("files", [])
+    checks = pd.read_csv(file, keep_default_na=False) if file.is_file() else pd.DataFrame()
     figures = [name.removesuffix(".png") for name in files if name.endswith(".png")]
     answer = record.get("answer", {"sentence": "", "figure": ""})
     shown = answer["figure"] or (figures or [""])[-1]  # the last one where no answer was reached
     return {
         "study": study,
-        "outcome": read_outcome(folder),
+        "outcome": outcome,
+        "said": "still running" if running and outcome.failure == UNFINISHED else outcome.verdict,
+        "page": (folder / f"{study.stem}.html").is_file(),
         "record": record,
         "answer": answer["sentence"],
         "figure": shown,
         "seen": record.get("figures", {}).get(shown, {}),
         "figures": figures,
         "tables": [name for name in files if re.search(r"(?<!_drawn)\.csv$", name)],
-        "checks": _checks(folder),
+        "checks": checks.to_dict("records"),
     }
 
 
-def _checks(folder):
-    """The checks of a run."""
-    file = folder / "checks.csv"
-    return pd.read_csv(file, keep_default_na=False).to_dict("records") if file.is_file() else []
-
-
-def _ledger(folder):
+def _ledger(folder, studies):
     """The ledger of the studies' results; None before one was written."""
     if not any(folder.glob("*/ledger.csv")):
         return None
     from mmqa_lab.published import ledger
 
-    rows = ledger.collect(folder)
+    missing = [one for one in studies if not (folder / one.stem / "ledger.csv").is_file()]
+    rows = ledger.collect(folder, not_run=[table for one in missing for table in one.tables])
     shown = [_shown(row) for row in rows.to_dict("records")]
     return {"counts": ledger.summary(rows), "rows": shown, "table": rows}
 
@@ -282,7 +279,7 @@ def update_readme(notebooks, folder, studies, *, write=True):
     folder, path = Path(folder), Path(notebooks).parent / "README.md"
     text = path.read_text(encoding="utf-8")
     new = replaced(text, "studies", studies_table(folder, studies))
-    ledger = _ledger(folder)
+    ledger = _ledger(folder, studies)
     if ledger is not None:
         new = replaced(new, "ledger", ledger_table(ledger["table"]))
     if write:

@@ -17,6 +17,8 @@ class Study:
     title: str
     question: str
     source: str
+    tables: tuple = ()
+    """Source and name of the printed tables that its ledger answers."""
 
     @property
     def notebook(self):
