@@ -123,6 +123,7 @@ CASES = [
     ("image none.jpg --chart grey", "no such file. Must exist."),
     ("image words.csv --chart grey", "Must be JPEG, PNG or TIFF"),
     ("image cut.png --chart grey", "Must be a complete file."),
+    ("image mosaic.tif --chart grey", "a raw mosaic of colours. Must be developed first."),
     ("image grey.png --chart grey", "none of the 4 coded targets"),
     ("image grey.png --chart none.json", "none.json"),
     ("image grey.png --chart broken.json", "Invalid chart layout"),
@@ -225,6 +226,7 @@ CASES = [
 ANSWERED = [
     # right numbers, or numbers with what is to be known of them: part of the table or remark
     ("evaluate flat.csv", "900", ""),
+    ("evaluate flat.csv flat.csv", "n 900 900", ""),
     ("evaluate swapped.csv", "900", ""),
     ("evaluate comma.csv", "900", ""),
     ("evaluate id.csv", "area_hull_m2 0.9775", ""),
@@ -313,6 +315,11 @@ def folder(tmp_path_factory):
     (folder / "lying.las").write_bytes(lying)
     grey = np.tile(np.arange(0, 200, dtype=np.uint8), (150, 1))
     cv2.imwrite(str(folder / "grey.png"), grey)
+    cv2.imwrite(str(folder / "mosaic.tif"), grey)
+    tiff = (folder / "mosaic.tif").read_bytes()
+    field = tiff.index(b"\x06\x01\x03\x00\x01\x00\x00\x00")  # what values mean
+    filters = (32803).to_bytes(2, "little")  # a mosaic of colour filters
+    (folder / "mosaic.tif").write_bytes(tiff[: field + 8] + filters + tiff[field + 10 :])
     (folder / "cut.png").write_bytes((folder / "grey.png").read_bytes()[:60])
     write_odd(folder)
     return folder
