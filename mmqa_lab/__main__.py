@@ -74,12 +74,13 @@ def parser():
     for name, command in sorted(_commands().items()):
         one = groups.add_parser(
             name,
-            help=command.SUMMARY,
-            description=inspect.getdoc(command),
-            epilog=command.EPILOG,
+            help=command.summary,
+            description=inspect.getdoc(command.run),
+            epilog=command.examples,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.add_arguments(one)
+        for names, about in command.arguments:
+            one.add_argument(*names, **about)
         one.set_defaults(run=command.run)
     return whole
 
@@ -90,13 +91,10 @@ def of_command(name):
 
 
 def _commands():
-    """Commands by their names: modules of ``mmqa_lab.commands``, and what one lists itself."""
-    found = {}
+    """Commands by their names, as the modules of ``mmqa_lab.commands`` declare them."""
     for one in pkgutil.iter_modules(commands.__path__):
-        if not one.name.startswith("_"):
-            module = importlib.import_module(f"mmqa_lab.commands.{one.name}")
-            found |= getattr(module, "COMMANDS", {one.name: module})
-    return found
+        importlib.import_module(f"mmqa_lab.commands.{one.name}")
+    return commands.COMMANDS
 
 
 def prepared(wanted):

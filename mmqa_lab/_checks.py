@@ -3,6 +3,7 @@
 import numbers
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -221,6 +222,34 @@ def _coordinates(points, name, columns):
         wanted = ", ".join("xyz"[:columns])
         raise ValueError(f"Invalid {name} with columns {listed}. Must have {wanted}.")
     return points.to_numpy()
+
+
+def check_file(path, name):
+    """Return the path of a file that exists.
+
+    Examples
+    --------
+    >>> check_file("none.csv", "marks")
+    Traceback (most recent call last):
+    FileNotFoundError: Invalid marks none.csv: no such file. Must exist.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
+    return Path(path)
+
+
+def check_columns(table, columns, name):
+    """Raise where a table lacks a column.
+
+    Examples
+    --------
+    >>> check_columns({"juror": [1]}, ("juror", "mark"), "marks")
+    Traceback (most recent call last):
+    ValueError: Invalid marks: no column 'mark'. Must have one.
+    """
+    for column in columns:
+        if column not in table:
+            raise ValueError(f"Invalid {name}: no column {column!r}. Must have one.")
 
 
 def check_number(value, name, *, low=None, high=None, unit=""):

@@ -31,6 +31,9 @@ HATCHES = ("", "////", "....", "xxxx", "----", "++++", "oooo")
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
 """Spacings d1, d2, ..., ratios f and g, thresholds, s_r and sigma_MAD, as words of a text."""
 
+JOINT = re.compile(r"(?<=[a-z0-9])_(?=[a-z0-9])")
+"""What joins the words of a name."""
+
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 """Formatters of axes whose places have names."""
 
@@ -215,8 +218,9 @@ def _set_symbols(figure):
             text.set_text(_with_symbols(text.get_text()))
     for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
         ticks, names = _ticks(axis)
-        if any(SYMBOL.fullmatch(name) for name in names):
-            axis.set_ticks(ticks, labels=[_with_symbols(name) for name in names])
+        labels = [_with_symbols(name) for name in names]
+        if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
+            axis.set_ticks(ticks, labels=labels)
 
 
 def _ticks(axis):
@@ -229,7 +233,7 @@ def _ticks(axis):
 
 
 def _with_symbols(text):
-    """A text with its symbols in the form of formulas."""
+    """A text with its symbols in the form of formulas, and its names of parameters in words."""
 
     def set_one(found):
         letter, index, ratio = found.groups()
@@ -238,7 +242,10 @@ def _with_symbols(text):
         symbol = f"{letter}_{index}" if index else ratio or r"\sigma_\mathrm{MAD}"
         return f"${symbol}$"
 
-    return text if "$" in text else SYMBOL.sub(set_one, text)
+    if "$" in text:
+        return text
+    parts = SYMBOL.sub(set_one, text).split("$")  # every second one is a formula
+    return "$".join([JOINT.sub(" ", one) if k % 2 == 0 else one for k, one in enumerate(parts)])
 
 
 def _is_drawn(line):

@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
@@ -453,14 +455,13 @@ def _sampled(drives, lever, origin, values, rng):
     for number, (cloud, trajectory) in enumerate(drives):
         count = min(len(cloud), SAMPLE)
         rows = np.sort(rng.choice(len(cloud), count, replace=False))
-        part = Cloud(cloud.points[rows], {"gps_time": cloud["gps_time"][rows]})
-        part.columns["head"] = _heads(cloud)[rows]
+        part = cloud[rows]
         moved = part.points - origin
         if values.any():
             moved = _placed(part, trajectory, lever, values, origin)
         chosen.append(rows)
         placed.append(moved)
-        groups.append(number * len(lever) + part["head"])
+        groups.append(number * len(lever) + _heads(part))
     return chosen, np.concatenate(placed), np.concatenate(groups)
 
 
@@ -558,8 +559,6 @@ class _Adjustment:
 
     def solved(self, values):
         """The scipy result, and the estimates (heads, 6); bad features leave on the way."""
-        from scipy.optimize import least_squares
-
         parameters = values.ravel()[self.free]
         _refuse_open(self.system(parameters)[1], self.free)
         limits = {"x_scale": "jac", "xtol": 1e-7, "ftol": 1e-7, "max_nfev": 20}
@@ -688,8 +687,10 @@ def _pole_misfit(points, radius=None):
     known one is put in at the end: an arc has a mirrored circle of the same radius behind it.
     """
     height = points[:, 2] - points[:, 2].mean()
-    axis = _fitted_axis(points, height, _first_axis(points), free=5)
-    free = 5
+    middle = np.median(points[:, :2], axis=0)
+    spread = np.median(np.hypot(*(points[:, :2] - middle).T))
+    upright = np.array([*middle, 0.0, 0.0, max(spread, 0.03)])
+    axis, free = _fitted_axis(points, height, upright, free=5), 5
     if radius is not None:
         free, axis[4] = 4, radius
         axis = _fitted_axis(points, height, axis, free)
@@ -734,8 +735,6 @@ def _shared_planes(placed, groups, cell, most, roughness, rng):
     Cubes only say where to look: a plane along the side of a cube is cut by it according to the
     noise, so points are taken from a ball around the middle.
     """
-    from scipy.spatial import cKDTree
-
     seeds = _seeds(placed, groups, cell, roughness)
     seeds = seeds.iloc[rng.permutation(len(seeds))]
     turn = seeds.groupby("side").cumcount()
@@ -760,8 +759,6 @@ def _shared_poles(placed, groups, poles, origin, search=0.5, low=0.4, high=6.0, 
     """Poles that two or more groups show."""
     if poles is None:
         return []
-    from scipy.spatial import cKDTree
-
     tree = cKDTree(placed[:, :2])
     found = []
     for pole in poles.to_dict("records"):
@@ -784,8 +781,6 @@ def _known_heights(placed, control, origin, radius=0.3, fewest=12):
     """Heights of the ground at points where it is known."""
     if control is None:
         return []
-    from scipy.spatial import cKDTree
-
     known = check_points(control, name="control") - origin
     near = cKDTree(known[:, :2])
     gap, which = near.query(placed[:, :2], distance_upper_bound=radius)
@@ -860,10 +855,3 @@ def _round(placed, index, fewest):
     if sigma_mad(misfit) > 0.02:
         return None
     return index[_near(misfit)]
-
-
-def _first_axis(points):
-    """Upright axis to begin with: x, y, tilt x, tilt y, radius at the mean height."""
-    middle = np.median(points[:, :2], axis=0)
-    spread = np.median(np.hypot(*(points[:, :2] - middle).T))
-    return np.array([*middle, 0.0, 0.0, max(spread, 0.03)])

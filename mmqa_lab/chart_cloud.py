@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
@@ -317,8 +318,6 @@ class CloudQuality(Shown):
 
     def _density_interval(self):
         """Density of the outline and its interval, from counts in the blocks' parts of it."""
-        import shapely
-
         whole = self.outline
         if whole.area == 0:
             return np.nan, np.nan, np.nan
@@ -620,8 +619,6 @@ def _draw_residuals(quality, ax):
 
 def _hull(xy):
     """The convex hull, a line where the points lie on one."""
-    import shapely
-
     outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
     return shapely.convex_hull(shapely.linestrings(outline))
 
@@ -684,8 +681,6 @@ def _step(points):
 
 def _selected(points, polygon, thickness, crs):
     """The parts of a polygon with heights, the mask of the points in it, and remarks on it."""
-    import shapely
-
     thickness = check_positive(thickness, "thickness", unit="m")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -732,8 +727,6 @@ def _check_found(points, parts, inside):
 
 def _draped(parts, points):
     """The parts of a polygon in plan with the heights of the surface that the points lie on."""
-    import shapely
-
     parts = [[ring[:, :2] for ring in rings] for rings in parts]
     outline = shapely.union_all([_area(*rings) for rings in parts])
     inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
@@ -755,16 +748,12 @@ def _draped(parts, points):
 
 def _outline(parts, plane):
     """The area of a polygon's parts in a plane, without their holes."""
-    import shapely
-
     flat = [_area(*(plane.project(ring) for ring in rings)) for rings in parts]
     return flat[0] if len(flat) == 1 else shapely.union_all(flat)
 
 
 def _area(xy, *holes):
     """A valid polygon in the plane."""
-    import shapely
-
     polygon = shapely.Polygon(xy, holes)
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"

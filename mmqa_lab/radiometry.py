@@ -46,7 +46,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.stats import median_abs_deviation, t
 
-from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._checks import check_columns, check_count, check_number, check_positive
 from mmqa_lab._results import Shown
 
 __all__ = [
@@ -889,9 +889,7 @@ class _Block:
     """Arrays of the observations, and indices of their images, ties and surfaces."""
 
     def __init__(self, observations, relative_std):
-        missing = [name for name in COLUMNS if name not in observations]
-        if missing:
-            raise ValueError(f"Invalid observations: no column {missing[0]!r}. Must have it.")
+        check_columns(observations, COLUMNS, "observations")
         check_positive(relative_std, "relative_std")
         self.signal = observations["radiance"].to_numpy(dtype=np.float64)
         if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):

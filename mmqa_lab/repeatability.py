@@ -101,12 +101,7 @@ def operator_polygons(
 
 
 def evaluate_selections(
-    points: ArrayLike,
-    polygons: ArrayLike,
-    *,
-    thickness: float = 0.1,
-    axes: str | float = "principal",
-    radius: float = 0.5,
+    points: ArrayLike, polygons: ArrayLike, *, axes: str | float = "principal"
 ) -> pd.DataFrame:
     """Evaluate one cloud with each of many polygons.
 
@@ -116,7 +111,7 @@ def evaluate_selections(
         Metres.
     polygons : array_like, shape (repeats, vertices, 3)
         Metres.
-    thickness, axes, radius
+    axes
         See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
 
     Returns
@@ -138,8 +133,7 @@ def evaluate_selections(
     [1600, 1600]
     """
     points = check_points(points, minimum=3)
-    choices = {"thickness": thickness, "axes": axes, "radius": radius}
-    frames = [evaluate_cloud(points, polygon=p, **choices).to_frame() for p in polygons]
+    frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in polygons]
     table = pd.concat(frames, ignore_index=True)
     return table.rename_axis("selection").reset_index()
 

@@ -1,22 +1,19 @@
 """Rates and errors with the uncertainty they carry: recall and precision, RMSE, bias, NMAD.
 
-Rates come with Wilson intervals; statistics of values with a bootstrap over values or over groups
-(scenes, 50 m blocks) where values of a group are not independent. NaN means not measurable.
+Rates come with Wilson intervals, statistics of independent values with a bootstrap. NaN means not
+measurable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count, check_number
+from mmqa_lab._checks import check_count
 from mmqa_lab._results import Shown
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 __all__ = [
     "Errors",
@@ -63,15 +60,13 @@ class Rate(Shown):
         return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}] ({self.k}/{self.n})"
 
 
-def wilson(k: int, n: int, *, confidence: float = 0.95) -> Rate:
-    """Return the rate k / n with its Wilson score interval.
+def wilson(k: int, n: int) -> Rate:
+    """Return the rate k / n with its Wilson score interval of 95 %.
 
     Parameters
     ----------
     k, n : int
         Successes and trials; n may be 0.
-    confidence : float
-        Between 0 and 1.
 
     Returns
     -------
@@ -80,12 +75,12 @@ def wilson(k: int, n: int, *, confidence: float = 0.95) -> Rate:
     Raises
     ------
     ValueError
-        If k > n, one of them is no count, or the confidence lies outside 0 to 1.
+        If k > n, or one of them is no count.
 
     Notes
     -----
     The interval never leaves [0, 1] and is not empty at k = 0 or k = n. It takes trials as
-    independent: poles of one street are not quite, see :func:`bootstrap` over groups.
+    independent: poles of one street are not quite.
 
     References
     ----------
@@ -103,7 +98,7 @@ def wilson(k: int, n: int, *, confidence: float = 0.95) -> Rate:
     k = check_count(k, "k", low=0)
     if k > n:
         raise ValueError(f"Invalid k {k}. Must be <= n = {n}.")
-    z = ndtri(0.5 + check_number(confidence, "confidence", low=0, high=1) / 2)
+    z = ndtri(0.975)
     if n == 0:
         return Rate(0, 0, np.nan, np.nan, np.nan)
     p, w = k / n, z**2 / n
@@ -214,12 +209,10 @@ class Interval(Shown):
 def bootstrap(
     statistic: Callable[..., float],
     *values: ArrayLike,
-    groups: ArrayLike | None = None,
     repeats: int = 1000,
-    confidence: float = 0.95,
     seed: int = 0,
 ) -> Interval:
-    """Return a statistic with a percentile bootstrap interval.
+    """Return a statistic with a percentile bootstrap interval of 95 %.
 
     Parameters
     ----------
@@ -227,10 +220,7 @@ def bootstrap(
         Takes the arrays and returns a float, NaN where not measurable.
     *values : array_like, shape (n, ...)
         Resampled together by rows; several for paired statistics.
-    groups : array_like, shape (n,), optional
-        Rows of one group are drawn together: scenes, blocks of street.
     repeats : int
-    confidence : float
     seed : int
 
     Returns
@@ -241,8 +231,7 @@ def bootstrap(
     Raises
     ------
     ValueError
-        If the arrays have different lengths or none, or ``repeats`` or ``confidence`` is out
-        of range.
+        If the arrays have different lengths or none, or ``repeats`` is below 1.
 
     References
     ----------
@@ -261,28 +250,14 @@ def bootstrap(
             f"Invalid values of lengths {[len(a) for a in arrays]}. Must be equal and above 0."
         )
     check_count(repeats, "repeats")
-    tail = (1 - check_number(confidence, "confidence", low=0, high=1)) / 2
-    rows = _rows_by_group(groups, n)
     rng = np.random.default_rng(seed)
     drawn = np.empty(repeats)
     for k in range(repeats):
-        picked = np.concatenate([rows[g] for g in rng.integers(len(rows), size=len(rows))])
+        picked = rng.integers(n, size=n)
         drawn[k] = statistic(*(a[picked] for a in arrays))
     known = drawn[np.isfinite(drawn)]
-    low, high = np.quantile(known, [tail, 1 - tail]) if 2 * len(known) >= repeats else [np.nan] * 2
+    low, high = np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats else [np.nan] * 2
     return Interval(float(statistic(*arrays)), float(low), float(high), len(known))
-
-
-def _rows_by_group(groups, n):
-    """Row numbers of each group; every row its own where there are no groups."""
-    if groups is None:
-        return list(np.arange(n)[:, None])
-    groups = np.asarray(groups)
-    if groups.shape != (n,):
-        raise ValueError(f"Invalid groups of shape {groups.shape}. Must be ({n},).")
-    order = np.argsort(groups, kind="stable")
-    cuts = np.flatnonzero(groups[order][1:] != groups[order][:-1]) + 1
-    return np.split(order, cuts)
 
 
 def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:

@@ -81,8 +81,11 @@ FEWEST_ON_LINE = 10
 SMALLEST_ANGLE = 30.0
 """Degrees between the two lines of a corner."""
 
-CORNER_SEARCH_M = 2.0
-"""Points up to this far from a corner in plan are taken."""
+CORNER_SEARCH_M, CORNER_GATE_M = 2.0, 0.5
+"""Points up to the first from a corner in plan are taken; one beyond the second is another one."""
+
+NEAR_LINE_M = 0.03
+"""Points up to this far from a line belong to it."""
 
 
 def height_differences(
@@ -260,16 +263,13 @@ def plan_differences(
     *,
     slices: dict[str, Sequence[tuple[float, float]]] | None = None,
     search: float = 0.4,
-    gate: float = 0.5,
-    tolerance: float = 0.03,
     gross_limit: float | None = None,
-    seed: int = 0,
 ) -> pd.DataFrame:
     """Measure the plan positions of targets in a cloud.
 
     In each slice of height the points near a pole get a circle, robustly (Cauchy loss of the
     distances from it), of the reference diameter where one is given. Points of the two faces of a
-    corner get two lines: the one with the most points within the tolerance, then that of the rest,
+    corner get two lines: the one with the most points within 3 cm, then that of the rest,
     both fitted robustly (Tukey) to the points on their side of the corner. The centre of a mark is
     that of its points brighter than halfway from dark to bright.
 
@@ -284,15 +284,9 @@ def plan_differences(
         Metres above the foot for each kind; ``SLICES`` by default.
     search : float
         Points up to this far from a pole or mark in plan are taken, m.
-    gate : float
-        A corner farther from the reference is another one, m.
-    tolerance : float
-        Points up to this far from a line belong to it, m.
     gross_limit : float, optional
         Largest distance in plan of a difference from the median, m. By default five times the
         standard deviation that the median of these distances stands for, but 1 cm at least.
-    seed : int
-        Of the pairs of points that lines are tried through.
 
     Returns
     -------
@@ -327,12 +321,11 @@ def plan_differences(
     from scipy.spatial import cKDTree
 
     cloud = as_cloud(points)
-    for name, length in (("search", search), ("gate", gate), ("tolerance", tolerance)):
-        check_positive(length, name, unit="m")
+    check_positive(search, "search", unit="m")
     slices = slices or SLICES
     origin = cloud.points[:, :2].mean(axis=0).round()
     tree = cKDTree(cloud.points[:, :2] - origin)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rows = []
     for number, target in enumerate(targets.to_dict("records")):
         kind = check_choice(target.get("kind", "pole"), "kind", slices)
@@ -348,7 +341,7 @@ def plan_differences(
             elif kind == "mark":
                 found = _mark(xy, cloud["intensity"][index])
             else:
-                found = _corner(xy, tolerance, gate, rng)
+                found = _corner(xy, rng)
             named = {"name": target.get("name", number), "kind": kind}
             named |= {"x_m": target["x_m"], "y_m": target["y_m"], "height_m": (low + high) / 2}
             rows.append(named | dict(zip(("dx_m", "dy_m", "n", "reason"), found, strict=True)))
@@ -437,7 +430,7 @@ def thinned(points: Cloud | ArrayLike, side: float) -> np.ndarray:
     return points[nearest.to_numpy()]
 
 
-def trend(distance: ArrayLike, values: ArrayLike, *, confidence: float = 0.95) -> pd.Series:
+def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
     """Fit a straight line of errors over distance, robustly.
 
     Huber's estimator (statsmodels RLM), so that a few far poles do not tilt the line; its standard
@@ -449,14 +442,12 @@ def trend(distance: ArrayLike, values: ArrayLike, *, confidence: float = 0.95) -
         Metres from the trajectory.
     values : array_like, shape (n,)
         Errors in any unit; NaN are left out.
-    confidence : float
-        Of the slope's interval.
 
     Returns
     -------
     Series
-        ``slope`` (errors' unit per metre), ``intercept``, ``slope_low``, ``slope_high``, ``p`` (of
-        no slope), ``n``.
+        ``slope`` (errors' unit per metre), ``intercept``, ``slope_low``, ``slope_high`` (95 %),
+        ``p`` (of no slope), ``n``.
 
     Raises
     ------
@@ -485,7 +476,6 @@ def trend(distance: ArrayLike, values: ArrayLike, *, confidence: float = 0.95) -
             f"Invalid errors: {len(values)} at {len(np.unique(distance))} distances. Must be three "
             "or more at different distances."
         )
-    outside = 1 - check_number(confidence, "confidence", low=0, high=1)
     design = np.stack([np.ones_like(distance), distance], axis=1)
     names = ("slope", "intercept", "slope_low", "slope_high", "p", "n")
     slope, intercept = np.polyfit(distance, values, 1)
@@ -493,7 +483,7 @@ def trend(distance: ArrayLike, values: ArrayLike, *, confidence: float = 0.95) -
         return pd.Series([slope, intercept, slope, slope, 0.0, len(values)], names)
     fit = RLM(values, design).fit()
     (intercept, slope), std = fit.params, fit.bse[1]
-    half = t.isf(outside / 2, len(values) - 2) * std
+    half = t.isf((1 - 0.95) / 2, len(values) - 2) * std
     p = 2 * t.sf(np.abs(slope) / std, len(values) - 2)
     return pd.Series([slope, intercept, slope - half, slope + half, p, len(values)], names)
 
@@ -695,41 +685,41 @@ def _mark(xy, intensity):
     return *((bright.min(axis=0) + bright.max(axis=0)) / 2), len(bright), ""
 
 
-def _corner(xy, tolerance, gate, rng):
+def _corner(xy, rng):
     """Intersection of the two lines, their points, and the reason there is none."""
     nothing = np.nan, np.nan, 0
     if len(xy) < 2 * FEWEST_ON_LINE:
         return *nothing, "too few points"
-    first = _line(xy, tolerance, rng)
-    rest = xy[np.abs(first.distances(xy)) > 2 * tolerance]
+    first = _line(xy, rng)
+    rest = xy[np.abs(first.distances(xy)) > 2 * NEAR_LINE_M]
     if len(rest) < FEWEST_ON_LINE:
         return *nothing, "one line"
-    second = _line(rest, tolerance, rng)
+    second = _line(rest, rng)
     for _ in range(5):
         crossing, angle = _crossing(first, second)
         if angle < SMALLEST_ANGLE:
             return *nothing, "one line"
-        masks = _sides(xy, first, second, crossing, tolerance)
+        masks = _sides(xy, first, second, crossing)
         if min(mask.sum() for mask in masks) < FEWEST_ON_LINE:
             return *nothing, "too few points"
         first, second = (fit_line(xy[mask], robust=True) for mask in masks)
     crossing = _crossing(first, second)[0]
-    if np.hypot(*crossing) > gate:
+    if np.hypot(*crossing) > CORNER_GATE_M:
         return *nothing, "no corner near"
     return *crossing, int(sum(mask.sum() for mask in masks)), ""
 
 
-def _line(xy, tolerance, rng, tries=300):
-    """Line with the most points within the tolerance, of those through pairs of points."""
-    pairs = rng.integers(len(xy), size=(tries, 2))
+def _line(xy, rng):
+    """Line with the most points near it, of 300 through pairs of points."""
+    pairs = rng.integers(len(xy), size=(300, 2))
     start, way = xy[pairs[:, 0]], xy[pairs[:, 1]] - xy[pairs[:, 0]]
     length = np.hypot(*way.T)
-    long = length > 10 * tolerance
+    long = length > 10 * NEAR_LINE_M
     if not long.any():
         return fit_line(xy, robust=True)
     normal = np.stack([-way[long, 1], way[long, 0]], axis=1) / length[long, None]
     off = xy @ normal.T - (start[long] * normal).sum(axis=1)
-    inside = np.abs(off) < tolerance
+    inside = np.abs(off) < NEAR_LINE_M
     best = np.argmax(inside.sum(axis=0))
     return fit_line(xy[inside[:, best]], robust=True)
 
@@ -745,12 +735,12 @@ def _crossing(first, second):
     return first.centre + along[0] * first.direction, angle
 
 
-def _sides(xy, first, second, crossing, tolerance):
+def _sides(xy, first, second, crossing):
     """Points of each line on its side of the corner, and clear of the other line."""
     masks = []
     for line, other in ((first, second), (second, first)):
-        near = np.abs(line.distances(xy)) < tolerance
-        clear = np.abs(other.distances(xy)) > 2 * tolerance
+        near = np.abs(line.distances(xy)) < NEAR_LINE_M
+        clear = np.abs(other.distances(xy)) > 2 * NEAR_LINE_M
         along = (xy - crossing) @ line.direction
         side = np.sign(np.median(along[near & clear])) if (near & clear).any() else 1
         masks.append(near & clear & (along * side > 0))

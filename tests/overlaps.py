@@ -134,6 +134,13 @@ def grey(colour):
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
+def span(control):
+    """The first and the last value that a control can have, perhaps with those between."""
+    if hasattr(control, "options"):
+        return [one[-1] if isinstance(one, tuple) else one for one in control.options]
+    return [control.min, control.max] if hasattr(control, "min") else [False, True]
+
+
 def watch(file):
     """Write what is found in every figure that a run saves or explores to a JSON file."""
     save_figure, explore = Run.save_figure, widgets.explore
@@ -142,7 +149,7 @@ def watch(file):
     def look_at(figure, name, more=()):
         sentences = overlapping_texts(figure) + doubled_names(figure) + alike_in_grey(figure)
         if sentences := [*sentences, *more]:
-            found[name] = sentences
+            found[name] = found.get(name, []) + sentences
         seen.append(name)
         Path(file).write_text(json.dumps({"found": found, "seen": seen}), encoding="utf-8")
 
@@ -151,8 +158,13 @@ def watch(file):
         look_at(figure, name, not_redrawn(figure, run.folder / f"{name}_drawn.csv"))
 
     def explored(function, **controls):
-        figure = explore(function, **controls)
-        look_at(figure, "explorer")
+        start = {name: control.value for name, control in controls.items()}
+        ends = [{name: span(one)[end] for name, one in controls.items()} for end in (0, -1)]
+        for values in (*ends, start):
+            for name, value in values.items():
+                controls[name].value = value
+            figure = explore(function, **controls)
+            look_at(figure, "explorer")
         return figure
 
     Run.save_figure, widgets.explore = save, explored

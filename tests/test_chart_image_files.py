@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab import chart_image, charts, io, mtf, samples
-from mmqa_lab.chart_image.evaluation import read_layout
+from mmqa_lab.chart_image import read_layout
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()

@@ -198,7 +198,7 @@ FAULTS = {
     "sharpness star.csv": "Must be JPEG, PNG or TIFF",
     "star star.tif": "Must have --targets",
     "star star.tif --targets none.csv": "no such file",
-    "star star.tif --targets bars.csv": "no numbers in 'radius_px'",
+    "star star.tif --targets bars.csv": "no column 'radius_px'",
     "star a.tif --targets star.csv": "Invalid star",
     "edge a.tif --targets far.csv": "Must lie within 150 x 40 pixels",
     "edge flat.tif": "Invalid image: no edge",

@@ -63,13 +63,13 @@ def test_a_name_looks_the_same_in_all_panels():
 def test_symbols_are_set_as_formulas_by_one_rule():
     figure, ax = plots.subplots()
     ax.bar(["d1", "f", "sigma_mad"], [1, 2, 3])
-    ax.set(xlabel="f = d4/d1 and g", ylabel="sigma_MAD (mm)", title="f(x) of d1_mm, wolf")
+    ax.set(xlabel="f = d4/d1 and g", ylabel="sigma_MAD (mm)", title="f(x) of two_heads, wolf")
     finish_figure(figure)
     ticks = [text.get_text() for text in ax.get_xticklabels()]
     assert ticks == ["$d_1$", "$f$", r"$\sigma_\mathrm{MAD}$"]
     assert ax.get_xlabel() == "$f$ = $d_4$/$d_1$ and $g$"
     assert ax.get_ylabel() == r"$\sigma_\mathrm{MAD}$ (mm)"
-    assert ax.get_title() == "f(x) of d1_mm, wolf"
+    assert ax.get_title() == "f(x) of two heads, wolf"
     plt.close(figure)
 
 

@@ -8,16 +8,7 @@ import pytest
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle
-from mmqa_lab.poles import (
-    common,
-    features,
-    fgi,
-    groups,
-    itc,
-    ours,
-    profiles,
-    rays,
-)
+from mmqa_lab.poles import common, features, fgi, itc, on_lines, ours
 from mmqa_lab.simulate import streets
 
 SPACING = 0.02
@@ -193,8 +184,8 @@ def test_without_scan_lines_the_component_method_answers(rng):
 def test_scan_lines_are_recovered_from_time_and_angle(street):
     _, cloud, _ = street
     kept = {name: cloud[name] for name in ("gps_time", "scan_angle")}
-    line, _ = profiles.scan_lines(Cloud(cloud.points, kept))
-    truth, _ = profiles.scan_lines(cloud)
+    line, _ = on_lines.scan_lines(Cloud(cloud.points, kept))
+    truth, _ = on_lines.scan_lines(cloud)
     # same partition, whatever the numbers
     assert len(np.unique(np.stack([line, truth]), axis=1)[0]) == len(np.unique(truth))
     assert len(np.unique(line)) == len(np.unique(truth))
@@ -203,8 +194,8 @@ def test_scan_lines_are_recovered_from_time_and_angle(street):
 @pytest.mark.parametrize("name", ["gps_time", "scan_angle"])
 def test_scan_lines_are_recovered_from_one_of_them_alone(street, name):
     _, cloud, _ = street
-    line, _ = profiles.scan_lines(Cloud(cloud.points, {name: cloud[name]}))
-    truth, _ = profiles.scan_lines(cloud)
+    line, _ = on_lines.scan_lines(Cloud(cloud.points, {name: cloud[name]}))
+    truth, _ = on_lines.scan_lines(cloud)
     pairs = np.unique(np.stack([line, truth]), axis=1, return_counts=True)[1]
     # the sky above the vehicle is where time cuts, the scanner's own zero where it counts lines:
     # the points between the two belong to the next line
@@ -215,12 +206,12 @@ def test_scan_lines_are_recovered_from_one_of_them_alone(street, name):
 
 def test_time_without_pauses_has_no_lines():
     steady = Cloud(np.zeros((500, 3)), {"gps_time": np.arange(500.0)})
-    assert profiles.scan_lines(steady) is None
+    assert on_lines.scan_lines(steady) is None
 
 
 def test_lines_of_two_heads_are_no_neighbours():
     columns_ = {"scan_line": [0, 0, 1, 1], "pulse": [0, 1, 2, 3], "head": [0, 1, 0, 1]}
-    line, _ = profiles.scan_lines(Cloud(np.zeros((4, 3)), columns_))
+    line, _ = on_lines.scan_lines(Cloud(np.zeros((4, 3)), columns_))
     assert abs(line[0] - line[1]) > fgi.Settings().neighbours
 
 
@@ -357,12 +348,12 @@ def test_a_column_of_equal_values_says_nothing_about_lines(street):
     _, cloud, _ = street
     unset = np.zeros(len(cloud))
     given = {"scan_angle": unset, "gps_time": cloud["gps_time"]}
-    line, _ = profiles.scan_lines(Cloud(cloud.points, given))
-    alone, _ = profiles.scan_lines(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}))
+    line, _ = on_lines.scan_lines(Cloud(cloud.points, given))
+    alone, _ = on_lines.scan_lines(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}))
     assert (line == alone).all()
     assert len(np.unique(line)) > 100
     assert (
-        profiles.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
+        on_lines.scan_lines(Cloud(cloud.points, {"scan_angle": unset, "gps_time": unset})) is None
     )
 
 
@@ -444,14 +435,14 @@ def thicket(rng, n=500):
 
 def test_a_trunk_among_leaves_is_a_stack_of_groups(rng):
     cloud = scene(post(0.4, -0.3, radius=0.1), thicket(rng), rng=rng)
-    lines = profiles.in_order(cloud.points, cloud["scan_line"], cloud["pulse"])
-    made = groups.line_groups(lines, lambda at: at[:, 2])
-    found = groups.candidates(made)
+    lines = on_lines.in_order(cloud.points, cloud["scan_line"], cloud["pulse"])
+    made = on_lines.line_groups(lines, lambda at: at[:, 2])
+    found = on_lines.stack_candidates(made)
     # the front half's middle lies 0.06 m in front of the axis
     assert np.hypot(*(found - [0.4, -0.36]).T).min() < 0.05
-    axis = groups.axes_of(*made[:4], np.array([[0.4, -0.36], [-0.8, 0.8]]))
-    values, ends = groups.describe(made, axis)
-    stack = dict(zip(groups.NAMES, values[0], strict=True))
+    axis = on_lines.axes_of(*made[:4], np.array([[0.4, -0.36], [-0.8, 0.8]]))
+    values, ends = on_lines.describe_stacks(made, axis)
+    stack = dict(zip(on_lines.STACK_NAMES, values[0], strict=True))
     assert stack["stack_m"] == pytest.approx(3.0, abs=0.3)
     assert stack["stack_width_m"] == pytest.approx(0.2, abs=0.02)
     assert ends[0, 1] > 2.7
@@ -464,8 +455,8 @@ def test_groups_are_cut_as_finely_as_points_lie():
         x = np.concatenate([np.arange(10) * spacing, 9 * spacing + 0.06 + np.arange(10) * spacing])
         x = x[: 20 if spacing < 0.05 else 12]
         points = np.column_stack([x, 0 * x, 0 * x + 1])
-        lines = profiles.in_order(points, 0 * x, np.arange(len(x)))
-        made = groups.line_groups(lines, lambda at: at[:, 2])
+        lines = on_lines.in_order(points, 0 * x, np.arange(len(x)))
+        made = on_lines.line_groups(lines, lambda at: at[:, 2])
         assert len(made.middle) == pieces
         assert made.count.sum() == len(x)
 
@@ -490,7 +481,7 @@ def fans(depth_of, *, step=0.003, scanner=(3.0, -2.0)):
         parts.append(np.stack([x, y, np.full(len(turn), z)], axis=1))
         line.append(np.full(len(turn), number))
     line = np.concatenate(line)
-    return profiles.in_order(np.concatenate(parts), line, np.arange(len(line)))
+    return on_lines.in_order(np.concatenate(parts), line, np.arange(len(line)))
 
 
 def test_a_post_stops_all_rays_and_leaves_let_some_through(rng):
@@ -504,8 +495,8 @@ def test_a_post_stops_all_rays_and_leaves_let_some_through(rng):
     axis, ground = np.array([[3.0, 8.0, 0.0, 0.0, 1.5]]), np.zeros(1)
     values = []
     for depth_of in (post_of, leaves_of):
-        row = rays.describe(fans(depth_of), axis, ground)[0]
-        values.append(dict(zip(rays.NAMES, row, strict=True)))
+        row = on_lines.describe_rays(fans(depth_of), axis, ground)[0]
+        values.append(dict(zip(on_lines.RAY_NAMES, row, strict=True)))
     solid, loose = values
     assert solid["solid_m"] == solid["solid_run_m"] == pytest.approx(2.75, abs=0.25)
     assert solid["rays_through"] == solid["rays_before"] == 0
@@ -526,7 +517,7 @@ def test_rays_from_the_other_side_say_the_same():
         points=2 * axis[0, [0, 1, 4]] * [1, 1, 0] + made.points * [-1, -1, 1],
         near=2 * axis[0, :2] - made.near,
     )
-    first, second = (rays.describe(lines, axis, np.zeros(1)) for lines in (made, turned))
+    first, second = (on_lines.describe_rays(lines, axis, np.zeros(1)) for lines in (made, turned))
     assert np.allclose(first, second)
 
 

@@ -16,7 +16,7 @@ from mmqa_lab import poles
 from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
-from mmqa_lab.poles import attributes, common, delivery
+from mmqa_lab.poles import common, delivery, ours
 
 
 def shaft(foot, height, *, diameter=0.2, lean=(0.0, 0.0), taper=0.0, step=0.02):
@@ -73,12 +73,12 @@ def test_diameter_at_breast_height_has_an_honest_interval():
             points.append(np.column_stack([x, rng.normal(0, 0.004, len(x)), np.full(len(x), z)]))
             line += [number] * len(x)
         made = common.shaft_chords(np.concatenate(points), np.array([0, 0, 1.0]), np.array(line))
-        _, low, high = attributes._diameter_at(1.3, made)
+        _, low, high = ours._diameter_at(1.3, made)
         inside.append(low <= 0.16 - taper * 1.3 <= high)
         assert high - low < 0.03
     # 95 % are asked for: of 60, fewer than 52 happen once in a thousand times
     assert sum(inside) >= 52
-    assert np.isnan(attributes._diameter_at(9.0, made)).all()
+    assert np.isnan(ours._diameter_at(9.0, made)).all()
 
 
 def test_poles_do_not_depend_on_tiles():

@@ -198,20 +198,25 @@ def test_a_table_of_the_figures_name_is_its_data(run):
 
 
 def test_tables_are_written_for_latex(run):
-    frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & c"]})
+    frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & f <= 2"]})
+    frame = frame.assign(error_percent_median=[-4e-14, 5.0], p=[0.2, 3e-73], n=[28901.0, 2])
     run.save_table(frame, "table", kind="measured")
     text = (run.folder / "table.tex").read_text()
     for part in (
         "\\toprule",
         "\\midrule",
         "\\bottomrule",
-        "area polygon (m\\textsuperscript{2})",
+        "area polygon (m$^2$)",
+        "error median (\\%)",
+        "& 0 &",
+        "28901 &",
+        "$3 \\times 10^{-73}$",
         "0.56 &",
         "-- &",
     ):
         assert part in text
     assert "50 \\%" in text
-    assert "a\\_b \\& c" in text
+    assert "a\\_b \\& f $\\leq$ 2" in text
     run.save_table(pd.concat([frame] * 40), "long", kind="measured")
     assert not (run.folder / "long.tex").exists()
 

@@ -16,8 +16,12 @@ from mmqa_lab.scan_pattern import (
     revolutions_from_time,
     scan_lattice,
 )
-from mmqa_lab.scan_pattern.measure import mean_gap
-from mmqa_lab.scan_pattern.numbering import mirror_frequency, profiles_from_pattern, pulse_period
+from mmqa_lab.scan_pattern.measure import (
+    mean_gap,
+    mirror_frequency,
+    profiles_from_pattern,
+    pulse_period,
+)
 from mmqa_lab.studies.mimic import simulate_patch
 
 

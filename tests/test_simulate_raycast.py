@@ -150,7 +150,7 @@ def test_crown_lets_through_what_beer_and_lambert_say(rng):
 def test_chart_cells_are_read_at_their_centres():
     corners = simulate.chart_corners((5, 0, 1.5), heading=-90)
     layout = point_chart(seed=2)
-    scene = Scene([simulate.chart((5, 0, 1.5), heading=-90, layout=layout, bright=0.8, dark=0.1)])
+    scene = Scene([simulate.chart((5, 0, 1.5), heading=-90, layout=layout)])
     share = (np.arange(100) + 0.5) / 100
     along, up = corners[1] - corners[0], corners[3] - corners[0]
     points = corners[0] + share[:, None, None] * up + share[None, :, None] * along

@@ -152,14 +152,11 @@ def test_spacing_of_a_lattice():
     assert (found.n, found.coincident) == (2000, 0)
 
 
-def test_medians_over_each_rank_or_over_complete_points():
-    cross = [[0, 0], [1, 0], [0, 2], [-3, 0], [0, -4]]
-    every, complete = quadrants(cross, radius=4), quadrants(cross, radius=4, complete=True)
-    np.testing.assert_array_equal(complete.d, [1, 2, 3, 4])
-    np.testing.assert_array_equal(complete.counts, [1, 1, 1, 1])
+def test_medians_over_each_rank():
+    every = quadrants([[0, 0], [1, 0], [0, 2], [-3, 0], [0, -4]], radius=4)
     assert every.counts[0] == 5
     assert every.d[3] == 4
-    assert every.incomplete_share == complete.incomplete_share == pytest.approx(0.8)
+    assert every.incomplete_share == pytest.approx(0.8)
 
 
 def test_nothing_measurable_is_nan_with_a_count_of_none():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab.simulate.point_patterns import expected_g, point_pattern
+from mmqa_lab.simulate.point_patterns import point_pattern
 from mmqa_lab.spacing import directional, quadrants, turned_f
 from mmqa_lab.studies.anisotropy import clark_evans, pair_contrast, structure_tensor
 
@@ -13,6 +13,13 @@ from mmqa_lab.studies.anisotropy import clark_evans, pair_contrast, structure_te
 def pattern(kind, seed=1, **choices):
     """About 900 points."""
     return point_pattern(kind, **{"density": 2500, "size": 0.6, "seed": seed, **choices})
+
+
+def expected_g(kind, ratio):
+    """Closed form: the nearer neighbouring line, moved by the smaller of two uniform numbers."""
+    forms = {"lattice": ratio, "poisson": 1.0}
+    forms["scan_lines"] = np.hypot(ratio, (1 - np.sqrt(1 / 2)) / 2)
+    return (forms | {"hexagonal": np.hypot(0.5, np.sqrt(0.75) * ratio)})[kind]
 
 
 def medians_by_brute_force(xy):

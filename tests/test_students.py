@@ -7,6 +7,7 @@ import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import students
+from mmqa_lab.run.pages import glossary_rows
 from mmqa_lab.run.students import student_cell, write_sheets, write_student_notebooks
 from mmqa_lab.studies import STUDIES
 
@@ -49,6 +50,12 @@ def test_a_wrong_unit_is_named(work, said):
     run(given.replace("needed_m = ...", "needed_m = 0.0061"))
     with pytest.raises(AssertionError, match=f"1: .*{said}"):
         run(given.replace("needed_m = ...", f"needed_m = {work}"))
+
+
+def test_a_wrong_unit_is_named_for_speeds_and_arrays():
+    given = student_cell("# 2: all alike\nv_m_s = [5.0, 10.0]\nassert abs(v_m_s[1] - 10) < 0.1")
+    with pytest.raises(AssertionError, match="2: v_m_s is expected in m/s; 18 looks like km/h"):
+        run(given.replace("v_m_s = ...", "v_m_s = [18, 36]"))
 
 
 def test_what_a_check_says_and_needs_goes_with_it():
@@ -148,6 +155,19 @@ def test_sheets_have_task_words_and_answers_apart(tmp_path, monkeypatch):
     assert "Lesson plan" not in handout
     assert "All studies" not in handout + solutions
     assert 'alt="d_0 = ' in handout  # formulas are typeset
+
+
+def test_words_of_the_glossary_are_the_notebooks_own():
+    rows = glossary_rows()
+    assert all(all(row.values()) for row in rows)
+    assert len({row["english"].lower() for row in rows}) == len(rows)
+    for study in STUDIES:
+        cells = nbformat.read(study.path, as_version=4).cells
+        text = " ".join(" ".join(cell.source.lower().split()) for cell in cells)
+        for row in rows:
+            if study.stem in row["studies"].split():
+                forms = re.findall(r"[^,()]+", row["english"].lower())
+                assert any(form.strip() in text for form in forms), (study.stem, row["english"])
 
 
 def test_a_class_can_have_small_parameters(tmp_path):

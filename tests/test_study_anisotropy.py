@@ -134,12 +134,3 @@ def test_the_answer_has_the_runs_numbers(others):
     said = study.answer(ranks, others["verdicts"])
     for number in ("0.42", "0.81", "40 %", "70 %", "80 %"):
         assert number in said
-
-
-def test_explorer_draws_what_its_controls_say():
-    few, many = (study.figure_of_pattern("scan_lines", a, 20, 0.5, 400) for a in (2, 8))
-    titles = [figure.axes[2].get_title() for figure in (few, many)]
-    assert titles[0] != titles[1]
-    assert all("along 20°" in title or "along 19°" in title for title in titles)
-    for figure in (few, many):
-        plots.plt.close(figure)

@@ -168,12 +168,6 @@ def test_answer_and_explorer(results):
     table = study.limits(results).query("system == 'B tilted' and method == @FOUR")
     said = study.answer(table.set_index("figure"), click_m=0.003, name="B tilted", distance=10.0)
     assert said.startswith("With vertices off by 0.3 cm, B tilted at 10 m")
-    draw = study.figure_of_operator(study.chart_scan("A", 10.0, 0))
-    plain, strays = draw(1.0, 0, 1), draw(1.0, 10, 1)
-    assert "points/m²" in plain.axes[0].get_title()
-    std = [figure.axes[3].get_legend().get_texts()[0].get_text() for figure in (plain, strays)]
-    assert std[0] != std[1]
-    plots.plt.close("all")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.1, 0.3])

@@ -354,7 +354,7 @@ def test_command_needs_heights_or_targets(surveyed, capsys):
     assert "either REFERENCE or --targets" in capsys.readouterr().err
     pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
     assert main(["accuracy", cloud, "--targets", str(file)]) == 2
-    assert "no column 'z'" in capsys.readouterr().err
+    assert "no column 'z_m'" in capsys.readouterr().err
 
 
 def test_le90_counts_differences_of_either_sign():

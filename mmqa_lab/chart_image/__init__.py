@@ -12,12 +12,29 @@
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
 files, :func:`mmqa_lab.io.read_grey` their grey values. The check list of a jury, the mark of a
 photograph and what stands in for a jury are in :mod:`mmqa_lab.chart_image.legibility`.
+
+Only the chart's window is evaluated, so that panoramas of 250 megapixels cost little more than
+their decoding: a byte per pixel while the file is read, then the window alone.
 """
 
-from mmqa_lab.chart_image.evaluation import ImageQuality, evaluate_file, evaluate_image
-from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera
-from mmqa_lab.chart_image.placing import locate
-from mmqa_lab.chart_image.reading import read_pairs, resolution
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_choice, check_file
+from mmqa_lab._results import Shown
+from mmqa_lab.chart_image import reading
+from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.placing import align, locate
+from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,
     chart_site,
@@ -26,6 +43,11 @@ from mmqa_lab.chart_image.rules import (
     quality_index,
     text_crops,
 )
+from mmqa_lab.charts import Layout, imaging_chart
+from mmqa_lab.io.images import GAMMAS, decode, read_grey
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "ChartMap",
@@ -45,3 +67,369 @@ __all__ = [
     "text_crops",
 ]
 __dir__ = __all__.copy
+
+LAYOUTS = {
+    "grey": {},
+    "black": {"horizontal_bar": "black"},
+    "revised": {"revised": True},
+}
+"""Names of the imaging charts: as built, with its lying bar black, and as the authors advise."""
+
+MARGIN_PX, MARGIN_SHARE = 16, 0.05
+"""Around the chart's outline in its window, at least and as share of its size."""
+
+CAMERAS = ("plain", "panorama")
+
+LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
+"""Beyond these a remark doubts the figures."""
+
+LARGEST_TONE_ERROR = 0.12
+"""Of the mean of blurred line pairs: a display's curve taken for linear light shifts it by 0.2."""
+
+MODEL_SHARE, NARROW_SHARE, WIDE_GROUND_PX = 0.013, 0.025, 8.0
+"""Share of MTF50 that the fitted profiles err by, with so much plain ground beside an edge or more,
+and with less, where the tails of a lens are not seen. From photographs by the tests' own camera
+with Gaussian, defocused and diffracting lenses; what lenses differ that fit alike is added."""
+
+OUTLINES = {True: "C5", False: "C1"}
+"""Colours of resolved and refused patterns."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageQuality(Shown):
+    """The quality figures of one image of a chart.
+
+    Parameters
+    ----------
+    chart_map : ChartMap
+    tones : Tones
+    sizes : DataFrame
+        Of :func:`mmqa_lab.chart_image.reading.pixel_sizes`.
+    pairs : DataFrame
+        Of :func:`mmqa_lab.chart_image.read_pairs`.
+    edges : DataFrame
+        Of :func:`mmqa_lab.chart_image.reading.bar_edges`.
+    image : array, shape (rows, columns)
+        Linear light, full scale 1; of a file, the window around the chart.
+    layout : Layout
+    origin : (int, int)
+        Column and row of the window's first pixel in the file.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> quality.resolution("h").n, quality.to_frame()["pixel_v_mm"].round(3).item()
+    (10, 4.0)
+    """
+
+    chart_map: ChartMap
+    tones: Tones
+    sizes: pd.DataFrame
+    pairs: pd.DataFrame
+    edges: pd.DataFrame
+    image: np.ndarray
+    layout: Layout
+    origin: tuple = (0, 0)
+
+    def pixel_size(self, direction: str) -> tuple[float, float]:
+        """Return the pixel size in direction h or v and its standard deviation, mm."""
+        bars = self.sizes[self.sizes["direction"] == direction].dropna(subset=["pixel_mm"])
+        if bars.empty:
+            return np.nan, np.nan
+        mean = bars["length_mm"].sum() / bars["length_px"].sum()
+        return float(mean), float(np.sqrt((bars["pixel_sigma_mm"] ** 2).sum()) / len(bars))
+
+    def resolution(self, direction: str) -> Resolution:
+        """Return the finest resolved line pairs in direction h or v."""
+        return resolution(self.pairs, direction)
+
+    def mtf50(self, direction: str) -> tuple[float, float]:
+        """Return MTF50 in direction h or v and its standard deviation, cycles per pixel."""
+        rows = self.edges[self.edges["direction"] == direction].dropna(subset=["mtf50_sigma"])
+        if rows.empty:
+            return np.nan, np.nan
+        weights = 1 / np.maximum(rows["mtf50_sigma"], 1e-6) ** 2
+        mean = float((weights * rows["mtf50"]).sum() / weights.sum())
+        # edges that differ by more than their deviations widen the interval
+        differ = (weights * (rows["mtf50"] - mean) ** 2).sum() / max(len(rows) - 1, 1)
+        sigma = np.sqrt(max(differ, 1) / weights.sum())
+        wide = (weights * (rows["ground_px"] >= WIDE_GROUND_PX)).sum() / weights.sum() > 0.5
+        return mean, float(np.hypot(sigma, (MODEL_SHARE if wide else NARROW_SHARE) * mean))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row with every figure in the field's units; NaN where not measurable."""
+        residual = float(np.sqrt((self.sizes["offset_px"] ** 2).mean()))
+        row = {"located_by": self.chart_map.source, "residual_px": residual}
+        for direction in "hv":
+            size, sigma = self.pixel_size(direction)
+            found = self.resolution(direction)
+            row[f"pixel_{direction}_mm"], row[f"pixel_{direction}_sigma_mm"] = size, sigma
+            bars = self.sizes[self.sizes["direction"] == direction]
+            row[f"pixel_{direction}_std_px"] = bars["repeats_std_px"].max() if len(bars) else np.nan
+            row[f"w_{direction}_mm"] = found.width_mm
+            row[f"w_{direction}_next_mm"] = found.next_mm
+            row[f"limit_{direction}_mm"] = found.limit_mm
+            mtf50, mtf50_sigma = self.mtf50(direction)
+            row[f"mtf50_{direction}_per_px"] = mtf50
+            row[f"mtf50_{direction}_sigma_per_px"] = mtf50_sigma
+        row["noise_share"] = self.tones.noise
+        row["clipped_share"] = self.tones.clipped_share
+        return pd.DataFrame([row | {"remark": self._remark(row)}])
+
+    def _remark(self, row):
+        """What speaks against the figures of a row."""
+        clipped, residual = row["clipped_share"], row["residual_px"]
+        doubts = {
+            f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
+            f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
+        }
+        for direction in "hv":
+            refused = f"not even the coarsest line pairs are resolved in direction {direction}"
+            doubts[refused] = bool(np.isnan(row[f"w_{direction}_mm"]))
+        hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]["name"]
+        doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
+        # blurred pairs are half white, half black in linear light only
+        tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
+        doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (
+            abs(tone - 0.5) > LARGEST_TONE_ERROR
+        )
+        doubts[self.chart_map.remark] = bool(self.chart_map.remark)
+        said = [text for text, true in doubts.items() if true]
+        return "; ".join([*said, *sorted(set(self.edges["remark"]) - {""})])
+
+    def plot(self, *, ax: Axes) -> Axes:
+        """Draw the photograph with its line pairs outlined: resolved or refused.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes
+
+        Returns
+        -------
+        Axes
+        """
+        ax.imshow(self.image, cmap="gray", interpolation="nearest")
+        for row in self.pairs.itertuples():
+            outline = self.layout[row.name].corners()[[0, 1, 2, 3, 0]]
+            ax.plot(*self.chart_map.pixels(outline).T, color=OUTLINES[row.resolved], lw=1)
+        for resolved, label in ((True, "resolved"), (False, "refused")):
+            ax.plot([], [], color=OUTLINES[resolved], label=label)
+        ax.set_axis_off()
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2)
+        return ax
+
+    def plot_contrast(self, *, ax: Axes) -> Axes:
+        """Draw the contrast of line pairs over their width in pixels; resolved ones are filled.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes
+
+        Returns
+        -------
+        Axes
+        """
+        for direction, marker, label in (("h", "o", "standing bars"), ("v", "s", "lying bars")):
+            part = self.pairs[self.pairs["direction"] == direction]
+            faces = part["resolved"].map({True: "C0", False: "none"})
+            shape = {"marker": marker, "s": 18, "facecolors": faces, "edgecolors": "C0"}
+            ax.scatter(part["width_px"], part["contrast"], label=label, **shape)
+        ax.axhline(reading.SMALLEST_GAP, color="C1", ls="--", lw=0.8)
+        ax.axvspan(0.3, reading.SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
+        ax.set(xscale="log", xlabel="width of a line pair (pixels)", ylabel="contrast")
+        ax.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
+        ax.minorticks_off()
+        ax.legend()
+        return ax
+
+
+def evaluate_image(
+    image: ArrayLike, layout: Layout, chart_map: ChartMap, *, aligned: bool = True
+) -> ImageQuality:
+    """Measure pixel size, resolved line pairs and MTF in one image of a chart.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Linear light, full scale 1.
+    layout : Layout
+    chart_map : ChartMap
+        Where the chart is in this image, to a few pixels.
+    aligned : bool
+        Improve the map by the whole printed chart first.
+
+    Returns
+    -------
+    ImageQuality
+
+    Raises
+    ------
+    ValueError
+        If the chart is not found there, or black and white cannot be told apart.
+
+    References
+    ----------
+    Pfeifer et al. 2021, sections 3.2 and 4.2. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> quality.to_frame()[["pixel_h_mm", "pixel_v_mm"]].round(3).to_numpy().tolist()
+    [[4.0, 4.0]]
+    """
+    if aligned:
+        chart_map = align(image, layout, chart_map)
+    tones = reading.find_tones(image, layout, chart_map)
+    tables = [
+        read(tones, layout, chart_map)
+        for read in (reading.pixel_sizes, read_pairs, reading.bar_edges)
+    ]
+    return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
+
+
+def evaluate_file(
+    path: str | os.PathLike,
+    layout: Layout,
+    *,
+    corners: ArrayLike | None = None,
+    orientation: str | os.PathLike | None = None,
+    camera: str = "plain",
+    gamma: str = "srgb",
+) -> ImageQuality:
+    """Evaluate a chart in an image file.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout
+    corners : array_like, shape (4, 2), optional
+        Column and row of the chart's corners from the lower left counterclockwise.
+    orientation : path, optional
+        JSON with ``position`` [east, north, height] in metres; ``heading_deg`` (clockwise from
+        north), ``pitch_deg`` (up) and ``roll_deg`` (to the right) of the view; ``corners``, four
+        [east, north, height] from the chart's lower left counterclockwise; ``camera``, with
+        ``width`` alone for a panorama, else ``width``, ``height``, ``focal_px`` and, optionally,
+        ``principal`` and ``distortion``. Without it and without corners, the coded targets are
+        looked for.
+    camera : {"plain", "panorama"}
+        Whether straight lines stay straight, or the image is a whole equirectangular panorama.
+    gamma : {"srgb", "linear"}
+
+    Returns
+    -------
+    ImageQuality
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        Also when the chart is not found: by its targets, at the corners, or within the image.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import cv2
+    >>> from mmqa_lab.charts import reflectance
+    >>> layout = imaging_chart()
+    >>> tones = np.pad(255 * reflectance(layout, cell=4)[::-1], 20, constant_values=128)
+    >>> square = [[19.5, 269.5], [269.5, 269.5], [269.5, 19.5], [19.5, 19.5]]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = cv2.imwrite(f"{folder}/chart.png", tones.astype(np.uint8))
+    ...     path = f"{folder}/chart.png"
+    ...     quality = evaluate_file(path, layout, corners=square, gamma="linear")
+    >>> quality.to_frame()["pixel_h_mm"].round(2).tolist()
+    [4.0]
+    """
+    grey = read_grey(path)
+    check_choice(gamma, "gamma", GAMMAS)
+    bends = None
+    if check_choice(camera, "camera", CAMERAS) == "panorama":
+        rows, columns = grey.shape
+        if columns != 2 * rows:
+            raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
+        bends = PanoramaCamera(columns)
+    if orientation is not None:
+        there = ChartMap.from_orientation(*read_orientation(orientation), layout)
+    else:
+        there = locate(grey, layout, corners=corners, camera=bends)
+    return evaluate_window(grey, layout, there, gamma=gamma)
+
+
+def evaluate_window(grey, layout, there, *, gamma):
+    """Evaluate a chart in the grey values of a file, whose map is known to a few pixels."""
+    origin, last = _window(there, layout, grey.shape)
+    part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
+    values = decode(part / np.iinfo(grey.dtype).max, gamma)
+    return replace(evaluate_image(values, layout, there.within(*origin)), origin=origin)
+
+
+def read_layout(source):
+    """Return the layout of a chart by its name or from a JSON file that ``mmqa chart`` wrote.
+
+    Parameters
+    ----------
+    source : str or path
+        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; ``revised``: the
+        one that the authors advise; else a file.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is no such name and no file.
+    ValueError
+        If the file describes no layout.
+
+    Examples
+    --------
+    >>> read_layout("black").name
+    'imaging chart, black bar'
+    """
+    if str(source) in LAYOUTS:
+        return imaging_chart(**LAYOUTS[str(source)])
+    path = Path(source)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"Invalid chart {source}: no such file. Must exist, or be one of {', '.join(LAYOUTS)}."
+        )
+    return Layout.from_json(path.read_text(encoding="utf-8"))
+
+
+def read_orientation(path):
+    """Camera, pose and corners (4, 3) of a chart from a JSON file."""
+    path = check_file(path, "orientation")
+    try:
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        angles = [whole[f"{name}_deg"] for name in ("heading", "pitch", "roll")]
+        pose = Pose.of_angles(whole["position"], *angles)
+        kind = FrameCamera if "focal_px" in whole["camera"] else PanoramaCamera
+        return kind(**whole["camera"]), pose, np.array(whole["corners"], dtype=float)
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"Invalid orientation {path}: {error}. Must have all fields.") from None
+
+
+def _window(chart_map, layout, shape):
+    """First and last column and row of a chart's surroundings in an image."""
+    outline, size = chart_map.outline(layout.corners()), np.array(shape[::-1])
+    if not np.isfinite(outline).all() or (outline < -0.5).any() or (outline > size - 0.5).any():
+        corners = chart_map.pixels(layout.corners()).round().tolist()
+        raise ValueError(
+            f"Invalid place of the chart: corners at {corners}. "
+            f"Must lie within {size[0]} x {size[1]} pixels."
+        )
+    margin = np.maximum(MARGIN_SHARE * np.ptp(outline, axis=0), MARGIN_PX).astype(int)
+    first = np.maximum(np.floor(outline.min(axis=0)).astype(int) - margin, 0)
+    last = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + margin + 1, size)
+    return tuple(first.tolist()), tuple(last.tolist())

@@ -8,17 +8,14 @@ pixels. So a frame camera is a homography and its distortion, a panorama exactly
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from mmqa_lab.charts import Layout
+from mmqa_lab.charts import Layout
 
 STEP_MM = 0.5
 """Half of the step that local scales are measured over."""
@@ -73,8 +70,6 @@ class FrameCamera:
 
     def pixels(self, rays: ArrayLike) -> np.ndarray:
         """Return the pixels of rays, shape (n, 2); NaN for rays from behind."""
-        import cv2
-
         rays = np.asarray(rays, dtype=float)
         ahead = np.where(rays[:, 2:] > 0, rays, np.nan)
         flat = ahead[:, :2] / ahead[:, 2:]
@@ -86,8 +81,6 @@ class FrameCamera:
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Return the directions of pixels, shape (n, 3), z = 1."""
-        import cv2
-
         pixels = np.ascontiguousarray(pixels, dtype=float)
         if any(self.distortion):
             stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
@@ -294,8 +287,6 @@ class ChartMap:
         >>> there.pixels([[500, 500]]).round(6).tolist()
         [[50.0, 50.0]]
         """
-        import cv2
-
         xy = check_points(xy, name="chart points", columns=2, minimum=4)
         pixels = check_points(pixels, name="pixels", columns=2, minimum=4)
         if len(xy) != len(pixels):

@@ -12,11 +12,13 @@ from dataclasses import replace
 from difflib import SequenceMatcher
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
+from mmqa_lab._checks import check_columns
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.chart_image.rules import MARKS, Crop, agreement
@@ -128,8 +130,7 @@ def photo_marks(marks: pd.DataFrame) -> pd.DataFrame:
       photo mark   because  unanimous
     0     1    c  double l        1.0
     """
-    if "photo" not in marks.columns:
-        raise ValueError("Invalid marks: no column 'photo'. Must have one.")
+    check_columns(marks, ["photo"], "marks")
     rows = []
     for photo, part in marks.groupby("photo", sort=False):
         found = agreement(part)
@@ -314,8 +315,6 @@ def _plain(text):
 
 def _to_read(crop):
     """A crop as programs want it: dark on light, 8 bits, large enough."""
-    import cv2
-
     low, high = np.percentile(crop.image, [1, 99])
     coded = encode((crop.image - low) / max(high - low, 1e-9), "srgb")
     times = max(READ_PX / crop.cap_px, 1.0)

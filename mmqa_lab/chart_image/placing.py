@@ -8,6 +8,7 @@ print. So neither a shadow's edge nor a pole drags the map, and a bent board sho
 from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -201,8 +202,6 @@ def _book(layouts):
 
 def _stretched(image):
     """An image as bytes from its darkest to its brightest grey values."""
-    import cv2
-
     image = check_image(image, convert=False)
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -295,8 +294,6 @@ class _Comparison:
     """The pixels of an image of a chart, in blocks, beside the print that they should show."""
 
     def __init__(self, image, layout, chart_map, along, blocks, spread_px=TYPICAL_SIGMA_PX):
-        import cv2
-
         self.layout, self.side, self.blocks = layout, layout.width / blocks, blocks
         outline = chart_map.outline(layout.corners())
         wide = np.ptp(outline, axis=0) / 8 + 2
@@ -322,8 +319,6 @@ class _Comparison:
 
     def _normal(self, chart_map):
         """Normal equations of all blocks: matrix, right side, squares, pixels."""
-        import cv2
-
         places = chart_map.chart(self.pixels)
         limit, edge = np.array([self.layout.width, self.layout.height]), self.edge
         inside = ((places >= edge) & (places <= limit - edge)).all(axis=1)
@@ -479,8 +474,6 @@ def _trusted(layout, pixel_mm, cell, shape):
 
 def _by_bars(grey, layout):
     """The maps of the charts whose long bars are seen, the likeliest first."""
-    import cv2
-
     bars = [bar for bar in layout.of_kind(Bar) if _slender(bar)]
     found = []
     for factor in _factors(grey.shape):
@@ -539,8 +532,6 @@ def _guesses(grey, layout, bars):
 
 def _glanced(grey, layout, suggested):
     """Maps with the mean correlation of 5 x 5 blocks of print and image, on coarse cells."""
-    import cv2
-
     cell = layout.width / GLANCE_CELLS
     rows = int(layout.height / cell) // 5 * 5
     printed = cv2.GaussianBlur(reflectance(layout, cell=cell)[:rows], (0, 0), 0.7)
@@ -563,8 +554,6 @@ def _glanced(grey, layout, suggested):
 
 def _streaks(grey):
     """Both ends of the long dark streaks in an image, shape (n, 2, 2), the longest first."""
-    import cv2
-
     around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((BAR_PX, BAR_PX), np.uint8))
     dark = grey < BAR_SHARE * around
     outlines, _ = cv2.findContours(np.uint8(dark), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -650,8 +639,6 @@ def _extent(markers):
 
 def _detected(image, dictionary, enlargement):
     """Corners of the coded targets by number, in pixels of the image."""
-    import cv2
-
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR

@@ -11,6 +11,7 @@ defocus have plenty of it.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -592,8 +593,6 @@ def bar_edges(levels, layout, chart_map):
 def _printed(layout, chart_map, shape):
     """Per pixel: whether it lies on the chart, the tone it would see there, and how many pixels
     deep it lies in white and in black."""
-    import cv2
-
     rows, columns = np.indices(shape)
     places = chart_map.chart(np.column_stack([columns.ravel(), rows.ravel()]))
     sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
@@ -611,8 +610,6 @@ def _printed(layout, chart_map, shape):
 
 def _depth(mask):
     """Distance of each cell from the nearest one outside of the mask or of the chart, cells."""
-    import cv2
-
     framed = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
@@ -631,8 +628,6 @@ def _local(image, white, side):
 
     Near ones count, as far as there are some; the farther ones fill the gaps between them.
     """
-    import cv2
-
     # light changes slowly: a hundred cells along the chart tell enough
     size = [max(int(100 * length / side), 2) for length in image.shape[::-1]]
     small = {"dsize": [min(pair) for pair in zip(size, image.shape[::-1], strict=True)]}

@@ -17,14 +17,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._checks import check_choice, check_columns, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap, four_corners, rectangle_frame
 from mmqa_lab.charts import Layout, Text
+
+PAIRS_APART_M = 10.0
 
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
@@ -32,6 +35,9 @@ PLACE = ["easting_m", "northing_m", "height_m"]
 
 REACH_M = 12.0
 """A drive counts so far before and after a board."""
+
+TOLERANCE_M, LARGEST_DEG = 0.5, {"roll_deg": 3.0, "pitch_deg": 3.0, "heading_deg": 5.0}
+"""Of a drive's distance from the charts, and of its angles; heading counts from their line."""
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -133,8 +139,6 @@ def text_crops(
     >>> [crop.text for crop in text_crops(image, layout, there)][:2]
     ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
-    import cv2
-
     if texts is None:
         texts = [text for text in layout.of_kind(Text) if not text.name.startswith("label_")]
     crops = []
@@ -158,21 +162,18 @@ def text_crops(
     return crops
 
 
-def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0) -> pd.DataFrame:
+def chart_site(*, height: float = 1.5) -> pd.DataFrame:
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
-    second stands along the line and faces west; the third faces north, to be seen behind. The paper
-    does not say how far apart the pairs are, how high they stand and which way they face.
+    second stands along the line and faces west; the third faces north, to be seen behind. The
+    boards of 1 m x 1 m stand 1 m apart in a pair, the pairs 10 m apart. The paper does not say how
+    far apart pairs are, how high they stand and which way they face.
 
     Parameters
     ----------
-    spacing : float
-        Between the pairs, metres; the two boards of a pair are one size apart.
     height : float
         Of the boards' middle above the ground, metres.
-    size : float
-        Side of a board, metres.
 
     Returns
     -------
@@ -183,7 +184,7 @@ def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0)
     Raises
     ------
     ValueError
-        If a length is not above zero.
+        If the height is not above zero.
 
     References
     ----------
@@ -194,16 +195,15 @@ def chart_site(*, spacing: float = 10.0, height: float = 1.5, size: float = 1.0)
     >>> chart_site()["chart"].tolist()[:3]
     ['image forward', 'point forward', 'image orthogonal']
     """
-    for name, value in (("spacing", spacing), ("height", height), ("size", size)):
-        check_positive(value, name, unit="m")
+    check_positive(height, "height", unit="m")
     # to the right as one looks at the board
     rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
     rows = []
     for number, (view, right) in enumerate(rightward.items()):
         step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
         for place, kind in enumerate(("image", "point")):
-            middle = np.array([0.0, number * spacing, height]) + 2 * size * place * step
-            aside, up = np.array(right) * size / 2, np.array([0.0, 0.0, size / 2])
+            middle = np.array([0.0, number * PAIRS_APART_M, height]) + 2 * place * step
+            aside, up = np.array(right) / 2, np.array([0.0, 0.0, 0.5])
             corners = middle + [-aside - up, aside - up, aside + up, up - aside]
             rows.append((f"{kind} {view}", kind, view, corners))
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
@@ -294,15 +294,12 @@ def check_drive(
     corners: ArrayLike,
     *,
     distance: float,
-    tolerance: float = 0.5,
     speed_kmh: float = 40.0,
-    roll_deg: float = 3.0,
-    pitch_deg: float = 3.0,
-    heading_deg: float = 5.0,
 ) -> pd.DataFrame:
     """Check a drive past a board that stands along it: distance, speed and attitude.
 
-    The paper gives distance and smallest speed; the tolerances are this package's own.
+    The paper gives distance and smallest speed; the tolerances are this package's own: 0.5 m, 3
+    degrees of roll and pitch, 5 degrees between heading and the line of charts.
 
     Parameters
     ----------
@@ -311,14 +308,10 @@ def check_drive(
         count clockwise from north.
     corners : array_like, shape (4, 3)
         Of a board along the path, from the lower left counterclockwise, metres.
-    distance, tolerance : float
+    distance : float
         Between the path and the line of charts, metres.
     speed_kmh : float
         At least.
-    roll_deg, pitch_deg : float
-        Largest values to either side.
-    heading_deg : float
-        Largest angle between heading and the line of charts.
 
     Returns
     -------
@@ -346,10 +339,8 @@ def check_drive(
     >>> found["low"].round(6).tolist(), found["passed"].tolist()
     ([5.0, 43.2], [True, True])
     """
-    limits = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}
-    lengths = {"distance": distance, "tolerance": tolerance, "speed_kmh": speed_kmh}
-    for name, value in (limits | lengths).items():
-        check_positive(value, name)
+    check_positive(distance, "distance", unit="m")
+    check_positive(speed_kmh, "speed_kmh")
     middle, right, normal = board_frame(corners)
     places = _places(trajectory) - middle
     if _view(right, normal, places) != ALONG:
@@ -360,9 +351,9 @@ def check_drive(
     steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
     speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
     away = (places @ normal)[near]
-    rows = [("distance_m", away, distance - tolerance, distance + tolerance)]
+    rows = [("distance_m", away, distance - TOLERANCE_M, distance + TOLERANCE_M)]
     rows.append(("speed_kmh", speed, speed_kmh, np.inf))
-    for name, limit in limits.items():
+    for name, limit in LARGEST_DEG.items():
         if name in trajectory:
             # the board's line has no direction
             heading = name == "heading_deg"
@@ -421,9 +412,7 @@ def agreement(marks: pd.DataFrame) -> Agreement:
 
 def check_marks(marks):
     """Return a jury's marks as a DataFrame, checked."""
-    missing = {"juror", "element", "mark"} - set(marks.columns)
-    if missing:
-        raise ValueError(f"Invalid marks: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(marks, ("juror", "element", "mark"), "marks")
     for mark in marks["mark"].unique():
         check_choice(mark, "mark", MARKS)
     if marks.duplicated(["juror", "element"]).any():
@@ -475,9 +464,7 @@ def board_frame(corners):
 
 def _places(stations):
     """Eastings, northings and heights of two or more stations."""
-    missing = set(PLACE) - set(stations.columns)
-    if missing:
-        raise ValueError(f"Invalid stations: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(stations, PLACE, "stations")
     if len(stations) < 2:
         raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
     return stations[PLACE].to_numpy(dtype=float)

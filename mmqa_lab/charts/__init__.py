@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_positive
 from mmqa_lab.charts.elements import (
     BLACK,
     GREY,
@@ -40,6 +40,9 @@ __all__ = [
 __dir__ = __all__.copy
 
 SIDE_MM = 1000.0
+
+CELLS, CELL_MM, BORDER_MM, SQUARE_MM = 100, 10.0, 50.0, 200.0
+"""Of the point chart: cells along a side and their size, its white border, its plain squares."""
 
 WIDTHS_H_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
 """Widths of the line pairs read in horizontal direction, mm."""
@@ -180,21 +183,13 @@ def imaging_chart(
     return Layout(name, SIDE_MM, SIDE_MM, tuple(elements))
 
 
-def point_chart(
-    *, seed: int = 0, cells: int = 100, square: float = 200.0, border: float = 50.0
-) -> Layout:
+def point_chart(*, seed: int = 0) -> Layout:
     """Return the point-distribution chart: random cells, a border, a black and a white square.
 
     Parameters
     ----------
     seed : int
         Of the random cells.
-    cells : int
-        Cells along a side of 1 m.
-    square : float
-        Side of the two plain squares in the lower corners of the pattern, mm.
-    border : float
-        Width of the white border, mm.
 
     Returns
     -------
@@ -203,7 +198,7 @@ def point_chart(
     Raises
     ------
     ValueError
-        If a count is below its least value, or border and squares leave no pattern between them.
+        If the seed is below zero.
 
     Notes
     -----
@@ -223,29 +218,20 @@ def point_chart(
     >>> chart["black"].x, chart["black"].y, chart["white"].x + chart["white"].width
     (50.0, 50.0, 950.0)
     """
-    seed, cells = check_count(seed, "seed", low=0), check_count(cells, "cells")
-    square = check_number(square, "square", low=1, high=SIDE_MM / 2, unit="mm")
-    border = check_number(border, "border", low=0, high=SIDE_MM / 2 - square, unit="mm")
-    right = SIDE_MM - border - square
-    edges = np.linspace(0, SIDE_MM, cells + 1)
-    rows = _overlapped(edges, border, border + square)
-    bits = np.random.default_rng(seed).random((cells, cells)) < 0.5
-    for low in (border, right):  # white below the squares, which are drawn over it
-        bits[np.ix_(rows, _overlapped(edges, low, low + square))] = True
-    for low in (0.0, SIDE_MM - border):
-        outer = _overlapped(edges, low, low + border)
-        bits[outer] = bits[:, outer] = True
+    generator = np.random.default_rng(check_count(seed, "seed", low=0))
+    bits = generator.random((CELLS, CELLS)) < 0.5
+    border, square = round(BORDER_MM / CELL_MM), round(SQUARE_MM / CELL_MM)
+    pattern = slice(border, CELLS - border)
+    white = np.ones_like(bits)
+    white[pattern, pattern] = False
+    for columns in (slice(border, border + square), slice(-border - square, -border)):
+        white[border : border + square, columns] = True  # below the squares, drawn over it
     elements = (
-        Cells("cells", 0.0, 0.0, SIDE_MM, cells, np.packbits(bits).tobytes().hex()),
-        Bar("black", border, border, square, square, BLACK),
-        Bar("white", right, border, square, square, WHITE),
+        Cells("cells", 0.0, 0.0, SIDE_MM, CELLS, np.packbits(bits | white).tobytes().hex()),
+        Bar("black", BORDER_MM, BORDER_MM, SQUARE_MM, SQUARE_MM, BLACK),
+        Bar("white", SIDE_MM - BORDER_MM - SQUARE_MM, BORDER_MM, SQUARE_MM, SQUARE_MM, WHITE),
     )
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
-
-
-def _overlapped(edges, low, high):
-    """Which cells between the edges reach into an interval."""
-    return (edges[1:] > low + 1e-9) & (edges[:-1] < high - 1e-9)
 
 
 def _ladder(widths, name):

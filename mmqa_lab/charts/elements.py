@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import re
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
@@ -37,9 +36,6 @@ MARK_GAP_MM, MARK_MM, HAIR_MM, PRINTER_MM = 4.0, 6.0, 0.25, 4.0
 
 BLEED_MM = 3.0
 """A tile is printed so far beyond its edges."""
-
-PDF_PAGE = re.compile(rb"(\d+) 0 obj\n(<< /Type /Page (?:(?!endobj).)*?) >>\nendobj", re.DOTALL)
-"""Number and content of a page's object as matplotlib writes it."""
 
 STYLE = {
     "figure.constrained_layout.use": False,
@@ -411,8 +407,7 @@ class Layout(_Element):
         """Return the chart as a PDF at true size; letters are outlines.
 
         With crop marks the page is larger than the chart. Tiles (``"a3"``, ``"a4"``) make a page
-        for each part of the chart, with crop marks and 3 mm beyond the cut. The TrimBox is what
-        remains after the cut, the BleedBox 3 mm more.
+        for each part of the chart, with crop marks and 3 mm beyond the cut.
         """
         from matplotlib.backends.backend_pdf import PdfPages
 
@@ -424,9 +419,7 @@ class Layout(_Element):
             for low, part, sheet, note in pages:
                 marks = _marks(low, low + part, note) if (sheet > part).all() else []
                 file.savefig(self._page(low, part, sheet, marks))
-        return (
-            stream.getvalue() if (sheet == part).all() else _boxed(stream.getvalue(), sheet, part)
-        )
+        return stream.getvalue()
 
     def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
@@ -560,22 +553,6 @@ def _ink(tone):
     """The colour of a tone in a file: a grey stays a grey."""
     coded = encode(np.array(tone, dtype=float), "srgb")
     return tuple(coded) if coded.ndim else str(float(coded))
-
-
-def _boxed(pdf, sheet, part):
-    """A PDF with boxes for the cut and the bleed in all pages, as an update at its end."""
-    boxes = b""
-    for name, beyond in (("TrimBox", 0.0), ("BleedBox", BLEED_MM)):
-        low, high = (sheet - part) / 2 - beyond, (sheet + part) / 2 + beyond
-        box = " ".join(f"{end:.4f}" for end in POINTS_PER_MM * np.array([*low, *high]))
-        boxes += f" /{name} [ {box} ]".encode()
-    table = b"xref\n0 1\n0000000000 65535 f \n"
-    last = int(pdf.rsplit(b"startxref\n", 1)[1].split()[0])
-    trailer = pdf[pdf.rindex(b"trailer\n<<") : pdf.rindex(b">>")]
-    for page in PDF_PAGE.finditer(pdf):
-        table += b"%s 1\n%010d 00000 n \n" % (page[1], len(pdf))
-        pdf += page[1] + b" 0 obj\n" + page[2] + boxes + b" >>\nendobj\n"
-    return pdf + table + trailer + b"/Prev %d >>\nstartxref\n%d\n%%%%EOF\n" % (last, len(pdf))
 
 
 def _style():

@@ -1,28 +1,11 @@
 """What all commands share: what is printed, what is written, what is said meanwhile."""
 
-import argparse
 import re
 import sys
 import textwrap
-from pathlib import Path
 
 PLACE = re.compile(r"([xyz]|easting|northing)(_low|_high|_base)?_m")
 """Columns of coordinates, which are printed to centimetres: they have more than four figures."""
-
-
-def add_output_arguments(parser):
-    """Add ``--json`` and ``--csv`` to a command's parser."""
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument(
-        "--csv", type=output_file, metavar="FILE", help="also write the rows to this file"
-    )
-
-
-def output_file(text):
-    """A file to write to; a folder of that name is refused before any work."""
-    if Path(text).is_dir():
-        raise argparse.ArgumentTypeError(f"Invalid file {text}: a folder. Must be a file.")
-    return Path(text)
 
 
 def with_progress(items, unit):

@@ -1,54 +1,47 @@
-"""Run a study's comparison of methods, with methods of your own among them.
+"""Methods compared on the cases of a study."""
 
-STUDY is the stem of a study. A method is a function of the study's data, named by its module, a
-file of the current directory or anything that can be imported: MODULE:FUNCTION. It enters the
-study's tables and figures as one more row. The table printed has a row for each method and figure:
-the mean over all cases and seeds with its 95 % interval, n cells measured, missing cells not.
-A method that fails in some cells goes on in the others; failures.csv has its reasons. With --out,
-a run that was interrupted goes on where it stopped.
-"""
-
+import importlib
+import sys
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, write_figure
+from mmqa_lab.commands import OUTPUT, Lazy, command, option, switch
+from mmqa_lab.commands._output import print_rows, write_figure
 
-SUMMARY = "compare methods, yours too, on the cases of a study"
+pd = Lazy("pandas")
+checks = Lazy("mmqa_lab._checks")
+bench = Lazy("mmqa_lab.bench")
+io = Lazy("mmqa_lab.io")
+plots = Lazy("mmqa_lab.plots")
 
-EPILOG = """\
-example:
-  mmqa bench poles --method my_module:my_detector --out folder
-  mmqa bench anisotropy --method mine:ratio --method mine:entropy --quick --json
-"""
-
-
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("study", metavar="STUDY", help="stem of a study, such as poles")
-    parser.add_argument(
-        "--method",
-        action="append",
-        default=[],
-        metavar="MODULE:FUNCTION",
-        help="a method of your own; may be given several times",
-    )
-    parser.add_argument("--quick", action="store_true", help="few cases, for a first look")
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes, default %(default)s"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="write results, tables, figures and finished cells there",
-    )
-    add_output_arguments(parser)
+METHODS = {"action": "append", "default": []}
 
 
-def run(options):
-    """Add the methods, run the comparison, write and print."""
-    from mmqa_lab._checks import check_count
+@command(
+    "compare methods, yours too, on the cases of a study",
+    option("study", "STUDY", "stem of a study, such as poles"),
+    option(
+        "--method", "MODULE:FUNCTION", "a method of your own; may be given several times", **METHODS
+    ),
+    switch("--quick", "few cases, for a first look"),
+    option("--workers", "N", "processes", int, 1),
+    option("--out", "FOLDER", "write results, tables, figures and finished cells there", Path),
+    *OUTPUT,
+    examples=(
+        "poles --method my_module:my_detector --out folder",
+        "anisotropy --method mine:ratio --method mine:entropy --quick --json",
+    ),
+)
+def bench_(options):
+    """Run a study's comparison of methods, with methods of your own among them.
 
-    check_count(options.workers, "workers")
+    STUDY is the stem of a study. A method is a function of the study's data, named by its module, a
+    file of the current directory or anything that can be imported: MODULE:FUNCTION. It enters the
+    study's tables and figures as one more row. The table printed has a row for each method and
+    figure: the mean over all cases and seeds with its 95 % interval, n cells measured, missing
+    cells not. A method that fails in some cells goes on in the others; failures.csv has its
+    reasons. With --out, a run that was interrupted goes on where it stopped.
+    """
+    checks.check_count(options.workers, "workers")
     out = options.out
     if out is not None and out.exists() and not out.is_dir():
         raise ValueError(f"Invalid folder {out}: a file. Must be a folder.")
@@ -74,9 +67,6 @@ def _comparison(stem, quick):
 
 def _add(methods, text):
     """Put the function that a text names among the methods."""
-    import importlib
-    import sys
-
     module, colon, name = text.partition(":")
     if not (module and colon and name):
         raise ValueError(f"Invalid method {text!r}. Must be MODULE:FUNCTION.")
@@ -100,10 +90,6 @@ def _add(methods, text):
 
 def _means(results):
     """A row for each method and figure."""
-    import pandas as pd
-
-    from mmqa_lab import bench
-
     parts = []
     for figure in bench.figure_names(results):
         part = bench.summary(results, figure)
@@ -116,15 +102,12 @@ def _means(results):
 
 def _write(comparison, results, out):
     """Write the results, the study's tables and figures, and what failed."""
-    from mmqa_lab import bench, plots
-    from mmqa_lab.io import write_atomically
-
-    write_atomically(out / "results.nc", results.to_netcdf)
+    io.write_atomically(out / "results.nc", results.to_netcdf)
     own = comparison.tables(results) if comparison.tables else {"means": _means(results)}
     for name, table in {**own, "failures": bench.failures(results)}.items():
         indexed = any(table.index.names)
         text = table.to_csv(index=indexed)
-        write_atomically(out / f"{name}.csv", lambda path, text=text: path.write_text(text))
+        io.write_atomically(out / f"{name}.csv", lambda path, text=text: path.write_text(text))
     if comparison.figures is None:
         return
     with plots.style():

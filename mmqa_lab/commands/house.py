@@ -1,10 +1,21 @@
 """The small commands that keep house: notebooks, studies, tests, names, README, completion."""
 
+import importlib
+import inspect
+import os
+import pkgutil
+import shutil
+import subprocess
+import sys
+import threading
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows
+from mmqa_lab.commands import OUTPUT, Lazy, command, option, switch
+from mmqa_lab.commands._output import print_rows
+
+pd = Lazy("pandas")
+checks = Lazy("mmqa_lab._checks")
 
 NO_LIBRARY = ("__main__", "commands", "studies")
 """Modules of the package that make no names public."""
@@ -18,7 +29,17 @@ FILL_S = 4.0
 LONGEST = ("poles", "anisotropy", "test_field")
 """Studies that start first where several run at once, so that none is left over at the end."""
 
+STUDIES = option("name", "NAME", "stems of studies; all if none", nargs="*")
 
+
+@command(
+    "print shell completion for bash, zsh or tcsh",
+    option("shell", "SHELL", "of yours", choices=("bash", "zsh", "tcsh")),
+    examples=(
+        "bash > ~/.local/share/bash-completion/completions/mmqa",
+        "zsh > ~/.zfunc/_mmqa",
+    ),
+)
 def completion(options):
     """Print a script that lets the shell complete mmqa's commands, options, files and studies.
 
@@ -31,8 +52,8 @@ def completion(options):
     from mmqa_lab.studies import STUDIES
 
     whole = parser()
-    for command in whole._subparsers._group_actions[0].choices.values():
-        for action in command._actions:
+    for one in whole._subparsers._group_actions[0].choices.values():
+        for action in one._actions:
             if action.type is Path or action.metavar in ("FILE", "CLOUD", "IMAGE"):
                 action.complete = shtab.FILE
             elif action.dest in ("study", "name") and not action.option_strings:
@@ -40,11 +61,14 @@ def completion(options):
     print(shtab.complete(whole, shell=options.shell))
 
 
-def _completion_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), metavar="SHELL")
-
-
+@command(
+    "open the notebooks in JupyterLab",
+    option("jupyter", "OPTION", "handed to jupyter lab", nargs="*"),
+    examples=(
+        "",
+        "-- --no-browser --port 8890",
+    ),
+)
 def lab(options):
     """Open JupyterLab with the notebooks.
 
@@ -52,11 +76,6 @@ def lab(options):
     copied to the folder notebooks of the current directory; those that are there already stay as
     they are.
     """
-    import os
-    import shutil
-    import subprocess
-    import sys
-
     from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
 
@@ -75,11 +94,15 @@ def lab(options):
     return subprocess.call(command, cwd=root, env=environment)
 
 
-def _lab_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("jupyter", nargs="*", metavar="OPTION", help="handed to jupyter lab")
-
-
+@command(
+    "list the public names of the library",
+    option("word", "WORD", "all names if none", str, "", nargs="?"),
+    *OUTPUT,
+    examples=(
+        "",
+        "density --json",
+    ),
+)
 def names(options):
     """List the public names of the library: room, name, and what it is for in a line.
 
@@ -89,19 +112,8 @@ def names(options):
     print_rows(name_table(options.word), options)
 
 
-def _names_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("word", nargs="?", default="", metavar="WORD", help="all names if none")
-    add_output_arguments(parser)
-
-
 def name_table(word=""):
     """Return every public function and class: room, name and the first line of its docstring."""
-    import importlib
-    import inspect
-
-    import pandas as pd
-
     rows = [
         (room, name, inspect.getdoc(member).splitlines()[0])
         for room in _rooms()
@@ -119,9 +131,6 @@ def _rooms():
     A room that is a package makes public what is in its ``__all__``; one that only gathers modules
     what those make public; a module its functions and classes, or its ``__all__``.
     """
-    import importlib
-    import pkgutil
-
     import mmqa_lab
 
     for found in pkgutil.iter_modules(mmqa_lab.__path__):
@@ -136,8 +145,6 @@ def _rooms():
 
 def _members(module):
     """Names and objects that a module makes public."""
-    import inspect
-
     given = getattr(module, "__all__", None)
     for name in vars(module) if given is None else given:
         member = getattr(module, name)
@@ -146,6 +153,15 @@ def _members(module):
             yield name, member
 
 
+@command(
+    "insert the studies' answers into the README",
+    option("--results", "FOLDER", "default notebooks/results", Path),
+    switch("--check", "only say whether it is up to date"),
+    examples=(
+        "",
+        "--check",
+    ),
+)
 def readme(options):
     """Insert the answers of the last full run of all studies, and its key figure, into the README.
 
@@ -161,12 +177,14 @@ def readme(options):
     return 1 if options.check and not same else 0
 
 
-def _readme_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("--results", type=Path, metavar="FOLDER", help="default notebooks/results")
-    parser.add_argument("--check", action="store_true", help="only say whether it is up to date")
-
-
+@command(
+    "write notebooks without the answers, for students",
+    option("out", "OUT_FOLDER", "made where missing", Path),
+    switch("--quick", "small parameters"),
+    option("--sheets", "FOLDER", "handouts and solutions, for the teacher", Path),
+    STUDIES,
+    examples=("course", "course anisotropy mimic --quick", "course --sheets mine"),
+)
 def student(options):
     """Write copies of the notebooks for a class: without the answers, with checks of the work.
 
@@ -187,16 +205,16 @@ def student(options):
     print(*paths, sep="\n")
 
 
-def _student_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("out", type=Path, metavar="OUT_FOLDER", help="made where missing")
-    parser.add_argument("--quick", action="store_true", help="small parameters")
-    parser.add_argument(
-        "--sheets", type=Path, metavar="FOLDER", help="handouts and solutions, for the teacher"
-    )
-    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
-
-
+@command(
+    "run the studies and write their tables, figures and pages",
+    STUDIES,
+    switch("--quick", "small parameters, for a first look"),
+    switch("--resume", "skip studies that ended with the same code"),
+    option("--timeout", "SECONDS", "of a study; default none", float),
+    option("--workers", "N", "studies at the same time", int, 1),
+    option("--out", "FOLDER", "default notebooks/results", Path),
+    examples=("", "chart_tables anisotropy --quick", "--resume --workers 4"),
+)
 def studies(options):
     """Run the studies: every notebook of the catalogue, without a screen.
 
@@ -209,13 +227,12 @@ def studies(options):
     """
     from tqdm import tqdm
 
-    from mmqa_lab._checks import check_count
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (options.out or (usual / "quick" if options.quick else usual)).resolve()
     studies = chosen(options.name)
-    several = check_count(options.workers, "workers") > 1
+    several = checks.check_count(options.workers, "workers") > 1
     run = _several_at_once if several else _one_by_one
     outcomes = []
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
@@ -233,8 +250,6 @@ def studies(options):
 @contextmanager
 def _filling(folder, studies):
     """Write the pages every few seconds while studies run; open the index once it shows one."""
-    import threading
-
     from mmqa_lab.run import pages
 
     ended = threading.Event()
@@ -259,8 +274,6 @@ def _filling(folder, studies):
 
 def _open(page):
     """Open a page in the browser of somebody who sits at a screen."""
-    import os
-    import sys
     import webbrowser
 
     screen = {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ) or sys.platform in ("darwin", "win32")
@@ -280,9 +293,6 @@ def _one_by_one(studies, folder, options, bar):
 
 def _several_at_once(studies, folder, options, bar):
     """Run studies in processes of their own, the longest first; yield each that has ended."""
-    import os
-    import subprocess
-    import sys
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     from mmqa_lab.run.pages import Outcome, read_outcome
@@ -309,29 +319,17 @@ def _several_at_once(studies, folder, options, bar):
             raise
 
 
-def _studies_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("name", nargs="*", metavar="NAME", help="stems of studies; all if none")
-    parser.add_argument("--quick", action="store_true", help="small parameters, for a first look")
-    parser.add_argument(
-        "--resume", action="store_true", help="skip studies that ended with the same code"
-    )
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="of a study; default none")
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="studies at the same time, default 1"
-    )
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default notebooks/results")
-
-
+@command(
+    "run the test suite",
+    option("pytest", "OPTION", "handed to pytest", nargs="*"),
+    examples=("", "-- -k planes", "-- --cov --cov-report term-missing"),
+)
 def test(options):
     """Run the whole test suite: style checks by ruff, then every test on up to four cores.
 
     Tests that need OpenGL libraries, Chromium or larger real clouds are skipped where those are
     missing and say so. What stands after -- goes to pytest.
     """
-    import subprocess
-    import sys
-
     root = Path(__file__).resolve().parents[2]
     if not (root / "tests").is_dir():
         raise FileNotFoundError(f"Invalid folder {root}: no tests. Must be the repository.")
@@ -342,61 +340,3 @@ def test(options):
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
-
-
-def _test_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("pytest", nargs="*", metavar="OPTION", help="handed to pytest")
-
-
-def _command(run, arguments, summary, *calls):
-    """A command in the form that a module of its own has."""
-    example = "\n".join(["example:", *(f"  mmqa {run.__name__} {call}".rstrip() for call in calls)])
-    return SimpleNamespace(
-        run=run, add_arguments=arguments, SUMMARY=summary, EPILOG=example, __doc__=run.__doc__
-    )
-
-
-COMMANDS = {
-    "completion": _command(
-        completion,
-        _completion_arguments,
-        "print shell completion for bash, zsh or tcsh",
-        "bash > ~/.local/share/bash-completion/completions/mmqa",
-        "zsh > ~/.zfunc/_mmqa",
-    ),
-    "lab": _command(
-        lab, _lab_arguments, "open the notebooks in JupyterLab", "", "-- --no-browser --port 8890"
-    ),
-    "names": _command(
-        names, _names_arguments, "list the public names of the library", "", "density --json"
-    ),
-    "readme": _command(
-        readme, _readme_arguments, "insert the studies' answers into the README", "", "--check"
-    ),
-    "student": _command(
-        student,
-        _student_arguments,
-        "write notebooks without the answers, for students",
-        "course",
-        "course anisotropy mimic --quick",
-        "course --sheets mine",
-    ),
-    "studies": _command(
-        studies,
-        _studies_arguments,
-        "run the studies and write their tables, figures and pages",
-        "",
-        "chart_tables anisotropy --quick",
-        "--resume --workers 4",
-    ),
-    "test": _command(
-        test,
-        _test_arguments,
-        "run the test suite",
-        "",
-        "-- -k planes",
-        "-- --cov --cov-report term-missing",
-    ),
-}
-"""What a module of its own would say of each."""

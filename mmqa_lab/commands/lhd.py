@@ -1,98 +1,81 @@
-"""Line-segment Hausdorff distances between sets of 3-D edges, both ways.
-
-FILES are two or more sets: files of segments (CSV with x1,y1,z1,x2,y2,z2 in metres, a line each,
-header optional; GeoJSON; DXF where ezdxf is installed) or clouds (LAS, LAZ, COPC, PLY), whose edges
-are extracted first: planes are detected and adjacent ones intersected. Every set is compared with
-every other, and with --reference. The published method pairs all segments below a threshold
-(--matcher all, Poreba & Goulette 2013, hal-00846334). The value contains the noise of angles and
-ends and false pairs as well as displacement: compare it with the perpendicular part and the
-displacement vector below it. --out writes the tables, matrices, figures and a page.
-"""
+"""Distances between sets of 3-D edges."""
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import (
-    add_output_arguments,
-    print_json,
-    print_rows,
-    write_rows,
-)
+from mmqa_lab.commands import OUTPUT, Lazy, command, option
+from mmqa_lab.commands._output import print_json, print_rows, write_rows
 
-SUMMARY = "line-segment Hausdorff distances of edge sets or clouds"
-
-EPILOG = """\
-example:
-  mmqa lhd course.csv reference.csv
-  mmqa lhd course.csv reference.csv --matcher displaced --json
-  mmqa lhd course.laz reference.laz --tolerance 0.05 --size 2 --out edges
-  mmqa lhd C1.laz C2.laz C3.laz --reference TLS.laz --truth pairs.csv --out report
-"""
+pd = Lazy("pandas")
+checks = Lazy("mmqa_lab._checks")
+comparisons = Lazy("mmqa_lab.lines.comparisons")
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments", "displaced")
+
+WITHIN = ("containment", "overlap")
+
+NORMS = ("pairs", "matched", "all")
+
 SETTINGS = ("weight", "sensitivity", "matcher", "radius", "rotate", "within", "norm")
+
 SIZES = ("tolerance", "size", "minimum")
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="file of segments, or a cloud"
-    )
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="the static survey")
-    parser.add_argument(
+@command(
+    "line-segment Hausdorff distances of edge sets or clouds",
+    option("files", "FILE", "file of segments, or a cloud", Path, nargs="+"),
+    option("--reference", "FILE", "the static survey", Path),
+    option(
         "--truth",
-        type=Path,
-        metavar="FILE",
-        help="CSV of true pairs: test_set,model_set,test_segment,model_segment, counted from 0",
-    )
-    parser.add_argument(
-        "--settings",
-        type=Path,
-        metavar="FILE",
-        help='JSON of settings by name; of one file: {"C1": {"size": 3}}',
-    )
-    numbers = {
-        "weight": ("W", 10.0, "of the angle"),
-        "sensitivity": ("M", 0.5, "of the peak that gives the threshold"),
-        "radius": ("M", 4.0, "largest displacement that is sought"),
-        "tolerance": ("M", 0.05, "clouds: of a plane, about three times the noise"),
-        "size": ("M", 2.0, "clouds: extent of the smallest plane"),
-        "minimum": ("N", 30, "clouds: points of a plane; its least area grows with the size"),
-    }
-    for name, (unit, value, what) in numbers.items():
-        text = f"{what}, default {value:g}{' m' if unit == 'M' else ''}"
-        parser.add_argument(f"--{name}", type=type(value), metavar=unit, help=text)
-    for name, choices, what in (
-        ("matcher", MATCHERS, "who pairs"),
-        ("rotate", ("test", "shorter"), "the line that is turned"),
-        ("within", ("containment", "overlap"), "when the parallel part vanishes"),
-        ("norm", ("pairs", "matched", "all"), "denominator of equation 7"),
-    ):
-        text = f"{what}, default {choices[0]}"
-        parser.add_argument(f"--{name}", choices=choices, help=text)
-    parser.add_argument(
-        "--out", "--edges", type=Path, metavar="FOLDER", help="write the report and edges there"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the interval, default 0"
-    )
-    add_output_arguments(parser)
+        "FILE",
+        "CSV of true pairs: test_set,model_set,test_segment,model_segment, from 0",
+        Path,
+    ),
+    option("--settings", "FILE", 'settings by name as JSON; of one: {"C1": {"size": 3}}', Path),
+    option("--weight", "W", "of the angle, default 10", float),
+    option("--sensitivity", "M", "of the peak that gives the threshold, default 0.5 m", float),
+    option("--radius", "M", "largest displacement that is sought, default 4 m", float),
+    option("--tolerance", "M", "clouds: of a plane, three times the noise, default 0.05 m", float),
+    option("--size", "M", "clouds: extent of the smallest plane, default 2 m", float),
+    option(
+        "--minimum",
+        "N",
+        "clouds: points of a plane; its least area grows with the size, default 30",
+        int,
+    ),
+    option("--matcher", None, "who pairs, default all", choices=MATCHERS),
+    option("--rotate", None, "line that is turned, default test", choices=("test", "shorter")),
+    option("--within", None, "where the parallel part is 0, default containment", choices=WITHIN),
+    option("--norm", None, "denominator of equation 7, default pairs", choices=NORMS),
+    option("--out --edges", "FOLDER", "write the report and edges there", Path),
+    option("--seed", "N", "of the interval", int, 0),
+    *OUTPUT,
+    examples=(
+        "course.csv reference.csv",
+        "course.csv reference.csv --matcher displaced --json",
+        "course.laz reference.laz --tolerance 0.05 --size 2 --out edges",
+        "C1.laz C2.laz C3.laz --reference TLS.laz --truth pairs.csv --out report",
+    ),
+)
+def lhd(options):
+    """Line-segment Hausdorff distances between sets of 3-D edges, both ways.
 
-
-def run(options):
-    """Read or extract all sets, compare, print and write."""
-    from mmqa_lab._checks import check_count
-    from mmqa_lab.lines.comparisons import read_settings, study, write_report
-
-    check_count(options.seed, "seed", low=0)
-    settings = read_settings(options.settings)
+    FILES are two or more sets: files of segments (CSV with x1,y1,z1,x2,y2,z2 in metres, a line
+    each, header optional; GeoJSON; DXF where ezdxf is installed) or clouds (LAS, LAZ, COPC, PLY),
+    whose edges are extracted first: planes are detected and adjacent ones intersected. Every set is
+    compared with every other, and with --reference. The published method pairs all segments below a
+    threshold (--matcher all, Poreba & Goulette 2013, hal-00846334). The value contains the noise of
+    angles and ends and false pairs as well as displacement: compare it with the perpendicular part
+    and the displacement vector below it. --out writes the tables, matrices, figures and a page.
+    """
+    checks.check_count(options.seed, "seed", low=0)
+    settings = comparisons.read_settings(options.settings)
     given = {name: getattr(options, name) for name in (*SETTINGS, *SIZES)}
     settings |= {name: value for name, value in given.items() if value is not None}
-    found = study(
+    found = comparisons.study(
         options.files, reference=options.reference, truth=options.truth, settings=settings
     )
     if options.out is not None:
-        write_report(found, options.out)
+        comparisons.write_report(found, options.out)
     if len(found.results) == 1 and options.truth is None:
         _print_one(next(iter(found.results.values())), options)
     elif options.json:
@@ -105,52 +88,16 @@ def run(options):
 
 
 def _print_one(result, options):
-    """One comparison in detail."""
+    """One comparison in detail; pairs and covariances are left to JSON."""
     interval = result.interval(seed=options.seed)
     values = result.to_dict() | dict(zip(("lhd_low_m", "lhd_high_m"), interval, strict=True))
-    if options.csv is not None:
-        write_rows(_row(result, values), options)
+    row = {"test": result.test.name, "model": result.model.name}
+    row |= {name: value for name, value in values.items() if not isinstance(value, list)}
+    moved = result.displacement
+    for axis, shift, variance in zip("xyz", moved.vector, moved.covariance.diagonal(), strict=True):
+        row |= {f"displacement_{axis}_m": shift, f"displacement_{axis}_sigma_m": variance**0.5}
     if options.json:
+        write_rows(pd.DataFrame([row]), options)
         print_json(values)
     else:
-        print("\n".join(_lines(result, interval)))
-
-
-def _row(result, values):
-    """The figures as one row; pairs and covariances are left to JSON."""
-    import pandas as pd
-
-    vector = dict(zip("xyz", values["displacement_m"], strict=True))
-    plain = {name: value for name, value in values.items() if not isinstance(value, list)}
-    plain |= {f"displacement_{axis}_m": value for axis, value in vector.items()}
-    return pd.DataFrame([{"test": result.test.name, "model": result.model.name, **plain}])
-
-
-def _lines(result, interval):
-    """What the table says."""
-    forward, backward = result.test_model, result.model_test
-    low, high = interval
-    moved = result.displacement
-    vector = " ".join(f"{value:8.3f}" for value in moved.vector)
-    sigma = " ".join(f"{value**0.5:8.3f}" for value in moved.covariance.diagonal())
-    rows = [
-        ("segments", f"{len(result.test)} test, {len(result.model)} model"),
-        ("matcher", result.matcher),
-        ("LHD", f"{result.value:.3f} m  (95 % {low:.3f} to {high:.3f})"),
-        ("  test to model", _direction(forward, result.weight)),
-        ("  model to test", _direction(backward, result.weight)),
-        ("same pairs, W = 0", f"{result.at_weight(0):.3f} m"),
-        ("perpendicular only", f"{result.perpendicular_only:.3f} m"),
-        ("displacement", f"{vector} m"),
-        ("  standard dev.", f"{sigma} m"),
-        ("turn", f"{moved.turn_deg:.3f} degrees, standard deviation {moved.turn_sigma_deg:.3f}"),
-        ("coverage", f"{forward.coverage:.0%} of test, {backward.coverage:.0%} of model length"),
-    ]
-    return [f"{name:<20}{text}" for name, text in rows]
-
-
-def _direction(direction, weight):
-    """One direction in words."""
-    value = f"{direction.olhd(weight):.3f} m, {direction.n} pairs"
-    delta = direction.threshold.delta
-    return value if delta != delta else f"{value} within {delta:.3f} m"
+        print_rows(pd.DataFrame([row]), options, upright="test")

@@ -1,42 +1,16 @@
-"""Detect poles in a cloud, deliver them, and score them where a reference is given.
-
-Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as recorded,
-or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row a pole: id,
-the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m, diameter_m,
-tilt_deg and lean_azimuth_deg (from north), score, method, class with class_probability,
-total_height_m, diameter_13_m (1.3 m above ground) with its interval, points on the shaft; of itc
-also is_tree. Clouds must be in metres; --crs says so where the files do not.
-
---out writes CSV, GeoJSON or GeoPackage. --report writes a page with a map and a picture of each
-pole, the doubtful ones first, on which each is accepted or rejected; --decisions reads what the
-page saved and leaves out what was rejected. A reference is a CSV file with x_m, y_m and, where
-known, class, height_m (below 1 m: no target), diameter_m, visible and ignore (no target where False
-and True); detections and references are matched one to one within --gate. Where there is a
-trajectory, points, detections and references beyond the corridor do not count. More than five
-million points are searched in squares of 100 m; poles on borders are found once.
-"""
+"""Poles in clouds, delivered and scored."""
 
 import sys
 from pathlib import Path
 
-from mmqa_lab.commands._output import (
-    add_output_arguments,
-    output_file,
-    print_json,
-    print_rows,
-    with_progress,
-    write_rows,
-)
+from mmqa_lab.commands import CLOUDS, OUTPUT, Lazy, choice, command, option, output_file, switch
+from mmqa_lab.commands._output import print_json, print_rows, with_progress, write_rows
 
-SUMMARY = "detect poles, and score them against a reference"
-
-EPILOG = """\
-example:
-  mmqa poles street.laz --method fgi --trajectory path.csv --csv poles.csv
-  mmqa poles street.laz --reference poles_field.csv --json
-  mmqa poles drive/*.laz --crs EPSG:25832 --out poles.gpkg --report poles.html
-  mmqa poles drive/*.laz --decisions decisions.csv --out poles.gpkg
-"""
+np = Lazy("numpy")
+checks = Lazy("mmqa_lab._checks")
+io = Lazy("mmqa_lab.io")
+poles = Lazy("mmqa_lab.poles")
+delivery = Lazy("mmqa_lab.poles.delivery")
 
 SHOWN = [
     *("id", "x_m", "y_m", "class", "class_probability", "total_height_m", "diameter_13_m"),
@@ -45,71 +19,67 @@ SHOWN = [
 """Columns of the printed table; files and JSON have all."""
 
 MANY = 5_000_000
+
 TILE_M = 100.0
 """Clouds with more points are searched in squares of that side."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument(
-        "cloud", nargs="+", metavar="CLOUD", help="LAS, LAZ, COPC, PLY, PCD, E57 or text"
-    )
-    parser.add_argument("--method", choices=("ours", "fgi", "itc"), default="ours")
-    parser.add_argument("--trajectory", metavar="FILE", help="positions; clips the cloud")
-    parser.add_argument(
+@command(
+    "detect poles, and score them against a reference",
+    CLOUDS,
+    choice("--method", ("ours", "fgi", "itc"), "see above"),
+    option("--trajectory", "FILE", "positions; clips the cloud"),
+    option(
         "--corridor",
-        type=float,
-        metavar="M",
-        help="half width about the trajectory, default 15 m for itc and 30 m for the others",
-    )
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="CSV of known poles")
-    parser.add_argument(
-        "--gate", type=float, default=0.5, metavar="M", help="of a match, default %(default)s m"
-    )
-    parser.add_argument(
-        "--explain", action="store_true", help="list every candidate and what rejected it"
-    )
-    parser.add_argument(
-        "--out",
-        "--geojson",
-        type=output_file,
-        metavar="FILE",
-        help="write the poles as .csv, .geojson or .gpkg",
-    )
-    parser.add_argument("--crs", metavar="EPSG:N", help="of the clouds, where they do not say")
-    parser.add_argument("--report", type=output_file, metavar="FILE", help="a page to check them")
-    parser.add_argument(
-        "--decisions", type=Path, metavar="FILE", help="of a page: leave out what was rejected"
-    )
-    parser.add_argument(
-        "--tile", type=float, metavar="M", help="side of the squares that are searched in turn"
-    )
-    add_output_arguments(parser)
+        "M",
+        "half width about the trajectory, default 15 m for itc and 30 m for the others",
+        float,
+    ),
+    option("--reference", "FILE", "CSV of known poles", Path),
+    option("--gate", "M", "of a match", float, 0.5),
+    switch("--explain", "list every candidate and what rejected it"),
+    option("--out --geojson", "FILE", "write the poles as .csv, .geojson or .gpkg", output_file),
+    option("--crs", "EPSG:N", "of the clouds, where they do not say"),
+    option("--report", "FILE", "a page to check them", output_file),
+    option("--decisions", "FILE", "of a page: leave out what was rejected", Path),
+    option("--tile", "M", "side of the squares that are searched in turn", float),
+    *OUTPUT,
+    examples=(
+        "street.laz --method fgi --trajectory path.csv --csv poles.csv",
+        "street.laz --reference poles_field.csv --json",
+        "drive/*.laz --crs EPSG:25832 --out poles.gpkg --report poles.html",
+        "drive/*.laz --decisions decisions.csv --out poles.gpkg",
+    ),
+)
+def poles_(options):
+    """Detect poles in a cloud, deliver them, and score them where a reference is given.
 
+    Methods: ours (a learned verdict, any cloud), fgi (scan lines, Lehtomaki et al. 2010; as
+    recorded, or recovered from gps_time or scan_angle) and itc (components, Pu et al. 2011). A row
+    a pole: id, the axis at half the height of the pole-like part (x_m, y_m), z_base_m, height_m,
+    diameter_m, tilt_deg and lean_azimuth_deg (from north), score, method, class with
+    class_probability, total_height_m, diameter_13_m (1.3 m above ground) with its interval, points
+    on the shaft; of itc also is_tree. Clouds must be in metres; --crs says so where the files do
+    not.
 
-def run(options):
-    """Detect, decide, write, score and print."""
-    from mmqa_lab import poles
-    from mmqa_lab._checks import check_positive
-    from mmqa_lab.io import read_trajectory
-    from mmqa_lab.poles.delivery import (
-        check_ending,
-        read_decisions,
-        read_table,
-        with_decisions,
-        write_report,
-    )
-
+    --out writes CSV, GeoJSON or GeoPackage. --report writes a page with a map and a picture of each
+    pole, the doubtful ones first, on which each is accepted or rejected; --decisions reads what the
+    page saved and leaves out what was rejected. A reference is a CSV file with x_m, y_m and, where
+    known, class, height_m (below 1 m: no target), diameter_m, visible and ignore (no target where
+    False and True); detections and references are matched one to one within --gate. Where there is
+    a trajectory, points, detections and references beyond the corridor do not count. More than five
+    million points are searched in squares of 100 m; poles on borders are found once.
+    """
     if options.out is not None:
-        check_ending(options.out)
-    path, gate = None, check_positive(options.gate, "gate", unit="m")
+        delivery.check_ending(options.out)
+    path, gate = None, checks.check_positive(options.gate, "gate", unit="m")
     if options.trajectory is not None:
-        table = read_trajectory(options.trajectory)
+        table = io.read_trajectory(options.trajectory)
         path = table[["easting_m", "northing_m"]].to_numpy()
     reference = None
     if options.reference is not None:
-        reference = read_table(options.reference, "reference", ("x_m", "y_m"))
-    decisions = None if options.decisions is None else read_decisions(options.decisions)
+        reference = delivery.read_table(options.reference, "reference", ("x_m", "y_m"))
+    decisions = None if options.decisions is None else delivery.read_decisions(options.decisions)
     scope = {"trajectory": path, "corridor": options.corridor}
     cloud = _read_clouds(options)
     tile = TILE_M if options.tile is None and len(cloud) > MANY else options.tile
@@ -117,12 +87,12 @@ def run(options):
     found = found.drop(columns=["lean_x", "lean_y"])
     accepted = found[found["rejected_by"] == ""] if options.explain else found
     if decisions is not None:
-        accepted, unused = with_decisions(accepted.reset_index(drop=True), decisions)
+        accepted, unused = delivery.with_decisions(accepted.reset_index(drop=True), decisions)
         if unused:
             print(f"mmqa poles: {unused} decisions are about no pole found here", file=sys.stderr)
     if options.report is not None:
         lines = _about(cloud, options)
-        write_report(options.report, cloud.points, accepted, title="Poles", lines=lines)
+        delivery.write_report(options.report, cloud.points, accepted, title="Poles", lines=lines)
     if decisions is not None:
         found = accepted = accepted[accepted["decision"] != "reject"].reset_index(drop=True)
     if options.out is not None:
@@ -137,23 +107,19 @@ def run(options):
 
 def _read_clouds(options):
     """All clouds as one; the lines of different files are kept apart."""
-    import numpy as np
-
-    from mmqa_lab._checks import check_crs, check_metres
     from mmqa_lab.cloud import Cloud
-    from mmqa_lab.io import read_cloud
 
-    crs = None if options.crs is None else check_crs(options.crs)
-    check_metres(crs, "coordinate system")
+    crs = None if options.crs is None else checks.check_crs(options.crs)
+    checks.check_metres(crs, "coordinate system")
     clouds = []
     for number, file in enumerate(with_progress(options.cloud, "cloud")):
-        cloud = read_cloud(file)
-        check_metres(cloud.crs, f"cloud {file}")
+        cloud = io.read_cloud(file)
+        checks.check_metres(cloud.crs, f"cloud {file}")
         columns = dict(cloud.columns)
         if len(options.cloud) > 1:
             columns.setdefault("head", np.full(len(cloud), number))
         known = cloud.crs or crs
-        check_metres(known, f"cloud {file}")
+        checks.check_metres(known, f"cloud {file}")
         clouds.append(Cloud(cloud.points, columns, cloud.name, cloud.resolution, known))
     return Cloud.concatenate(clouds) if len(clouds) > 1 else clouds[0]
 

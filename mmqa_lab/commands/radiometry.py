@@ -1,48 +1,18 @@
-"""Measure a camera in your own images: resolution, sharpness, sensor and reflectance, band by band.
-
-edge, star and bars measure resolution on targets, sharpness does without any; calibrate fits gain
-and offset of the sensor to targets of known radiance, and reflect turns digital numbers into
-reflectance by the empirical line (EuroSDR 2013, image radiometry). Images are JPEG, PNG or TIFF
-with any number of bands. Values of 8 bits are decoded from sRGB unless --linear is given; calibrate
-and reflect refuse them without it. Intervals are 95 %; what cannot be measured is empty. With
---pixel-um frequencies are also given in lines per mm as the report counts them, bright and dark
-ones: two to a cycle.
-
-With --over-image edge, star and bars give what the results of all targets depend on: a linear
-regression on the distance from the image's centre, its factor between corner and centre, and for
-edges the blur along and across the radius and along the flight (y). calibrate --through-zero fits
-no offset; calibrate --radiance FILE takes the radiance from an image of the same ground by a
-calibrated sensor in coarser pixels; calibrate --even takes images of even ground and gives the loss
-of light in the corners, unevenness and defects. reflect --dark-pixel takes the darkest thousandth
-of a band for a reference of 1 % (+- 1 %), so that one target is enough; reflect --repeatability
-gives how well reflectances of a target agree over all images, and over heights.
-
-The targets are a CSV file with a row for each target. Columns for all: image (name of the file;
-without the column a target is in every image), name.
-
-  edge       x_px, y_px, width_px, height_px: upper left corner and size of a region with one edge
-             (without targets the whole image is one)
-  star       x_px, y_px (centre), radius_px, cycles; or from_deg and to_deg, the part to use
-  bars       x_px, y_px (middle of a group), period_px, bars, angle_deg (across them, from x to y);
-             place, where there are several ladders of bars
-  calibrate  the region as for edge; radiance, or radiance_1, radiance_2, ... for the bands;
-             exposure, or time_s and f_number (without them EXIF is read)
-  reflect    the region; reflectance, or reflectance_1, ...: empty where it is to be measured;
-             reflectance_std, anisotropy; height_m, of the flight
-"""
+"""Resolution and radiometry of images with several bands."""
 
 from pathlib import Path
 
-from mmqa_lab.commands._output import add_output_arguments, print_rows, with_progress
+from mmqa_lab.commands import OUTPUT, Lazy, command, option, switch
+from mmqa_lab.commands._output import print_rows, with_progress
 
-SUMMARY = "resolution, calibration and reflectance of images with several bands"
-
-EPILOG = """\
-example:
-  mmqa radiometry star IMG_1.tif --targets stars.csv --gsd-cm 5 --pixel-um 12
-  mmqa radiometry calibrate a.tif b.tif --targets tarps.csv
-  mmqa radiometry reflect a.tif b.tif --targets tarps.csv --csv reflectance.csv
-"""
+np = Lazy("numpy")
+pd = Lazy("pandas")
+checks = Lazy("mmqa_lab._checks")
+image_files = Lazy("mmqa_lab.io.images")
+mtf = Lazy("mmqa_lab.mtf")
+stats = Lazy("scipy.stats")
+tables = Lazy("mmqa_lab.io.tables")
+radiometry = Lazy("mmqa_lab.radiometry")
 
 REGION = ("x_px", "y_px", "width_px", "height_px")
 
@@ -66,44 +36,71 @@ ROUNDING_DN = 12**-0.5
 """Standard deviation that rounding alone gives a pixel."""
 
 
-def add_arguments(parser):
-    """Declare the arguments."""
-    parser.add_argument("measure", choices=tuple(NEEDED), help="what to measure, see above")
-    parser.add_argument("image", nargs="+", metavar="IMAGE", help="JPEG, PNG or TIFF")
-    parser.add_argument("--targets", type=Path, metavar="FILE", help="CSV, see above")
-    parser.add_argument("--linear", action="store_true", help="8-bit values are linear in light")
-    parser.add_argument("--gsd-cm", type=float, metavar="CM", help="size of a pixel on the ground")
-    parser.add_argument("--pixel-um", type=float, metavar="UM", help="size of a detector pixel")
-    parser.add_argument("--over-image", action="store_true", help="regression over the image")
-    parser.add_argument("--through-zero", action="store_true", help="calibrate without offset")
-    parser.add_argument("--radiance", metavar="FILE", help="image of known radiance, see above")
-    parser.add_argument("--even", action="store_true", help="images of even ground, see above")
-    parser.add_argument("--dark-pixel", action="store_true", help="darkest pixels as reference")
-    parser.add_argument("--repeatability", action="store_true", help="over images and heights")
-    add_output_arguments(parser)
+@command(
+    "resolution, calibration and reflectance of images with several bands",
+    option("measure", None, "what to measure, see above", choices=tuple(NEEDED)),
+    option("image", "IMAGE", "JPEG, PNG or TIFF", nargs="+"),
+    option("--targets", "FILE", "CSV, see above", Path),
+    switch("--linear", "8-bit values are linear in light"),
+    option("--gsd-cm", "CM", "size of a pixel on the ground", float),
+    option("--pixel-um", "UM", "size of a detector pixel", float),
+    switch("--over-image", "regression over the image"),
+    switch("--through-zero", "calibrate without offset"),
+    option("--radiance", "FILE", "image of known radiance, see above"),
+    switch("--even", "images of even ground, see above"),
+    switch("--dark-pixel", "darkest pixels as reference"),
+    switch("--repeatability", "over images and heights"),
+    *OUTPUT,
+    examples=(
+        "star IMG_1.tif --targets stars.csv --gsd-cm 5 --pixel-um 12",
+        "calibrate a.tif b.tif --targets tarps.csv",
+        "reflect a.tif b.tif --targets tarps.csv --csv reflectance.csv",
+    ),
+)
+def radiometry_(options):
+    """Measure a camera in your own images: resolution, sharpness, sensor and reflectance, band by
+    band.
 
+    edge, star and bars measure resolution on targets, sharpness does without any; calibrate fits
+    gain and offset of the sensor to targets of known radiance, and reflect turns digital numbers
+    into reflectance by the empirical line (EuroSDR 2013, image radiometry). Images are JPEG, PNG or
+    TIFF with any number of bands. Values of 8 bits are decoded from sRGB unless --linear is given;
+    calibrate and reflect refuse them without it. Intervals are 95 %; what cannot be measured is
+    empty. With --pixel-um frequencies are also given in lines per mm as the report counts them,
+    bright and dark ones: two to a cycle.
 
-def run(options):
-    """Measure every band of every image, then print and write."""
-    import pandas as pd
+    With --over-image edge, star and bars give what the results of all targets depend on: a linear
+    regression on the distance from the image's centre, its factor between corner and centre, and
+    for edges the blur along and across the radius and along the flight (y). calibrate
+    --through-zero fits no offset; calibrate --radiance FILE takes the radiance from an image of the
+    same ground by a calibrated sensor in coarser pixels; calibrate --even takes images of even
+    ground and gives the loss of light in the corners, unevenness and defects. reflect --dark-pixel
+    takes the darkest thousandth of a band for a reference of 1 % (+- 1 %), so that one target is
+    enough; reflect --repeatability gives how well reflectances of a target agree over all images,
+    and over heights.
 
-    from mmqa_lab._checks import check_positive
-    from mmqa_lab.io.images import read_bands
+    The targets are a CSV file with a row for each target. Columns for all: image (name of the file;
+    without the column a target is in every image), name.
 
+      edge       x_px, y_px, width_px, height_px: upper left corner and size of a region with one
+                 edge (without targets the whole image is one)
+      star       x_px, y_px (centre), radius_px, cycles; or from_deg and to_deg, the part to use
+      bars       x_px, y_px (middle of a group), period_px, bars, angle_deg (across them, x to y);
+                 place, where there are several ladders of bars
+      calibrate  the region as for edge; radiance, or radiance_1, radiance_2, ... for the bands;
+                 exposure, or time_s and f_number (without them EXIF is read)
+      reflect    the region; reflectance, or reflectance_1, ...: empty where it is to be measured;
+                 reflectance_std, anisotropy; height_m, of the flight
+    """
     for name in ("gsd_cm", "pixel_um"):
         if getattr(options, name) is not None:
-            check_positive(getattr(options, name), name.replace("_", "-"))
+            checks.check_positive(getattr(options, name), name.replace("_", "-"))
     _check_choices(options)
     targets = _targets(options)
     images = {}
     for file in with_progress(options.image, "image"):
-        images[file] = image = read_bands(file)
-        first = images[options.image[0]]
-        if len(image.values) != len(first.values):
-            raise ValueError(
-                f"Invalid image {file}: {len(image.values)} bands. Must have {len(first.values)} "
-                f"as {options.image[0]} has."
-            )
+        images[file] = image = image_files.read_bands(file)
+        _check_bands(f"image {file}", image, options.image[0], images[options.image[0]])
         physical = options.measure in ("calibrate", "reflect")
         if image.values.dtype.itemsize == 1 and physical and not options.linear:
             raise ValueError(
@@ -131,6 +128,13 @@ HIDDEN = ("x", "y", "corner", "across_deg", "place", "height_m")
 """Columns of rows that only sums over them need."""
 
 
+def _check_bands(name, image, file, other):
+    """Raise where two images have different numbers of bands."""
+    count, wanted = len(image.values), len(other.values)
+    if count != wanted:
+        raise ValueError(f"Invalid {name}: {count} bands. Must have {wanted} as {file} has.")
+
+
 def _check_choices(options):
     """Each choice belongs to some measures."""
     belongs = dict.fromkeys(("through_zero", "radiance", "even"), ("calibrate",))
@@ -146,25 +150,13 @@ def _check_choices(options):
 
 def _targets(options):
     """The table of targets with the columns that the measure needs; None without a file."""
-    import pandas as pd
-
     needed = NEEDED[options.measure]
     if options.targets is None:
         if needed and options.measure != "edge" and not (options.even or options.radiance):
             raise ValueError(f"Invalid {options.measure} without targets. Must have --targets.")
         return None
-    if not options.targets.is_file():
-        raise FileNotFoundError(f"Invalid targets {options.targets}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(options.targets)
-    except (ValueError, pd.errors.ParserError):
-        raise ValueError(f"Invalid targets {options.targets}. Must be CSV.") from None
-    for column in needed:
-        if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
-            raise ValueError(f"Invalid targets: no numbers in {column!r}. Must have them.")
-        if table[column].isna().any():
-            raise ValueError(f"Invalid targets: {column!r} has gaps. Must be complete.")
-    return table
+    table = tables.read_table(options.targets, "targets")
+    return tables.with_numbers(table, needed, "targets")
 
 
 def _of_image(targets, file):
@@ -180,12 +172,6 @@ def _of_image(targets, file):
 
 def _resolutions(images, targets, options):
     """A row for each target in each band; without targets for each band."""
-    import numpy as np
-    import pandas as pd
-
-    from mmqa_lab.io.images import decode
-    from mmqa_lab.radiometry import saturation_level
-
     measure = {"edge": _edge, "star": _star, "bars": _bars, "sharpness": _sharpness}
     for file, image in images.items():
         shape = image.values.shape[1:]
@@ -196,9 +182,9 @@ def _resolutions(images, targets, options):
         for band, values in zip(image.bands, image.values, strict=True):
             if values.dtype == np.uint8:
                 values = values / np.float32(255)
-                values = values if options.linear else decode(values, "srgb")
+                values = values if options.linear else image_files.decode(values, "srgb")
             known = {"image": Path(file).name, "band": band}
-            full = saturation_level(values)
+            full = radiometry.saturation_level(values)
             for target in shown.to_dict("records"):
                 row = known | {"target": target["name"]} | _centred(target, shape)
                 row |= measure[options.measure](values, target)
@@ -247,11 +233,7 @@ def _region(values, target):
 
 def _edge(values, target):
     """MTF50 and FWHM of one edge."""
-    import numpy as np
-
-    from mmqa_lab.mtf import fit_edge
-
-    edge = fit_edge(_region(values, target))
+    edge = mtf.fit_edge(_region(values, target))
     by_row, by_column = np.gradient(np.asarray(_region(values, target), dtype=np.float64))
     twice = 2 * (by_row * by_column).sum(), (by_column**2 - by_row**2).sum()
     share = 1.96 * edge.mtf50_sigma / edge.mtf50
@@ -263,12 +245,10 @@ def _edge(values, target):
 
 def _star(values, target):
     """MTF50, MTF10 and FWHM of a star."""
-    from mmqa_lab.mtf import measure_star
-
     part = target.get("from_deg", 0.0), target.get("to_deg", 360.0)
     centre, cycles = (target["x_px"], target["y_px"]), int(target["cycles"])
     radius = target["radius_px"]
-    star = measure_star(values, centre, cycles=cycles, radius_px=radius, azimuth_deg=part)
+    star = mtf.measure_star(values, centre, cycles=cycles, radius_px=radius, azimuth_deg=part)
     reach = 1.96 * star.mtf50_sigma
     figures = _interval("mtf50", "per_px", star.mtf50, reach)
     figures |= _interval("fwhm", "px", star.fwhm_px, reach / star.mtf50 * star.fwhm_px)
@@ -278,11 +258,6 @@ def _star(values, target):
 
 def _bars(values, target):
     """Whether a group of bars is resolved."""
-    import numpy as np
-    import pandas as pd
-
-    from mmqa_lab.mtf import read_bars
-
     reach = _reach_of_bars(target)
     column, row = round(target["x_px"]), round(target["y_px"])
     region = [column - reach, row - reach, 2 * reach + 1, 2 * reach + 1]
@@ -290,7 +265,9 @@ def _bars(values, target):
     low, high = np.percentile(around, [2, 98])
     diagonal = around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]
     noise = max(float(np.median(np.abs(diagonal))) * 1.4826 / 2, 1e-6 * (high - low))
-    found = read_bars(values, pd.DataFrame([target]), dark=low, bright=high, noise=noise).iloc[0]
+    found = mtf.read_bars(values, pd.DataFrame([target]), dark=low, bright=high, noise=noise).iloc[
+        0
+    ]
     figures = {"period_px": target["period_px"], "contrast": found["contrast"]}
     figures |= {"counted": found["counted"], "resolved": bool(found["resolved"])}
     figures |= {"angle_deg": target["angle_deg"], "place": target.get("place", 1)}
@@ -299,10 +276,8 @@ def _bars(values, target):
 
 def _resolving(table):
     """A row for each ladder of bars: the narrowest period resolved, up to the next."""
-    from mmqa_lab.mtf import resolving_power
-
     for key, rows in table.groupby(["image", "band", "place", "angle_deg"], sort=False):
-        period, finer = resolving_power(rows)
+        period, finer = mtf.resolving_power(rows)
         names = ("image", "band", "place", "angle_deg")
         row = dict(zip(names, key, strict=True)) | {"target": f"ladder {key[2]}"}
         row |= rows[["x", "y", "corner"]].mean().to_dict()
@@ -313,12 +288,6 @@ def _resolving(table):
 
 def _dependences(table, measure):
     """Rows for each band: what a result depends on over the image."""
-    import numpy as np
-    import pandas as pd
-    from scipy.stats import t
-
-    from mmqa_lab.mtf import blur_dependence
-
     value = OVER_IMAGE[measure]
     for band, rows in table.dropna(subset=[value]).groupby("band", sort=False):
         far = np.hypot(rows["x"], rows["y"]) / rows["corner"]
@@ -334,13 +303,13 @@ def _dependences(table, measure):
             ("corner less centre", slope, covariance[0, 0] ** 0.5),
             ("corner over centre", 1 + slope / centre, float(by @ covariance @ by) ** 0.5),
         ]
-        reach = t.ppf(0.975, len(rows) - 2)
+        reach = stats.t.ppf(0.975, len(rows) - 2)
         for term, estimate, std in found:
             yield _term(band, f"{value}: {term}", estimate, reach * std, len(rows))
         if measure == "edge":
             places = {"x_px": rows["x"], "y_px": rows["y"], "angle_deg": rows["across_deg"]}
-            terms = blur_dependence(pd.DataFrame(places | {"fwhm_px": rows["fwhm_px"]}))
-            reach = t.ppf(0.975, len(rows) - 4)
+            terms = mtf.blur_dependence(pd.DataFrame(places | {"fwhm_px": rows["fwhm_px"]}))
+            reach = stats.t.ppf(0.975, len(rows) - 4)
             for one in terms.itertuples():
                 term = f"squared fwhm_px: {one.term}"
                 yield _term(band, term, one.estimate, reach * one.std, len(rows))
@@ -354,11 +323,7 @@ def _term(band, term, estimate, reach, n):
 
 def _sharpness(values, target):
     """Median of the local sharpness of an image, with the interval of a median."""
-    import numpy as np
-
-    from mmqa_lab.mtf import haar_sharpness
-
-    found = haar_sharpness(values)
+    found = mtf.haar_sharpness(values)
     figures = {}
     for name in ("sharpness", "along_x", "along_y"):
         blocks = found[name].values[np.isfinite(found[name].values)]
@@ -376,8 +341,9 @@ def _sharpness(values, target):
 
 def _interval(name, unit, value, reach):
     """A figure with the ends of its interval."""
-    ends = {f"{name}_low_{unit}": value - reach, f"{name}_high_{unit}": value + reach}
-    return {f"{name}_{unit}": value} | ends
+    unit = unit and f"_{unit}"
+    ends = {f"{name}_low{unit}": value - reach, f"{name}_high{unit}": value + reach}
+    return {f"{name}{unit}": value} | ends
 
 
 def _in_units(row, options):
@@ -393,16 +359,11 @@ def _in_units(row, options):
 
 def _patches(image, targets, name, number):
     """Statistics of all targets in one band, and what is known of them in this band."""
-    import numpy as np
-
-    from mmqa_lab.radiometry import patch_statistics
-
     column = f"{name}_{number}" if f"{name}_{number}" in targets else name
-    if column not in targets:
-        raise ValueError(f"Invalid targets: no column {name!r}. Must have one.")
+    checks.check_columns(targets, [column], "targets")
     first, size = targets[["y_px", "x_px"]], targets[["height_px", "width_px"]]
     places = np.round(np.stack([first.to_numpy(), first.to_numpy() + size.to_numpy()], axis=-1))
-    found = patch_statistics(image.values[number - 1], places.reshape(-1, 4).astype(int))
+    found = radiometry.patch_statistics(image.values[number - 1], places.reshape(-1, 4).astype(int))
     found["std_dn"] = np.hypot(found["std_dn"], ROUNDING_DN)
     found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
     return found.assign(known=targets[column].to_numpy(), name=targets["name"].to_numpy())
@@ -428,17 +389,13 @@ def _calibrations(images, targets, options):
 
 def _relative(images):
     """A row for each band: how even the sensor is."""
-    import numpy as np
-
-    from mmqa_lab.radiometry import relative_response
-
     sizes = {image.values.shape for image in images.values()}
     if len(sizes) > 1:
         raise ValueError(f"Invalid images of {len(sizes)} sizes. Must be of one.")
     for number, band in enumerate(next(iter(images.values())).bands):
         values = np.stack([image.values[number] for image in images.values()])
         _check_unsaturated(values, band)
-        found = relative_response(values)
+        found = radiometry.relative_response(values)
         radial, reach = found["radial"], 1.96 * found.pop("radial_std")
         ends = {"radial_low": radial - reach, "radial_high": radial + reach}
         yield {"band": band, "images": len(images)} | found | ends
@@ -446,9 +403,7 @@ def _relative(images):
 
 def _check_unsaturated(values, band):
     """Whole images must not be cut off at full scale."""
-    from mmqa_lab.radiometry import saturation_level
-
-    share = (values >= saturation_level(values)).mean()
+    share = (values >= radiometry.saturation_level(values)).mean()
     if share > SATURATED_SHARE:
         raise ValueError(
             f"Invalid band {band}: {share:.0%} saturated. Must be below {SATURATED_SHARE:.0%}."
@@ -457,29 +412,18 @@ def _check_unsaturated(values, band):
 
 def _against_image(images, options):
     """A row for each band of each image: DN against the radiance of another sensor's image."""
-    from mmqa_lab.io.images import read_bands
-    from mmqa_lab.radiometry import coarse_pairs, fit_sensor
-
-    known = read_bands(options.radiance)
+    known = image_files.read_bands(options.radiance)
     for file, image in images.items():
-        if len(known.values) != len(image.values):
-            raise ValueError(
-                f"Invalid radiance {options.radiance}: {len(known.values)} bands. Must have "
-                f"{len(image.values)} as {file} has."
-            )
+        _check_bands(f"radiance {options.radiance}", known, file, image)
         for band, dn, radiance in zip(image.bands, image.values, known.values, strict=True):
             _check_unsaturated(dn, band)
-            pairs = coarse_pairs(dn, radiance)
-            fit = fit_sensor(pairs[1], pairs[0], through_zero=options.through_zero)
+            pairs = radiometry.coarse_pairs(dn, radiance)
+            fit = radiometry.fit_sensor(pairs[1], pairs[0], through_zero=options.through_zero)
             yield {"image": Path(file).name, "band": band} | _sensor(fit)
 
 
 def _calibrated(images, targets, options):
     """A row for each band and setting, and one for all settings of the band."""
-    import pandas as pd
-
-    from mmqa_lab.radiometry import fit_sensor, relative_exposure, stability
-
     shown = {file: _of_image(targets, file) for file in images}
     settings = {file: _exposure(file, image, shown[file]) for file, image in images.items()}
     unknown = [file for file, setting in settings.items() if setting is None]
@@ -495,49 +439,42 @@ def _calibrated(images, targets, options):
             part = _patches(image, shown[file], "radiance", number)
             setting = settings[file]
             label = "unknown" if setting is None else f"{setting[0]:g} s, f/{setting[1]:g}"
-            exposure = relative_exposure(*setting, reference=reference) if setting else 1.0
+            exposure = (
+                radiometry.relative_exposure(*setting, reference=reference) if setting else 1.0
+            )
             parts.append(part.assign(setting=label, exposure=exposure))
         table = pd.concat(parts)
         unsaturated = table[(table["saturated_share"] == 0) & table["known"].notna()]
-        zero = {"through_zero": options.through_zero}
-        fits = {
-            name: fit_sensor(
-                *(rows["known"], rows["mean_dn"]),
-                **{"exposure": rows["exposure"], "std_dn": rows["std_dn"]} | zero,
-            )
-            for name, rows in [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
-        }
+        groups = [*unsaturated.groupby("setting", sort=False), ("all", unsaturated)]
+        fits = {name: _fitted(rows, options) for name, rows in groups}
         own = {name: fit for name, fit in fits.items() if name != "all"}
         moved = {}
         if len(own) > 1:
             known = unsaturated["known"][unsaturated["known"] > 0]
-            moved = stability(own, known).groupby("setting")["difference_percent"].mean()
+            moved = radiometry.stability(own, known).groupby("setting")["difference_percent"].mean()
+        saturated = int((table["saturated_share"] > 0).sum())
         for name, fit in fits.items():
-            yield (
-                {"band": band, "setting": name}
-                | _sensor(fit)
-                | {
-                    "saturated": int((table["saturated_share"] > 0).sum()),
-                    "stability_percent": moved.get(name, float("nan")),
-                }
-            )
+            more = {"saturated": saturated, "stability_percent": moved.get(name, np.nan)}
+            yield {"band": band, "setting": name} | _sensor(fit) | more
+
+
+def _fitted(rows, options):
+    """The sensor that targets of known radiance show."""
+    choices = {"exposure": rows["exposure"], "std_dn": rows["std_dn"]}
+    choices |= {"through_zero": options.through_zero}
+    return radiometry.fit_sensor(rows["known"], rows["mean_dn"], **choices)
 
 
 def _sensor(fit):
     """Gain and offset with their intervals."""
-    from scipy.stats import t
-
-    reach = t.ppf(0.975, fit.freedom) * fit.std
-    figures = {"gain": fit.gain, "gain_low": fit.gain - reach[0], "gain_high": fit.gain + reach[0]}
+    reach = stats.t.ppf(0.975, fit.freedom) * fit.std
+    figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "dn", fit.offset, reach[1])
     return figures | {"r_squared": fit.r_squared, "n": fit.n}
 
 
 def _dark_reference(values):
     """The darkest pixels of a band as a reference target."""
-    import numpy as np
-    import pandas as pd
-
     dark = np.sort(values, axis=None)[: max(int(DARK_SHARE * values.size), 2)].astype(float)
     row = {"mean_dn": dark.mean(), "std_error_dn": max(dark.std(), ROUNDING_DN)}
     row |= {"known": DARK_REFLECTANCE, "reflectance_std": DARK_REFLECTANCE}
@@ -546,8 +483,6 @@ def _dark_reference(values):
 
 def _repeated(table):
     """A row for each target in each band: agreement over images, and over heights."""
-    import numpy as np
-
     from mmqa_lab.repeatability import repeatability
 
     known = table.dropna(subset=["reflectance"])
@@ -558,34 +493,23 @@ def _repeated(table):
         if np.ndim(heights) and heights.value_counts().min() < 2:
             heights = 0.0  # one image a height: their differences are part of one spread
         found = repeatability(rows.assign(height=heights), "reflectance", group="height")
-        percent = 100 / found.mean
-        ends = {"within_low_percent": found.s_r_low, "within_high_percent": found.s_r_high}
-        numbers = {"within_percent": found.s_r} | ends | {"between_heights_percent": found.s_l}
-        yield {
-            **{"band": band, "target": target, "reflectance": found.mean},
-            **{name: percent * value for name, value in numbers.items()},
-            **{"images": found.n, "heights": found.groups},
-        }
+        spreads = {"within": found.s_r, "within_low": found.s_r_low, "within_high": found.s_r_high}
+        spreads |= {"between_heights": found.s_l}
+        row = {"band": band, "target": target, "reflectance": found.mean}
+        row |= {f"{name}_percent": 100 / found.mean * one for name, one in spreads.items()}
+        yield row | {"images": found.n, "heights": found.groups}
 
 
 def _reflectances(images, targets, options):
     """A row for each target without a known reflectance, in each band of each image."""
-    import numpy as np
-    import pandas as pd
-    from scipy.stats import t
-
-    from mmqa_lab.radiometry import empirical_line
-
+    usual = {"anisotropy": 1.0, "reflectance_std": 0.0, "height_m": np.nan}
     for file, image in images.items():
         shown = _of_image(targets, file)
-        height = shown["height_m"] if "height_m" in shown else np.full(len(shown), np.nan)
-        heights = dict(zip(shown["name"], height, strict=True))
         for number, band in enumerate(image.bands, start=1):
             table = _patches(image, shown, "reflectance", number)
-            for name, other in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
+            for name, other in usual.items():
                 table[name] = shown[name].fillna(other).to_numpy() if name in shown else other
-            clear = table["saturated_share"] == 0
-            references = table[table["known"].notna() & clear]
+            references = table[table["known"].notna() & (table["saturated_share"] == 0)]
             if options.dark_pixel:
                 dark = _dark_reference(image.values[number - 1])
                 references = pd.concat([references, dark], ignore_index=True)
@@ -594,33 +518,23 @@ def _reflectances(images, targets, options):
                     f"Invalid targets of {file}: {len(references)} unsaturated with a known "
                     "reflectance. Must be two or more."
                 )
-            stated = {"std_dn": references["std_error_dn"], "std": references["reflectance_std"]}
-            if not (references["reflectance_std"] > 0).all() and len(references) > 2:
-                stated = {}  # the residuals tell more than the noise of the pixels alone
-            line = empirical_line(
-                references["mean_dn"],
-                references["known"],
-                anisotropy=references["anisotropy"],
-                **stated,
-            )
-            factor = 1.96 if stated else t.ppf(0.975, line.n - 2)
-            for row in table[table["known"].isna()].itertuples():
-                value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
-                reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
-                low, high = references["mean_dn"].min(), references["mean_dn"].max()
-                remarks = {
-                    "saturated": row.saturated_share > 0,
-                    "beyond the reference targets": not low <= row.mean_dn <= high,
-                }
-                value = np.nan if row.saturated_share > 0 else value
-                yield {
-                    "image": Path(file).name,
-                    "band": band,
-                    "target": row.name,
-                    "reflectance": value,
-                    "reflectance_low": value - reach,
-                    "reflectance_high": value + reach,
-                    "references": line.n,
-                    "height_m": heights.get(row.name, float("nan")),
-                    "remark": "; ".join(text for text, true in remarks.items() if true),
-                }
+            known = {"image": Path(file).name, "band": band}
+            yield from (known | row for row in _sought(table, references))
+
+
+def _sought(table, references):
+    """A row for each target whose reflectance follows from those of the references."""
+    stated = {"std_dn": references["std_error_dn"], "std": references["reflectance_std"]}
+    if not (references["reflectance_std"] > 0).all() and len(references) > 2:
+        stated = {}  # the residuals tell more than the noise of the pixels alone
+    dn, known = references["mean_dn"], references["known"]
+    line = radiometry.empirical_line(dn, known, anisotropy=references["anisotropy"], **stated)
+    factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
+    for row in table[table["known"].isna()].itertuples():
+        saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
+        value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
+        value = np.nan if saturated else value
+        reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
+        said = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
+        more = {"references": line.n, "height_m": row.height_m, "remark": "; ".join(said)}
+        yield {"target": row.name} | _interval("reflectance", "", value, reach) | more

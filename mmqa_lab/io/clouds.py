@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_file, check_points, check_positive
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.io.tables import damage_named, first_sentence, text_tables, write_atomically
 
@@ -135,12 +135,10 @@ def iterate_cloud(
     >>> [len(part) for part in iterate_cloud(samples.path("road_patch"), chunk=20_000)]
     [20000, 8185]
     """
-    path = Path(path)
     chunk = check_count(chunk, "chunk")
-    if path.is_dir():
+    if Path(path).is_dir():
         raise IsADirectoryError(f"Invalid cloud {path}: a folder. Must be a file.")
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid cloud {path}: no such file. Must exist.")
+    path = check_file(path, "cloud")
     ending = path.suffix.lower()
     if ending not in CLOUD_ENDINGS:
         listed = ", ".join(CLOUD_ENDINGS)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_crs, check_points
+from mmqa_lab._checks import check_choice, check_crs, check_file, check_points
 from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, read_cloud
 
 GAMMAS = ("srgb", "linear")
@@ -208,9 +208,7 @@ def _is_mosaic(path):
 
 def _checked_path(path):
     """The path of a complete file."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid image {path}: no such file. Must exist.")
+    path = check_file(path, "image")
     if not _is_complete(path):
         raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
     if _is_mosaic(path):
@@ -257,9 +255,7 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
     ...     read_heights(Path(folder) / "levelled.csv").tolist()
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid reference {path}: no such file. Must exist.")
+    path = check_file(path, "reference")
     ending = path.suffix.lower()
     if ending == ".npz":
         points = _from_arrays(path)

@@ -21,7 +21,9 @@ import pandas as pd
 
 from mmqa_lab._checks import (
     check_choice,
+    check_columns,
     check_crs,
+    check_file,
     check_metres,
     coordinate_columns,
 )
@@ -153,24 +155,15 @@ def read_trajectory(
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
     check_choice(time_unit, "time_unit", tuple(seconds))
     check_choice(angle_unit, "angle_unit", ("degrees", "radians"))
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid trajectory {path}: no such file. Must exist.")
-    raw = _read_csv(path, sep=",", skipinitialspace=True)
+    raw = read_table(path, "trajectory")
     lower = {str(name).strip().lower(): name for name in raw.columns}
     found = {}
     for column, names in TRAJECTORY_COLUMNS.items():
         present = next((lower[name] for name in names if name in lower), None)
         if present is not None:
-            found[column] = pd.to_numeric(raw[present], errors="coerce").astype(float)
-        elif column in ("time_s", "easting_m", "northing_m", "height_m"):
-            raise ValueError(f"Invalid trajectory {path}: no column {column!r}. Must have one.")
-    table = pd.DataFrame(found)
-    bad = ~np.isfinite(table).all(axis=1)
-    if bad.any():
-        raise ValueError(
-            f"Invalid trajectory {path}: no finite number in line {bad.idxmax() + 2}. "
-            "Must be numbers throughout."
-        )
+            found[column] = raw[present]
+    check_columns(found, list(TRAJECTORY_COLUMNS)[:4], f"trajectory {path}")
+    table = with_numbers(pd.DataFrame(found), list(found), f"trajectory {path}")
     table["time_s"] *= seconds[time_unit]
     if angle_unit == "radians":
         angles = [column for column in table if column.endswith("_deg")]
@@ -217,9 +210,7 @@ def read_polygon(source: str | os.PathLike) -> np.ndarray | Polygon | MultiPolyg
     text = str(source)
     if ";" in text:
         vertices = _inline(text)
-    elif not Path(source).is_file():
-        raise FileNotFoundError(f"Invalid polygon {text}: no such file. Must exist.")
-    elif Path(source).suffix.lower() in (".json", ".geojson"):
+    elif check_file(source, "polygon").suffix.lower() in (".json", ".geojson"):
         return _from_geojson(Path(source))
     else:
         vertices, _ = next(text_tables(Path(source), 1_000_000))
@@ -326,6 +317,24 @@ def text_tables(path, chunk):
             points = frame[coordinates].apply(pd.to_numeric, errors="raise")
             rest = frame.columns.drop(coordinates)
             yield points.to_numpy(dtype="float64"), {name: frame[name].to_numpy() for name in rest}
+
+
+def read_table(path, name, columns=(), **choices):
+    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
+    table = _read_csv(check_file(path, name), skipinitialspace=True, **choices)
+    check_columns(table, columns, f"{name} {path}")
+    return table
+
+
+def with_numbers(table, columns, name):
+    """Return a table with finite numbers in these columns; a sentence names the first bad line."""
+    check_columns(table, columns, name)
+    found = table[list(columns)].apply(pd.to_numeric, errors="coerce").astype(float)
+    bad = ~np.isfinite(found).all(axis=1)
+    if bad.any():
+        line = bad.idxmax() + 2
+        raise ValueError(f"Invalid {name}: no finite number in line {line}. Must be numbers.")
+    return table.assign(**found)
 
 
 def _read_csv(path, **choices):
@@ -483,9 +492,7 @@ def read_segments(path: str | os.PathLike) -> Segments:
     """
     from mmqa_lab.lines import Segments
 
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid segments {path}: no such file. Must exist.")
+    path = check_file(path, "segments")
     if path.suffix.lower() in SEGMENT_READERS:
         pieces = [
             pair for chain in SEGMENT_READERS[path.suffix.lower()](path) for pair in pairwise(chain)
@@ -495,26 +502,16 @@ def read_segments(path: str | os.PathLike) -> Segments:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"Invalid segments {path}: no text. Must be lines of numbers.") from error
-    rows, numbers, places = [], [], None
-    for number, line in enumerate(lines, start=1):
-        words = _segment_words(line)
-        if not any(words):
-            continue
-        if not rows and places is None and _is_header(words):
-            places = _places(path, words)
-            continue
-        rows.append(_row(path, number, words, places or range(6)))
-        numbers.append(number)
-    if not rows and places is None:
+    # the words of a line without its comment; empty ones between two commas
+    words = (re.split(r"\s*[,;]\s*|\s+", line.split("#")[0].strip()) for line in lines)
+    rows = {number: row for number, row in enumerate(words, start=1) if any(row)}
+    if not rows:
         raise ValueError(f"Invalid segments {path}: empty. Must have a header or lines of numbers.")
-    ends = np.array(rows, dtype=np.float64).reshape(-1, 2, 3)
-    short = np.flatnonzero((ends[:, 0] == ends[:, 1]).all(axis=1))
-    if len(short):
-        raise ValueError(
-            f"Invalid segments {path}: no length in line {numbers[short[0]]}. "
-            "Must have two different ends."
-        )
-    return Segments(ends, name=path.stem)
+    first, places = next(iter(rows)), range(6)
+    if all(_number(word) is None for word in rows[first]):
+        places = _places(path, rows.pop(first))
+    ends = [_ends(path, number, row, places) for number, row in rows.items()]
+    return Segments(np.array(ends).reshape(-1, 2, 3), name=path.stem)
 
 
 def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> None:
@@ -591,11 +588,6 @@ SEGMENT_READERS = {
 }
 
 
-def _segment_words(line):
-    """The words of a line without its comment; empty ones between two commas."""
-    return re.split(r"\s*[,;]\s*|\s+", line.split("#")[0].strip())
-
-
 def _places(path, names):
     """The places of x1 to z2 among a header's names."""
     plain = [name.lower().strip('"') for name in names]
@@ -609,12 +601,7 @@ def _places(path, names):
     return range(6)
 
 
-def _is_header(words):
-    """Whether no word of the first line is a number."""
-    return not any(_number(word) is not None for word in words)
-
-
-def _row(path, number, words, places):
+def _ends(path, number, words, places):
     """The six words as finite numbers, or the sentence that names the line."""
     values = [_number(words[place]) for place in places if place < len(words)]
     if len(values) < 6 or any(value is None or not np.isfinite(value) for value in values):
@@ -622,6 +609,8 @@ def _row(path, number, words, places):
             f"Invalid segments {path}: {' '.join(words)[:60]!r} in line {number}. "
             "Must be six finite numbers x1,y1,z1,x2,y2,z2."
         )
+    if values[:3] == values[3:]:
+        raise ValueError(f"Invalid segments {path}: no length in line {number}. Must have one.")
     return values
 
 

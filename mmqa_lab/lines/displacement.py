@@ -29,7 +29,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from mmqa_lab._checks import check_count, check_positive
+from mmqa_lab._checks import check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import LinePairs, Segments, check_segments, components
 
@@ -427,7 +427,6 @@ def match_displaced(
     model: Segments | ArrayLike,
     *,
     radius: float = 4.0,
-    seed: int = 0,
 ) -> DisplacedMatch:
     """Pair two displaced segment sets by the displacement that brings most of them together.
 
@@ -438,8 +437,6 @@ def match_displaced(
     radius : float
         Largest displacement sought, m. A larger one costs time and admits more false hypotheses.
         Where far more lines come together beyond it, up to four times as far, it is enlarged.
-    seed : int
-        Of the random choice of hypotheses.
 
     Returns
     -------
@@ -475,7 +472,6 @@ def match_displaced(
     """
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
     radius = check_positive(radius, "radius", unit="m")
-    rng = np.random.default_rng(check_count(seed, "seed", low=0))
     reach = _wider(test, model, radius)
     if reach > radius:
         warnings.warn(
@@ -483,7 +479,7 @@ def match_displaced(
             f"it is sought within {reach:.1f} m.",
             stacklevel=2,
         )
-    outcomes = _outcomes(test, model, reach, rng)
+    outcomes = _outcomes(test, model, reach)
     pairs, evidence = _agreed(outcomes) if outcomes else (np.zeros((len(test), len(model))), 0)
     share = pairs.any(axis=1).sum() / max(1, min(pairs.shape))
     if share < CHANCE_SHARE and evidence < CHANCE_EVIDENCE:
@@ -497,8 +493,7 @@ def _wider(test, model, radius):
     lines = _candidates(*few, WIDER * radius)
     if len(lines) < 3:
         return radius
-    rng = np.random.default_rng(0)
-    shifts, scores = _hypotheses(lines, WIDER * radius, WIDE_HYPOTHESES, rng)
+    shifts, scores = _hypotheses(lines, WIDER * radius, WIDE_HYPOTHESES)
     lengths = np.linalg.norm(shifts, axis=1)
     within = scores[lengths <= radius].max(initial=0)
     if scores.max(initial=0) <= CLEARLY_MORE * within + 1:
@@ -506,12 +501,12 @@ def _wider(test, model, radius):
     return max(radius, 1.2 * lengths[scores.argmax()])
 
 
-def _outcomes(test, model, radius, rng):
+def _outcomes(test, model, radius):
     """Refined outcomes of the best hypotheses."""
     lines = _candidates(test, model, radius)
     if len(lines) < 3:
         return []
-    starts = _starts(*_hypotheses(lines, radius, HYPOTHESES, rng))
+    starts = _starts(*_hypotheses(lines, radius, HYPOTHESES))
     return _refined(starts, lines, STEADY) + _refined(starts, lines, DRIFTING)
 
 
@@ -589,12 +584,12 @@ def _candidates(test, model, radius):
     return LinePairs(test, model, *np.nonzero(near))
 
 
-def _hypotheses(lines, radius, most, rng):
+def _hypotheses(lines, radius, most):
     """Displacements of pairs of crossing lines, and how many lines each brings together."""
     seen = lines.observe(np.zeros(3))
     normal = np.einsum("nkd,nke->nde", seen.frame, seen.frame)
     right = np.einsum("nkd,nk->nd", seen.frame, seen.offset)
-    a, b = rng.integers(len(lines), size=(2, 8 * most))
+    a, b = np.random.default_rng(0).integers(len(lines), size=(2, 8 * most))
     crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
     near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
     usable = crossing & near & (lines.rows[a] != lines.rows[b])

@@ -44,6 +44,9 @@ APART_M = 100.0
 PARTS = ("displacement", "position", "direction", "ends", "false pairs", "all")
 """What a distance is made of, and their sum."""
 
+REPEATS, ENDS = 1000, ((1 - 0.95) / 2, (1 + 0.95) / 2)
+"""Of the bootstrap of the distance, and half as many of its parts; quantiles of 95 %."""
+
 FEW_PAIRS = 5
 AGREED_SHARE, WEAK_EVIDENCE = 0.6, 3.5
 """The displaced matcher gives way when it finds less than this share of the pairs that the
@@ -126,7 +129,7 @@ class LHD(Shown):
     Raises
     ------
     ValueError
-        If a weight is negative, or level or repeats of :meth:`interval` are out of range.
+        If a weight is negative.
 
     Examples
     --------
@@ -167,32 +170,21 @@ class LHD(Shown):
         both = self.test_model.perpendicular_only, self.model_test.perpendicular_only
         return float(np.fmax(*both))
 
-    def interval(
-        self, *, level: float = 0.95, repeats: int = 1000, seed: int = 0
-    ) -> tuple[float, float]:
-        """Bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
+    def interval(self, *, seed: int = 0) -> tuple[float, float]:
+        """95 % bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
 
         Says how far the value depends on the segments that happened to be found, not whether the
         pairs are right. NaN below two sources in each direction.
         """
-        level = check_number(level, "level", low=0, high=1)
-        repeats, seed = check_count(repeats, "repeats"), check_count(seed, "seed", low=0)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(check_count(seed, "seed", low=0))
         directions = [self.test_model, self.model_test]
         if any(len(np.unique(direction.source)) < 2 for direction in directions):
             return np.nan, np.nan
-        values = np.max([d.resampled(self.weight, repeats, rng) for d in directions], axis=0)
-        low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
+        values = np.max([d.resampled(self.weight, REPEATS, rng) for d in directions], axis=0)
+        low, high = np.quantile(values, ENDS)
         return float(low), float(high)
 
-    def split(
-        self,
-        *,
-        truth: ArrayLike | None = None,
-        level: float = 0.95,
-        repeats: int = 500,
-        seed: int = 0,
-    ) -> pd.DataFrame:
+    def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
 
         The parts of the larger direction add up to its distance. *displacement*: mean of what the
@@ -200,23 +192,22 @@ class LHD(Shown):
         *direction*: what their perpendicular distance exceeds that by, and what the angle adds,
         both of the extraction of edges. *ends*: what the parallel distance adds. *false pairs*:
         what the pairs do that are none of ``truth`` (bool, (p, q); by default the pairs that agree
-        on one displacement, of :func:`match_displaced`). Intervals by bootstrap of the source
+        on one displacement, of :func:`match_displaced`). 95 % intervals by bootstrap of the source
         segments, with the covariance of the displacement. NaN where it is unknown.
         """
-        level = check_number(level, "level", low=0, high=1)
-        rng = np.random.default_rng(check_count(seed, "seed", low=0))
         truth = match_displaced(self.test, self.model).pairs if truth is None else truth
         first = self.test_model.olhd(self.weight) == self.value
         side = self.test_model if first else self.model_test
-        columns = self._parts(side, np.asarray(truth), rng, check_count(repeats, "repeats"))
+        columns = self._parts(side, np.asarray(truth))
         if columns is None:
             columns = np.full((1, len(PARTS)), np.nan)
-        low, high = np.quantile(columns, [(1 - level) / 2, (1 + level) / 2], axis=0)
+        low, high = np.quantile(columns, ENDS, axis=0)
         found = {"part": PARTS, "value_m": columns[0], "low_m": low, "high_m": high}
         return pd.DataFrame(found)
 
-    def _parts(self, side, truth, rng, repeats):
+    def _parts(self, side, truth):
         """The parts in columns: measured in the first row, then resampled ones."""
+        rng, repeats = np.random.default_rng(0), REPEATS // 2
         rows, columns = np.nonzero(side.pairs)
         right = truth[rows, columns]
         moved = across_pairs(self.test, self.model, side.pairs & truth)

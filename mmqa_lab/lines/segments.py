@@ -32,7 +32,7 @@ from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.planes.regression import across
+from mmqa_lab.planes import across
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -627,7 +627,7 @@ def _started(count, scheduler):
     """
     count = check_count(os.cpu_count() if count is None else count, "workers")
     if scheduler is None and count == 1:
-        yield _here
+        yield lambda function, tasks: ((task, function(*task)) for task in tasks)
         return
     import dask
     from distributed import Client, LocalCluster
@@ -643,12 +643,6 @@ def _started(count, scheduler):
         except (OSError, ValueError) as error:
             raise OSError(f"Invalid scheduler {scheduler}. Must be a running one.") from error
         yield lambda function, tasks: _there(client, function, tasks)
-
-
-def _here(function, tasks):
-    """One task after the other."""
-    for task in tasks:
-        yield task, function(*task)
 
 
 def _there(client, function, tasks):

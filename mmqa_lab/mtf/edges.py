@@ -14,10 +14,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import expit, j1, ndtr
 
-from mmqa_lab._checks import check_choice, check_count
+from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
 from mmqa_lab.io.images import check_image
 
@@ -150,7 +152,7 @@ class EdgeResponse(Shown):
         return ax
 
 
-def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -> EdgeResponse:
+def fit_edge(image: ArrayLike, *, method: str = "isogaussian") -> EdgeResponse:
     """Measure the resolution of an image that shows one straight edge.
 
     Parameters
@@ -163,8 +165,6 @@ def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -
         square pixel; the plain logistic function 1 / (1 + exp(-d / w)), whose line spread function
         has longer tails; or that of a Gaussian, a defocused disc and a lens limited by diffraction
         which fits best, for edges with little ground beside them, where tails are not seen.
-    order : int
-        Degree of the polynomial along the edge: 2 for edges bent by distortion.
 
     Returns
     -------
@@ -203,16 +203,15 @@ def fit_edge(image: ArrayLike, *, method: str = "isogaussian", order: int = 1) -
     """
     check_choice(method, "method", METHODS)
     image = check_image(image)
-    order = check_count(order, "order")
     if min(image.shape) < 10:
         raise ValueError(f"Invalid edge of {image.shape} pixels. Must be 10 x 10 or larger.")
     image = _rising(image)
-    place, rows, columns = _edge_line(image, order)
-    angle = np.arctan(np.polyval(np.polyder(place), 0.0))
+    place, rows, columns = _edge_line(image)
+    angle = np.arctan(place[0])
     distance = (columns[None, :] - np.polyval(place, rows)[:, None]) * np.cos(angle)
     along = np.broadcast_to((rows / np.abs(rows).max())[:, None], image.shape)
     pixels = distance.ravel(), along.ravel(), image.ravel()
-    return fit_pixels(*pixels, angle, order=order, method=method)
+    return fit_pixels(*pixels, angle, method=method)
 
 
 def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="isogaussian"):
@@ -374,18 +373,14 @@ def crossing(frequencies, mtf, level):
 
 def _rising(image):
     """The image turned so that its rows cross the edge from dark to bright."""
-    import cv2
-
     by_row, by_column = np.gradient(cv2.GaussianBlur(image, (0, 0), 1.5))
     if (by_row**2).sum() > (by_column**2).sum():
         image = image.T
     return image[:, ::-1] if image[:, -3:].mean() < image[:, :3].mean() else image
 
 
-def _edge_line(image, order):
-    """Polynomial column(row) of the edge, both counted from the middle, and those coordinates."""
-    import cv2
-
+def _edge_line(image):
+    """Line column(row) of the edge, both counted from the middle, and those coordinates."""
     rows = np.arange(image.shape[0]) - (image.shape[0] - 1) / 2
     columns = np.arange(image.shape[1]) - (image.shape[1] - 1) / 2
     smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
@@ -397,10 +392,10 @@ def _edge_line(image, order):
         weight = slope * np.clip(1 - (gap / reach) ** 2, 0, None)
         total = weight.sum(axis=1)
         clear = total > 0.2 * np.median(total)
-        if clear.sum() < max(5, order + 2) or not total.max() > 0:
+        if clear.sum() < 5 or not total.max() > 0:
             raise ValueError("Invalid image: no edge from side to side. Must show one.")
         centre = (weight @ between)[clear] / total[clear]
-        line = np.polyfit(rows[clear], centre, order)
+        line = np.polyfit(rows[clear], centre, 1)
     return line, rows, columns
 
 
@@ -431,8 +426,6 @@ def _single_width(model, distance, along, values, order):
 
 def _disc(x):
     """Transfer of a defocused lens at cycles per radius."""
-    from scipy.special import j1
-
     turn = 2 * np.pi * np.maximum(x, 1e-9)
     return 2 * j1(turn) / turn
 
@@ -482,8 +475,6 @@ class _Model:
     def edge(self, distance, width):
         """One edge as a pixel sees it."""
         if self.shape == "logistic":
-            from scipy.special import expit
-
             return expit(distance / width)
         if self.shape == "gaussian":
             return spread_edge(distance, width, self.angle)
@@ -687,15 +678,11 @@ def _remark(mtf50, binned50, angle, mtf, unfit):
 
 def _integral(x, sigma):
     """The first antiderivative of the normal distribution function."""
-    from scipy.special import ndtr
-
     z = x / sigma
     return sigma * (z * ndtr(z) + np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))
 
 
 def _double_integral(x, sigma):
     """The second antiderivative of the normal distribution function."""
-    from scipy.special import ndtr
-
     z = x / sigma
     return sigma**2 / 2 * ((z**2 + 1) * ndtr(z) + z * np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))

@@ -1,17 +1,27 @@
-"""Planes: the regression plane of points, their dispersion, and the planes of whole clouds."""
+"""Planes, lines and circles fitted to points, their dispersion, and the planes of whole clouds.
 
-from mmqa_lab.planes.regression import (
-    CONSISTENT_SCALE,
-    PAPER_SCALE,
-    TUKEY,
-    Plane,
-    fit_circle,
-    fit_line,
-    fit_plane,
-    flat_points,
-    sigma_mad,
-    turned_axes,
+Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the plane of a chart is
+the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import (
+    check_number,
+    check_points,
+    check_positive,
+    coordinate_columns,
+    is_table,
 )
+from mmqa_lab._results import Shown
+from mmqa_lab.cloud import Cloud
 
 __all__ = [
     "CONSISTENT_SCALE",
@@ -27,6 +37,472 @@ __all__ = [
     "turned_axes",
 ]
 __dir__ = __all__.copy
+
+CONSISTENT_SCALE = 1.482602218505602
+"""1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""
+
+PAPER_SCALE = 1.4862
+"""The factor in the code of Pfeifer et al. 2021, Appendix A (two digits changed places)."""
+
+CLEARLY = 5.0
+"""Log of the likelihood ratio by which a circle must fit better than one on the other side."""
+
+TUKEY = 4.685
+"""Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
+
+FAR = 0.01
+"""Distances from a circle beyond this weigh less, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane(Shown):
+    """A fitted plane and the points' distances from it.
+
+    Parameters
+    ----------
+    centre : array, shape (3,)
+        A point of the plane: the (weighted) mean of the points, m.
+    normal : array, shape (3,)
+        Unit normal, its largest component positive.
+    axes : array, shape (2, 3)
+        Unit principal axes in the plane, the longer extent first; right-handed with the normal.
+    residuals : array, shape (n,)
+        Signed orthogonal distances of all given points, m.
+
+    Examples
+    --------
+    >>> plane = fit_plane([[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]])
+    >>> plane.normal.tolist(), plane.distances([[1, 1, 3]]).tolist(), plane.rms
+    ([0.0, 0.0, 1.0], [2.0], 0.0)
+    """
+
+    centre: np.ndarray
+    normal: np.ndarray
+    axes: np.ndarray
+    residuals: np.ndarray
+
+    _metres = ("centre", "rms", "std")
+    _derived = ("n", "rms", "std")
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.residuals)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, m."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the residuals, n - 1 in the denominator as in the paper, m."""
+        return float(np.std(self.residuals, ddof=1))
+
+    def project(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
+        """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
+        return (_array(points) - self.centre) @ self.axes.T
+
+    def distances(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
+        """Signed orthogonal distances of any points, shape (n,), m."""
+        return (_array(points) - self.centre) @ self.normal
+
+    def horizontal_axes(self) -> np.ndarray:
+        """Return axes (2, 3) in the plane: the horizontal one, then the line of greatest slope.
+
+        Raises
+        ------
+        ValueError
+            If the plane is horizontal to within 0.1 degree: no direction in it is more level
+            than another.
+        """
+        level = np.cross([0.0, 0.0, 1.0], self.normal)
+        slope = np.linalg.norm(level)
+        if slope < np.sin(np.radians(0.1)):
+            raise ValueError(
+                f"Invalid plane, tilted by {np.degrees(np.arcsin(slope)):.3f} degrees. "
+                "Must be 0.1 degrees or more for horizontal axes."
+            )
+        level /= slope
+        return np.array([level, np.cross(self.normal, level)])
+
+
+def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
+    """Fit the orthogonal regression plane.
+
+    The normal is the eigenvector of the smallest eigenvalue of the centred scatter matrix, the axes
+    are the other two. The robust fit repeats it with Tukey's biweights of the residuals,
+    scaled by their sigma_MAD, until the weights stand still.
+
+    Parameters
+    ----------
+    points : Cloud, array_like of shape (n, 3), DataFrame or path
+        Metres, n >= 3, not on one line.
+    robust : bool
+        Weigh down points off the plane. The residuals of all points are returned all the same.
+
+    Returns
+    -------
+    Plane
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or they lie on a line or a spot.
+
+    Notes
+    -----
+    Principal axes follow the outline of the selection, not the scan: nearly square selections have
+    axes that turn by chance.
+
+    References
+    ----------
+    Pfeifer et al. 2021, Appendix A. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> plane = fit_plane([[0, 0, 1], [2, 0, 1], [2, 1, 1], [0, 1, 1]])
+    >>> plane.normal.tolist(), plane.rms
+    ([0.0, 0.0, 1.0], 0.0)
+    """
+    points = check_points(points, minimum=3)
+    origin, centre, (normal, _, first) = _principal_axes(points, robust)
+    axes = np.array([first, np.cross(normal, first)])
+    return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
+
+
+def flat_points(
+    points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike, *, minimum: int = 1
+) -> np.ndarray:
+    """Return coordinates in a plane: given ones, or points laid onto their regression plane.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2), or points
+        Coordinates in a plane; or points in space (Cloud, array (n, 3), DataFrame, path).
+    minimum : int
+        Fewest points.
+
+    Returns
+    -------
+    array, shape (n, 2)
+        Metres. Points in space count from their mean along the principal axes of their plane.
+
+    Raises
+    ------
+    ValueError
+        If there are too few points, one is not finite, or points in space lie on a line.
+
+    Examples
+    --------
+    >>> flat_points([[3, 4]]).tolist()
+    [[3.0, 4.0]]
+    >>> flat_points([[0, 5, 0], [4, 5, 0], [0, 5, 2], [4, 5, 2]]).round(6).tolist()
+    [[-2.0, 1.0], [2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
+    """
+    if not _in_space(points):
+        return check_points(points, name="xy", columns=2, minimum=minimum)
+    points = check_points(points, name="xy", minimum=minimum)
+    return fit_plane(points).project(points)
+
+
+def _array(points):
+    """Points of any kind as an array of any number of axes."""
+    named = is_table(points) or isinstance(points, str | os.PathLike)
+    return np.asarray(check_points(points, minimum=0) if named else points, dtype=np.float64)
+
+
+def _in_space(points):
+    """Whether points have three coordinates rather than two."""
+    if is_table(points):
+        return len(coordinate_columns(points.columns)) == 3
+    return isinstance(points, str | os.PathLike) or np.shape(points)[1:] == (3,)
+
+
+@dataclass(frozen=True, eq=False)
+class Line(Shown):
+    """A fitted straight line in plan and the points' distances from it.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        A point of the line: the (weighted) mean of the points, m.
+    direction : array, shape (2,)
+        Unit vector along the line.
+    """
+
+    centre: np.ndarray
+    direction: np.ndarray
+
+    _metres = ("centre",)
+
+    def distances(self, points: ArrayLike) -> np.ndarray:
+        """Signed orthogonal distances of any points, shape (n,), left of the direction positive."""
+        normal = np.array([-self.direction[1], self.direction[0]])
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
+
+
+def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
+    """Fit the orthogonal regression line to points in plan, as ``fit_plane`` fits planes.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 2, not on one spot.
+    robust : bool
+        Weigh down points off the line (Tukey).
+
+    Returns
+    -------
+    Line
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or all lie on one spot.
+
+    Examples
+    --------
+    >>> line = fit_line([[0, 0], [3, 4], [6, 8]])
+    >>> line.direction.round(9).tolist(), line.distances([[-4, 3]]).round(9).tolist()
+    ([0.6, 0.8], [5.0])
+    """
+    points = check_points(points, columns=2, minimum=2)
+    origin, centre, (_, direction) = _principal_axes(points, robust)
+    return Line(origin + centre, direction)
+
+
+def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
+    """Robust standard deviation: scale x median(|r - median r|).
+
+    Parameters
+    ----------
+    residuals : array_like, shape (n,)
+        In any unit, finite, n >= 1.
+    scale : float
+        ``CONSISTENT_SCALE`` = 1.4826 (default) equals the standard deviation for normal
+        residuals; ``PAPER_SCALE`` = 1.4862 is what the paper's code multiplies by.
+
+    Returns
+    -------
+    float
+        In the unit of the residuals.
+
+    Raises
+    ------
+    ValueError
+        If there are no residuals, one is not finite, or the scale is not above zero.
+
+    Notes
+    -----
+    The paper's factor makes every precision 0.24 % larger; use it to reproduce Table 2 and the
+    other for anything new. Coordinates rounded to a grid make sigma_MAD jump in steps of the grid.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3 (recommended, no formula) and Appendix A (the code).
+    doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> round(sigma_mad([-2, -1, 0, 1, 2]), 4)
+    1.4826
+    """
+    residuals = np.asarray(residuals, dtype=np.float64)
+    if residuals.ndim != 1 or not len(residuals) or not np.isfinite(residuals).all():
+        raise ValueError(
+            f"Invalid residuals of shape {residuals.shape}. Must be a row of finite numbers."
+        )
+    scale = check_positive(scale, "scale")
+    return float(scale * np.median(np.abs(residuals - np.median(residuals))))
+
+
+def turned_axes(axes: ArrayLike, angle: float) -> np.ndarray:
+    """Return in-plane ``axes`` (2, 3) turned by ``angle`` degrees from the first to the second.
+
+    Parameters
+    ----------
+    axes : array_like, shape (2, 3)
+        Unit vectors at a right angle.
+    angle : float
+        Degrees.
+
+    Returns
+    -------
+    array, shape (2, 3)
+
+    Raises
+    ------
+    ValueError
+        If the angle is not finite.
+
+    Examples
+    --------
+    >>> turned_axes([[1, 0, 0], [0, 1, 0]], 90).round(9).tolist()
+    [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    """
+    turn = np.radians(check_number(angle, "angle", unit="degrees"))
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, s], [-s, c]]) @ np.asarray(axes, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Circle(Shown):
+    """A circle fitted to points in plan.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        m.
+    radius : float
+        m; as given where it was.
+    covariance : array, shape (2, 2)
+        Of the centre, m^2; NaN where the arc leaves it open. With a free diameter the centre of an
+        arc is far less sure along the line of sight than across it.
+    """
+
+    centre: np.ndarray
+    radius: float
+    covariance: np.ndarray
+
+    _metres = ("centre", "radius", "std")
+    _derived = ("std",)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of a coordinate of the centre, mean of all directions, m."""
+        return float(np.sqrt(np.trace(self.covariance) / 2))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row; the ends of the 95 % intervals are 1.96 standard deviations away."""
+        frame = super().to_frame()
+        half = 1.96 * np.sqrt(np.diag(self.covariance))
+        for axis, middle, reach in zip("xy", self.centre, half, strict=True):
+            frame[f"{axis}_low_m"], frame[f"{axis}_high_m"] = middle - reach, middle + reach
+        return frame
+
+
+def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
+    """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 3.
+    diameter : float, optional
+        Where it is known, m. Points of a pole cover less than half of the circle: with a free
+        diameter centre and radius trade off along the line of sight.
+
+    Returns
+    -------
+    Circle
+        The best one from seven starts: the algebraic circle, and circles beside the points. Its
+        covariance is unknown where another one, on the other side of the points, fits as well.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the diameter is not positive.
+
+    Examples
+    --------
+    >>> turn = np.linspace(0, 2, 20)
+    >>> arc = 5 + 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
+    ([5.0, 5.0], 0.1)
+    """
+    from scipy.optimize import least_squares
+
+    points = check_points(points, columns=2, minimum=3)
+    origin = np.median(points, axis=0)
+    xy = points - origin
+    x, y, algebraic = algebraic_circle(xy)
+    free = diameter is None
+    radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
+    turn = np.arange(0, 2 * np.pi, np.pi / 3)
+    around = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    def misfit(p):
+        """Distances from the circle."""
+        return np.hypot(*(xy - p[:2]).T) - (np.exp(p[2]) if free else radius)
+
+    def jacobian(p):
+        """Derivatives of the distances."""
+        off = p[:2] - xy
+        away = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
+        return np.column_stack([away, np.full(len(xy), -np.exp(p[2]))]) if free else away
+
+    choices = {"jac": jacobian, "loss": "cauchy", "f_scale": FAR}
+    fits = [
+        least_squares(misfit, [*start, np.log(radius)][: 2 + free], **choices)
+        for start in [(x, y), *around]
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    normal, freedom = best.jac.T @ best.jac, len(xy) - len(best.x)
+    covariance = np.full((2, 2), np.nan)
+    apart = np.exp(best.x[2]) / 2 if free else radius / 2
+    rivals = [fit.cost for fit in fits if np.hypot(*(fit.x - best.x)[:2]) > apart]
+    worse = min(rivals, default=np.inf) - best.cost
+    if np.linalg.cond(normal) < 1e10 and freedom > 0 and worse * freedom > CLEARLY * 2 * best.cost:
+        pulls = jacobian(best.x) * (best.fun / (1 + (best.fun / FAR) ** 2))[:, None]
+        effects = np.linalg.solve(normal, pulls.T)[:2]
+        covariance = len(xy) / freedom * effects @ effects.T
+    return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), covariance)
+
+
+def algebraic_circle(xy):
+    """Centre x, centre y and radius of the circle with the least algebraic distance."""
+    design = np.column_stack([xy, np.ones(len(xy))])
+    (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
+    return a / 2, b / 2, np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
+
+
+def _principal_axes(points, robust):
+    """Mean, weighted centre from there, and directions by extent, largest component positive."""
+    origin = points.mean(axis=0)
+    local = points - origin
+    centre, vectors = _principal(local, np.ones(len(local)))
+    if robust:
+        centre, vectors = _reweighted(local, centre, vectors)
+    signs = np.sign(vectors[np.arange(len(vectors)), np.abs(vectors).argmax(axis=1)])
+    return origin, centre, vectors * signs[:, None]
+
+
+def _principal(local, weights):
+    """Weighted centre and the principal directions as rows, smallest extent first."""
+    centre = weights @ local / weights.sum()
+    centred = local - centre
+    scatter = (centred * weights[:, None]).T @ centred
+    values, vectors = np.linalg.eigh(scatter)
+    if values[1] <= 1e-12 * values[-1] or values[-1] <= 0:
+        shape = "line or spot. Must span a plane" if len(values) == 3 else "spot. Must span a line"
+        raise ValueError(f"Invalid points: {len(local)} of them on one {shape}.")
+    return centre, vectors.T
+
+
+def _reweighted(local, centre, vectors):
+    """Tukey-weighted plane, from a start that outliers may have turned."""
+    previous = np.ones(len(local))
+    for _ in range(50):
+        residuals = (local - centre) @ vectors[0]
+        sigma = sigma_mad(residuals)
+        if sigma == 0:
+            break
+        u = (residuals - np.median(residuals)) / (TUKEY * sigma)
+        weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+        if np.abs(weights - previous).max() < 1e-6:
+            break
+        centre, vectors = _principal(local, weights)
+        previous = weights
+    return centre, vectors
+
+
+def across(axes):
+    """Two unit vectors across each of n unit vectors and square to each other, shape (n, 2, 3)."""
+    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axes, first)], axis=1)
 
 
 def __getattr__(name):

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from scipy.special import lambertw
 
 from mmqa_lab._checks import check_count, check_points, check_positive
-from mmqa_lab.planes.regression import Plane, fit_plane
+from mmqa_lab.cloud import sort_into_cells
+from mmqa_lab.planes import Plane, fit_plane
 
 CELLS_PER_SIZE = 4
 """Cells of the grid along the smallest plane: points hang together across one of them."""
@@ -224,24 +225,11 @@ class Grid:
 
     def __init__(self, points, edge):
         self.edge = edge
-        origin = points.mean(axis=0)
-        low = points.min(axis=0) - origin
-        shape = np.floor((points.max(axis=0) - origin - low) / edge) + 8
-        if shape.prod() > 2.0**62:
-            raise ValueError(
-                f"Invalid cloud of {shape.max() * edge:.3g} m in cells of {edge:g} m. "
-                "Must be smaller, or have a larger size."
-            )
-        self.shape = shape.astype(np.int64)
-        keys = np.zeros(len(points), dtype=np.int64)
-        for axis in range(3):
-            along = ((points[:, axis] - origin[axis] - low[axis]) / edge).astype(np.int64) + 3
-            keys = keys * self.shape[axis] + along
-        self.order = np.argsort(keys, kind="stable")
-        keys = keys[self.order]
-        first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-        self.keys, self.start = keys[first], np.r_[first, len(keys)]
-        self.points = points[self.order] - origin
+        points = points - points.mean(axis=0)
+        self.order, self.start, places = sort_into_cells(points - points.min(axis=0), edge)
+        self.shape = places.max(axis=0) + 8
+        self.keys = np.ravel_multi_index((places + 3).T, self.shape)
+        self.points = points[self.order]
 
     @property
     def layout(self):
@@ -341,17 +329,14 @@ def _distance(points, p, centre, normal):
 @numba.njit(cache=True)
 def _add(moments, points, p, origin):
     """Add a point to count, sums and products (10 numbers) about an origin."""
-    x, y, z = points[p, 0] - origin[0], points[p, 1] - origin[1], points[p, 2] - origin[2]
     moments[0] += 1
-    moments[1] += x
-    moments[2] += y
-    moments[3] += z
-    moments[4] += x * x
-    moments[5] += x * y
-    moments[6] += x * z
-    moments[7] += y * y
-    moments[8] += y * z
-    moments[9] += z * z
+    k = 4
+    for i in range(3):
+        along = points[p, i] - origin[i]
+        moments[1 + i] += along
+        for j in range(i, 3):
+            moments[k] += along * (points[p, j] - origin[j])
+            k += 1
 
 
 @numba.njit(cache=True)

@@ -119,7 +119,7 @@ def detect(
     check_choice(method, "method", METHODS)
     if model is not None:
         check_choice(method, "method with a model", ("ours",))
-    from mmqa_lab.poles.profiles import scan_lines
+    from mmqa_lab.poles.on_lines import scan_lines
 
     cloud = as_cloud(points)
     inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
@@ -148,16 +148,11 @@ def detect(
 
 def _search(points, lines, method, settings, choices):
     """The poles of points near the origin, with their attributes."""
-    from mmqa_lab.poles.attributes import with_attributes
+    from mmqa_lab.poles.ours import with_attributes
 
-    module = import_module(f"mmqa_lab.poles.{method}")
-    if method == "fgi":
-        found = module.detect(points, *lines, settings, **choices)
-    elif method == "itc":
-        found = module.detect(points, settings, **choices)
-    else:
-        found = module.detect(points, settings, lines=lines, **choices)
-    return with_attributes(points, found, lines)
+    choices |= {} if method == "itc" else {"lines": lines}
+    detect_with = import_module(f"mmqa_lab.poles.{method}").detect
+    return with_attributes(points, detect_with(points, settings, **choices), lines)
 
 
 def _in_tiles(points, lines, side, search):

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab.cloud import sort_into_cells
-from mmqa_lab.planes.regression import algebraic_circle
+from mmqa_lab.planes import algebraic_circle
 
 ROW_M = 0.5
 
@@ -131,7 +131,7 @@ class Ground(NamedTuple):
         return _above(points, *self)
 
 
-def fit_ground(points, cell=GROUND_CELL_M):
+def fit_ground(points):
     """Return the ``Ground`` under points.
 
     The lowest point of each cell is the ground, unless it lies more than 0.5 m above what a
@@ -143,8 +143,6 @@ def fit_ground(points, cell=GROUND_CELL_M):
     ----------
     points : array, shape (n, 3)
         Metres; one or more.
-    cell : float
-        Metres.
 
     Examples
     --------
@@ -154,6 +152,7 @@ def fit_ground(points, cell=GROUND_CELL_M):
     [3.0]
     """
     low, high = (np.array([end(axis) for axis in points[:, :2].T]) for end in (np.min, np.max))
+    cell = GROUND_CELL_M
     low = np.floor(low / cell) * cell
     shape = tuple(((high - low) / cell).astype(np.int64)[::-1] + 1)
     return Ground(_opened(_without_strays(*_lowest(points, low, cell, shape))), low, cell)
@@ -354,12 +353,15 @@ def _width(off):
     return np.ptp(off @ wide) * (len(off) + 1) / (len(off) - 1)
 
 
-def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, largest=1.0):
+CIRCLE_SLICE_M, WIDEST_CIRCLE_M = 0.5, 1.0
+
+
+def circle_diameter(points, axis_direction, line=None):
     """Return the median diameter of circles fitted to slices across an axis.
 
     Each slice gets an algebraic circle (Pratt's normalisation is not needed where noise is small
-    against the radius); slices with fewer than five points or a circle wider than ``largest``
-    metres are left out; scan lines do not matter.
+    against the radius); slices with fewer than five points or a circle wider than 1 m
+    are left out; scan lines do not matter.
 
     Returns
     -------
@@ -379,11 +381,12 @@ def circle_diameter(points, axis_direction, line=None, *, slice_length=0.5, larg
     u /= np.linalg.norm(u)
     plan = centred @ np.stack([u, np.cross(axis_direction, u)], axis=1)
     found = []
-    for number in np.unique(np.floor(along / slice_length)):
-        part = plan[np.floor(along / slice_length) == number]
+    level = np.floor(along / CIRCLE_SLICE_M)
+    for number in np.unique(level):
+        part = plan[level == number]
         if len(part) >= 5:
             found.append(2 * algebraic_circle(part)[2])
-    found = np.array([d for d in found if np.isfinite(d) and d <= largest])
+    found = np.array([d for d in found if np.isfinite(d) and d <= WIDEST_CIRCLE_M])
     return float(np.median(found)) if len(found) else np.nan
 
 
@@ -431,18 +434,15 @@ def pole_table(rows, method, *, explain=False):
     return frame.sort_values(["y_m", "x_m"], ignore_index=True)[columns]
 
 
-def axis_rows(low, lean, height, score, reason):
-    """Return the rows of straight axes: ``low`` (k, 3) lower ends, ``lean`` (k, 2), m/m."""
-    middle = low[:, :2] + lean * height[:, None] / 2
+def axis_rows(middle, low, lean, height):
+    """Return the rows of straight axes: ``middle`` (k, 2), ``low`` (k,) ends, ``lean`` (k, 2)."""
     return {
         "x_m": middle[:, 0],
         "y_m": middle[:, 1],
-        "z_base_m": low[:, 2],
+        "z_base_m": low,
         "height_m": height,
         "lean_x": lean[:, 0],
         "lean_y": lean[:, 1],
-        "score": score,
-        "rejected_by": reason,
     }
 
 

@@ -18,20 +18,8 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.common import (
-    axis_rows,
-    circle_diameter,
-    drop_duplicates,
-    extremes,
-    first_reason,
-    joined,
-    moments,
-    near_axis,
-    pole_table,
-    rows,
-    shaft_diameter,
-)
-from mmqa_lab.poles.profiles import pulse_numbers
+from mmqa_lab.poles import common
+from mmqa_lab.poles.on_lines import pulse_numbers
 
 BIN_M = 0.1
 """Resolution along the axis at which the mask counts points."""
@@ -111,16 +99,16 @@ class Settings:
     circle_fit: bool = False
 
 
-def detect(points, line, place, settings, *, explain=False):
+def detect(points, settings, *, lines, explain=False):
     """Return the poles of an ordered cloud.
 
     Parameters
     ----------
     points : array, shape (n, 3)
         Metres from an origin nearby.
-    line, place : array, shape (n,)
-        Scan line, and place along it (pulses or times).
     settings : Settings
+    lines : pair of array, shape (n,)
+        Scan line, and place along it (pulses or times).
     explain : bool
         Return all candidates with the test that rejected them.
 
@@ -129,9 +117,9 @@ def detect(points, line, place, settings, *, explain=False):
     DataFrame
         See :func:`mmqa_lab.poles.detect`.
     """
-    order = np.lexsort([place, line])
-    points, line = points[order], line[order]
-    group, groups = segment_lines(points, line, pulse_numbers(line, place[order]), settings)
+    order = np.lexsort(lines[::-1])
+    points, line, place = points[order], lines[0][order], lines[1][order]
+    group, groups = segment_lines(points, line, pulse_numbers(line, place), settings)
     cluster = np.append(_clusters(groups, settings), -1)
     member = cluster[group]  # -1, no group, takes the last: no cluster
     member = _merged(points, member, settings)
@@ -178,26 +166,21 @@ def _clusters(groups, settings):
     distance = np.hypot(*(groups["centre"][a, :2] - groups["centre"][b, :2]).T)
     half = groups["half"][a] + groups["half"][b]
     linked = (groups["line"][a] != groups["line"][b]) & (distance <= half + settings.overlap)
-    return joined(a[linked], b[linked], n)
+    return common.joined(a[linked], b[linked], n)
 
 
 def _features(points, line, member):
     """Axis, length, eigenvalue ratio and sweeps of each cluster, and its radius about the axis."""
-    if not len(points):
-        empty = np.empty(0)
-        names = ("length", "low", "ratio", "sweeps", "radius")
-        vectors = {"centre": np.empty((0, 3)), "direction": np.empty((0, 3))}
-        return vectors | dict.fromkeys(names, empty)
-    n = member.max() + 1
-    count, centre, covariance = moments(points, member, n)
+    n = member.max(initial=-1) + 1
+    count, centre, covariance = common.moments(points, member, n)
     values, vectors = np.linalg.eigh(covariance)
     direction = vectors[:, :, 2] * np.where(vectors[:, 2, 2] < 0, -1.0, 1.0)[:, None]
     off = points - centre[member]
     along = np.einsum("ij,ij->i", off, direction[member])
-    low, high = extremes(along, member, n)
+    low, high = common.extremes(along, member, n)
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
     spread = np.bincount(member, across) / count
-    _, radius = extremes(np.where(across <= 3 * spread[member], across, 0), member, n)
+    _, radius = common.extremes(np.where(across <= 3 * spread[member], across, 0), member, n)
     seen = np.unique(np.stack([member, line]), axis=1)[0]
     return {
         "centre": centre,
@@ -216,8 +199,8 @@ def _merged(points, member, settings):
     if not len(kept):
         return member
     n = member.max() + 1
-    count, centre, covariance = moments(points[kept], member[kept], n)
-    low, high = extremes(points[kept, 2], member[kept], n)
+    count, centre, covariance = common.moments(points[kept], member[kept], n)
+    low, high = common.extremes(points[kept, 2], member[kept], n)
     direction = np.linalg.eigh(covariance)[1][:, :, 2]
     direction *= np.where(direction[:, 2] < 0, -1.0, 1.0)[:, None]
     tall = np.flatnonzero(high - low >= 2 * BIN_M)
@@ -226,7 +209,7 @@ def _merged(points, member, settings):
     a, b = tall[pairs[:, 0]], tall[pairs[:, 1]]
     gap = np.maximum(low[a], low[b]) - np.minimum(high[a], high[b])
     linked = _coaxial(centre, direction, high - low, a, b, settings) & (gap <= settings.merge_gap)
-    part = joined(a[linked], b[linked], len(count))
+    part = common.joined(a[linked], b[linked], len(count))
     result = np.full(len(member), -1)
     use = (high - low >= 2 * BIN_M)[member[kept]]
     result[kept[use]] = np.unique(part[member[kept[use]]], return_inverse=True)[1]
@@ -251,7 +234,7 @@ def _mask_counts(points, start, first, centre, direction, reach, radius, shell, 
     n_bins = len(inner)
     slope = np.sqrt(direction[0] ** 2 + direction[1] ** 2) / max(direction[2], 0.1)
     plan = radius + shell + slope * max(abs(reach), abs(reach + n_bins * BIN_M))
-    near = near_axis(points, start, first, centre[0], centre[1], plan)
+    near = common.near_axis(points, start, first, centre[0], centre[1], plan)
     for i in near:
         x = points[i, 0] - centre[0]
         y = points[i, 1] - centre[1]
@@ -302,7 +285,7 @@ def _mask_as_worded(sorted_points, own, line, axis, settings):
     along, across = _about(own, centre, direction)
     slope = np.hypot(*direction[:2]) / max(direction[2], 0.1)
     reach = across.max() + settings.shell + slope * np.abs(along).max()
-    near = sorted_points[0][near_axis(*sorted_points[:3], *centre[:2], reach)]
+    near = sorted_points[0][common.near_axis(*sorted_points[:3], *centre[:2], reach)]
     near_along, near_across = _about(near, centre, direction)
     length = min(settings.mask_length, settings.minimum_length)
     accepted, shares = np.zeros(len(own), dtype=bool), []
@@ -341,10 +324,10 @@ def _judged(everything, points, line, member, found, settings, explain):
         "elongation": found["ratio"] < settings.elongation,
         "width": (found["radius"] > settings.maximum_radius) & (not settings.as_worded),
     }
-    reason = first_reason(n, **failed)
+    reason = common.first_reason(n, **failed)
     stretch = np.column_stack([found["low"], found["low"] + found["length"]])
     share = np.zeros(n)
-    sorted_points = rows(everything) if (reason == "").any() else None
+    sorted_points = common.rows(everything) if (reason == "").any() else None
     for k in np.flatnonzero(reason == ""):
         if settings.as_worded:
             own, axis = member == k, (found["centre"][k], found["direction"][k])
@@ -358,11 +341,14 @@ def _judged(everything, points, line, member, found, settings, explain):
             stretch[k] = begin, end
     low, high = (found["centre"] + part[:, None] * found["direction"] for part in stretch.T)
     lean = found["direction"][:, :2] / np.maximum(found["direction"][:, 2:], 1e-6)
-    table = axis_rows(low, lean, high[:, 2] - low[:, 2], share, reason)
-    fit = circle_diameter if settings.circle_fit else shaft_diameter
+    height = high[:, 2] - low[:, 2]
+    middle = low[:, :2] + lean * height[:, None] / 2
+    table = common.axis_rows(middle, low[:, 2], lean, height)
+    table |= {"score": share, "rejected_by": reason}
+    fit = common.circle_diameter if settings.circle_fit else common.shaft_diameter
     table["diameter_m"] = _diameters(points, line, member, found, stretch, reason, fit)
-    drop_duplicates(table, 2 * settings.merge_distance)
-    return pole_table(table, "fgi", explain=explain)
+    common.drop_duplicates(table, 2 * settings.merge_distance)
+    return common.pole_table(table, "fgi", explain=explain)
 
 
 def _diameters(points, line, member, found, stretch, reason, fit):

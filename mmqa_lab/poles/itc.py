@@ -17,16 +17,7 @@ import numpy as np
 from numba import njit, prange
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.common import (
-    cells,
-    drop_duplicates,
-    extremes,
-    first_reason,
-    fit_ground,
-    joined,
-    moments,
-    pole_table,
-)
+from mmqa_lab.poles import common
 
 GROUND, WALL, RAISED = 0, 1, 2
 """Rough classes: ground, wall, and everything that is neither."""
@@ -117,7 +108,7 @@ def detect(points, settings, *, explain=False):
     component = components(points, chosen, settings.link_distance)
     kept = component >= 0
     stacks = _stacks(points[kept], component[kept], settings)
-    reason = first_reason(
+    reason = common.first_reason(
         len(stacks["length"]),
         slices=stacks["slices"] < 2,
         length=stacks["length"] < settings.minimum_length,
@@ -125,16 +116,16 @@ def detect(points, settings, *, explain=False):
     table = {name: stacks[name] for name in ("x_m", "y_m", "z_base_m", "lean_x", "lean_y")}
     table |= {"height_m": stacks["length"], "diameter_m": stacks["diameter"]}
     table |= {"score": stacks["regularity"], "rejected_by": reason}
-    drop_duplicates(table, 2 * settings.shift)
-    return pole_table(table | {"is_tree": stacks["is_tree"]}, "itc", explain=explain)
+    common.drop_duplicates(table, 2 * settings.shift)
+    return common.pole_table(table | {"is_tree": stacks["is_tree"]}, "itc", explain=explain)
 
 
 def components(points, chosen, link_distance):
     """Return the connected component of each chosen point, -1 for the others."""
     component = np.full(len(points), -1)
     if chosen.any():
-        cell, index = cells(points[chosen], link_distance)
-        component[chosen] = joined(*_touching(index).T, len(index))[cell]
+        cell, index = common.cells(points[chosen], link_distance)
+        component[chosen] = common.joined(*_touching(index).T, len(index))[cell]
     return component
 
 
@@ -255,7 +246,7 @@ def rough_classes(points, settings):
     rough = np.full(len(points), RAISED, dtype=np.int8)
     if not len(points):
         return rough
-    height = fit_ground(points).height(points)
+    height = common.fit_ground(points).height(points)
     segment, normal, extent = planar_segments(points, settings)
     upright = np.abs(normal[:, 2]) < np.sin(np.radians(15))
     wall = upright & (extent[:, 0] >= settings.wall_length) & (extent[:, 1] >= settings.wall_height)
@@ -291,7 +282,7 @@ def planar_segments(points, settings):
     order gives the same segments, and a cell of 0.4 m needs few (8 degrees apart, then least
     squares).
     """
-    cell, index = cells(points, settings.plane_cell)
+    cell, index = common.cells(points, settings.plane_cell)
     off = points - (index[cell] + 0.5) * settings.plane_cell - points.min(axis=0)
     on = np.ones(len(points), dtype=bool)
     count, centre, values, normals = _planes(off, cell, on)
@@ -304,7 +295,7 @@ def planar_segments(points, settings):
     flat = _is_flat(count, values, settings)
     a, b = _touching(index).T
     linked = flat[a] & flat[b] & _agree(centre, normals, a, b, settings)
-    part = joined(a[linked], b[linked], len(count))
+    part = common.joined(a[linked], b[linked], len(count))
     largest = np.lexsort([-count, part])
     first = largest[np.unique(part[largest], return_index=True)[1]]
     extent = _extents(centre[flat], part[flat], part.max(initial=-1) + 1)
@@ -313,7 +304,7 @@ def planar_segments(points, settings):
 
 def _planes(off, cell, on):
     """Count, centre, variances (rising) and normal of the chosen points of each cell."""
-    count, centre, covariance = moments(off[on], cell[on], int(cell.max()) + 1)
+    count, centre, covariance = common.moments(off[on], cell[on], int(cell.max()) + 1)
     values, vectors = np.linalg.eigh(covariance)
     return count, centre, values, vectors[:, :, 0]
 
@@ -376,7 +367,7 @@ def _seed(part, directions, thickness):
 
 def _extents(centre, part, n):
     """Horizontal diagonal and height of the cells of each part."""
-    low, high = extremes(centre, part, n)
+    low, high = common.extremes(centre, part, n)
     size = np.maximum(high - low, 0)
     return np.column_stack([np.hypot(size[:, 0], size[:, 1]), size[:, 2]])
 

@@ -1,15 +1,20 @@
-"""A learned detector: many candidates, features of the whole surroundings, a learned verdict.
+"""A learned detector, and the class and the sizes of the poles of every method.
+
+Many candidates, features of the whole surroundings, a learned verdict.
 
 Works without scan lines: the cloud is thinned, columns that have points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
-stands around it (``features``), on scan lines also by how its points stack up (``groups``) and by
-the rays that it stops (``rays``), and small decision trees, trained on simulated streets alone,
-give the probability that it is a pole.
+stands around it (``features``), on scan lines also by how its points stack up and by the rays that
+it stops (``on_lines``), and small decision trees, trained on simulated streets alone, give the
+probability that it is a pole.
 
 The trees stand in ``model.txt`` in the text format of LightGBM. They were grown on 240 simulated
 streets (393,102 candidates, 50,671 of them poles) by the histogram gradient boosting of
 scikit-learn and written in this format once; ``python -m mmqa_lab.studies.poles_training FOLDER``
 grows new ones on the same streets.
+
+Classes come from small decision trees too, ``classes.txt``, trained on simulated streets alone; the
+same program grows them.
 """
 
 from dataclasses import dataclass
@@ -17,32 +22,21 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
+from scipy.stats import t as student
 
-from mmqa_lab.poles import groups, rays
-from mmqa_lab.poles.common import (
-    beside,
-    drop_duplicates,
-    first_reason,
-    fit_ground,
-    near_axis,
-    pole_table,
-    rows,
-    shaft_diameter,
-    slice_widths,
-    thinned,
-)
+from mmqa_lab.poles import common, on_lines
 from mmqa_lab.poles.features import (
     BIN_M,
     FACADE_NAMES,
     MAX_LEAN,
     NAMES,
+    REACH_M,
     candidates,
     describe,
     describe_facades,
 )
-from mmqa_lab.poles.profiles import in_order
 
-FEATURES = NAMES + FACADE_NAMES + groups.NAMES + rays.NAMES
+FEATURES = NAMES + FACADE_NAMES + on_lines.STACK_NAMES + on_lines.RAY_NAMES
 """Of a candidate; those of stacks and rays on scan lines are -1 where there are no lines."""
 
 WIDEST_M = 0.45
@@ -118,68 +112,54 @@ def read_model(name="model.txt"):
 def judged(points, where, probability, settings, *, lines=None, explain=False):
     """Return the table of candidates with given probabilities; ``where`` is from ``described``."""
     features, axes, ground = where
-    reason = first_reason(
+    reason = common.first_reason(
         len(axes),
         probability=probability < settings.threshold,
         length=features[:, NAMES.index("column_m")] < settings.minimum_length,
     )
-    table = _rows(axes, ground, probability, reason)
-    drop_duplicates(table, settings.apart)
+    low, high = axes[:, 5], axes[:, 6]
+    middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]
+    table = common.axis_rows(middle, ground + low, axes[:, 2:4], high - low)
+    table |= {"score": probability, "rejected_by": reason}
+    common.drop_duplicates(table, settings.apart)
     _measure(points, lines, table, axes[:, 7])
-    return pole_table(table, "ours", explain=explain)
+    return common.pole_table(table, "ours", explain=explain)
 
 
 def described(points, settings, *, lines=None):
     """Return features (k, len(FEATURES)), axes (k, 8) and ground heights (k,) of all candidates."""
     if not len(points):
         return np.empty((0, len(FEATURES))), np.empty((0, 8)), np.empty(0)
-    thin = thinned(points, settings.voxel)
-    ground = fit_ground(thin)
+    thin = common.thinned(points, settings.voxel)
+    ground = common.fit_ground(thin)
     height = ground.height(thin)
     xy = candidates(thin, height)
     given = np.full((len(xy), 5), np.nan)
     ordered = stacks = None
     if lines is not None:
-        ordered = in_order(points, *lines)
-        stacks = groups.line_groups(ordered, ground.height)
+        ordered = on_lines.in_order(points, *lines)
+        stacks = on_lines.line_groups(ordered, ground.height)
         xy, given = _with_stacks(xy, given, stacks)
-    sorted_thin = rows(thin)
+    sorted_thin = common.rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(*where, xy, given)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
     features = np.column_stack([features, describe_facades(thin, height, axes)])
-    on_lines = np.full((len(xy), len(groups.NAMES + rays.NAMES)), -1.0)
+    evidence = np.full((len(xy), len(on_lines.STACK_NAMES + on_lines.RAY_NAMES)), -1.0)
     if stacks is not None:
-        beside, ends = groups.describe(stacks, axes)
-        on_lines = np.column_stack([beside, rays.describe(ordered, axes, level)])
+        beside, ends = on_lines.describe_stacks(stacks, axes)
+        evidence = np.column_stack([beside, on_lines.describe_rays(ordered, axes, level)])
         longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
         axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(np.column_stack([features, on_lines]), 5), axes, level
+    return np.round(np.column_stack([features, evidence]), 5), axes, level
 
 
 def _with_stacks(xy, given, stacks):
     """Candidates and known axes, with those of stacked groups."""
-    more = groups.candidates(stacks)
-    axes = groups.axes_of(*stacks[:4], more)
+    more = on_lines.stack_candidates(stacks)
+    axes = on_lines.axes_of(*stacks[:4], more)
     return np.concatenate([xy, axes[:, :2]]), np.concatenate([given, axes])
-
-
-def _rows(axes, ground, probability, reason):
-    """Columns of the table but for the diameter; axes are taken at half the height."""
-    low, high = axes[:, 5], axes[:, 6]
-    shift = ((low + high) / 2 - axes[:, 4])[:, None]
-    middle = axes[:, :2] + axes[:, 2:4] * shift
-    return {
-        "x_m": middle[:, 0],
-        "y_m": middle[:, 1],
-        "z_base_m": ground + low,
-        "height_m": high - low,
-        "lean_x": axes[:, 2],
-        "lean_y": axes[:, 3],
-        "score": probability,
-        "rejected_by": reason,
-    }
 
 
 def _measure(points, lines, table, radius):
@@ -192,11 +172,11 @@ def _measure(points, lines, table, radius):
     accepted = np.flatnonzero(table["rejected_by"] == "")
     xy = np.column_stack([table["x_m"], table["y_m"]])[accepted]
     reaches = WIDEST_M + np.hypot(table["lean_x"], table["lean_y"]) * table["height_m"] / 2
-    chosen = beside(points, xy, reaches[accepted].max(initial=0))
-    found = rows(points[chosen])
+    chosen = common.beside(points, xy, reaches[accepted].max(initial=0))
+    found = common.rows(points[chosen])
     for k in accepted:
         x, y, z, h = (table[name][k] for name in ("x_m", "y_m", "z_base_m", "height_m"))
-        near = near_axis(found.points, found.start, found.base, x, y, reaches[k])
+        near = common.near_axis(found.points, found.start, found.base, x, y, reaches[k])
         part = found.points[near]
         inside = (part[:, 2] >= z) & (part[:, 2] <= z + h)
         part, number = part[inside], chosen[found.order[near[inside]]]
@@ -208,12 +188,12 @@ def _measure(points, lines, table, radius):
         off = part[:, :2] - axis[0] - lean * rise[:, None]
         if lines is None:
             own = np.hypot(*off.T) <= max(radius[k], WITHIN_M)
-            widths = slice_widths(off[own], part[own, 2])
+            widths = common.slice_widths(off[own], part[own, 2])
             table["diameter_m"][k] = np.quantile(widths, 0.25) if len(widths) else np.nan
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
             which, line = chord_points(part, off, *(values[number] for values in lines))
-            table["diameter_m"][k] = shaft_diameter(part[which], direction, line)
+            table["diameter_m"][k] = common.shaft_diameter(part[which], direction, line)
 
 
 def _straightened(xy, rise, axis, within):
@@ -266,3 +246,166 @@ def _touched(line, place, first, last):
     left = (first > 0) & (line[before] == line[first]) & (place[first] - place[before] <= 2)
     right = (last < len(line) - 1) & (line[after] == line[last])
     return left | (right & (place[after] - place[last] <= 2))
+
+
+# What a user asks of each pole, measured alike for the poles of every method, from the points
+# around each axis: class, height, diameter, lean, and how much the cloud shows.
+
+CLASSES = ("lamp or utility pole", "sign or signal", "trunk", "bollard or post", "other")
+
+BREAST_M = 1.3
+"""Height above ground of the diameter that foresters and surveyors give."""
+
+GIRTH = ("diameter_13_m", "diameter_13_low_m", "diameter_13_high_m")
+
+OUTSIDE_M = 0.5
+"""That height may lie so far beyond the measured part of the shaft."""
+
+GAP_BINS = 2
+AROUND_M = 0.5
+"""A pole goes on upwards while points within half a metre of its axis leave no gap of half a
+metre: lantern, board and crown belong to its total height."""
+
+SURFACE_M = 0.05
+"""Points so near to the surface of the shaft count as seen on it."""
+
+VOXEL_M = 0.03
+"""Points are thinned to that before the class is judged, as in the training."""
+
+CONFIDENCE = 0.95
+
+SPACING_SHARE = 0.5
+"""How well the ends of a chord are known beside its scatter, in ray spacings: chosen so that on
+simulated streets nine in ten intervals contain the true diameter."""
+
+
+def with_attributes(points, found, lines=None):
+    """Return a table of poles with what is measured about each.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Metres from an origin nearby.
+    found : DataFrame
+        Of :func:`mmqa_lab.poles.common.pole_table`; of rejected candidates nothing is measured.
+    lines : pair of array, shape (n,), optional
+        Scan line and place along it of each point.
+
+    Returns
+    -------
+    DataFrame
+        With the columns that :func:`mmqa_lab.poles.detect` names.
+    """
+    made = found.assign(total_height_m=np.nan, **dict.fromkeys(GIRTH, np.nan), points=0)
+    made["class"], made["class_probability"] = "", np.nan
+    made["lean_azimuth_deg"] = np.degrees(np.arctan2(made["lean_x"], made["lean_y"])) % 360
+    kept = np.flatnonzero(made.get("rejected_by", np.full(len(made), "")) == "")
+    if not len(kept):
+        return made
+    around = _Around(points, made.iloc[kept], lines)
+    for row, pole in zip(kept, around.poles(), strict=True):
+        for name, value in pole.items():
+            made.loc[row, name] = value
+    probability = read_model("classes.txt").predict(around.features())
+    made.loc[kept, "class"] = np.array(CLASSES)[probability.argmax(axis=1)]
+    made.loc[kept, "class_probability"] = probability.max(axis=1)
+    return made
+
+
+class _Around:
+    """The points around the axes of a table of poles."""
+
+    def __init__(self, points, table, lines):
+        self.lines = lines
+        self.middle = np.array(
+            table[["x_m", "y_m"]], order="C"
+        )  # compiled for one layout, writable
+        self.lean = table[["lean_x", "lean_y"]].to_numpy()
+        self.low, self.length = table["z_base_m"].to_numpy(), table["height_m"].to_numpy()
+        self.width = table["diameter_m"].to_numpy()
+        foot = self.middle - self.lean * (self.length / 2)[:, None]
+        ends = np.column_stack([foot, self.low])
+        self.ground = common.fit_ground(points)
+        self.base = self.ground.height(ends)  # of the lower end
+        reach = REACH_M + np.hypot(*self.lean.T).max() * self.length.max()
+        self.chosen = common.beside(points, self.middle, reach)
+        self.near = points[self.chosen]
+        self.reach = reach
+
+    def poles(self):
+        """Yield what is measured about each pole."""
+        found = common.rows(self.near)
+        for k in range(len(self.low)):
+            which = common.near_axis(*found[:3], *self.middle[k], self.reach)
+            part, number = found.points[which], self.chosen[found.order[which]]
+            h = part[:, 2] - self.low[k]
+            off = part[:, :2] - self.middle[k] - self.lean[k] * (h - self.length[k] / 2)[:, None]
+            across, inside = np.hypot(*off.T), (h >= 0) & (h <= self.length[k])
+            seen = inside & (across <= self._radius(k) + SURFACE_M)
+            top = _top(h[across <= AROUND_M], self.length[k])
+            close = inside & (across <= WIDEST_M)
+            lines = None if self.lines is None else [v[number[close]] for v in self.lines]
+            girth = self._girth(k, part[close], off[close], lines)
+            total = {"total_height_m": self.base[k] + top, "points": int(seen.sum())}
+            yield total | dict(zip(GIRTH, girth, strict=True))
+
+    def _radius(self, k):
+        """Radius of a shaft, 5 cm where it is not known."""
+        return self.width[k] / 2 if np.isfinite(self.width[k]) else 0.05
+
+    def _girth(self, k, part, off, lines):
+        """Diameter at 1.3 m above ground and its interval; NaN where it is not measurable."""
+        z = self.low[k] - self.base[k] + BREAST_M
+        if lines is None:
+            near = np.abs(part[:, 2] - z) <= OUTSIDE_M
+            return _mean_width(common.slice_widths(off[near], part[near, 2]))
+        direction = np.array([*self.lean[k], 1.0])
+        direction /= np.linalg.norm(direction)
+        which, line = chord_points(part, off, *lines)
+        return _diameter_at(z, common.shaft_chords(part[which], direction, line))
+
+    def features(self):
+        """What the trees of the classes judge, (k, n)."""
+        thin = common.thinned(self.near, VOXEL_M)
+        height = self.ground.height(thin)
+        found = common.rows(thin)
+        half = self.base + self.length / 2
+        given = np.column_stack([self.middle, self.lean, half])
+        where = (found.points, height[found.order], found.start, found.base)
+        return np.round(describe(*where, self.middle, given)[0], 5)
+
+
+def _top(h, length):
+    """Height of what goes on upwards from the shaft without a gap, from its lower end."""
+    bins = np.unique(np.floor(h[h >= 0] / BIN_M))
+    bins = bins[bins >= np.floor(length / BIN_M) - 1]
+    gaps = np.flatnonzero(np.diff(bins) > GAP_BINS)
+    last = bins[gaps[0]] if len(gaps) else bins.max(initial=0)
+    return max(h[h < (last + 1) * BIN_M].max(initial=0), length)
+
+
+def _mean_width(widths):
+    """Median of the widths of slices and the interval of their mean, metres."""
+    if len(widths) < 2:
+        return np.nan, np.nan, np.nan
+    middle = float(np.median(widths))
+    half = _quantile(len(widths) - 1) * np.std(widths, ddof=1) / np.sqrt(len(widths))
+    return middle, max(middle - half, 0.0), middle + half
+
+
+def _diameter_at(z, shaft):
+    """Diameter at the height ``z`` from chords that agree, and its interval, metres."""
+    n, heights = len(shaft.chords), shaft.heights
+    if not n or not heights.min() - OUTSIDE_M <= z <= heights.max() + OUTSIDE_M:
+        return np.nan, np.nan, np.nan
+    upright = shaft.chords + shaft.taper * (heights - z) + shaft.spacing
+    value, spread = upright.mean(), upright.std(ddof=2)
+    off = heights - heights.mean()
+    share = 1 / n + (z - heights.mean()) ** 2 / max(off @ off, 1e-9)
+    half = np.hypot(_quantile(n - 2) * spread * np.sqrt(share), SPACING_SHARE * shaft.spacing)
+    return value, max(value - half, 0.0), value + half
+
+
+def _quantile(freedom):
+    """Half width of an interval in standard errors."""
+    return student.ppf((1 + CONFIDENCE) / 2, freedom)

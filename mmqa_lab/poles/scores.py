@@ -15,12 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
 from mmqa_lab._polygons import path_distance
+from mmqa_lab.poles.common import joined
 from mmqa_lab.stats import Rate, wilson
 
 GATE_M = 0.5
@@ -73,8 +72,7 @@ def match(
     gate = check_positive(gate, "gate", unit="m")
     a, b, distance = _pairs(detections, references, gate)
     n = len(detections)
-    graph = coo_array((np.ones(len(a)), (a, n + b)), shape=(n + len(references),) * 2)
-    part = connected_components(graph, directed=False)[1][a]
+    part = joined(a, n + b, n + len(references))[a]
     chosen = []
     order = np.argsort(part, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
@@ -37,6 +38,16 @@ SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefi
 
 LONGEST_LATEX = 60
 """Rows of a table that is written for LaTeX too; longer ones are data."""
+
+LATEX = {
+    "<=": "$\\leq$",
+    ">=": "$\\geq$",
+    "<": "$<$",
+    ">": "$>$",
+    "m2)": "m$^2$)",
+    "(deg)": "($^\\circ$)",
+}
+"""What LaTeX prints otherwise than it is written."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
 """What a number can be: printed in a paper, from specifications alone, from parameters chosen so
@@ -237,7 +248,8 @@ class Run:
 
         The index page and the README take them from the run record.
         """
-        self._record["answer"] = {"sentence": sentence, "figure": figure}
+        spaced = re.sub(r"(?<=\d)%", " %", sentence)
+        self._record["answer"] = {"sentence": spaced, "figure": figure}
         self._write_record()
 
     def save_checks(self, *groups: Iterable[Check]) -> None:
@@ -403,15 +415,38 @@ def _described(figure):
 
 def _latex(frame):
     """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
+    names = ["_".join(filter(None, map(str, np.atleast_1d(name)))) for name in frame.columns]
+    shown = frame.set_axis(names, axis=1)
+    for name in shown.select_dtypes("floating"):
+        if name.split("_")[-1] != "p":  # a probability may be that small; others are rounding
+            shown[name] = shown[name].where(~(shown[name].abs() < 1e-12), 0.0)
+    shown = shown.rename(columns=_heading)
+    text = shown.to_latex(index=False, escape=True, na_rep="--", float_format=_typeset)
+    for plain, typeset in LATEX.items():
+        text = text.replace(plain, typeset)
+    return text
+
+
+def _heading(name):
+    """A column's name in words, and its unit in brackets, wherever it stands in the name."""
     from mmqa_lab.bench._tables import split_unit
 
-    heads = {}
-    for name in map(str, frame.columns):
-        plain, unit = split_unit(name)
-        heads[name] = f"{plain.replace('_', ' ')} ({unit})" if unit else plain.replace("_", " ")
-    shown = frame.rename(columns=str).rename(columns=heads)
-    text = shown.to_latex(index=False, escape=True, na_rep="--", float_format="%.4g")
-    return re.sub(r"\bm([23])\)", r"m\\textsuperscript{\1})", text)
+    parts = name.split("_")
+    for end in range(len(parts), 1, -1):
+        plain, unit = split_unit("_".join(parts[:end]))
+        if unit == "1" or parts[-1] == "missing":  # shares and counts have none
+            break
+        if unit and (unit != "s" or end == len(parts)):  # the s of s_r_low is no second
+            return f"{' '.join([*plain.split('_'), *parts[end:]])} ({unit})"
+    return name.replace("_", " ")
+
+
+def _typeset(number):
+    """A number of four digits or whole for LaTeX, powers of ten as such."""
+    if 1e4 <= abs(number) < 1e9:
+        return f"{number:.0f}"
+    digits, _, power = f"{number + 0.0:.4g}".partition("e")
+    return f"${digits} \\times 10^{{{int(power)}}}$" if power else digits
 
 
 def _says_kind(frame):

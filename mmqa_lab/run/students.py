@@ -14,10 +14,10 @@ import shutil
 import subprocess
 import textwrap
 import zlib
-from numbers import Real
 from pathlib import Path
 
 import nbformat
+import numpy as np
 
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.io import write_atomically
@@ -36,6 +36,7 @@ NUMBER = "number"
 SCALES = (
     {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
     {"ms": 1e-3, "s": 1.0},
+    {"km/h": 1 / 3.6, "m/s": 1.0},
     {"degrees": math.pi / 180, "radians": 1.0},
     {"%": 0.01, "as a share": 1.0},
 )
@@ -143,14 +144,17 @@ def _wrong(checks, scope):
 
 
 def _other_unit(name, checks, scope):
-    """A sentence where a number would be right in another unit."""
-    value, unit = scope[name], split_unit(name)[1]
+    """A sentence where a number, or an array of them, would be right in another unit."""
+    unit = split_unit(name)[1]
     unit = UNITS.get(unit, unit)
     scales = next((each for each in SCALES if unit in each), {})
-    if isinstance(value, Real):
-        for other, scale in scales.items():
-            if _wrong(checks, scope | {name: value * scale / scales[unit]}) is None:
-                return f"{name} is expected in {unit}; {value:g} looks like {other}."
+    try:
+        given = np.asarray(scope[name], float)
+    except (TypeError, ValueError):
+        return ""
+    for other, scale in scales.items():
+        if _wrong(checks, scope | {name: given[()] * scale / scales[unit]}) is None:
+            return f"{name} is expected in {unit}; {np.ravel(given)[0]:g} looks like {other}."
     return ""
 
 
@@ -258,6 +262,8 @@ def write_sheets(studies, folder):
         cells = nbformat.read(study.path, as_version=4).cells
         tagged = [k for k, cell in enumerate(cells) if "solution" in _tags(cell)]
         task = next(k for k in reversed(range(tagged[0])) if cells[k].cell_type == "markdown")
+        heading = "## " + cells[task].source.rpartition("## ")[2]  # without what is above it
+        exercises = nbformat.v4.new_markdown_cell(heading)
         asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
         words = nbformat.v4.new_markdown_cell(_words(study.stem))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
@@ -265,8 +271,8 @@ def write_sheets(studies, folder):
             nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
         ]
         sheets = {
-            "handout": [*cells[:2], cells[task], *asked, words],
-            "solutions": [cells[0], cells[task], *answers, *lesson],
+            "handout": [*cells[:2], exercises, *asked, words],
+            "solutions": [cells[0], exercises, *answers, *lesson],
         }
         for kind, chosen in sheets.items():
             book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})

@@ -37,8 +37,7 @@ from mmqa_lab.scan_pattern.lattice import (
     scan_lattice,
     sensitivities,
 )
-from mmqa_lab.scan_pattern.measure import fit_scan_planes, measure_pattern
-from mmqa_lab.scan_pattern.numbering import revolutions_from_time
+from mmqa_lab.scan_pattern.measure import fit_scan_planes, measure_pattern, revolutions_from_time
 
 __all__ = [
     "QUANTITIES",

@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
-QUANTITIES = (
-    *("profile_spacing_perpendicular_m", "profile_spacing_horizontal_m"),
-    *("profile_spacing_vertical_m", "profile_angle_deg", "point_spacing_m", "density_per_m2"),
-    *("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f"),
+# Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point.
+SMOOTH = (
+    *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
+    *("profile_angle_deg", "point_spacing_m", "density_per_m2"),
 )
+QUANTITIES = (*SMOOTH, "d1_mm", "d2_mm", "d3_mm", "d4_mm", "f")
 """What a lattice predicts, in the order of its table."""
 
 # A surface closer to level than 0.1 degree has no horizontal line of its own.
@@ -40,16 +41,12 @@ POSITIVE = ("pulse_rate_hz", "mirror_frequency_hz", "speed_m_s")
 SLOWEST, FASTEST = 0.01, 100.0  # speeds that are searched, m/s
 SPEEDS = 4001  # speeds tried before the last one that will do is refined: a step of 0.23 %
 TWO_SIDED_95 = 1.959963984540054  # quantile of the normal distribution that leaves 2.5 % above it
-TARGET_NAMES = {
-    **{"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"},
-    **{"range_m": "range_m", "height_difference_m": "height_difference_m"},
-}
+TARGET_NAMES = {"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"}
+TARGET_NAMES |= {name: name for name in ("range_m", "height_difference_m")}
 """Inputs that are fields of the target."""
 
-# Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point.
-SMOOTH = QUANTITIES[:6]
 EXPLAINED = (
-    *("scanner_heading_deg", "scanner_tilt_deg", "target_heading_deg", "target_tilt_deg"),
+    *(f"{side}_{turn}_deg" for side in ("scanner", "target") for turn in ("heading", "tilt")),
     *("mirror_frequency_hz", "speed_m_s"),
 )
 """The inputs of Table 6."""
@@ -127,21 +124,17 @@ class ScanSetup:
             check_values(getattr(self, name), name, positive=name in POSITIVE)
         check_points([self.lever_arm_m], name="lever_arm_m")
         check_choice(self.spin, "spin", (1, -1))
-        self._check_shapes()
-        if (np.abs(self.plane_normal[..., 1]) < 1e-9).any():
-            raise ValueError(
-                f"Invalid scanner_heading_deg {self.scanner_heading_deg} with scanner_tilt_deg "
-                f"{self.scanner_tilt_deg}. Must turn the scan plane off the direction of travel."
-            )
-
-    def _check_shapes(self):
-        """Refuse arrays that do not broadcast."""
         shapes = {name: np.shape(getattr(self, name)) for name in NUMBERS}
         try:
             np.broadcast_shapes(*shapes.values())
         except ValueError:
             arrays = {name: shape for name, shape in shapes.items() if shape}
             raise ValueError(f"Invalid shapes {arrays}. Must broadcast.") from None
+        if (np.abs(self.plane_normal[..., 1]) < 1e-9).any():
+            raise ValueError(
+                f"Invalid scanner_heading_deg {self.scanner_heading_deg} with scanner_tilt_deg "
+                f"{self.scanner_tilt_deg}. Must turn the scan plane off the direction of travel."
+            )
 
     @classmethod
     def of_scanner(cls, scanner: Any, *, speed_m_s: float) -> ScanSetup:
@@ -154,17 +147,15 @@ class ScanSetup:
             ``boresight_deg`` and ``lever_arm_m``, as ``simulate.ProfileScanner`` does.
         speed_m_s : float
         """
-        roll, pitch, heading = scanner.boresight_deg
+        angles = zip(("roll", "pitch", "heading"), scanner.boresight_deg, strict=True)
         return cls(
             pulse_rate_hz=scanner.pulse_rate_hz,
             mirror_frequency_hz=scanner.mirror_frequency_hz,
             speed_m_s=speed_m_s,
             scanner_heading_deg=scanner.heading_deg,
             scanner_tilt_deg=scanner.tilt_deg,
-            boresight_roll_deg=roll,
-            boresight_pitch_deg=pitch,
-            boresight_heading_deg=heading,
             lever_arm_m=scanner.lever_arm_m,
+            **{f"boresight_{name}_deg": angle for name, angle in angles},
         )
 
     @property
@@ -192,11 +183,8 @@ class ScanSetup:
 
     def rotation(self, seconds: float | np.ndarray = 0.0) -> np.ndarray:
         """Rotation (..., 3, 3) from the scanner's frame to the track's, some time after."""
-        boresight = turned(
-            y=self.boresight_roll_deg,
-            x=self.boresight_pitch_deg,
-            z=np.negative(self.boresight_heading_deg),
-        )
+        roll, pitch = self.boresight_roll_deg, self.boresight_pitch_deg
+        boresight = turned(y=roll, x=pitch, z=np.negative(self.boresight_heading_deg))
         mounting = boresight @ turned(z=self.scanner_heading_deg, x=self.scanner_tilt_deg)
         return self.vehicle_rotation(seconds) @ mounting
 
@@ -208,9 +196,8 @@ class ScanSetup:
 
     def turn_rate(self) -> np.ndarray:
         """Angular velocity of the vehicle in the track's frame, (..., 3), rad/s."""
-        level, pitched = (
-            turned(z=np.negative(self.heading_deg), x=x) for x in (0.0, self.pitch_deg)
-        )
+        back = np.negative(self.heading_deg)
+        level, pitched = (turned(z=back, x=x) for x in (0.0, self.pitch_deg))
         rates = self.pitch_rate_deg_s, self.roll_rate_deg_s, self.heading_rate_deg_s
         pitch, roll, heading = np.radians(np.broadcast_arrays(*rates))[..., None]
         return pitch * level[..., :, 0] + roll * pitched[..., :, 1] - heading * [0.0, 0.0, 1.0]
@@ -504,9 +491,7 @@ class Lattice(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return a DataFrame of ``QUANTITIES``, a row per spot."""
-        shape = np.shape(self.range_m)
-        columns = {name: np.broadcast_to(self.quantity(name), shape).ravel() for name in QUANTITIES}
-        return pd.DataFrame(columns)
+        return pd.DataFrame({name: np.ravel(self.quantity(name)) for name in QUANTITIES})
 
     def points(self, half_width: float = 0.25) -> np.ndarray:
         """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
@@ -590,7 +575,10 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     if isinstance(patch, Target):
         patch = patch.patch(setup)
     shape = (*np.broadcast_shapes(setup.shape, patch.points.shape[:-1]), 3)
-    beam = np.broadcast_to(_meet(setup, patch.points), shape)
+    # from where the scanner is when its plane comes past the points
+    normal = setup.plane_normal
+    wait = _dot(patch.points, normal) / normal[..., 1]
+    beam = np.broadcast_to(patch.points - wait[..., None] * TRAVEL, shape)
     normal = np.broadcast_to(patch.normals, shape)
     pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
     whole = np.round(pulse_rate / mirror)
@@ -638,13 +626,6 @@ def lattice_distances(a, b):
     near = np.sort([_nearest(short, long, side) for side in (1, -1)], axis=0)
     near = np.where(spans, near, np.nan)
     return np.stack([near[0], near[0], near[1], near[1]], axis=-1)
-
-
-def _meet(setup, points):
-    """Beams from where the scanner is when its plane comes past the points."""
-    normal = setup.plane_normal
-    wait = _dot(points, normal) / normal[..., 1]
-    return points - wait[..., None] * TRAVEL
 
 
 def _step(setup, beam, normal, seconds, turns):

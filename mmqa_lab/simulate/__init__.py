@@ -24,8 +24,14 @@ one. ``system("vmx-250")`` and the other systems of the sources are in ``systems
 ``site`` writes what three of them deliver from the test site of Pfeifer et al. 2021.
 """
 
-from mmqa_lab.simulate.scan import MatchingCamera, match, scan, scan_all
-from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
+from mmqa_lab.simulate.scan import (
+    MatchingCamera,
+    MultiBeamScanner,
+    ProfileScanner,
+    match,
+    scan,
+    scan_all,
+)
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
     board,

@@ -131,7 +131,7 @@ class Photo:
     origin: tuple
 
 
-def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, height=0.0, aim_deg=0.0):
+def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, aim_deg=0.0):
     """Return the map of a chart for a camera of the test configuration.
 
     The chart stands upright; its middle is the target. The camera is at ``distance`` on the line
@@ -147,8 +147,6 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, heigh
         Direction of view against the normal, below 90 degrees.
     roll_deg : float
         Of the camera.
-    height : float
-        Of the camera above the chart's middle, metres.
     aim_deg : float
         Turns the camera to the right, away from the target.
 
@@ -166,7 +164,7 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, heigh
     """
     distance = check_positive(distance, "distance", unit="m")
     heading = np.radians(check_number(heading_deg, "heading_deg", low=-89, high=89, unit="degrees"))
-    place = np.array([distance * np.tan(heading), -distance, height])
+    place = np.array([distance * np.tan(heading), -distance, 0.0])
     pose = Pose.looking(place, (0.0, 0.0, 0.0), roll_deg=roll_deg)
     aim = np.radians(check_number(aim_deg, "aim_deg"))
     turn = np.array([[np.cos(aim), 0, -np.sin(aim)], [0, 1, 0], [np.sin(aim), 0, np.cos(aim)]])
@@ -267,21 +265,13 @@ def _exposed(layout, chart_map, size, optics, fine, surround, colour=False):
     for t in (np.arange(instants) + 0.5) / instants - 0.5:
         total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size, fine, surround)
     samples = total / instants
-    left = optics.sigma_px**2 - _sampling_variance(fine)
+    # samples add a cell (1/12) read bilinearly (1/6), less 1/12, in squares of their steps
+    left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / fine**2
     if left > 0:
         samples = cv2.GaussianBlur(samples, (0, 0), fine * np.sqrt(left))
     if optics.defocus_px > 0:
         samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * fine))
     return samples.reshape(size[1], fine, size[0], fine, *samples.shape[2:]).mean(axis=(1, 3))
-
-
-def _sampling_variance(fine):
-    """Variance that the samples themselves add along each axis, pixels².
-
-    A cell (1/12) read bilinearly (1/6), in fine steps squared; ``fine`` samples over a pixel have
-    1/12 fine step squared less than the full pixel.
-    """
-    return (1 / 12 + 1 / 6 - 1 / 12) / fine**2
 
 
 def _moved(chart_map, travel, t):
@@ -304,14 +294,8 @@ def _sampled(printed, cell, chart_map, size, fine, surround):
     # remap addresses at most 32,767 rows at once
     for first in range(0, len(dense), 16_384):
         part = slice(first, first + 16_384)
-        samples[part] = cv2.remap(
-            printed,
-            dense[part],
-            None,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(surround,) * 3,
-        )
+        beyond = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (surround,) * 3}
+        samples[part] = cv2.remap(printed, dense[part], None, cv2.INTER_LINEAR, **beyond)
     return samples
 
 
@@ -339,7 +323,10 @@ def _recorded(signal, sensor, rng):
     full = 2**sensor.bits - 1
     rounded = np.clip(np.round(values * full), 0, full)
     values = rounded.astype(np.uint8 if sensor.bits == 8 else np.uint16)
-    return values if sensor.jpeg_quality is None else _compressed(values, sensor.jpeg_quality)
+    if sensor.jpeg_quality is None:
+        return values
+    quality = [cv2.IMWRITE_JPEG_QUALITY, int(sensor.jpeg_quality)]
+    return cv2.imdecode(cv2.imencode(".jpg", values, quality)[1], cv2.IMREAD_UNCHANGED)
 
 
 def _mosaic(tones):
@@ -354,9 +341,3 @@ def _demosaiced(values):
     mosaic = np.clip(np.round((values + 0.25) * 40_000), 0, 65_535).astype(np.uint16)
     colours = cv2.cvtColor(mosaic, cv2.COLOR_BayerRG2BGR_EA)
     return colours.astype(np.float32) / 40_000 - 0.25
-
-
-def _compressed(values, quality):
-    """What JPEG leaves of 8-bit values."""
-    _, buffer = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, int(quality)])
-    return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)

@@ -104,9 +104,9 @@ class Conditions:
     def __post_init__(self):
         for name in ("twins", "splits", "truncations", "clutter"):
             check_number(getattr(self, name), name, low=0, high=1)
-        units = dict.fromkeys(("own_m", "course2_m", "drift_m", "end_noise_m"), "m")
-        for name, unit in (units | {"angle_noise_deg": "degrees", "jambs": ""}).items():
-            check_number(getattr(self, name), name, low=0, unit=unit)
+        sizes = ("own_m", "course2_m", "drift_m", "end_noise_m", "angle_noise_deg", "jambs")
+        for name in sizes:
+            check_number(getattr(self, name), name, low=0)
         low, high = self.bias_m
         check_number(low, "bias_m", low=0, unit="m")
         check_number(high, "bias_m", low=low, unit="m")

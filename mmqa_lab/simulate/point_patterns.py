@@ -152,22 +152,13 @@ def expected_f(kind: str, ratio: float) -> float:
     >>> [round(expected_f(k, 4), 3) for k in ("lattice", "scan_lines", "hexagonal", "poisson")]
     [4.0, 4.016, 3.5, 3.257]
     """
+    check_choice(kind, "kind", KINDS)
+    ratio = check_number(ratio, "ratio", low=1)
     d1, _, _, d4 = poisson_spacing(1.0)
-    return _closed_form(kind, ratio, lines=np.sqrt(1 / 8), poisson=d4 / d1)
-
-
-def expected_g(kind: str, ratio: float) -> float:
-    """Return the spacing ratio g in closed form, without edges and noise, at any angle.
-
-    As :func:`expected_f`, but the nearer one of the neighbouring lines counts, t the smaller of two
-    uniform numbers, its median 1 - 1 / sqrt(2); and no direction of a Poisson pattern is special.
-
-    Examples
-    --------
-    >>> [round(expected_g(k, 4), 3) for k in ("lattice", "scan_lines", "hexagonal", "poisson")]
-    [4.0, 4.003, 3.5, 1.0]
-    """
-    return _closed_form(kind, ratio, lines=(1 - np.sqrt(1 / 2)) / 2, poisson=1.0)
+    forms = {"lattice": ratio, "poisson": float(d4 / d1)}
+    forms["scan_lines"] = float(np.hypot(ratio, np.sqrt(1 / 8)))
+    forms["hexagonal"] = float(np.hypot(0.5, np.sqrt(0.75) * ratio))
+    return forms.get(kind, np.nan)
 
 
 def aligned_lines_f() -> int:
@@ -275,19 +266,6 @@ def older_within(points, core):
         pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
         younger[pairs.max(axis=1)] = True
     return younger
-
-
-def _closed_form(kind, ratio, *, lines, poisson):
-    """Ratio of the distance to the next line, ``lines`` units off the foot, to that along."""
-    check_choice(kind, "kind", KINDS)
-    ratio = check_number(ratio, "ratio", low=1)
-    forms = {
-        "lattice": ratio,
-        "scan_lines": float(np.hypot(ratio, lines)),
-        "hexagonal": float(np.hypot(0.5, np.sqrt(0.75) * ratio)),
-        "poisson": float(poisson),
-    }
-    return forms.get(kind, np.nan)
 
 
 def _placed(drawn, rng, density, reach, ratio, angle):

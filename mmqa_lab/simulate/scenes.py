@@ -102,7 +102,11 @@ class Scene:
         self.origin = np.round(parts["centre"].mean(axis=0))
         parts["centre"] = parts["centre"] - self.origin
         ids = np.repeat(np.arange(len(self.surfaces), dtype=np.int32), [*map(len, self.surfaces)])
-        self.tree = _build(surface=ids, **parts)
+        low, high = parts["centre"] - parts["half"], parts["centre"] + parts["half"]
+        order, *nodes = _hierarchy(low, high, parts["centre"])
+        named = parts | {"surface": ids}
+        rows = (named[name][order] for name in Tree._fields[5:11])
+        self.tree = Tree(*nodes, *rows, parts["edges"], parts["reflectance"])
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the ``Hits`` of rays.
@@ -160,13 +164,6 @@ class Tree(NamedTuple):
     cells: np.ndarray  # (n, 3) first reflectance, rows, columns
     edges: np.ndarray  # (m, 4) s, t of the start and the end of each polygon edge
     reflectance: np.ndarray  # (k,) of the cells
-
-
-def _build(*, kind, centre, shape, half, surface, outline, cells, edges, reflectance):
-    """The ``Tree`` of primitives whose boxes are ``centre`` +- ``half``."""
-    order, *nodes = _hierarchy(centre - half, centre + half, centre)
-    rows = (values[order] for values in (kind, centre, shape, surface, outline, cells))
-    return Tree(*nodes, *rows, edges, reflectance)
 
 
 @njit(cache=True)

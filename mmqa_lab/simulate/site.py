@@ -47,9 +47,6 @@ CONTROL = ORIGIN + [[3.0, north, height] for north in (0, 10, 20) for height in 
 CONTROL_SIGMA_M = 0.003
 """By which a control point is misread in a cloud."""
 
-CAMERA = {"Make": "mmqa_lab", "FNumber": 8.0, "DateTimeOriginal": "2021:01:12 10:00:00"}
-"""What the images' EXIF says; the paper asks for aperture, date and time (section 4.1)."""
-
 BEFORE_M, AFTER_M = 30.0, 50.0
 """A drive begins and ends so far from the first pair of boards."""
 
@@ -62,6 +59,9 @@ OBLIQUE_M = 10.0
 NAVIGATION = NavigationErrors(drift_m=(0.01, 0.01, 0.01), drift_deg=(0.005, 0.005, 0.01))
 
 EXPOSURE_S = 0.0005
+
+SPEED_KMH, WANDER = 44.0, 0.01
+"""Of a drive, and the share by which its speed wanders."""
 
 SPREAD_PX = 0.8
 """Point spread that explains most widths of Table 1 (study chart_images)."""
@@ -123,14 +123,14 @@ def site_boards() -> pd.DataFrame:
     return boards
 
 
-def make_drive(distance_m, *, seed, speed_kmh=44.0, wander=0.01) -> Drive:
-    """Drive north past the boards; the speed wanders by this share."""
+def make_drive(distance_m, *, seed) -> Drive:
+    """Drive north past the boards."""
     rng = np.random.default_rng([seed, int(distance_m)])
     start = ORIGIN + [-distance_m, -BEFORE_M + rng.uniform(-0.5, 0.5), HEIGHT_M]
-    path = straight(BEFORE_M + AFTER_M, speed_kmh / 3.6, start=start)
-    path = with_speed_variation(path, share=wander, seed=seed)
+    path = straight(BEFORE_M + AFTER_M, SPEED_KMH / 3.6, start=start)
+    path = with_speed_variation(path, share=WANDER, seed=seed)
     reported = measured(path, NAVIGATION, seed=seed + int(distance_m))
-    step = STATION_STEP_M * 3.6 / speed_kmh
+    step = STATION_STEP_M * 3.6 / SPEED_KMH
     times = np.arange(rng.uniform(0, step), path.duration_s, step)
     return Drive(distance_m, path, reported, _table(reported, times))
 
@@ -143,13 +143,12 @@ def drive_cloud(vehicle, drive, boards, *, seed) -> Cloud:
         heading = np.degrees(np.arctan2(front[0], front[1]))
         middle = board.corners.mean(axis=0)
         scene = Scene([chart(middle, heading=heading, layout=board.layout)])
-        choices = {"seed": [seed, number, int(drive.distance_m)]}
-        choices["seed"] = int(np.random.default_rng(choices["seed"]).integers(2**31))
+        drawn = _drawn(seed, number, drive.distance_m)
         if isinstance(vehicle.sensor, MatchingCamera):
-            parts.append(_matched(scene, vehicle.sensor, drive, board, **choices))
+            parts.append(_matched(scene, vehicle.sensor, drive, middle, front, drawn))
         else:
-            choices["measured"] = drive.reported
-            parts.append(scan_chart(scene, vehicle.sensor, drive.path, board.corners, **choices))
+            way = {"measured": drive.reported, "seed": drawn}
+            parts.append(scan_chart(scene, vehicle.sensor, drive.path, board.corners, **way))
     cloud = Cloud.concatenate([part for part in parts if len(part)])
     order = np.argsort(cloud["gps_time"], kind="stable")
     columns = {name: cloud[name][order] for name in ("gps_time", "intensity")}
@@ -159,20 +158,25 @@ def drive_cloud(vehicle, drive, boards, *, seed) -> Cloud:
 def station_map(vehicle, drive, time, board) -> ChartMap:
     """Where a board truly is in the panorama that was taken at a time."""
     position, turn = drive.path.at([time])
-    right, ahead, up = turn[0].T
-    pose = Pose(position[0], np.stack([right, -up, ahead]))
+    pose = Pose(position[0], _camera_axes(turn[0]))
     return ChartMap.from_orientation(vehicle.camera, pose, board.corners, board.layout)
 
 
 def take_photo(vehicle, drive, time, board, *, seed, sensor=SENSOR):
     """The panorama's part around a board: a :class:`mmqa_lab.simulate.cameras.Photo`."""
     position, turn = drive.path.at([time - EXPOSURE_S / 2, time + EXPOSURE_S / 2])
-    right, ahead, up = turn.mean(axis=0).T
-    travel = np.stack([right, -up, ahead]) @ (position[1] - position[0])
-    optics = Optics(SPREAD_PX, travel=tuple(travel))
+    travel = _camera_axes(turn.mean(axis=0)) @ (position[1] - position[0])
     there = station_map(vehicle, drive, time, board)
-    choices = {"optics": optics, "sensor": sensor, "margin": 40, "supersampling": SUPERSAMPLING}
-    return photograph(board.layout, there, **choices, seed=seed)
+    choices = {"sensor": sensor, "margin": 40, "supersampling": SUPERSAMPLING, "seed": seed}
+    return photograph(
+        board.layout, there, optics=Optics(SPREAD_PX, travel=tuple(travel)), **choices
+    )
+
+
+def _camera_axes(turn):
+    """Right, down and ahead of a vehicle as rows, from its rotation."""
+    right, ahead, up = turn.T
+    return np.stack([right, -up, ahead])
 
 
 def photographed(drive, boards) -> pd.DataFrame:
@@ -191,7 +195,7 @@ def photographed(drive, boards) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["board", "station"])
 
 
-def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
+def write_site(folder, *, systems="ABC", seed=1, images=True):
     """Write the site, its criteria, and what systems deliver, with the marks of a simulated jury.
 
     Parameters
@@ -200,7 +204,6 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
     systems : str
         Of A, B and C.
     seed : int
-    speed_kmh : float
     images : bool
         Without them clouds and trajectories alone, which take a tenth of the time.
     """
@@ -209,9 +212,10 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
     marks = []
     for system in systems:
         for distance in DISTANCES:
-            drive = make_drive(distance, seed=seed + 1000 * ord(system), speed_kmh=speed_kmh)
+            drive = make_drive(distance, seed=seed + 1000 * ord(system))
             place = folder / system / f"drive_{distance:02.0f}m"
-            _write_path(place, drive)
+            times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
+            _write_table(place / "trajectory.csv", _table(drive.reported, times))
             _write_control(place, drive, seed)
             cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)
             write_cloud(place / "cloud.laz", cloud, scale=0.0001)
@@ -224,10 +228,13 @@ def write_site(folder, *, systems="ABC", seed=1, speed_kmh=44.0, images=True):
     _write_table(folder / "marks.csv", table)
 
 
-def _matched(scene, camera, drive, board, seed):
-    """Points of one pair of images, aimed at a board from its own side of it."""
-    middle = board.corners.mean(axis=0)
-    front = np.cross(*np.diff(board.corners[:3], axis=0))
+def _drawn(*numbers):
+    """A seed drawn by numbers."""
+    return int(np.random.default_rng([int(number) for number in numbers]).integers(2**31))
+
+
+def _matched(scene, camera, drive, middle, front, seed):
+    """Points of one pair of images, aimed at a board's middle from its own side of it."""
     along = middle[1] + 1.5 * drive.distance_m * front[1] / np.linalg.norm(front)
     time = np.interp(along, drive.path.position[:, 1], drive.path.time)
     position = drive.path.at([time])[0][0]
@@ -240,29 +247,19 @@ def _matched(scene, camera, drive, board, seed):
 
 def _table(path, times):
     """Time, place and attitude of a path at times, as trajectory files have them."""
-    states = path.states(np.asarray(times) - path.time[0])
-    names = ("easting_m", "northing_m", "height_m")
-    columns = dict(zip(names, (path.origin + states[:, :3]).T, strict=True))
-    angles = dict(zip(("roll_deg", "pitch_deg", "heading_deg"), states[:, 3:].T, strict=True))
-    turns = {name: np.degrees(angle) for name, angle in angles.items()}
-    return pd.DataFrame({"time_s": times, **columns, **turns})
+    states = path.states(times - path.time[0])
+    angles = np.degrees(states[:, 3:]).T
+    return Trajectory(times, path.origin + states[:, :3], *angles).to_frame()
 
 
 def _write_plan(folder, boards):
     """The files that the site's owner hands out: boards, control points, drives."""
+    rows = []
     for board in boards.itertuples():
-        text = board.layout.to_json()
-        file = folder / "charts" / f"{board.board.replace(' ', '_')}.json"
-        write_atomically(file, lambda path, text=text: path.write_text(text, encoding="utf-8"))
-    rows = [
-        {
-            "board": board.board,
-            "kind": board.kind,
-            "layout": f"charts/{board.board.replace(' ', '_')}.json",
-            "corners": board.corners.round(4).tolist(),
-        }
-        for board in boards.itertuples()
-    ]
+        file = f"charts/{board.board.replace(' ', '_')}.json"
+        _write_text(folder / file, board.layout.to_json())
+        about = {"board": board.board, "kind": board.kind, "layout": file}
+        rows.append(about | {"corners": board.corners.round(4).tolist()})
     site = {
         "crs": CRS,
         "distances_m": list(DISTANCES),
@@ -271,14 +268,7 @@ def _write_plan(folder, boards):
         "boards": rows,
         "control_points": CONTROL.tolist(),
     }
-    text = json.dumps(site, indent=1)
-    write_atomically(folder / "site.json", lambda path: path.write_text(text, encoding="utf-8"))
-
-
-def _write_path(place, drive):
-    """The trajectory that a drive delivers, twenty rows a second."""
-    times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
-    _write_table(place / "trajectory.csv", _table(drive.reported, times))
+    _write_text(folder / "site.json", json.dumps(site, indent=1))
 
 
 def _write_control(place, drive, seed):
@@ -292,56 +282,49 @@ def _write_control(place, drive, seed):
     _write_table(place / "control.csv", table)
 
 
-def _with_exif(data, camera):
-    """A JPEG with camera, date, aperture and exposure."""
+def _write_jpeg(file, image, camera):
+    """An image whose EXIF says camera, date, aperture (section 4.1 asks for them) and exposure."""
     from PIL.ExifTags import IFD, Base
-    from PIL.Image import Exif
+    from PIL.Image import Exif, fromarray
 
     exif = Exif()
-    exif[Base.Make], exif[Base.Model] = CAMERA["Make"], f"panorama, {camera.width} columns"
-    exif.get_ifd(IFD.Exif).update(
-        {
-            Base.DateTimeOriginal: CAMERA["DateTimeOriginal"],
-            Base.FNumber: CAMERA["FNumber"],
-            Base.ExposureTime: EXPOSURE_S,
-        }
-    )
-    block = exif.tobytes()
-    return data[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + data[2:]
+    exif[Base.Make], exif[Base.Model] = "mmqa_lab", f"panorama, {camera.width} columns"
+    taken = {Base.FNumber: 8.0, Base.DateTimeOriginal: "2021:01:12 10:00:00"}
+    exif.get_ifd(IFD.Exif).update(taken | {Base.ExposureTime: EXPOSURE_S})
+    options = {"quality": SENSOR.jpeg_quality, "exif": exif}
+    write_atomically(file, lambda path: fromarray(image).save(path, "JPEG", **options))
 
 
 def _write_images(place, vehicle, drive, boards, seed):
     """Images with their orientations; return the crops' names and marks."""
-    import cv2
-
     rows, marks = [], []
     boards = boards.set_index("board", drop=False)
     for number, shot in enumerate(photographed(drive, boards).itertuples()):
         station, board = drive.stations.iloc[shot.station], boards.loc[shot.board]
-        draw = [seed, number, int(drive.distance_m), int(vehicle.megapixels)]
-        noise = int(np.random.default_rng(draw).integers(2**31))
+        noise = _drawn(seed, number, drive.distance_m, vehicle.megapixels)
         photo = take_photo(vehicle, drive, station["time_s"], board, seed=noise)
         file = f"image_{shot.station:03d}_{number}.jpg"
-        quality = [cv2.IMWRITE_JPEG_QUALITY, SENSOR.jpeg_quality]
-        data = cv2.imencode(".jpg", photo.image, quality)[1].tobytes()
-        data = _with_exif(data, vehicle.camera)
-        write_atomically(place / file, lambda path, data=data: path.write_bytes(data))
+        _write_jpeg(place / file, photo.image, vehicle.camera)
         window = {"first_column": photo.origin[0], "first_row": photo.origin[1]}
         rows.append({"file": file, **station, **window, "exposure_s": EXPOSURE_S})
         crop = blind_name(place / file, board["board"])
-        given = tuple(_judged(photo, np.random.default_rng(noise)))
+        given = _judged(photo, np.random.default_rng(noise))
         marks += [(f"{crop}_{number:02d}", *given) for number in JUDGED_NUMBERS]
     _write_table(place / "images.csv", pd.DataFrame(rows))
-    camera = json.dumps({"width": vehicle.camera.width})
-    write_atomically(place / "camera.json", lambda path: path.write_text(camera, encoding="utf-8"))
+    _write_text(place / "camera.json", json.dumps({"width": vehicle.camera.width}))
     return marks
 
 
 def _judged(photo, rng):
     """The marks of three simulated jurors for text of 40 mm."""
     pixels = 40 / photo.chart_map.pixel_sizes_mm([[500.0, 500.0]])[0, 1]
-    for juror in pixels + JUROR_SIGMA_PX * rng.standard_normal(3):
-        yield next((mark for mark, least in LEGIBLE_PX.items() if juror >= least), "c")
+    jurors = pixels + JUROR_SIGMA_PX * rng.standard_normal(3)
+    return np.select([jurors >= least for least in LEGIBLE_PX.values()], [*LEGIBLE_PX], "c")
+
+
+def _write_text(file, text):
+    """A text file, whole or not at all."""
+    write_atomically(file, lambda path: path.write_text(text, encoding="utf-8"))
 
 
 def _write_table(file, table):

@@ -13,13 +13,15 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import charts
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.planes.regression import across
+from mmqa_lab.planes import across
 
 PARALLELOGRAM, ELLIPSE, POLYGON, FRUSTUM, ELLIPSOID = range(5)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
 
 CELL_MM = 10.0
 """Cells of the printed chart; a scanner sees their mean reflectance."""
+
+BRIGHT, DARK = 0.8, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +133,8 @@ def ground(
     *,
     centre: tuple[float, float] = (0.0, 0.0),
     size: tuple[float, float] = (2000.0, 2000.0),
-    reflectance: float = 0.2,
 ) -> Surface:
-    """Return a level rectangle called ``"ground"``.
+    """Return a level rectangle called ``"ground"``, of reflectance 0.2.
 
     Parameters
     ----------
@@ -141,7 +142,6 @@ def ground(
         Metres.
     centre, size : (float, float)
         Along x and y, metres.
-    reflectance : float
 
     Returns
     -------
@@ -161,7 +161,7 @@ def ground(
     """
     a, b = (check_positive(side, "size", unit="m") for side in size)
     low = (centre[0] - a / 2, centre[1] - b / 2, check_number(height, "height", unit="m"))
-    return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=reflectance)
+    return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=0.2)
 
 
 def board(
@@ -170,7 +170,6 @@ def board(
     height: float,
     *,
     heading: float = 0.0,
-    lean: float = 0.0,
     label: str = "board",
     reflectance: ArrayLike = 0.8,
 ) -> Surface:
@@ -184,8 +183,6 @@ def board(
         Metres.
     heading : float
         Horizontal direction its front looks to, degrees clockwise from +y (north).
-    lean : float
-        Degrees by which its front looks up.
     label : str
     reflectance : float or array_like, shape (rows, columns)
         Rows from the bottom up, columns from left to right as one looks at the front.
@@ -206,11 +203,11 @@ def board(
     >>> float(sign.cast([0, 0, 2], [[0, 1, 0]]).range_m[0])
     5.0
     """
-    sides = _board_sides(centre, width, height, heading, lean)
+    sides = _board_sides(centre, width, height, heading)
     return rectangle(*sides, label=label, reflectance=reflectance)
 
 
-def disc(centre, normal, radius, *, label="board", reflectance=0.5):
+def disc(centre, normal, radius):
     """Return a flat disc from its centre, its normal (of any length) and its radius in metres.
 
     Returns
@@ -236,7 +233,7 @@ def disc(centre, normal, radius, *, label="board", reflectance=0.5):
     radius = check_positive(radius, "radius", unit="m")
     shape = _planar_shape(*radius * across(normal[None])[0])
     half = radius * np.sqrt(1 - normal**2)
-    return _surface(label, ELLIPSE, _vector(centre, "centre"), shape, half, reflectance)
+    return _surface("board", ELLIPSE, _vector(centre, "centre"), shape, half, 0.5)
 
 
 def polygon(
@@ -389,7 +386,7 @@ def box(
     return group([rectangle(*face, reflectance=reflectance) for face in faces], label=label)
 
 
-def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
+def ellipsoid(centre, radii):
     """Return a solid ellipsoid with axes along x, y, z.
 
     Parameters
@@ -398,8 +395,6 @@ def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
         Metres.
     radii : float or array_like, shape (3,)
         Half axes, metres.
-    label : str
-    reflectance : float
 
     Returns
     -------
@@ -419,10 +414,10 @@ def ellipsoid(centre, radii, *, label="sphere", reflectance=0.5):
     """
     centre, radii = _vector(centre, "centre"), _radii(radii)
     shape = np.diag(1 / radii).ravel()
-    return _surface(label, ELLIPSOID, centre, shape, radii, reflectance)
+    return _surface("sphere", ELLIPSOID, centre, shape, radii, 0.5)
 
 
-def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflectance=0.4):
+def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
     """Return a crown or shrub: flat round leaves, at random in an ellipsoid, turned at random.
 
     Parameters
@@ -438,7 +433,6 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
         Metres.
     seed : int
     label : str
-    reflectance : float
 
     Returns
     -------
@@ -464,7 +458,7 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown", reflecta
     shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
     half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
     points = _vector(centre, "centre") + ball * _radii(radii)
-    return _surface(label, ELLIPSE, points, shape, half, reflectance)
+    return _surface(label, ELLIPSE, points, shape, half, 0.4)
 
 
 def wall(
@@ -537,7 +531,7 @@ def wall(
     return [polygon(outline, holes=holes, label=label, reflectance=reflectance), *parts]
 
 
-def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
+def kerb(line, height=0.12, *, label="kerb"):
     """Return the upright faces of a kerb along a line: a surface for each of its stretches.
 
     Parameters
@@ -547,7 +541,6 @@ def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
     height : float
         Metres.
     label : str
-    reflectance : float
 
     Returns
     -------
@@ -565,18 +558,11 @@ def kerb(line, height=0.12, *, label="kerb", reflectance=0.4):
     """
     line = check_points(line, name="line", minimum=2)
     up = (0, 0, check_positive(height, "height", unit="m"))
-    look = {"label": label, "reflectance": reflectance}
+    look = {"label": label, "reflectance": 0.4}
     return [rectangle(start, end - start, up, **look) for start, end in pairwise(line)]
 
 
-def chart(
-    centre: ArrayLike,
-    *,
-    heading: float,
-    layout: charts.Layout | None = None,
-    bright: float = 0.8,
-    dark: float = 0.1,
-) -> Surface:
+def chart(centre: ArrayLike, *, heading: float, layout: charts.Layout | None = None) -> Surface:
     """Return the point chart as it is printed, as a surface that scanners and cameras see.
 
     Parameters
@@ -587,18 +573,11 @@ def chart(
         Where its front looks to, degrees clockwise from +y.
     layout : Layout, optional
         What is printed; by default :func:`mmqa_lab.charts.point_chart`.
-    bright, dark : float
-        Reflectances of white and of black.
 
     Returns
     -------
     Surface
-        With the mean reflectance of each cell of 10 mm.
-
-    Raises
-    ------
-    ValueError
-        If a reflectance lies outside 0 to 1.
+        With the mean reflectance of each cell of 10 mm; 0.8 is white and 0.1 black.
 
     References
     ----------
@@ -615,17 +594,17 @@ def chart(
     layout = charts.point_chart() if layout is None else layout
     tones = charts.reflectance(layout, cell=CELL_MM).astype(np.float64)
     size = layout.width / 1000, layout.height / 1000
-    pattern = dark + (bright - dark) * tones
+    pattern = DARK + (BRIGHT - DARK) * tones
     return board(centre, *size, heading=heading, label="chart", reflectance=pattern)
 
 
-def chart_corners(centre: ArrayLike, *, heading: float, size: float = 1.0) -> np.ndarray:
-    """Return the corners of a chart, (4, 3), from the lower left around, as one looks at its front.
+def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
+    """Return the corners of a chart of 1 m, from the lower left around, as one looks at its front.
 
     Parameters
     ----------
-    centre, heading, size
-        See :func:`chart`; the size in metres.
+    centre, heading
+        See :func:`chart`.
 
     Returns
     -------
@@ -635,14 +614,14 @@ def chart_corners(centre: ArrayLike, *, heading: float, size: float = 1.0) -> np
     Raises
     ------
     ValueError
-        If the size is not above zero or the heading is not finite.
+        If the heading is not finite.
 
     Examples
     --------
     >>> chart_corners((5, 0, 1), heading=-90)[0].round(9).tolist()
     [5.0, 0.5, 0.5]
     """
-    low, along, up = _board_sides(centre, size, size, heading, 0.0)
+    low, along, up = _board_sides(centre, 1.0, 1.0, heading)
     return np.array([low, low + along, low + along + up, low + up])
 
 
@@ -692,12 +671,11 @@ def _radii(values):
     return np.array([check_positive(radius, "radii", unit="m") for radius in values.tolist()])
 
 
-def _board_sides(centre, width, height, heading, lean):
+def _board_sides(centre, width, height, heading):
     """Lower left corner of a board as one looks at its front, and the sides from there."""
-    h, t = np.radians([check_number(heading, "heading"), check_number(lean, "lean")])
+    h = np.radians(check_number(heading, "heading"))
     along = check_positive(width, "width", unit="m") * np.array([-np.cos(h), np.sin(h), 0])
-    rise = np.array([-np.sin(h) * np.sin(t), -np.cos(h) * np.sin(t), np.cos(t)])
-    up = check_positive(height, "height", unit="m") * rise
+    up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
     return _vector(centre, "centre") - along / 2 - up / 2, along, up
 
 

@@ -17,8 +17,7 @@ import numpy as np
 from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.scan import MatchingCamera, match, scan
-from mmqa_lab.simulate.scanners import MultiBeamScanner, ProfileScanner
+from mmqa_lab.simulate.scan import MatchingCamera, MultiBeamScanner, ProfileScanner, match, scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import chart, chart_corners
 from mmqa_lab.simulate.trajectories import NavigationErrors, straight
@@ -128,7 +127,9 @@ PRESETS = _with_scanners(_tables(Path(__file__).with_name("presets.toml")))
 them with ``dataclasses.replace``. Each says where its numbers come from and whether they are
 nominal or calibrated."""
 
-SYSTEMS = _systems(_tables(Path(__file__).with_name("systems.toml")))
+_TABLES = _tables(Path(__file__).with_name("systems.toml"))
+
+SYSTEMS = _systems(_TABLES)
 """Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the
 others."""
 
@@ -199,18 +200,7 @@ SYSTEM_A = replace(PRESETS["zf-9012"], tilt_deg=45)
 SYSTEM_B = PRESETS["hdl-32e"]
 """0.7 MHz are stated, the mounting is not: upright, as most are."""
 
-SYSTEM_C = MatchingCamera(
-    focal_px=1233,
-    width_px=280,
-    height_px=280,
-    base_m=1.0,
-    points_per_px=4.0,
-    hard_core=0.34,
-    resampled_per_m2=29_900,
-    noise_px=0.23,
-    floor_m=0.0132,
-    correlation_px=3.0,
-)
+SYSTEM_C = MatchingCamera(**_TABLES["cameras"]["C"])
 """A panorama of 30 megapixels is stated, so 1233 pixels per radian; which images were matched, and
 how, is not. Density, hard core and noise are fitted to Table 2, whose density does not fall with
 the distance: it takes more than two points per pixel at 10 m, so several pairs, and resampling."""
@@ -222,8 +212,6 @@ def pass_chart(
     *,
     seed: int,
     height: float = 0.0,
-    speed: float = SPEED,
-    rounding_m: float = 0.0,
 ) -> Cloud:
     """Return the points of a chart that a sensor drives past.
 
@@ -236,10 +224,6 @@ def pass_chart(
         Of the errors, and of the place of a scan pattern on the chart.
     height : float
         Of the sensor above the centre of the chart, metres.
-    speed : float
-        Metres per second.
-    rounding_m : float
-        Grid of the coordinates, metres (scanners only).
 
     Returns
     -------
@@ -257,12 +241,12 @@ def pass_chart(
     height = check_number(height, "height", unit="m")
     scene = Scene([chart((distance, 0, 0), heading=FACING_THE_ROAD)])
     if isinstance(sensor, MatchingCamera):
-        path = straight(2.0, speed, start=(0, -1, height))
+        path = straight(2.0, SPEED, start=(0, -1, height))
         return next(match(scene, sensor, path, times=[path.duration_s / 2], seed=seed))
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
-    path = straight(2 * REACH * distance, speed, start=(0, shift - REACH * distance, height))
+    path = straight(2 * REACH * distance, SPEED, start=(0, shift - REACH * distance, height))
     corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
-    return scan_chart(scene, sensor, path, corners, seed=seed, rounding_m=rounding_m)
+    return scan_chart(scene, sensor, path, corners, seed=seed)
 
 
 def scan_chart(scene, scanner, path, corners, **options):

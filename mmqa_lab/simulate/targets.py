@@ -29,6 +29,10 @@ MARGIN_PX, MARGIN_SIGMAS = 8, 6
 """Drawn around the image, so that what the filter wraps around stays outside."""
 
 
+READ_NOISE_DN, ELECTRONS_PER_DN = 2.0, 10.0
+"""Of simulated sensors: shot noise has the variance DN / electrons per DN."""
+
+
 @dataclass(frozen=True)
 class PointSpread:
     """The point spread function of a camera at one place of its image.
@@ -116,7 +120,7 @@ class PointSpread:
         return float(2 * brentq(above_half, 0, 6 * np.sqrt(self.blur.max()) + 2))
 
 
-def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=0.6):
+def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, **levels):
     """Return an image of one straight edge.
 
     Parameters
@@ -128,24 +132,15 @@ def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, low=0.1, high=
         Direction from dark to bright, from x towards y.
     position_px : float
         Of the edge along that direction from the image's centre.
-    low, high : float
-        Levels of the two sides.
+    **levels
+        ``low``, ``high``: of the two sides, 0.1 and 0.6.
     """
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return _render(shape, spread, lambda x, y: x * c + y * s - position_px, low, high)
+    return _render(shape, spread, lambda x, y: x * c + y * s - position_px, **levels)
 
 
 def render_star(
-    shape,
-    spread,
-    *,
-    cycles=36,
-    radius_px,
-    centre=(0.0, 0.0),
-    tilt_deg=0.0,
-    half=False,
-    low=0.1,
-    high=0.6,
+    shape, spread, *, cycles=36, radius_px, centre=(0.0, 0.0), tilt_deg=0.0, half=False, **levels
 ):
     """Return an image of a Siemens star on a dark ground.
 
@@ -164,8 +159,8 @@ def render_star(
         Of the star about y: it is seen narrower along x.
     half : bool
         Only the half with y below the centre's (upwards in the image).
-    low, high : float
-        Levels of dark and bright sectors.
+    **levels
+        ``low``, ``high``: of dark and bright sectors, 0.1 and 0.6.
     """
     n = check_count(cycles, "cycles", low=2)
 
@@ -181,7 +176,7 @@ def render_star(
         inside = inside * np.sqrt(shrink)
         return np.minimum(inside, -y) if half else inside
 
-    return _render(shape, spread, distance, low, high)
+    return _render(shape, spread, distance, **levels)
 
 
 def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
@@ -201,7 +196,7 @@ def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
     offset_px : float
         Of the group's centre along that direction.
     **levels
-        ``low``, ``high``.
+        ``low``, ``high``: of dark and bright bars, 0.1 and 0.6.
     """
     period = check_positive(period_px, "period_px", unit="px")
     count = check_count(bars, "bars")
@@ -214,21 +209,20 @@ def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
         near = np.clip(np.round(place), 0, count - 1)
         return np.minimum((0.25 - np.abs(place - near)) * period, 1.25 * period - np.abs(v))
 
-    return _render(shape, spread, distance, **{"low": 0.1, "high": 0.6} | levels)
+    return _render(shape, spread, distance, **levels)
 
 
-def texture(shape, *, seed, slope=1.0):
+def texture(shape, *, seed):
     """Return a random scene with as much detail as natural ones have, values 0 to 1.
 
-    Its amplitude spectrum falls off with the frequency to the power of -``slope`` (about 1 for
-    photographs of natural scenes).
+    Its amplitude spectrum falls off with the frequency, about as in photographs of natural scenes.
     """
     rng = np.random.default_rng(seed)
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
     f = np.hypot(fx, fy)
     f[0, 0] = np.inf
     noise = np.fft.rfft2(rng.standard_normal(shape))
-    scene = np.fft.irfft2(noise * f**-slope, shape)
+    scene = np.fft.irfft2(noise * (1 / f), shape)
     return np.clip(0.5 + 0.15 * scene / scene.std(), 0, 1)
 
 
@@ -254,7 +248,7 @@ def blur_over_image(scene, sigma):
     return (1 - share) * stack[lower, rows, columns] + share * stack[lower + 1, rows, columns]
 
 
-def expose(light, *, gain, offset=0.0, read_noise=2.0, electrons_per_dn=10.0, bits=12, seed):
+def expose(light, *, gain, offset=0.0, bits=12, seed):
     """Return the digital numbers that a linear sensor with shot and read noise would record.
 
     Parameters
@@ -263,10 +257,6 @@ def expose(light, *, gain, offset=0.0, read_noise=2.0, electrons_per_dn=10.0, bi
         Radiance times relative exposure, per pixel.
     gain, offset : float
         DN per unit of it, DN.
-    read_noise : float
-        Standard deviation, DN.
-    electrons_per_dn : float
-        Photo-electrons a DN: shot noise has the variance DN / electrons_per_dn.
     bits : int
         Values are rounded and clipped to 0 .. 2**bits - 1.
     seed : int
@@ -277,10 +267,9 @@ def expose(light, *, gain, offset=0.0, read_noise=2.0, electrons_per_dn=10.0, bi
         Whole numbers.
     """
     rng = np.random.default_rng(seed)
-    check_number(read_noise, "read_noise", low=0, unit="DN")
     signal = gain * np.asarray(light, dtype=np.float64)
-    shot = np.maximum(signal, 0) / check_positive(electrons_per_dn, "electrons_per_dn")
-    noisy = signal + offset + np.sqrt(shot + read_noise**2) * rng.standard_normal(signal.shape)
+    shot = np.maximum(signal, 0) / ELECTRONS_PER_DN
+    noisy = signal + offset + np.sqrt(shot + READ_NOISE_DN**2) * rng.standard_normal(signal.shape)
     return np.clip(np.round(noisy), 0, 2 ** check_count(bits, "bits") - 1)
 
 
@@ -351,6 +340,9 @@ SURFACES = pd.DataFrame(
 """Assumed reflectance in the green and Walthall's terms over nadir, for surfaces as in towns."""
 
 OFFSET_DN, GAIN_DN, BITS = 64.0, 9000.0, 12
+
+TIE_SPACING_M, WINDOW = 20.0, 5
+"""Of a block's observations: metres between tie points, pixels along a window about each."""
 
 
 @dataclass(frozen=True)
@@ -428,11 +420,7 @@ class ImageBlock:
         """
         station = self.stations.iloc[np.asarray(image)].reset_index(drop=True)
         view = _view(station, np.asarray(row), np.asarray(column), self.flight)
-        cell = (
-            (view["y_m"] / self.flight.gsd_m).astype(int),
-            (view["x_m"] / self.flight.gsd_m).astype(int),
-        )
-        names = SURFACES["surface"].to_numpy()[self.surface[cell]]
+        names = SURFACES["surface"].to_numpy()[self.surface[_cells(view, self.flight)]]
         sun = station[["image", "sun_zenith_deg"]]
         return pd.concat([sun, pd.DataFrame(view)], axis=1).assign(surface=names)
 
@@ -442,29 +430,21 @@ class ImageBlock:
         exposure = self.stations["exposure"].to_numpy()[np.asarray(image)]
         return (np.stack(smooth)[image, row, column] - OFFSET_DN) / (GAIN_DN * exposure)
 
-    def observations(self, *, spacing_m=20.0, window=5):
+    def observations(self):
         """Return what every image shows of a grid of tie points, as ``adjust_block`` wants it.
 
-        Parameters
-        ----------
-        spacing_m : float
-            Of the grid on the ground.
-        window : int
-            Side of the window that is averaged, px. Tie points whose window is not of one surface
-            class are left out.
-
-        Returns
-        -------
-        DataFrame
-            Also ``reference``: true nadir reflectance, the mean over the window.
+        Tie points are 20 m apart, those left out whose window of 5 x 5 pixels is not of one surface
+        class. ``reference`` is the true nadir reflectance, the mean over the window.
         """
-        half = window // 2 + 1
+        half = WINDOW // 2 + 1
         flight, gsd = self.flight, self.flight.gsd_m
         high, wide = self.surface.shape
-        step = check_positive(spacing_m, "spacing_m", unit="m") / gsd
+        step = TIE_SPACING_M / gsd
         y, x = np.meshgrid(np.arange(half, high - half, step), np.arange(half, wide - half, step))
         y, x = y.ravel().astype(int), x.ravel().astype(int)
-        even, reference = _even_windows(self.surface, self.reflectance, window)
+        around = WINDOW + 2
+        even = maximum_filter(self.surface, around) == minimum_filter(self.surface, around)
+        reference = uniform_filter(self.reflectance, WINDOW)
         y, x = y[even[y, x]], x[even[y, x]]
         parts = []
         for image, station in enumerate(self.stations.itertuples()):
@@ -478,9 +458,8 @@ class ImageBlock:
             part["row"], part["column"] = place[1:]
             parts.append(part)
         table = pd.concat(parts, ignore_index=True)
-        table["radiance"] = self.radiance(
-            table["image"].to_numpy(), table["row"], table["column"], window=window
-        )
+        places = table["image"].to_numpy(), table["row"], table["column"]
+        table["radiance"] = self.radiance(*places, window=WINDOW)
         often = table.groupby("tie")["image"].transform("nunique") > 1
         return table[often].reset_index(drop=True)
 
@@ -508,7 +487,7 @@ def fly_block(flight=None, *, seed):
     for image in range(n):
         station = stations.iloc[np.full(len(row), image)].reset_index(drop=True)
         view = _view(station, row, column, flight)
-        cell = tuple((view[name] / flight.gsd_m).astype(int) for name in ("y_m", "x_m"))
+        cell = _cells(view, flight)
         v, azimuth = np.radians(view["view_zenith_deg"]), np.radians(view["azimuth_deg"])
         b1, b2 = b[surface[cell]].T
         seen = reflectance[cell] * (1 + b1 * v**2 + b2 * v * np.cos(azimuth))
@@ -521,7 +500,7 @@ def fly_block(flight=None, *, seed):
     return ImageBlock(dn, stations, flight, reflectance, surface)
 
 
-def _render(shape, spread, distance, low, high):
+def _render(shape, spread, distance, low=0.1, high=0.6):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
     margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * np.sqrt(spread.blur.max())))
@@ -582,6 +561,11 @@ def _view(station, row, column, flight):
     }
 
 
+def _cells(view, flight):
+    """Rows and columns of the ground that pixels see."""
+    return tuple((view[name] / flight.gsd_m).astype(int) for name in ("y_m", "x_m"))
+
+
 def _fields(size, seed, fields=60):
     """Reflectance and surface class of the ground: fields nearest to random centres, textured."""
     rng = np.random.default_rng([seed, 1])
@@ -592,9 +576,3 @@ def _fields(size, seed, fields=60):
     nearest = cKDTree(centres).query(cells)[1].reshape(size)
     detail = 1 + 0.3 * (texture(size, seed=seed) - 0.5)
     return level[nearest] * detail, kind[nearest]
-
-
-def _even_windows(surface, reflectance, window):
-    """Where a window has one surface class, and the mean reflectance over it."""
-    even = maximum_filter(surface, window + 2) == minimum_filter(surface, window + 2)
-    return even, uniform_filter(reflectance, window)

@@ -41,6 +41,8 @@ system; the 20 mm of the control points (3.1.2.2) must be common to the field.""
 PLAN_STD_M = 0.02 / np.sqrt(2)
 """Of a surveyed coordinate in plan: about 2 cm in both together (section 3.3.2)."""
 
+ORIGIN = (380_000.0, 6_672_000.0, 20.0)
+
 SNOW_M = 4.0
 """Side of the squares in which snow lies or does not."""
 
@@ -111,12 +113,7 @@ class SimulatedField:
 
 
 def make_testfield(
-    *,
-    length_m=120.0,
-    origin=(380_000.0, 6_672_000.0, 20.0),
-    reference_std_m=REFERENCE_STD_M,
-    plan_std_m=None,
-    seed=1,
+    *, length_m=120.0, origin=ORIGIN, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1
 ):
     """Return a street with everything that is measured on the test field.
 
@@ -159,20 +156,15 @@ def make_testfield(
     poles, shafts = _poles(length, rng)
     houses, house_corners = _houses(length, rng)
     surfaces = [*_road(length), *houses, *shafts, *_cars(length)]
-    bays = _bays(length)
-    curb_corners = [
-        (sign * (ROAD_HALF_M - 2.0), y, 0.0, "curb")
-        for bay in bays
-        for y in bay
-        for sign in (-1, 1)
-    ]
+    ends = [(sign * (ROAD_HALF_M - 2.0), y) for y in _bays(length).ravel() for sign in (-1, 1)]
+    curb_corners = [(*place, 0.0, "curb") for place in ends]
     corners = pd.DataFrame(house_corners + curb_corners, columns=["x_m", "y_m", "z_m", "kind"])
     corners["name"] = [f"{kind} {k}" for k, kind in enumerate(corners["kind"])]
     for table in (poles, corners):
         table[["x_m", "y_m", "z_m"]] += origin
         table[["x_m", "y_m"]] += rng.normal(0, plan, (len(table), 2))
     targets = pd.concat([poles.assign(kind="pole"), corners], ignore_index=True)
-    scene = Scene(_moved(surfaces, origin))
+    scene = Scene(replace(surface, centre=surface.centre + origin) for surface in surfaces)
     return SimulatedField(scene, origin, length, targets, survey, plan)
 
 
@@ -225,10 +217,8 @@ def _with_wrong_lever_arm(cloud, path, error):
 
 def _curb_offset(y, length):
     """Distance of the curb from the axis: 5 m, and 3 m where bays end in build-outs."""
-    out = np.zeros(np.shape(y), dtype=bool)
-    for low, high in _bays(length):
-        out |= (y > low) & (y < high)
-    return np.where(out, ROAD_HALF_M - 2.0, ROAD_HALF_M)
+    low, high = _bays(length).T[..., None]
+    return np.where(((y > low) & (y < high)).any(axis=0), ROAD_HALF_M - 2.0, ROAD_HALF_M)
 
 
 def _bays(length):
@@ -241,9 +231,8 @@ def _road(length):
     """Road, curbs and pavements on both sides, with build-outs; open ground on the left."""
     beyond = 30.0
     edges = [(-beyond, ROAD_HALF_M)]
-    for low, high in _bays(length):
-        edges += [(low, ROAD_HALF_M), (low, ROAD_HALF_M - 2), (high, ROAD_HALF_M - 2)]
-        edges += [(high, ROAD_HALF_M)]
+    for bay in _bays(length):
+        edges += zip(bay.repeat(2), ROAD_HALF_M - np.array([0, 2, 2, 0]), strict=True)
     edges += [(length + beyond, ROAD_HALF_M)]
     span = length + 2 * beyond
     corner, across = (-ROAD_HALF_M, -beyond, 0), (2 * ROAD_HALF_M, 0, 0)
@@ -293,8 +282,3 @@ def _poles(length, rng):
             shafts.append(shaft)
             rows.append((f"{label} {len(rows)}", *place, diameter))
     return pd.DataFrame(rows, columns=["name", "x_m", "y_m", "z_m", "diameter_m"]), shafts
-
-
-def _moved(surfaces, shift):
-    """Surfaces moved to the street's place."""
-    return [replace(s, centre=s.centre + shift) for s in surfaces]

@@ -231,15 +231,8 @@ def straight(
     return Trajectory(times, np.array([start, end]), roll, pitch, heading)
 
 
-def with_speed_variation(
-    trajectory: Trajectory,
-    *,
-    share: float,
-    seed: int,
-    correlation_s: float = 0.5,
-    interval_s: float = 0.01,
-) -> Trajectory:
-    """Return the same path driven at a speed that wanders about its own.
+def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> Trajectory:
+    """Return the same path driven at a speed that wanders about its own within half a second.
 
     Parameters
     ----------
@@ -247,12 +240,11 @@ def with_speed_variation(
     share : float
         Standard deviation of the speed, as a share of it (0.01 = 1 %).
     seed : int
-    correlation_s, interval_s : float
-        Correlation time of the speed (first-order Gauss-Markov) and step of the rows, seconds.
 
     Returns
     -------
     Trajectory
+        A row each hundredth of a second.
 
     Raises
     ------
@@ -261,7 +253,8 @@ def with_speed_variation(
 
     Notes
     -----
-    The path ends where it ended; its duration changes by what the speed did on average.
+    The path ends where it ended; its duration changes by what the speed did on average. The speed
+    is first-order Gauss-Markov with a correlation time of 0.5 s.
 
     Examples
     --------
@@ -270,9 +263,9 @@ def with_speed_variation(
     ([0.0, 100.0, 0.0], True)
     """
     share = check_number(share, "share", low=0, high=0.3)
-    n = int(np.ceil(trajectory.duration_s / interval_s)) + 1
+    n = int(np.ceil(trajectory.duration_s / 0.01)) + 1
     along = np.linspace(0.0, trajectory.duration_s, n)
-    speed = 1 + share * gauss_markov(n, along[1], correlation_s, np.random.default_rng(seed))
+    speed = 1 + share * gauss_markov(n, along[1], 0.5, np.random.default_rng(seed))
     pace = 1 / np.maximum(speed, 0.05)
     since = np.concatenate([[0.0], np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(along))])
     values = trajectory.states(along)

@@ -213,7 +213,6 @@ def quadrants(
     *,
     radius: float = 0.5,
     angle: float = 0.0,
-    complete: bool = False,
     sectors: int | str = 4,
     statistic: float = 50.0,
 ) -> Spacing:
@@ -227,9 +226,6 @@ def quadrants(
         Neighbours up to this far count, m.
     angle : float
         Turns the axes of the quadrants counter-clockwise, degrees.
-    complete : bool
-        Use only the points with a neighbour in all four quadrants. By default each median is over
-        the points that have a neighbour of that rank, as the histogram of an attribute would be.
     sectors : int or str
         Equal sectors in place of the four quadrants, the first from the first axis on; "nearest 8"
         takes the 8 nearest points in any direction, "nearest" four. The source has quadrants only.
@@ -248,9 +244,9 @@ def quadrants(
 
     Notes
     -----
-    Points at the edge lack neighbours on one side: their first distances go with the others' unless
-    ``complete``. Repeated points leave d as it is and raise the density; see ``coincident``.
-    f of a homogeneous random pattern is 3.257, see :func:`poisson_spacing`.
+    Each median is over the points that have a neighbour of that rank; points at the edge lack
+    neighbours on one side. Repeated points leave d as it is and raise the density; see
+    ``coincident``. f of a homogeneous random pattern is 3.257, see :func:`poisson_spacing`.
 
     References
     ----------
@@ -273,14 +269,11 @@ def quadrants(
         radius = check_positive(radius, "radius", unit="m")
         distances = _sector_distances(xy, radius, check_number(angle, "angle"), sectors)
     known = ~np.isnan(distances)
-    full = known[:, -1]
-    if complete:
-        known &= full[:, None]
     ranks = zip(distances.T, known.T, strict=True)
     return Spacing(
         d=np.array([_quantile(values[here], share) for values, here in ranks]),
         counts=known.sum(axis=0),
-        incomplete_share=float(1 - full.mean()),
+        incomplete_share=float(1 - known[:, -1].mean()),
         coincident=_count_coincident(xy),
         xy=xy,
         distances=distances,
@@ -703,13 +696,9 @@ def _nearest_in_windows(xy, rows, order, first, count, quadrant):
     shift = np.repeat(first.ravel() - (ends - count.ravel()), count.ravel())
     offset = xy[order[np.arange(ends[-1]) + shift]] - np.repeat(xy[rows], size, axis=0)
     dx, dy = offset.T
-    inside = (
-        (dx > 0) & (dy >= 0),
-        (dx <= 0) & (dy > 0),
-        (dx < 0) & (dy <= 0),
-        (dx >= 0) & (dy < 0),
-    )[quadrant]
-    distances = np.where(inside, np.sqrt(dx * dx + dy * dy), np.inf)
+    for _ in range(quadrant):  # turned back into the first quadrant
+        dx, dy = dy, -dx
+    distances = np.where((dx > 0) & (dy >= 0), np.sqrt(dx * dx + dy * dy), np.inf)
     return np.minimum.reduceat(distances, np.cumsum(size) - size)
 
 

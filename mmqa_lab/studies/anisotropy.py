@@ -7,7 +7,6 @@ from scipy.spatial import ConvexHull, cKDTree
 from mmqa_lab import bench, io, plots, samples
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.published import number
-from mmqa_lab.run import Check
 from mmqa_lab.simulate.point_patterns import (
     KINDS,
     aligned_lines_f,
@@ -16,7 +15,7 @@ from mmqa_lab.simulate.point_patterns import (
     true_ratio,
 )
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
-from mmqa_lab.studies import SMALL
+from mmqa_lab.studies import SMALL, stated
 
 QUICK = SMALL["anisotropy"]
 
@@ -45,13 +44,13 @@ def g_at_axes(xy):
     return max(ratio, 1 / ratio)
 
 
-def structure_tensor(xy, k=16):
-    """Median of sqrt(largest / smallest eigenvalue) of the scatter of the k nearest points.
+def structure_tensor(xy):
+    """Median of sqrt(largest / smallest eigenvalue) of the scatter of the 16 nearest points.
 
-    Random neighbourhoods are longer than wide: a Poisson pattern has about 1.5 for k = 16. On lines
-    the k nearest points are all on one line and the ratio is infinite.
+    Random neighbourhoods are longer than wide: a Poisson pattern has about 1.5. On lines
+    the nearest points are all on one line and the ratio is infinite.
     """
-    near = cKDTree(xy).query(xy, k=min(k + 1, len(xy)))[1][:, 1:]
+    near = cKDTree(xy).query(xy, k=min(17, len(xy)))[1][:, 1:]
     offsets = xy[near] - xy[:, None]
     scatter = np.einsum("nki,nkj->nij", offsets, offsets)
     smallest, largest = np.clip(np.linalg.eigvalsh(scatter), 0, None).T
@@ -59,14 +58,14 @@ def structure_tensor(xy, k=16):
         return float(np.median(np.sqrt(largest / smallest)))
 
 
-def pair_contrast(xy, reach=None):
+def pair_contrast(xy):
     """Contrast of Ripley's K between the directions with most and fewest pairs: 0 none, 1 all.
 
-    Of the pairs up to ``reach`` apart (twice the linear point distance), N lie within 45 degrees of
+    Of the pairs up to twice the linear point distance apart, N lie within 45 degrees of
     the direction of their second harmonic and M at a right angle to it: (N - M) / (N + M). Illian
     et al. 2008, section 4.5, doi:10.1002/9780470725160.
     """
-    reach = 2 * np.sqrt(np.prod(np.ptp(xy, axis=0)) / len(xy)) if reach is None else reach
+    reach = 2 * np.sqrt(np.prod(np.ptp(xy, axis=0)) / len(xy))
     first, second = cKDTree(xy).query_pairs(reach, output_type="ndarray").T
     if not len(first):
         return np.nan
@@ -251,20 +250,7 @@ def real_clouds():
     return {name: fit_plane(points).project(points) for name, points in distinct.items()}
 
 
-def figure_of_pattern(kind, stretched_by, angle, noise_mm, points):
-    """Return a figure of one pattern, its f over the turn of the axes, and its spacing around."""
-    xy, _ = pattern(kind, stretched_by, angle=angle, n=points, noise_mm=noise_mm, seed=1)
-    found = directional(xy)
-    figure, axes = plots.subplots(1, 3, width="double", height_mm=65)
-    plots.draw_points(xy, ax=axes[0])
-    turned = turns({"this pattern": xy}, step=5.0)
-    draw_turn(turned, ax=axes[1])
-    axes[1].set_title(f"f = {turned['f'].min():.2f} to {turned['f'].max():.2f}")
-    axes[2].plot(found.directions_deg, 1000 * found.spacing, color=plots.COLOURS["blue"])
-    axes[2].axvline(found.direction_deg, color=plots.COLOURS["green"], ls=":")
-    axes[2].set(xlabel="direction (degrees)", ylabel="spacing (mm)", ylim=(0, None))
-    axes[2].set_title(f"g = {found.g:.2f}, along {found.direction_deg:.0f}°")
-    return figure
+check = stated("anisotropy")
 
 
 def checks(*, results, forms, lines, verdicts, real):
@@ -279,66 +265,60 @@ def checks(*, results, forms, lines, verdicts, real):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
-    yield Check(
-        "f has its closed form on lattices, scan lines and random patterns.",
-        bool((forms["z"].abs() < 3).all()),
+    yield check(
+        "closed_forms",
+        (forms["z"].abs() < 3).all(),
         f"|z| up to {forms['z'].abs().max():.1f} in {len(forms)} cases",
-        "three standard errors of the simulated mean",
     )
     noisy = lines.query("cloud == 'noise 0.5 mm'").set_index("angle_deg")["f"]
-    yield Check(
-        "f of noisy scan lines falls when the axes follow the lines, as the closed form says.",
-        bool(noisy.loc[0] < 0.7 * noisy.max() and noisy.loc[0] < 1.5 * aligned_lines_f()),
+    yield check(
+        "along_lines",
+        noisy.loc[0] < 0.7 * noisy.max() and noisy.loc[0] < 1.5 * aligned_lines_f(),
         f"f = {noisy.loc[0]:.1f} along the lines, {noisy.max():.1f} off them",
-        "jitter and noise raise the closed form's 5 by less than one half",
     )
     f = results["value"].sel({"method": "f"})
     uneven = float(f.sel(kind=["gradient", "holes"]).mean() / f.sel(kind="poisson").mean())
-    yield Check(
-        "f does not see gradients and holes, though it is called inhomogeneity.",
+    yield check(
+        "blind_to_gradients",
         abs(uneven - 1) < 0.15,
         f"f is {uneven:.2f} times that of homogeneous random patterns",
-        "15 %, what holes add by the points at their edges",
     )
     pair = bench.rank(results.sel({"method": ["f", "g"]}), truth="ratio")
     best, other = pair.to_dict("records")
-    yield Check(
-        "g orders the patterns by their true ratio better than f does.",
-        bool(best["method"] == "g" and other["behind_low"] > 0),
+    yield check(
+        "g_orders_better",
+        best["method"] == "g" and other["behind_low"] > 0,
         f"rank correlation {best['spearman']:.2f} of {best['method']} against "
         f"{other['spearman']:.2f}, which is behind by {other['behind_low']:.2f} or more",
-        "95 % interval of the difference, bootstrap over cases",
     )
     right = bench.compare(verdicts, "right", reference="f < 2", better="higher", over="cases")
     right = right.set_index("method")
-    yield Check(
-        "With the exemption, f < 2 is right about more clouds than without.",
-        bool(right.loc["f < 2 or exempt", "low"] > 0),
+    yield check(
+        "exemption",
+        right.loc["f < 2 or exempt", "low"] > 0,
         f"right in {100 * right.loc['f < 2 or exempt', 'difference']:.0f} % more of the cases; "
         f"g < 2 in {100 * right.loc['g < 2', 'difference']:.0f} % more",
-        "95 % interval of the paired difference",
     )
     found = real.groupby("cloud")["f"].agg(["min", "max"])
     heads, both = found.loc[["road, head A", "road, head B"]], found.loc["road, both heads"]
-    yield Check(
-        "Two crossing scan heads together have a smaller f than each of them, for all axes.",
-        bool(both["max"] < heads["min"].min()),
+    yield check(
+        "two_heads",
+        both["max"] < heads["min"].min(),
         f"both {both['min']:.1f} to {both['max']:.1f}, each {heads['min'].min():.1f} or more",
-        "an order, no tolerance",
     )
 
 
 def answer(ranks, verdicts):
-    """The study's answer in one sentence."""
+    """The study's answer in two sentences."""
     found = ranks.set_index("method")["spearman"]
     right = verdicts["right"].mean([d for d in verdicts["right"].dims if d != "method"])
     names = ("f < 2", "f < 2 or exempt", "g < 2")
     plain, exempted, by_g = (100 * float(right.sel({"method": name})) for name in names)
     return (
-        "f follows its axes as much as the pattern: rank correlation with true anisotropy "
-        f"{found['f']:.2f}, of g, spacing across over along, {found['g']:.2f}; f < 2 judges "
-        f"{plain:.0f} % of the simulated clouds rightly, with the exemption of dense ones "
-        f"{exempted:.0f} %, g < 2 {by_g:.0f} %."
+        "The rank correlation with the true anisotropy is "
+        f"{found['f']:.2f} for f, which depends on its axes, and {found['g']:.2f} for g, the "
+        f"spacing across over along. f < 2 judges {plain:.0f} % of the simulated clouds rightly, "
+        f"with the exemption of dense ones {exempted:.0f} %, and g < 2 {by_g:.0f} %."
     )

@@ -23,17 +23,10 @@ from mmqa_lab.chart_image.reading import (
 from mmqa_lab.charts import Bar, Layout, LinePairs
 from mmqa_lab.io.images import decode
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Check
 from mmqa_lab.simulate import cameras
+from mmqa_lab.studies import NOTES, SMALL, stated
 
-QUICK = {
-    "systems": ["C"],
-    "photo_spreads_px": [0.4],
-    "exposures_ms": [0, 1.5],
-    "spreads_px": [0.4, 0.6, 0.8, 1.0],
-    "motions_px": [0, 2, 4],
-}
-"""For the tests: parameters of the notebook."""
+QUICK, TOLD = SMALL["chart_images"], NOTES["chart_images"]
 
 ROW = ["system", "distance_m", "view"]
 """What names a row of Table 1."""
@@ -167,24 +160,6 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
-def pair_limits(sigmas_px, blurs_px, *, seed=0):
-    """Return :func:`pair_limit` over point spreads and motion blurs.
-
-    Returns
-    -------
-    DataArray
-        Dimensions ``sigma_px`` and ``blur_px``; pixels.
-    """
-    from tqdm.auto import tqdm
-
-    limits = [
-        [pair_limit(sigma, blur, seed=seed) for blur in blurs_px]
-        for sigma in tqdm(sigmas_px, desc="point spreads", leave=False)
-    ]
-    coords = {"sigma_px": list(sigmas_px), "blur_px": list(blurs_px)}
-    return xr.DataArray(limits, coords, tuple(coords), name="pair_limit", attrs={"units": "px"})
-
-
 def limits_mm(cells, limits, sigma_px, blur_mm=0.0):
     """Return the narrowest resolved width of each cell, millimetres, linear between the limits.
 
@@ -193,7 +168,7 @@ def limits_mm(cells, limits, sigma_px, blur_mm=0.0):
     cells : DataFrame
         Of :func:`width_cells`.
     limits : DataArray
-        Of :func:`pair_limits`.
+        :func:`pair_limit` over ``sigma_px`` and ``blur_px``.
     sigma_px, blur_mm : float
         Point spread, and way of the vehicle during the exposure.
 
@@ -252,7 +227,7 @@ def spread_trials(cells, limits, sigmas_px, blurs_mm=(0.0,)):
     cells : DataFrame
         Of :func:`width_cells`.
     limits : DataArray
-        Of :func:`pair_limits`; spreads beyond its range are left out.
+        As for :func:`limits_mm`; spreads beyond its range are left out.
     sigmas_px, blurs_mm : sequence of float
         What is tried, every combination.
 
@@ -407,11 +382,6 @@ def contrast_alone(seen):
     return seen.pairs["contrast"].abs() >= SMALLEST_GAP
 
 
-def score_mark(mark, truth):
-    """How many steps a mark is worse than the published one."""
-    return {"steps": "abc".index(mark) - "abc".index(truth["published"]["legibility"])}
-
-
 def by_pixels(seen):
     """Mark a photograph by the pixels of capitals of 40 mm."""
     pixel_mm = seen.pixel_size("v")[0]
@@ -527,21 +497,25 @@ def ledger_entries(sizes, widths, legibility, repeats_px):
     entries = []
     for row in sizes.itertuples():
         ours = {"kind": "predicted", "low": row.low_mm, "high": row.high_mm}
-        note = PIXEL_NOTES[row.system] if row.published_mm > 0 else DASH_NOTE
+        note = TOLD["pixels"][row.system] if row.published_mm > 0 else TOLD["dash"]
         entries.append(_entry(row, "pixel size", row.predicted_mm, ours, note))
     for row in widths.itertuples():
         ours = {"kind": "predicted", "low": row.low_mm, "high": row.high_mm}
-        entries.append(_entry(row, "line-pair width", row.predicted_mm, ours, WIDTH_NOTE))
-        entries.append(_entry(row, "line-pair width", row.fitted_mm, {"kind": "fitted"}, FIT_NOTE))
+        entries.append(_entry(row, "line-pair width", row.predicted_mm, ours, TOLD["width"]))
+        entries.append(
+            _entry(row, "line-pair width", row.fitted_mm, {"kind": "fitted"}, TOLD["fit"])
+        )
     for row in legibility.itertuples():
         mark = "abc".index(row.fitted_mark) + 1
-        entries.append(_entry(row, "legibility", mark, {"kind": "fitted"}, MARK_NOTE))
-    note = "Along the pixel rows of bars in simulated photographs, by fits of both ends, not clicks"
+        entries.append(_entry(row, "legibility", mark, {"kind": "fitted"}, TOLD["mark"]))
     for name, times in (("bar_std", 1.0), ("bar_difference_max", 4.0)):
-        ours = {"kind": "measured", "note": f"{note}; {times:g} standard deviations."}
+        ours = {"kind": "measured", "note": f"{TOLD['repeats']}; {times:g} standard deviations."}
         value = times * float(np.max(repeats_px))
         entries.append(ledger.entry("pfeifer2021", "numbers", name, value, **ours))
     return entries
+
+
+check = stated("chart_images")
 
 
 def checks(sizes, errors, trials, fits, rules):
@@ -560,70 +534,32 @@ def checks(sizes, errors, trials, fits, rules):
     """
     measured = errors.sel({"method": "ends fitted"})
     worst = max(float(abs(measured[f"error_{d}_percent"]).max()) for d in "hv")
-    yield Check(
-        "Fits of the bars' ends measure the pixel size of a photograph within 1 %.",
-        worst < 1,
-        f"largest error {worst:.2f} %",
-        "0.1 pixels on a bar of 50 pixels are 0.2 %; motion widens the ends of bars",
-    )
+    yield check("bar_ends", worst < 1, f"largest error {worst:.2f} %")
     inside = sizes["published_mm"].between(sizes["low_mm"], sizes["high_mm"])
     known = sizes["published_mm"].notna()
     near = (inside & (sizes["system"] != "A")).sum()
     total = (known & (sizes["system"] != "A")).sum()
-    yield Check(
-        "Megapixels and the site predict at least 14 of the 16 pixel sizes of B and C.",
-        bool(near >= 14),
-        f"{near} of {total} within their ranges",
-        "places of the images and lanes are not printed: they give the ranges",
-    )
+    yield check("pixels_of_b_and_c", near >= 14, f"{near} of {total} within their ranges")
     ratio = (sizes["published_mm"] / sizes["predicted_mm"])[sizes["system"] == "A"]
-    yield Check(
-        "Pixels of A are coarser by a tenth or more than its megapixels promise.",
-        bool((ratio.dropna() > 1.1).all()),
-        f"by {100 * (ratio.min() - 1):.0f} % or more",
-        "more than rounding and distance explain for B and C",
+    yield check(
+        "pixels_of_a", (ratio.dropna() > 1.1).all(), f"by {100 * (ratio.min() - 1):.0f} % or more"
     )
     best, cells = best_trial(trials), int(trials["cells"].iloc[0])
-    yield Check(
-        "One point spread for all systems explains every printed width within one step.",
+    yield check(
+        "one_spread",
         best["within_one_step"] == cells,
         "{within_one_step} of {cells}, {exact} exactly at {sigma_px:.2f} px".format(**best),
-        "readers chose the same width or its neighbour (section 4.4); one parameter is fitted",
     )
     exact = int(fits["exact"].sum())
-    yield Check(
-        "A point spread and a motion for each system explain more widths exactly.",
-        exact > best["exact"],
-        f"{exact} against {best['exact']} of {cells}",
-        "six parameters on these cells: a description, no reproduction",
+    yield check(
+        "spread_and_motion", exact > best["exact"], f"{exact} against {best['exact']} of {cells}"
     )
     wrong = bench.cell_table(rules).groupby("method")["spurious"].sum()
-    yield Check(
-        "Contrast alone accepts patterns that the optics do not carry; the rule of gaps does not.",
-        bool(wrong["contrast alone"] > 0 and wrong["every gap"] == 0),
+    yield check(
+        "contrast_alone",
+        wrong["contrast alone"] > 0 and wrong["every gap"] == 0,
         f"{wrong['contrast alone']:.0f} against {wrong['every gap']:.0f}",
-        "aliases and doubled bars have contrast, but not the bars that are printed",
     )
-
-
-# arguments of the ledger
-PIXEL_NOTES = {
-    "A": "Megapixels and distance give finer pixels than were measured; what the panorama of A "
-    "lost, by stitching or storing, is not printed.",
-    "B": "From megapixels, the distance of the drive and images every few metres.",
-    "C": "From megapixels, the distance of the drive and images every few metres; the 7.8 mm in "
-    "forward view need a camera at 9.6 m, nearer than the 10 m asked for.",
-}
-DASH_NOTE = (
-    "In a simulated photograph with the pixels of this row a fit still finds both ends of the grey "
-    "bar. The paper does not explain the dash; it says that the grey bar was hard to measure."
-)
-WIDTH_NOTE = (
-    "From megapixels, distance and a usual point spread; spread, exposure and sharpening of the "
-    "cameras are not printed, and the published pixels of A are coarser than predicted."
-)
-FIT_NOTE = "One point spread for all systems, fitted to the printed widths; published pixel sizes."
-MARK_NOTE = "Pixels per capital height, with two thresholds fitted to these twelve marks."
 
 
 def _entry(row, quantity, value, ours, note):

@@ -20,12 +20,11 @@ from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon, evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import chart_corners, systems
+from mmqa_lab.studies import NOTES, SMALL, stated
 
-QUICK = {"candidates": 4, "repeats": 2, "tilts": (25, 32, 45, 53)}
-"""For the tests: parameters of the notebook."""
+QUICK, TOLD = SMALL["chart_tables"], NOTES["chart_tables"]
 
 SOURCE = "pfeifer2021"
 
@@ -48,16 +47,7 @@ SENSORS = {
 USUAL = {"A": {"tilt_deg": 45, "height_m": 0.75}, "B": {"tilt_deg": 0, "height_m": 1}}
 """Parameters that are not stated: the usual values."""
 
-FITS = (
-    ("A", "open", {"tilt_deg": (30, 60), "height_m": (0, 1.5)}),
-    (
-        "A",
-        "released",
-        {"tilt_deg": (30, 60), "height_m": (0, 1.5), "mirror_frequency_hz": (100, 200)},
-    ),
-    ("B", "open", {"tilt_deg": (0, 50), "height_m": (0, 2)}),
-    ("C", "open", {"resampled_per_m2": (20_000, 40_000), "hard_core": (0, 0.55)}),
-)
+FITS = tuple(tuple(fit.values()) for fit in TOLD["fits"])
 """System, name, and bounds of each fit; the one that is released gives up the stated 200 Hz."""
 
 FITTED = ["density_per_m2", "d1_mm", "d4_mm", "f"]
@@ -71,37 +61,6 @@ MODEL_TOLERANCE = 0.02
 """Relative part of a fit's tolerance: charts and crops are not known to a per cent."""
 
 CORNERS = chart_corners((0, 0, 0), heading=systems.FACING_THE_ROAD)
-
-NOTES = {
-    ("A", "predicted"): "Simulated at the stated 1 MHz and 200 Hz, with the plane tilted by 30 to "
-    "60 degrees and the scanner 0 to 1.5 m above the chart's centre, at 40 km/h.",
-    ("A", "fitted"): "Tilt, height, noise and mirror frequency fitted, the stated 200 Hz given up.",
-    (
-        "B",
-        "predicted",
-    ): "Simulated with the beams and the noise of the data sheet, the axis between "
-    "upright and pitched by 50 degrees, 0 to 2 m above the chart's centre, at 40 km/h. The speed "
-    "driven is not printed.",
-    ("B", "fitted"): "Pitch, height and noise fitted to both rows.",
-    ("C", "fitted"): "Points resampled on the surface to one density, with a hard core; density, "
-    "core and noise fitted to both rows.",
-}
-"""How a ledger entry was obtained."""
-
-ARGUMENTS = {
-    ("A", "d1_mm"): "At 200 Hz neighbours along a line are at least range x 2 pi / 5000 apart, 6.3 "
-    "mm at 5 m; the printed d1 need about 7000 pulses per revolution, 143 Hz.",
-    ("A", "f"): "At 200 Hz d1 is too large for it, see d1.",
-    ("A", "density_per_m2"): "At 200 Hz no tilt gives the printed density and d4 together.",
-    ("B", "precision_mm"): "The data sheet's 20 mm are about twice what the chart shows.",
-    (
-        "B",
-        "f",
-    ): "The data sheet's noise also moves points across oblique rays and makes f larger; with "
-    "the fitted 10 mm it comes near.",
-    ("C", "density_per_m2"): "One density for both distances leaves the printed rise of 7 % over.",
-}
-"""Arguments about the value of a figure, added to the note."""
 
 
 def table_2() -> pd.DataFrame:
@@ -442,8 +401,8 @@ def ledger_entries(table: pd.DataFrame, chosen: pd.DataFrame) -> list[dict]:
         for kind in ("fitted",) if assumed else ("predicted", "fitted"):
             if np.isfinite(row[kind]):
                 ends = {end: row[f"{kind}_{end}"] for end in ("low", "high")}
-                note = NOTES[row["system"], kind]
-                note = f"{note} {ARGUMENTS.get((row['system'], row['figure']), '')}".strip()
+                argument = TOLD["arguments"][row["system"]].get(row["figure"], "")
+                note = f"{TOLD['notes'][row['system']][kind]} {argument}".strip()
                 given = (SOURCE, "table_2", cell, row[kind])
                 entries.append(ledger.entry(*given, kind=kind, note=note, **ends))
     for row in chosen.query("set != 'test'").to_dict("records"):
@@ -453,6 +412,9 @@ def ledger_entries(table: pd.DataFrame, chosen: pd.DataFrame) -> list[dict]:
         given = (SOURCE, "numbers", cell, row["likely"])
         entries.append(ledger.entry(*given, kind="predicted", note=note, **ends))
     return entries
+
+
+check = stated("chart_tables")
 
 
 def checks(table, parameters, capped, models):
@@ -467,39 +429,29 @@ def checks(table, parameters, capped, models):
     models : DataFrame
         Models of system C: ``model`` and ``misfit``.
     """
-    yield Check(
-        "At 1 MHz and 200 Hz, A's printed d4 goes with 3300 to 3600 points/m2, not with 4629.",
-        3300 <= capped <= 3600,
-        f"{capped:.0f} points/m2",
-        "1 / (d1 d4) with d1 = 5 m x 2 pi / 5000 is 3387; the hull adds up to 6 % on few lines",
-    )
+    yield check("capped", 3300 <= capped <= 3600, f"{capped:.0f} points/m2")
     fits = parameters.set_index(["system", "fit", "parameter"])
     pulses = 1e6 / fits.loc[("A", "released", "mirror_frequency_hz"), "fitted"]
     before, after = (fits.loc[("A", name, "tilt_deg"), "misfit"] for name in ("open", "released"))
-    yield Check(
-        "Without the stated 200 Hz, A's rows fit with about 7000 pulses per revolution.",
+    yield check(
+        "pulses_of_a",
         after < before / 3 and 6500 < pulses < 7700,
         f"{pulses:.0f} pulses, misfit {before:.1f} -> {after:.1f} tolerances",
-        "a search by chance ends within 5 % of the best frequency",
     )
     dense = table.query("system == 'B' and figure == 'density_per_m2'")
     excess = 100 * (dense["predicted"] / dense["published"] - 1)
     tilt = fits.loc[("B", "open", "tilt_deg"), "fitted"]
-    yield Check(
-        "Upright, at 40 km/h, B is predicted 35 % too dense or more; its rows fit a pitch of 30 "
-        "to 48°.",
-        bool((excess > 35).all() and 30 <= tilt <= 48),
+    yield check(
+        "pitch_of_b",
+        (excess > 35).all() and 30 <= tilt <= 48,
         f"{' and '.join(f'{value:.0f} %' for value in excess)}; {tilt:.0f} degrees",
-        "density by count repeats to 1 %; from 33 to 45 degrees the misfit hardly changes",
     )
     wrong = models.groupby("model", sort=False)["misfit"].first()
     others = wrong.drop("resampled on the surface")
-    yield Check(
-        "One stereo pair misses C's rows by 10 tolerances or more; resampling on the surface comes "
-        "within 2.5, closer than the other models.",
-        bool(wrong["one pair"] >= 10 and wrong["resampled on the surface"] < min(2.5, *others)),
+    yield check(
+        "one_pair",
+        wrong["one pair"] >= 10 and wrong["resampled on the surface"] < min(2.5, *others),
         ", ".join(f"{name} {value:.1f}" for name, value in wrong.items()),
-        "the printed densities differ by 7 %, 1.7 tolerances of 2 % from their mean",
     )
 
 
@@ -515,17 +467,14 @@ def reading_checks(readings, patch):
     """
     polygon = readings.set_index(["method", "system"]).loc["section 3.3", "density_percent"]
     along, oblique = -polygon[["A upright", "B"]], -polygon[["A", "C"]]
-    yield Check(
-        "The hull's density exceeds the polygon's by 4 % or more where scan lines run along the "
-        "crop (A upright, B), and by less than 3 % elsewhere.",
-        bool(along.min() > 4 and oblique.max() < 3),
+    yield check(
+        "hull",
+        along.min() > 4 and oblique.max() < 3,
         ", ".join(f"{name} {-value:.1f} %" for name, value in polygon.items()),
-        "about one line spacing is lost: 56 mm of 0.81 m, or of a 0.62 m crop with few lines",
     )
     f = patch.set_index("cloud")["f"]
-    yield Check(
-        "Two scan heads together are more even than either of them.",
-        bool(f["both heads"] < min(f["head A"], f["head B"])),
+    yield check(
+        "two_heads",
+        f["both heads"] < min(f["head A"], f["head B"]),
         ", ".join(f"{name} {value:.1f}" for name, value in f.items()),
-        "an order, no tolerance",
     )

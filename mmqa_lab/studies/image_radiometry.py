@@ -15,17 +15,14 @@ from mmqa_lab import bench, io, plots, samples
 from mmqa_lab.mtf import fit_edge
 from mmqa_lab.published import ledger, table
 from mmqa_lab.radiometry import fit_sensor, patch_statistics, relative_exposure
-from mmqa_lab.run import Check
 from mmqa_lab.simulate.targets import (
     ATMOSPHERES,
     Atmosphere,
     PointSpread,
     expose,
-    render_bars,
     render_edge,
-    render_star,
 )
-from mmqa_lab.studies import NOTES, SMALL
+from mmqa_lab.studies import NOTES, SMALL, stated
 
 QUICK = SMALL["image_radiometry"]
 """Small parameters for the tests."""
@@ -35,15 +32,7 @@ SOURCE, TOLD = "eurosdr2013_radiometry", NOTES["image_radiometry"]
 LOW, HIGH = 0.1, 0.6
 """Levels of all targets of resolution; their noise is a share of the difference."""
 
-HIGHEST = 0.45
-"""Cycles per pixel, 0.9 of the Nyquist frequency."""
-
-PHOTOGRAPHS = (
-    "images/panorama.jpg",
-    "images/street_signs_french.jpg",
-    "images/iso_chart_mono.jpg",
-    "images/line_pairs_44.png",
-)
+PHOTOGRAPHS = TOLD["photographs"]
 
 REAL_EDGES = {
     "slanted edge": ("images/slanted_edge.tif", (slice(None), slice(None)), 0.285),
@@ -78,11 +67,7 @@ BANDS = {"green": (1.08, 1.5), "red": (1.0, 1.0), "near infrared": (0.68, 0.4)}
 ANISOTROPY = np.array([1.03, 1.06, 1.04])
 """How much more than at nadir the reference targets reflect towards the camera, assumed."""
 
-UNIFORM_AND_GRASS = {
-    "green": (0.10, 0.20, 0.09),
-    "red": (0.11, 0.24, 0.06),
-    "near infrared": (0.13, 0.29, 0.42),
-}
+UNIFORM_AND_GRASS = TOLD["uniform_and_grass"]
 """Assumed reflectances of asphalt, gravel and grass."""
 
 WATER = 0.015
@@ -192,39 +177,9 @@ def real_patch(photograph, seed=0):
     return io.read_grey(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
-def star_patch(sigma_px, cycles, noise, seed):
-    """A star as ``measure_star(**star)`` takes it, its centre known to half a pixel; the truth."""
-    rng = np.random.default_rng(seed)
-    spread, radius = PointSpread(sigma_px), 2.6 * cycles + 20
-    size, centre = 2 * int(radius + 8), rng.uniform(-0.5, 0.5, 2)
-    known = {"cycles": cycles, "radius_px": radius}
-    clean = render_star((size, size), spread, centre=centre, low=LOW, high=HIGH, **known)
-    middle = centre + (size - 1) / 2
-    rough = middle + rng.uniform(-0.5, 0.5, 2)
-    star = {"image": noisy(clean, noise, rng), "centre": rough, **known}
-    return star, {"spread": spread, "centre": middle}
-
-
-def star_errors(star, truth):
-    """Largest error of a star's contrast up to 0.9 of the Nyquist frequency, and of its centre."""
-    error = star.mtf - truth["spread"].mtf_mean(star.frequency)
-    off = np.hypot(*(np.array(star.centre) - truth["centre"]))
-    return {"mtf_error": np.abs(error[star.frequency <= HIGHEST]).max(), "centre_error_px": off}
-
-
 def noisy(image, noise, rng):
     """An image with noise of a share of the targets' contrast."""
     return image + noise * (HIGH - LOW) * rng.standard_normal(image.shape)
-
-
-def bar_image(period_px, sigma_px, noise, rng):
-    """A noisy image of four bars, and the table that tells ``read_bars`` where they are."""
-    size, offset = int(6 * period_px) + 12, rng.uniform(-0.5, 0.5)
-    choices = {"period_px": period_px, "offset_px": offset, "low": LOW, "high": HIGH}
-    image = noisy(render_bars((size, size), PointSpread(sigma_px), **choices), noise, rng)
-    middle = {"x_px": (size - 1) / 2 + offset, "y_px": (size - 1) / 2}
-    group = {"period_px": period_px, **middle, "angle_deg": 0.0, "bars": 4}
-    return image, pd.DataFrame([group])
 
 
 def grey_wedge(radiance, exposure, seed):
@@ -405,6 +360,9 @@ def _entry(name, cell, value, ends, note, kind="measured"):
     return ledger.entry(SOURCE, name, cell, value, kind=kind, **choices)
 
 
+check = stated("image_radiometry")
+
+
 def checks(*, edges, stars, sensors, reflectance, block):
     """Compare what the notebook says with this run.
 
@@ -419,60 +377,45 @@ def checks(*, edges, stars, sensors, reflectance, block):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
     cells = bench.cell_table(edges).query("noise <= 0.01")
     names = ["mtf50_error_percent", "fwhm_px_error_percent"]
     worst = cells.query("method == 'Gaussian sigmoid'")[names].abs().quantile(0.95)
-    yield Check(
-        "At 1 % noise, FWHM and MTF50 of edges by the Gaussian sigmoid are right within 1 %.",
-        bool(worst.max() < 1),
+    yield check(
+        "edges",
+        worst.max() < 1,
         f"95 % of edges within {worst.iloc[1]:.2f} % and {worst.iloc[0]:.2f} %",
-        "the limit asked for, 95 % of edges",
     )
     logistic = cells.query("method == 'logistic sigmoid'")["fwhm_px_error_percent"].median()
-    yield Check(
-        "A logistic sigmoid reads the FWHM of a Gaussian blur more than 10 % too small.",
-        bool(logistic < -10),
-        f"median {logistic:.1f} %",
-        "without noise it is 12 to 16 %",
-    )
+    yield check("logistic", logistic < -10, f"median {logistic:.1f} %")
     star = float(stars["mtf_error"].max())
-    yield Check(
-        "The contrast of Siemens stars is right within 0.02 up to 0.9 of the Nyquist frequency.",
-        star < 0.02,
-        f"largest error {star:.4f}",
-        "the limit asked for",
-    )
+    yield check("stars", star < 0.02, f"largest error {star:.4f}")
     weighted = sensors.query("method == 'weighted, without saturated targets' and label_std == 0")
     shares = [(weighted[f"{name}_z"].abs() <= 2).mean() for name in ("gain", "offset")]
     slack = 3 * np.sqrt(0.95 * 0.05 / len(weighted))
-    yield Check(
-        "Gain and offset lie within two standard errors in 95 % of the seeds.",
-        bool(min(shares) > 0.95 - slack),
+    yield check(
+        "sensor",
+        min(shares) > 0.95 - slack,
         f"gain {100 * shares[0]:.1f} %, offset {100 * shares[1]:.1f} % of {len(weighted)}",
-        f"95 % less three standard errors of the share, {100 * slack:.1f} %",
+        percent=100 * slack,
     )
     exact = reflectance.query("reference_std == 0 and air == 'clean'").groupby("method")
     error = exact["uniform_percent"].mean()
-    yield Check(
-        "The empirical line is right within 1 % in clean air if the references and their "
-        "anisotropy are known, and twice as far off if the anisotropy is ignored.",
-        bool(error["empirical line"] < 1 and error["line, anisotropy ignored"] > 2),
+    yield check(
+        "empirical_line",
+        error["empirical line"] < 1 and error["line, anisotropy ignored"] > 2,
         f"uniform surfaces {error['empirical line']:.2f} % and "
         f"{error['line, anisotropy ignored']:.2f} %",
-        "mean RMSE of bands and seeds; the targets reflect 3 to 6 % more than at nadir",
     )
     rows = block.set_index("adjustment")
     before, after, rmse = rows.loc[
         "absolute", ["cv_before_percent", "cv_after_percent", "rmse_percent"]
     ]
-    yield Check(
-        "The adjustment removes nine tenths of the differences between images; with ten control "
-        "targets reflectances are right within 2.5 %.",
-        bool(after < 0.1 * before and rmse < 2.5),
+    yield check(
+        "block",
+        after < 0.1 * before and rmse < 2.5,
         f"variation at ties {before:.2f} % before, {after:.2f} % after; RMSE {rmse:.2f} %",
-        "controls known to 0.002 leave 0.3 to 2.1 % in 24 draws of their errors",
     )
 
 

@@ -12,7 +12,6 @@ import pandas as pd
 
 from mmqa_lab import bench, simulate
 from mmqa_lab.published import ledger, number, table
-from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern import (
     QUANTITIES,
     Patch,
@@ -22,7 +21,7 @@ from mmqa_lab.scan_pattern import (
     mimic,
     scan_lattice,
 )
-from mmqa_lab.studies import NOTES, SMALL
+from mmqa_lab.studies import NOTES, SMALL, stated
 
 SOURCE, TOLD = "cahalane2014", NOTES["mimic"]
 QUICK = SMALL["mimic"]
@@ -395,6 +394,9 @@ def table_4(*, gamma_scan, through_m, height_m=0.0):
     return found[["no", "alpha_targ_deg", "beta_targ_deg", "published_mm", "fitted_mm", "agrees"]]
 
 
+check = stated("mimic")
+
+
 def checks(*, table_3, benches, still, readings, counted):
     """Yield the notebook's statements with the numbers of this run.
 
@@ -409,51 +411,33 @@ def checks(*, table_3, benches, still, readings, counted):
     readings : list of DataFrame
         Of ``table_4``.
     """
-    yield Check(
-        "All five rows of Table 3 are reproduced, as the spacing along the level line.",
-        bool(table_3["agrees"].all()),
+    yield check(
+        "table_3",
+        table_3["agrees"].all(),
         f"{table_3['agrees'].sum()} of {len(table_3)} to the printed digits",
-        "three printed decimals",
     )
     worst = float(np.abs(still).max(axis=None))
-    yield Check(
-        "With r2 in equation 10 the paper's equations are those of rays from a standing vehicle.",
-        worst < 1e-6,
-        f"largest difference {worst:.1g} mm or degrees",
-        "rounding of float64",
-    )
+    yield check("standing", worst < 1e-6, f"largest difference {worst:.1g} mm or degrees")
     moving = np.abs(benches[0][list(FIGURES)].sel({"method": "scan lattice"})).to_array().max()
-    yield Check(
-        "The lattice gives the rays of a moving vehicle.",
-        float(moving) < 1e-6,
-        f"largest difference {float(moving):.1g} mm or degrees",
-        "rounding of float64",
+    yield check(
+        "moving", float(moving) < 1e-6, f"largest difference {float(moving):.1g} mm or degrees"
     )
     most = max(int(reading["agrees"].sum()) for reading in readings)
     together = int(np.any([reading["agrees"] for reading in readings], axis=0).sum())
-    yield Check(
-        "Each row of Table 4 comes out in one of two readings of its set-up, but no reading has "
-        "more than six.",
-        most <= 6 and together == 9,
-        f"{most} rows in the best, {together} in either",
-        "half a millimetre, the printed digit",
+    yield check(
+        "table_4", most <= 6 and together == 9, f"{most} rows in the best, {together} in either"
     )
     off = float((counted["counted"] / counted["predicted"] - 1).abs().max())
-    yield Check(
-        "Counted points are those that the density predicts, on a wall and on a post.",
-        off < 0.01,
-        f"off by {100 * off:.2f} % at most",
-        "1 %, what whole profiles and the edges of the patch allow",
-    )
+    yield check("counted", off < 0.01, f"off by {100 * off:.2f} % at most")
     both = [part.sel({"method": "measured"}) for part in benches]
     z = np.concatenate([(part["point_mm"] / part["std_point_mm"]).values.ravel() for part in both])
     z = z[np.isfinite(z)]
     covered, slack = np.mean(np.abs(z) < 1.96), 3 * np.sqrt(0.95 * 0.05 / len(z))
-    yield Check(
-        "95 % intervals of measured point spacings contain 95 % of the true ones.",
-        bool(abs(covered - 0.95) < slack + 0.02),
+    yield check(
+        "intervals",
+        abs(covered - 0.95) < slack + 0.02,
         f"{100 * covered:.0f} % of {len(z)}",
-        f"three standard errors of a share, {100 * slack:.1f} %, and 2 % of approximation",
+        percent=100 * slack,
     )
 
 

@@ -10,49 +10,23 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mmqa_lab import io, poles, samples, simulate, stats
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Check
 from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.studies import NOTES, SMALL, stated
 
-QUICK = {
-    "length": 60.0,
-    "speed": 14.0,
-    "seeds": (5001,),
-    "detailed": 1,
-    "factor_seeds": (5002,),
-    "factor_length": 15.0,
-    "changes": ("as it is", "no shrubs"),
-    "shares": (0.1,),
-    "thresholds": {"maximum_width": (0.70,)},
-    "unseen_seeds": (5001,),
-    "unseen_length": 12.0,
-    "tiles": 1,
-}
-"""Small parameters for the tests."""
+QUICK, TOLD = SMALL["poles"], NOTES["poles"]
 
 CORRIDORS_M = (30.0, 15.0, 12.5)
 CLASSES = ("tree", "sign", "lamp", "other")
 
-CHANGES = {
-    "as it is": {},
-    "no shrubs": {"shrub_share": 0.0},
-    "shrubs at 80 %": {"shrub_share": 0.8},
-    "no low crowns": {"low_crown_share": 0.0, "low_branch_share": 0.0},
-    "low crowns at 60 %": {"low_crown_share": 0.6},
-    "no undergrowth": {"thicket_share": 0.0},
-    "no buildings": {"building_share": 0.0},
-    "balconies at 80 %": {"balcony_share": 0.8, "building_share": 0.9},
-    "12 cars per 100 m": {"cars_per_100m": 12.0},
-    "5 people per 100 m": {"pedestrians_per_100m": 5.0},
-}
+CHANGES = TOLD["changes"]
 """Changes of the plan by name; all else, the places of all things included, stays."""
 
 SHAFTS_M = {
@@ -64,28 +38,10 @@ SHAFTS_M = {
 METHODS = {name: partial(poles.detect, method=name) for name in poles.METHODS}
 """The detectors of the package as functions of a cloud."""
 
-PRINTED = {
-    ("fgi", "recall", 30.0, "all"): ("table_4_1", "FGI detection_rate 30 m"),
-    ("fgi", "recall", 12.5, "all"): ("table_4_1", "FGI detection_rate 12.5 m"),
-    ("fgi", "precision", 30.0, "all"): ("table_4_1", "FGI correct_detections 30 m"),
-    ("fgi", "precision", 12.5, "all"): ("table_4_1", "FGI correct_detections 12.5 m"),
-    ("fgi", "recall", 30.0, "tree"): ("poles_text", "rate_trees"),
-    ("fgi", "recall", 30.0, "sign"): ("poles_text", "rate_signs"),
-    ("fgi", "recall", 30.0, "lamp"): ("poles_text", "rate_lamp_posts"),
-    ("itc", "recall", 15.0, "all"): ("table_4_2", "ITC detection_rate 15 m"),
-    ("itc", "precision", 15.0, "all"): ("table_4_2", "ITC correct_detections 15 m"),
-}
+PRINTED = {row[:4]: row[4:6] for row in TOLD["printed"]}
 """Printed cell of a rate: method, quantity, corridor in m and class."""
 
-COUNTS = {
-    ("fgi", "recall", 30.0, "all"): (230, 330, "330 test targets: Lehtomaki et al. 2011"),
-    ("fgi", "recall", 12.5, "all"): (136, 190, "n printed"),
-    ("fgi", "precision", 30.0, "all"): (230, 266, "found targets over the rate: inferred"),
-    ("fgi", "precision", 12.5, "all"): (136, 143, "found targets over the rate: inferred"),
-    ("fgi", "recall", 30.0, "tree"): (75, 127, "n printed"),
-    ("fgi", "recall", 30.0, "sign"): (65, 79, "n printed"),
-    ("fgi", "recall", 30.0, "lamp"): (44, 46, "n printed"),
-}
+COUNTS = {row[:4]: row[6:] for row in TOLD["printed"] if row[7]}
 """Counts behind the printed rates, and where n comes from; for Table 4-2 none is printed."""
 
 
@@ -189,28 +145,26 @@ def bare_shafts(scanner="roamer", *, seed):
     return scan_all(simulate.Scene(surfaces), scanner, path, seed=seed), truth
 
 
-def reliability(detections, bins=5):
+def reliability(detections):
     """Return what share of the detections are right, by their score: is it a probability?
 
     Parameters
     ----------
     detections : DataFrame
         Of :class:`mmqa_lab.poles.Score`, of one or several streets; ignored ones do not count.
-    bins : int
-        Of equal width from 0 to 1.
 
     Returns
     -------
     DataFrame
-        ``low``, ``high`` (of the score), ``n``, ``mean_score``, ``right`` (share).
+        A row for each fifth of the scores: ``low``, ``high``, ``n``, ``mean_score``, ``right``, the
+        share of right ones.
     """
     counted = detections[detections["outcome"].isin(["hit", "false", "duplicate"])]
-    number = np.minimum((counted["score"] * bins).astype(int), bins - 1)
-    right = counted["outcome"] == "hit"
-    made = counted.assign(right=right).groupby(number)
+    fifth = np.minimum((counted["score"] * 5).astype(int), 4)
+    made = counted.assign(right=counted["outcome"] == "hit").groupby(fifth)
     table = made.agg(n=("right", "size"), mean_score=("score", "mean"), right=("right", "mean"))
-    ends = {"low": table.index / bins, "high": (table.index + 1) / bins}
-    return pd.DataFrame(ends, index=table.index).join(table).reset_index(drop=True)
+    ends = pd.DataFrame({"low": table.index / 5, "high": (table.index + 1) / 5}, table.index)
+    return ends.join(table).reset_index(drop=True)
 
 
 def counts(found, truth):
@@ -343,33 +297,33 @@ def ledger_entries(beside, *, visible, diameters, correctness, crowded):
     list of dict
         Of :func:`mmqa_lab.published.ledger.entry`.
     """
-    chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
-    other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
-    plain = "Simulated walls are planes without plants, furniture or goods before them."
     rows = []
     for row in beside.to_dict("records"):
         numbers = [100 * row[name] for name in ("measured", "measured_low", "measured_high")]
-        kind, note = ("fitted", chosen) if row["method"] == "fgi" else ("measured", other)
+        kind, note = ("fitted", "chosen") if row["method"] == "fgi" else ("measured", "other")
         rows.append((row["table"], row["cell"], numbers, kind, note))
     for cell, rate, kind, note in (
-        ("visible_share", visible, "fitted", chosen),
-        ("facade_points_correct", correctness, "measured", plain),
-        ("missed_points_around", crowded, "measured", other),
+        ("visible_share", visible, "fitted", "chosen"),
+        ("facade_points_correct", correctness, "measured", "plain"),
+        ("missed_points_around", crowded, "measured", "other"),
     ):
         numbers = [100 * value for value in (rate.value, rate.low, rate.high)]
         rows.append(("poles_text", cell, numbers, kind, note))
-    perfect = "Simulated posts are perfect cylinders and their reference has no error."
     for cell, value, unit in (
         ("diameter_rmse", diameters.rmse, 0.1),
         ("diameter_bias", diameters.bias, 1.0),
     ):
         half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1) * (2 if unit < 1 else 1))
         numbers = [unit * number for number in (value, value - half, value + half)]
-        rows.append(("poles_text", cell, numbers, "measured", perfect))
+        rows.append(("poles_text", cell, numbers, "measured", "perfect"))
     return [
-        ledger.entry("eurosdr2013_mls", table, cell, v, low=lo, high=hi, kind=kind, note=note)
+        ledger.entry("eurosdr2013_mls", table, cell, v, low=lo, high=hi, kind=kind, note=TOLD[note])
         for table, cell, (v, lo, hi), kind, note in rows
     ]
+
+
+NEAR_M = 0.4
+"""Points so near to the middle of a detection tell what stands there."""
 
 
 def outcomes(result):
@@ -382,16 +336,14 @@ def outcomes(result):
     }
 
 
-def causes(result, cloud, truth, *, radius=0.4):
-    """Return what stands where a method gives a false alarm.
+def causes(result, cloud, truth):
+    """Return what stands where a method gives a false alarm: what most points nearby are labelled.
 
     Parameters
     ----------
     result : mmqa_lab.poles.Score
     cloud, truth
         Of :func:`scene`.
-    radius : float
-        The most frequent label of the points so near the middle of the detection counts, m.
 
     Returns
     -------
@@ -401,30 +353,32 @@ def causes(result, cloud, truth, *, radius=0.4):
     tree, labels = cKDTree(cloud.points), truth["street"].labels[cloud["surface"]]
     found = []
     for one in outcomes(result)["false alarm"].itertuples():
-        near = labels[
-            tree.query_ball_point([one.x_m, one.y_m, one.z_base_m + one.height_m / 2], radius)
-        ]
+        middle = one.x_m, one.y_m, one.z_base_m + one.height_m / 2
+        near = labels[tree.query_ball_point(middle, NEAR_M)]
         kinds, number = np.unique(near, return_counts=True)
         cause = str(kinds[number.argmax()]) if len(near) else "nothing"
         found.append("duplicate" if one.outcome == "duplicate" else cause)
     return found
 
 
-def crowded(result, cloud, *, shell=0.3, least=0.15):
+def crowded(result, cloud):
     """Return how many missed targets have other points around the shaft, a ``Rate``.
 
-    A shaft is crowded where more than ``least`` of the points within ``shell`` (m) of its surface,
-    over its clear height, belong to something else: what the mask of the scan-line method refuses.
+    A shaft is crowded where more than 15 % of the points within 0.3 m of its surface, over its
+    clear height, belong to something else: what the mask of the scan-line method refuses.
     """
     tree, surface = cKDTree(cloud.points[:, :2]), np.asarray(cloud["surface"])
     missed = outcomes(result)["miss"]
     hidden = 0
     for one in missed.itertuples():
-        near = np.array(tree.query_ball_point([one.x_m, one.y_m], one.diameter_base_m / 2 + shell))
+        near = np.array(tree.query_ball_point([one.x_m, one.y_m], one.diameter_base_m / 2 + 0.3))
         rise = cloud.points[near, 2] - one.z_base_m
         near = near[(rise > 0.2) & (rise < one.clear_height_m)]
-        hidden += len(near) > 0 and (surface[near] != one.surface).mean() > least
+        hidden += len(near) > 0 and (surface[near] != one.surface).mean() > 0.15
     return stats.wilson(int(hidden), len(missed))
+
+
+check = stated("poles")
 
 
 def checks(one_way, both_ways, beside, wider):
@@ -439,42 +393,23 @@ def checks(one_way, both_ways, beside, wider):
     """
     value = one_way.set_index(["method", "quantity", "corridor_m", "class"])["value"]
     f1 = {name: value[name, "f1", 30.0, "all"] for name in poles.METHODS}
-    yield Check(
-        "The learned method beats both published ones on streets of the kind it was trained on.",
-        bool(f1["ours"] > max(f1["fgi"], f1["itc"])),
+    yield check(
+        "learned",
+        f1["ours"] > max(f1["fgi"], f1["itc"]),
         ", ".join(f"{name} F1 {number:.3f}" for name, number in f1.items()),
-        "an order, no tolerance",
     )
     trees, lamps = (value["fgi", "recall", 30.0, kind] for kind in ("tree", "lamp"))
-    yield Check(
-        "The scan-line method finds a smaller share of trees than of lamp posts.",
-        bool(trees < lamps),
-        f"trees {trees:.2f}, lamp posts {lamps:.2f}",
-        "published .591 and .957; an order, no tolerance",
-    )
+    yield check("trees_and_lamps", trees < lamps, f"trees {trees:.2f}, lamp posts {lamps:.2f}")
     near, far = (value["fgi", "precision", reach, "all"] for reach in (12.5, 30.0))
-    yield Check(
-        "Precision of the scan-line method falls with the corridor: facades stand far off.",
-        bool(near >= far),
-        f"{near:.2f} within 12.5 m, {far:.2f} within 30 m",
-        "published .951 and .865; an order, no tolerance",
-    )
+    yield check("corridor", near >= far, f"{near:.2f} within 12.5 m, {far:.2f} within 30 m")
     row = beside.iloc[0]
-    yield Check(
-        "The choice of the street carries over: recall within 30 m agrees with Table 4-1.",
-        bool(
-            row["measured_low"] <= row["published_high"]
-            and row["published_low"] <= row["measured_high"]
-        ),
+    yield check(
+        "recall",
+        row["measured_low"] <= row["published_high"]
+        and row["published_low"] <= row["measured_high"],
         f"{row['measured']:.3f}, published {row['published']:.3f}",
-        "the two Wilson intervals meet",
     )
-    yield Check(
-        "The gate is no reason for misses: 1 m instead of 0.5 m finds few more.",
-        bool(wider < 0.1),
-        f"recall of the scan-line method rises by {wider:.3f}",
-        "axes are good to centimetres; a tenth leaves room for chance matches",
-    )
+    yield check("gate", wider < 0.1, f"recall of the scan-line method rises by {wider:.3f}")
 
 
 def comparison(quick: bool = False) -> Comparison:
@@ -504,16 +439,7 @@ OAKLAND = tuple(
     for part in ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
 )
 
-POLES = {
-    1103: "utility pole",
-    1107: "lamp support",
-    1110: "post",
-    1111: "sign",
-    1116: "traffic light support",
-    1119: "parking meter",
-    1302: "small trunk",
-    1303: "large trunk",
-}
+POLES = {int(label): name for label, name in TOLD["oakland"].items()}
 """Labels of poles that are asked for."""
 
 UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
@@ -553,9 +479,8 @@ def _components(whole, labels):
     chosen = whole[np.isin(whole["label"], labels)]
     points = chosen.points
     pairs = cKDTree(points[:, :2]).query_pairs(0.35, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(points),) * 2)
     frame = pd.DataFrame(points, columns=["x", "y", "z"]).assign(label=chosen["label"])
-    frame["part"] = connected_components(graph, directed=False)[1]
+    frame["part"] = joined(*pairs.T, len(points))
     grouped = frame.groupby("part")
     base = grouped["z"].transform("min")
     foot = frame[frame["z"] <= base + 2.0].groupby("part")

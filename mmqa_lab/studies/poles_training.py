@@ -18,28 +18,22 @@ import pandas as pd
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
-from mmqa_lab.poles.attributes import CLASSES
 from mmqa_lab.poles.features import NAMES
-from mmqa_lab.poles.profiles import scan_lines
+from mmqa_lab.poles.on_lines import scan_lines
 from mmqa_lab.simulate import streets, surfaces
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
+from mmqa_lab.studies import NOTES
 
 EXAMPLES = 240
 FIRST_SEED = 9_000_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
+_ROAMER = ("roamer", 150.0, (5.0, 14.0))
+_PUSH_BROOM = ("push-broom", 140.0, (3.0, 9.0))
 SETUPS = (
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("vq-450", 60.0, (8.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("dense-profiler", 50.0, (8.0, 14.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
-    ("push-broom", 140.0, (3.0, 9.0)),
-    ("roamer", 150.0, (5.0, 14.0)),
+    *(_ROAMER, _PUSH_BROOM, ("vq-450", 60.0, (8.0, 14.0)), _PUSH_BROOM, _ROAMER, _PUSH_BROOM),
+    *(("dense-profiler", 50.0, (8.0, 14.0)), _ROAMER, _PUSH_BROOM, _ROAMER),
 )
 """Scanner, length of the street (m) and range of speeds (m/s), by turns."""
 
@@ -66,34 +60,13 @@ SCATTER_M = (0.0, 0.0, 0.01, 0.03)
 def random_plan(rng):
     """Return a street plan drawn at random between few and many of everything."""
     setback, thinnest = rng.uniform(7, 20), rng.uniform(1, 10)
-    return streets.Plan(
-        trees_per_100m=rng.uniform(8, 20),
-        signs_per_100m=rng.uniform(5, 14),
-        lamps_per_100m=rng.uniform(3, 8),
-        others_per_100m=rng.uniform(5, 14),
-        far_share=rng.uniform(0.1, 0.8),
-        shrub_share=rng.uniform(0, 0.7),
-        thicket_share=rng.uniform(0, 1),
-        thicket_density=(thinnest, thinnest + rng.uniform(0, 20)),
-        thicket_height_m=(2.0, rng.uniform(3, 8)),
-        low_crown_share=rng.uniform(0, 0.7),
-        low_branch_share=rng.uniform(0, 0.9),
-        trunk_radius_m=(0.05, rng.uniform(0.15, 0.4)),
-        trunk_lean_deg=rng.uniform(1.0, 5.0),
-        crown_height_m=(2.5, rng.uniform(4.0, 10.0)),
-        crown_density=rng.uniform(0.5, 1.8),
-        cars_per_100m=rng.uniform(0, 15),
-        pedestrians_per_100m=rng.uniform(0, 5),
-        billboards_per_100m=rng.uniform(0, 2),
-        hedges_per_100m=rng.uniform(0, 8),
-        building_share=rng.uniform(0.1, 1.0),
-        setback_m=(setback, setback + rng.uniform(1, 10)),
-        balcony_share=rng.uniform(0, 0.9),
-        columns_per_100m=rng.uniform(0, 10),
-        pipes_per_100m=rng.uniform(0, 10),
-        slope=rng.normal(0, 0.02),
-        cross_slope=rng.normal(0, 0.02),
-    )
+    drawn = {name: rng.uniform(*ends) for name, ends in NOTES["poles_training"]["plan"].items()}
+    least = {"thicket_height_m": 2.0, "trunk_radius_m": 0.05, "crown_height_m": 2.5}
+    drawn |= {name: (low, drawn[name]) for name, low in least.items()}
+    drawn["setback_m"] = setback, setback + drawn["setback_m"]
+    drawn["thicket_density"] = thinnest, thinnest + drawn["thicket_density"]
+    slope, cross_slope = rng.normal(0, 0.02), rng.normal(0, 0.02)
+    return streets.Plan(**drawn, slope=slope, cross_slope=cross_slope)
 
 
 def example(number, *, seed=FIRST_SEED, stretch=1.0):
@@ -349,7 +322,7 @@ def lessons(numbers, folder, *, progress=True, **choices):
     -------
     features, label, kind
         (k, features) without scan lines, (k,) of :func:`labels`, and (k,) row of
-        ``attributes.CLASSES`` of the nearest target.
+        ``ours.CLASSES`` of the nearest target.
     """
     from tqdm.auto import tqdm
 
@@ -378,7 +351,7 @@ def _lesson(number, **choices):
 
 
 def kinds(targets):
-    """Return the class of each target, a row of :data:`mmqa_lab.poles.attributes.CLASSES`.
+    """Return the class of each target, a row of :data:`mmqa_lab.poles.ours.CLASSES`.
 
     Bare shafts and the targets called other are classed by their sizes, as the generator makes
     them: utility poles are wider than flagpoles, signals stand 3 to 4 m high, shafts wider than
@@ -404,7 +377,7 @@ def fit_classes(features, label, kind, *, rounds=40):
     data = lightgbm.Dataset(features, kind, weight=weight / weight.mean(), feature_name=list(NAMES))
     choices = TREES | {
         "objective": "multiclass",
-        "num_class": len(CLASSES),
+        "num_class": len(ours.CLASSES),
         "num_leaves": 8,
         "learning_rate": 0.08,
         "feature_fraction_bynode": 0.4,

@@ -13,10 +13,8 @@ from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon, evaluate_cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.published import ledger
 from mmqa_lab.repeatability import operator_polygons, repeatability
-from mmqa_lab.run import Check
 from mmqa_lab.simulate import chart_corners, systems
-from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.studies import NOTES, SMALL
+from mmqa_lab.studies import NOTES, SMALL, stated
 
 QUICK = SMALL["repeatability"]
 
@@ -286,33 +284,16 @@ def entries(ranges):
     """
     rows = ranges.query("system == 'B tilted' and distance_m == 10")
     rows = rows[rows["method"] == rows["method"].iloc[0]] if len(rows) else rows
-    note = (
-        f"Median and 95 % of {len(rows)} groups of five simulated selections of B, tilted by 45 "
-        "degrees, by an operator whose clicks are assumed."
-    )
-    why = (
-        " Medians of irregular spacings move with the selection; they are printed in whole "
-        "millimetres, and the code's histograms have bins of 5 mm."
-    )
+    told = NOTES["repeatability"]["notes"]
+    note = told["groups"].format(n=len(rows))
     found = []
     for cell, column in REMARKS.items():
         if len(rows):
             low, middle, high = rows[column].quantile([0.025, 0.5, 0.975])
-            text = note + why if column == "medians_mm" else note
+            text = f"{note} {told.get(column, '')}".strip()
             given = {"kind": "measured", "low": low, "high": high, "note": text}
             found.append(ledger.entry("pfeifer2021", "numbers", cell, middle, **given))
     return found
-
-
-def upright_pattern(area, density, click, repeats, seed, kind="poisson", **choices):
-    """A point pattern on an upright wall, and an operator's polygons of its middle."""
-    side = np.sqrt(area)
-    size = side + 12 * click
-    xy = point_pattern(kind, density=density, size=size, seed=seed, **choices) - size / 2
-    depth = 0.005 * np.random.default_rng([seed, 1]).standard_normal(len(xy))
-    corners = side / 2 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
-    polygons = operator_polygons(corners, repeats=repeats, click=click, seed=[seed, 2])
-    return np.column_stack([xy[:, 0], depth, xy[:, 1]]), polygons
 
 
 def with_strays(points, *, share, depths, seed):
@@ -375,23 +356,7 @@ def stray_sweep(surface, *, shares, depths, seeds):
     return pd.DataFrame(rows, columns=["share", "seed", *names])
 
 
-def figure_of_operator(surface):
-    """Return a function that draws one selection for a click error, strays and a seed."""
-
-    def draw(click_cm, strays_percent, seed):
-        """The figures of one selection, with its histograms."""
-        choices = {"repeats": 1, "click": click_cm / 100, "seed": seed}
-        polygon = operator_polygons(surface.corners, **choices)[0]
-        share = strays_percent / 100
-        points = with_strays(surface.points, share=share, depths=(0.1, 0.5), seed=seed)
-        quality = evaluate_cloud(points, polygon=polygon, thickness=1.0)
-        figure = quality.plot()
-        figure.axes[0].set_title(
-            f"{quality.density_polygon_per_m2:.0f} points/m², f = {quality.f:.2f}"
-        )
-        return figure
-
-    return draw
+check = stated("repeatability")
 
 
 def checks(*, shares, cover, scans, laws, strays, components):
@@ -407,54 +372,43 @@ def checks(*, shares, cover, scans, laws, strays, components):
 
     Yields
     ------
-    Check
+    mmqa_lab.run.Check
     """
     of_b = shares.query("system in ('B', 'B tilted') and distance_m == 10")
     precise = 100 * of_b["precision_mm_true_share"].min()
-    yield Check(
-        "Five simulated selections of B at 10 m: precision ranges below 1 mm.",
-        bool(precise > 90),
-        f"in {precise:.0f} % of the groups or more",
-        "nine of ten groups",
-    )
+    yield check("precision", precise > 90, f"in {precise:.0f} % of the groups or more")
     dense = 100 * of_b["density_percent_true_share"]
-    yield Check(
-        "Five simulated selections of B at 10 m: the density does not reliably vary below 1 %.",
-        bool(dense.max() < 90),
-        f"in {dense.min():.0f} to {dense.max():.0f} % of the groups",
-        "reliably: nine of ten groups; the source states no click error",
+    yield check(
+        "density", dense.max() < 90, f"in {dense.min():.0f} to {dense.max():.0f} % of the groups"
     )
     worst = cover.drop(columns="density").min().min()
     least = 0.95 - 4 * np.sqrt(0.95 * 0.05 / scans)
-    yield Check(
-        "The intervals of all figures but the density cover what other scans give.",
-        bool(worst > least),
+    yield check(
+        "intervals",
+        worst > least,
         f"{100 * worst:.0f} % or more; of the density {100 * cover['density'].min():.0f} % or more",
-        f"95 % less four standard errors of {scans} scans",
+        scans=scans,
     )
     known = laws[laws["figure"] == "density_polygon_per_m2"]
     ratio = np.exp(np.log(known["relative_s_r"] / known["predicted"]).mean())
-    yield Check(
-        "The spread of the density of a random pattern has the size of the strip law.",
-        bool(0.85 < ratio < 1.15),
+    yield check(
+        "strip_law",
+        0.85 < ratio < 1.15,
         f"measured over predicted, mean of {len(known)}: {ratio:.2f}",
-        "15 %: s_r of a dozen selections is known to a fifth, in ten places or more",
     )
     means = strays.groupby("share").mean()
     off = (means["sigma_mad_mm"] / means["sigma_mad_predicted_mm"] - 1).abs().max()
     grown = means["std_mm"].iloc[-1] / means["std_mm"].iloc[0]
-    yield Check(
-        "Strays multiply std and hardly touch sigma_MAD, as the closed form says.",
-        bool(grown > 3 and off < 0.15),
+    yield check(
+        "strays",
+        grown > 3 and off < 0.15,
         f"std x {grown:.1f}, sigma_MAD within {100 * off:.0f} % of the closed form",
-        "15 %: strays also tilt the plane, which the closed form leaves out",
     )
     parts = components[components["factor"] == "selection"].set_index("figure")["share"]
-    yield Check(
-        "Systems and distances differ far more than selections do, in every figure.",
-        bool((parts < 0.1).all()),
+    yield check(
+        "selections",
+        (parts < 0.1).all(),
         f"selections have {100 * parts.max():.1f} % of the variance at most ({parts.idxmax()})",
-        "a tenth of the variance of the logarithm",
     )
 
 

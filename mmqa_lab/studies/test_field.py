@@ -13,11 +13,10 @@ import pandas as pd
 from mmqa_lab import bench, published
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Check
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
-from mmqa_lab.studies import NOTES, SMALL
+from mmqa_lab.studies import NOTES, SMALL, stated
 from mmqa_lab.testfield import (
     height_accuracy,
     height_differences,
@@ -468,13 +467,9 @@ def full(survey):
 
 def calibration_tables(results):
     """Return the mean of each figure by method and field."""
-    parts = []
-    for figure in bench.figure_names(results):
-        by = [name for name in ("navigation", "reference_std_m") if name in results.coords]
-        means = bench.summary(results, figure, by=by)
-        mean = next(name for name in means if name.startswith("mean"))
-        parts.append(means.set_index(["method", *by])[mean].rename(figure))
-    return {"calibrations": pd.concat(parts, axis=1).reset_index()}
+    by = ["method", *(n for n in ("navigation", "reference_std_m") if n in results.coords)]
+    groups = bench.cell_table(results).groupby(by, sort=False)
+    return {"calibrations": groups[list(bench.figure_names(results))].mean().reset_index()}
 
 
 def calibration_figures(results):
@@ -487,6 +482,9 @@ def calibration_figures(results):
     wide.plot.barh(ax=ax)
     ax.set(xlabel="RMSE of poles, both drives (mm)", ylabel="")
     return {"calibrations": figure}
+
+
+check = stated("test_field")
 
 
 def checks(*, heights, compared, predictions, drives, calibrations, real):
@@ -510,19 +508,19 @@ def checks(*, heights, compared, predictions, drives, calibrations, real):
     removed = heights[heights["shift"] == "removed"]
     mean = removed.groupby("system")["std_mm"].mean()
     off, good = mean["roamer I"], mean["roamer"]
-    yield Check(
-        "A boresight error of tenths of a degree costs more in height than all other errors.",
-        bool(off / good > np.sqrt(2)),
+    yield check(
+        "boresight",
+        off / good > np.sqrt(2),
         f"height std {off:.1f} against {good:.1f} mm, mean of both directions",
-        "root of 2: the boresight's part alone is then larger than the rest",
     )
     close = int(compared["close"].sum())
     fitted = compared["close"] & (compared["kind"] == "fitted")
-    yield Check(
-        f"Sheets and section 3.1.3 predict {ENOUGH} of the 26 columns to {TOLERANCE:.0%}.",
+    yield check(
+        "columns",
         close >= ENOUGH,
         f"{close} of {len(compared)}, of which {fitted.sum()} of ROAMER I are fitted",
-        "a quarter of the printed figure; the others are listed with what may be missing",
+        enough=ENOUGH,
+        tolerance=TOLERANCE,
     )
     yield _within_prediction(removed, predictions)
     yield _repeated_ratio(drives)
@@ -531,11 +529,8 @@ def checks(*, heights, compared, predictions, drives, calibrations, real):
         rows = real[real["shift"] == "kept"].set_index("comparison")["mean_mm"]
         absolute = rows[["drive 1", "drive 2"]].abs().min()
         relative = abs(rows["drive 1 - drive 2"])
-        yield Check(
-            "The real drives agree with each other far better than with the airborne heights.",
-            bool(relative < absolute / 2),
-            f"{relative:.1f} mm against {absolute:.1f} mm",
-            "a half",
+        yield check(
+            "real_drives", relative < absolute / 2, f"{relative:.1f} mm against {absolute:.1f} mm"
         )
 
 
@@ -544,14 +539,13 @@ def _within_prediction(heights, predictions):
     ranges = predictions[predictions["figure"] == "height_std"]
     rows = heights.merge(ranges, on=["system", "direction"])
     inside = rows["std_mm"].between(0.8 * rows["low_mm"], 1.2 * rows["high_mm"])
-    return Check(
-        "The height std of a drive lies where the specifications predict it.",
-        bool(inside.sum() >= len(rows) - 1),
+    return check(
+        "height_std",
+        inside.sum() >= len(rows) - 1,
         ", ".join(
             f"{r.system} {r.direction} {r.std_mm:.1f} in {r.low_mm:.1f}-{r.high_mm:.1f}"
             for r in rows.itertuples()
         ),
-        "95 % of the drawn drives and 20 %, because the prediction casts no rays; one may miss",
     )
 
 
@@ -560,11 +554,10 @@ def _repeated_ratio(drives):
     found, drawn = (drives[name].dropna().to_numpy() for name in ("measured_mm", "predicted_mm"))
     ratio = np.sqrt(np.mean(found**2) / np.mean(drawn**2))
     error = drawn.std() / drawn.mean() / np.sqrt(len(found))
-    return Check(
-        "Over many drives the predicted std of heights is right within 20 %.",
-        bool(abs(ratio - 1) < max(0.2, 3 * error)),
+    return check(
+        "repeated",
+        abs(ratio - 1) < max(0.2, 3 * error),
         f"measured over predicted {ratio:.2f} +- {error:.2f} from {len(found)} drives",
-        "20 %, or three standard errors of the ratio where drives are few",
     )
 
 
@@ -573,17 +566,15 @@ def _calibrated(calibrations):
     exact = _best_case(calibrations)
     found, before = exact.loc["planes, poles, control"], exact.loc["as installed"]
     angle, arm = found["angle_deg"], found["arm_mm"]
-    yield Check(
-        "Two drives determine boresight angles to 0.005 degrees and lever arms to 5 mm.",
-        bool(angle < BORESIGHT_LIMIT_DEG and arm < LEVER_LIMIT_MM),
+    yield check(
+        "mounting",
+        angle < BORESIGHT_LIMIT_DEG and arm < LEVER_LIMIT_MM,
         f"largest errors {angle:.4f} degrees, {arm:.1f} mm",
-        "less than half of what navigation errors leave; exact paths and the better reference",
     )
-    yield Check(
-        "Correcting the mounting makes the double poles single.",
-        bool(found["pole_rmse_mm"] < before["pole_rmse_mm"] / 2),
+    yield check(
+        "double_poles",
+        found["pole_rmse_mm"] < before["pole_rmse_mm"] / 2,
         f"poles {before['pole_rmse_mm']:.1f} mm before, {found['pole_rmse_mm']:.1f} mm after",
-        "a half; the survey of the poles has errors too",
     )
 
 

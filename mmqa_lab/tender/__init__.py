@@ -6,15 +6,15 @@
 drive past the test site: ``acceptance`` finds, checks and evaluates, ``report`` writes.
 """
 
-from mmqa_lab.tender.criteria import (
-    COVERAGE,
-    CRITERIA,
-    SETS,
-    published_criteria,
-    published_results,
-    qualification,
-    verdicts,
-)
+import numpy as np
+import pandas as pd
+
+from mmqa_lab import published
+from mmqa_lab._checks import check_choice, check_columns, check_positive
+from mmqa_lab.chart_image.legibility import expected_marks
+from mmqa_lab.chart_image.rules import MARKS
+from mmqa_lab.published.ledger import COARSEST_MM
+from mmqa_lab.spacing import exempt
 
 __all__ = [
     "COVERAGE",
@@ -26,3 +26,427 @@ __all__ = [
     "verdicts",
 ]
 __dir__ = __all__.copy
+
+RELATIONS = {
+    ">=": lambda value, threshold: value >= threshold,
+    ">": lambda value, threshold: value > threshold,
+    "<=": lambda value, threshold: value <= threshold,
+    "<": lambda value, threshold: value < threshold,
+}
+
+VERDICTS = ("met", "exempt", "not met", "undecided", "not measured")
+
+COVERAGE = 1.96
+"""Multiples of a figure's standard deviation within which a threshold leaves it undecided."""
+
+CRITERIA = ("criterion", "quantity", "relation", "threshold")
+
+RESULTS = ("system", "quantity", "value")
+
+SETS = ("test", "scenario 1", "scenario 2")
+"""Sets of criteria that Pfeifer et al. 2021 print: the test (section 4.2), two examples (4.4)."""
+
+OWN_SET = "test with g"
+"""The test with g in place of f, which the paper does not print."""
+
+RUNGS_MM = (40.0, 30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 4.0)
+"""Widths of line pairs that Table 1 shows."""
+
+RANGE_OF_FIVE = 2.326
+"""Mean range of five normal values in standard deviations: five selections were compared."""
+
+REPEATED = ("selection_density", "selection_precision", "bar_std")
+"""Printed numbers (section 4.4) that say how repeatable a figure is."""
+
+
+def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
+    """Compare every system's figures with every criterion.
+
+    Parameters
+    ----------
+    criteria : DataFrame
+        A row per criterion: ``criterion`` (name), ``quantity``, ``relation`` (>=, >, <=, <),
+        ``threshold`` (a number, or a mark a, b, c); optionally ``distance_m``, ``view`` and
+        ``direction``, where empty means every figure of that quantity, and for f ``rho0_per_m2``,
+        the density from which its exemption follows (:func:`mmqa_lab.spacing.exempt`).
+    results : DataFrame
+        A row per figure: ``system``, ``quantity``, ``value`` (a number, or a mark a, b, c; empty
+        where not measured); optionally ``sigma`` (standard deviation) or ``low`` and ``high`` (95 %
+        interval, or a bound of what could not be measured), ``distance_m``, ``view``,
+        ``direction``.
+
+    Returns
+    -------
+    DataFrame
+        A row per system, criterion and figure: ``system``, ``criterion``, ``quantity``,
+        ``distance_m``, ``view``, ``direction``, ``value``, ``low``, ``high``, ``relation``,
+        ``threshold``, ``margin`` (positive inside; in the quantity's unit, for marks in steps) and
+        ``verdict``: *met*, *not met*, *undecided* (the threshold lies within low and high, or
+        within 1.96 sigma), *exempt* (f where d1 and d4, with their intervals, are small enough for
+        the density asked for; where only a part of the intervals is, *not met* is *undecided*) or
+        *not measured*.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a name repeats, a relation is another, or a value or threshold is
+        neither a number nor a mark.
+
+    Examples
+    --------
+    >>> names = ["criterion", "quantity", "relation", "threshold"]
+    >>> criteria = pd.DataFrame([("text", "legibility", "<=", "b")], columns=names)
+    >>> results = pd.DataFrame(
+    ...     [("B", "legibility", "a"), ("C", "legibility", "c")],
+    ...     columns=["system", "quantity", "value"],
+    ... )
+    >>> verdicts(criteria, results)[["system", "margin", "verdict"]].values.tolist()
+    [['B', 1.0, 'met'], ['C', -1.0, 'not met']]
+    """
+    criteria, results = _criteria(criteria), _results(results)
+    rows = []
+    for system in results["system"].drop_duplicates():
+        figures = results[results["system"] == system]
+        for criterion in criteria.itertuples():
+            fitting = figures[_matches(figures, criterion)]
+            if fitting.empty:
+                rows.append(_row(system, criterion, None))
+            for figure in fitting.itertuples():
+                row = _row(system, criterion, figure)
+                maybe, surely = _exemption(figures, criterion, figure)
+                if surely:
+                    row["verdict"] = "exempt"
+                elif maybe and row["verdict"] == "not met":
+                    row["verdict"] = "undecided"
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def qualification(table: pd.DataFrame) -> pd.DataFrame:
+    """Sum up the verdicts of each system.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`verdicts`.
+
+    Returns
+    -------
+    DataFrame
+        ``system``, ``verdict`` (*qualifies* when all figures meet their criteria or are exempt;
+        *fails* when one does not; else *open*), the numbers of figures ``met``, ``exempt``,
+        ``not_met``, ``undecided``, ``not_measured``, and ``because``: the criteria that are not
+        met, or leave it open.
+
+    Examples
+    --------
+    Scenario 2 of the paper on its printed figures: A depends on a text that was not judged.
+
+    >>> table = verdicts(published_criteria("scenario 2"), published_results())
+    >>> qualification(table)[["system", "verdict", "because"]].values.tolist()
+    [['A', 'open', 'legibility'], ['B', 'qualifies', ''], ['C', 'fails', 'precision']]
+    """
+    rows = []
+    for system, part in table.groupby("system", sort=False):
+        counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
+        if counts["not met"]:
+            verdict, deciding = "fails", part["verdict"] == "not met"
+        else:
+            deciding = ~part["verdict"].isin(["met", "exempt"])
+            verdict = "open" if deciding.any() else "qualifies"
+        because = ", ".join(part.loc[deciding, "criterion"].drop_duplicates())
+        rows.append((system, verdict, *counts, because))
+    names = [verdict.replace(" ", "_") for verdict in VERDICTS]
+    return pd.DataFrame(rows, columns=["system", "verdict", *names, "because"])
+
+
+def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFrame:
+    """Return a set of criteria as Pfeifer et al. 2021 print it.
+
+    Parameters
+    ----------
+    name : {"test", "scenario 1", "scenario 2", "test with g"}
+        The test of section 4.2, an example of section 4.4, or the test with g < 2 in place of
+        f < 2, which the paper does not print.
+    cloud_distance_m : float
+        Where no distance is printed for a figure of the cloud: the 5 m of the other criteria.
+
+    Returns
+    -------
+    DataFrame
+        As :func:`verdicts` wants it. Where the paper prints no relation (section 4.4), a
+        figure may reach its threshold.
+
+    Raises
+    ------
+    ValueError
+        If the name is another.
+
+    Examples
+    --------
+    >>> table = published_criteria("scenario 1")
+    >>> table[["quantity", "relation", "threshold", "distance_m"]].values.tolist()
+    [['legibility_40mm', '<=', 'b', 10.0], ['density_per_m2', '>=', 4000.0, 5.0],
+     ['sigma_mad_mm', '<=', 5.0, 5.0]]
+    """
+    with_g = check_choice(name, "criteria", (*SETS, OWN_SET)) == OWN_SET
+    name = "test" if with_g else name
+    table = published.table("pfeifer2021", "criteria").query("set == @name").reset_index(drop=True)
+    names = {"pixel size": "pixel_mm", "line-pair width": "w_mm", "density": "density_per_m2"}
+    names["sigma_mad"] = "sigma_mad_mm"
+    text = table["quantity"] == "legibility"
+    height = table["text_height_mm"].map("legibility_{:.0f}mm".format)
+    table["quantity"] = height.where(text, table["quantity"].replace(names))
+    table["threshold"] = table["threshold"].astype(object).where(~text, table["printed"])
+    cloud = table["quantity"].isin(["density_per_m2", "sigma_mad_mm", "f"])
+    table["distance_m"] = table["distance_m"].mask(
+        cloud & table["distance_m"].isna(), cloud_distance_m
+    )
+    table["view"] = np.where(text & table["views"].str.startswith("orthogonal"), "orthogonal", "")
+    rho0 = float(table.loc[table["quantity"] == "density_per_m2", "threshold"].iloc[0])
+    table["rho0_per_m2"] = np.where(table["quantity"] == "f", rho0, np.nan)
+    if with_g:
+        table = table.replace({"quantity": {"f": "g"}})
+    return table[[*CRITERIA, "distance_m", "view", "rho0_per_m2"]]
+
+
+def published_results(*, repeatability: bool = False, by_pixels: bool = False) -> pd.DataFrame:
+    """Return Tables 1 and 2 of Pfeifer et al. 2021 in the form that :func:`verdicts` wants.
+
+    Parameters
+    ----------
+    repeatability : bool
+        Add what section 4.4 says of repeated measurements, for all systems and distances: ``sigma``
+        of the density (five selections of B at 10 m vary by less than 1 %), of sigma_MAD (by less
+        than 1 mm) and of pixel sizes (below 1 px for a bar), and one rung to either side of a
+        line-pair width. Upper bounds are printed, so these are too wide.
+    by_pixels : bool
+        Give texts of 60 mm that were not judged the marks that their pixels per capital height
+        allow: the worst one, and the interval to the best one
+        (:func:`mmqa_lab.chart_image.legibility.expected_marks`).
+
+    Returns
+    -------
+    DataFrame
+        ``system``, ``quantity``, ``value``, ``low``, ``high``, ``sigma``, ``distance_m``, ``view``,
+        ``direction``. A dash of a line-pair width is an interval that begins at the coarsest
+        pattern of the chart. Texts of 60 mm at 5 m, which the chart does not have, are as legible
+        as those of 40 mm where these are (a, b); else empty.
+
+    Examples
+    --------
+    >>> results = published_results(by_pixels=True)
+    >>> texts = results.query("quantity == 'legibility_60mm'")
+    >>> texts[["system", "value"]].values.tolist()
+    [['A', 'b'], ['B', 'a'], ['C', 'b']]
+    """
+    images = published.table("pfeifer2021", "table_1").query("status != 'not_evaluated'")
+    rows = [_image_row(row) for row in images.to_dict("records")]
+    rows += _larger_text(images, by_pixels)
+    for cloud in published.table("pfeifer2021", "table_2").to_dict("records"):
+        place = {"system": cloud["system"], "distance_m": float(cloud["distance_m"])}
+        names = ("density_per_m2", "sigma_mad_mm", "d1_mm", "d4_mm", "f")
+        rows += [{**place, "quantity": name, "value": float(cloud[name])} for name in names]
+    table = pd.DataFrame(rows)
+    table[["view", "direction"]] = table[["view", "direction"]].fillna("")
+    table["sigma"] = np.nan
+    if repeatability:
+        of = {name: published.number("pfeifer2021", name)["value"] for name in REPEATED}
+        table = table.apply(_repeated, axis=1, of=of)
+    return table
+
+
+def _criteria(criteria):
+    """Criteria checked and with every column."""
+    criteria = _with_columns(criteria, CRITERIA, "criteria")
+    twice = criteria.loc[criteria["criterion"].duplicated(), "criterion"]
+    if len(twice):
+        raise ValueError(f"Invalid criteria: {twice.iloc[0]!r} twice. Must be distinct.")
+    for row in criteria.itertuples():
+        check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
+        if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
+            raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
+    criteria["rho0_per_m2"] = _numbers(criteria, "rho0_per_m2")
+    for rho0 in criteria["rho0_per_m2"].dropna():
+        check_positive(rho0, "rho0_per_m2")
+    return criteria
+
+
+def _results(results):
+    """Results checked and with every column."""
+    results = _with_columns(results, RESULTS, "results")
+    for row in results.itertuples():
+        _rank(row.value, f"{row.quantity} of {row.system}")
+    for name in ("sigma", "low", "high"):
+        results[name] = _numbers(results, name)
+    if (results["sigma"] < 0).any():
+        raise ValueError(f"Invalid sigma {results['sigma'].min()}. Must be 0 or more.")
+    crossed = results.loc[results["low"] > results["high"], "low"]
+    if len(crossed):
+        raise ValueError(f"Invalid low {crossed.iloc[0]}. Must not exceed high.")
+    return results
+
+
+def _with_columns(frame, needed, what):
+    """A copy with the optional columns, all missing words empty."""
+    check_columns(frame, needed, what)
+    if frame.empty:
+        raise ValueError(f"Invalid {what}: no rows. Must have one or more.")
+    frame = frame.copy()
+    for name in ("view", "direction"):
+        words = frame[name] if name in frame else pd.Series("", index=frame.index)
+        frame[name] = words.fillna("").astype(str)
+    frame["distance_m"] = _numbers(frame, "distance_m")
+    return frame
+
+
+def _numbers(frame, name):
+    """A column of numbers, NaN where it is empty or there is none."""
+    values = frame[name] if name in frame else pd.Series(np.nan, frame.index)
+    numbers = pd.to_numeric(values, errors="coerce")
+    wrong = numbers.isna() & values.notna() & (values.astype(str).str.strip() != "")
+    if wrong.any():
+        raise ValueError(f"Invalid {name} {values[wrong].iloc[0]!r}. Must be a number.")
+    return numbers
+
+
+def _rank(value, name):
+    """A figure as a number, marks as steps from a; NaN for none."""
+    if value is None or (isinstance(value, str) and not value.strip()):
+        return np.nan
+    if isinstance(value, str) and value.strip() in MARKS:
+        return float(MARKS.index(value.strip()))
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"Invalid {name} {value!r}. Must be a number or a mark a, b, c.") from None
+    if np.isinf(number):
+        raise ValueError(f"Invalid {name} {value!r}. Must be finite, or empty where not measured.")
+    return number
+
+
+def _matches(figures, criterion):
+    """The figures that a criterion applies to."""
+    fits = figures["quantity"] == criterion.quantity
+    if np.isfinite(criterion.distance_m):
+        fits &= figures["distance_m"] == criterion.distance_m
+    for name in ("view", "direction"):
+        if getattr(criterion, name):
+            fits &= figures[name] == getattr(criterion, name)
+    return fits
+
+
+def _exemption(figures, criterion, figure):
+    """Whether d1 and d4 may, and whether they surely do, reach the density that exempts f."""
+    if criterion.quantity != "f" or np.isnan(criterion.rho0_per_m2):
+        return False, False
+    place = ["distance_m", "view", "direction"]
+    here = pd.Series({name: getattr(figure, name) for name in place})
+    same = figures[place].eq(here) | (figures[place].isna() & here.isna())
+    here = figures[same.all(axis=1)]
+    spacings = [here[here["quantity"] == name] for name in ("d1_mm", "d4_mm")]
+    if any(len(one) != 1 for one in spacings):
+        return False, False
+    rows = [one.iloc[0] for one in spacings]
+    ends = np.array([_interval(row, _rank(row["value"], "spacing")) for row in rows]) / 1000
+    return tuple(exempt(*ends, criterion.rho0_per_m2).tolist())
+
+
+def _row(system, criterion, figure):
+    """The verdict on one figure, or on a criterion without one."""
+    limit = _rank(criterion.threshold, "threshold")
+    place = criterion if figure is None else figure
+    rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure)
+    sign = 1 if criterion.relation.startswith(">") else -1
+    return {
+        "system": system,
+        "criterion": criterion.criterion,
+        "quantity": criterion.quantity,
+        "distance_m": place.distance_m,
+        "view": place.view,
+        "direction": place.direction,
+        "value": None if figure is None else figure.value,
+        "low": low,
+        "high": high,
+        "relation": criterion.relation,
+        "threshold": criterion.threshold,
+        "margin": sign * (rank - limit) + 0.0,  # no negative zero
+        "verdict": _verdict(RELATIONS[criterion.relation], limit, low, high),
+    }
+
+
+def _ends(criterion, figure):
+    """A figure as a number, and the ends of its interval; NaN where it was not measured."""
+    rank = _rank(figure.value, criterion.quantity)
+    is_mark = isinstance(figure.value, str) and figure.value.strip() in MARKS
+    if np.isfinite(rank) and is_mark != (str(criterion.threshold) in MARKS):
+        raise ValueError(
+            f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
+            f"kind of the threshold {criterion.threshold!r}."
+        )
+    low, high = _interval(figure, rank)
+    if np.isnan(rank) and not (np.isnan(low) and np.isnan(high)):  # a bound of one side
+        low, high = np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf, posinf=np.inf)
+    return rank, low, high
+
+
+def _interval(figure, rank):
+    """The stated ends of a figure, or those that its standard deviation gives."""
+    reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
+    low = rank - reach if np.isnan(figure.low) else figure.low
+    return low, rank + reach if np.isnan(figure.high) else figure.high
+
+
+def _verdict(relation, limit, low, high):
+    """What both ends of an interval say."""
+    if np.isnan(low):
+        return "not measured"
+    met = relation(low, limit), relation(high, limit)
+    return "met" if all(met) else "undecided" if any(met) else "not met"
+
+
+def _image_row(row):
+    """A cell of Table 1 as a result."""
+    names = {"legibility": "legibility_40mm", "pixel size": "pixel_mm", "line-pair width": "w_mm"}
+    result = {name: row[name] for name in ("system", "distance_m", "view", "direction")}
+    result["quantity"] = names[row["quantity"]]
+    result["value"] = row["printed"] if row["quantity"] == "legibility" else row["value"]
+    if row["status"] == "not_resolved" and row["quantity"] == "line-pair width":
+        coarsest = COARSEST_MM[row["direction"]]
+        result |= {"low": np.nextafter(coarsest, np.inf), "high": np.inf}
+    return result
+
+
+def _larger_text(images, by_pixels):
+    """Results for text of 60 mm in the orthogonal view at 5 m."""
+    place = {"distance_m": 5.0, "view": "orthogonal", "quantity": "legibility_60mm"}
+    keys = ["system", "distance_m", "view"]
+    marks = images.query("quantity == 'legibility'").set_index(keys)["printed"]
+    pixels = images.query("quantity == 'pixel size' and direction == 'v'").set_index(keys)["value"]
+    rows = []
+    for system in "ABC":
+        key = (system, 5.0, "orthogonal")
+        row = {**place, "system": system, "value": marks[key]}
+        if marks[key] == "c":
+            found = expected_marks(60 / pixels[key]).iloc[0]
+            ends = {"low": MARKS.index(found["best"]), "high": MARKS.index(found["worst"])}
+            row |= {"value": found["worst"], **ends} if by_pixels else {"value": None}
+        rows.append(row)
+    return rows
+
+
+def _repeated(row, of):
+    """A result with the repeatability that section 4.4 prints."""
+    row = row.copy()
+    if row["quantity"] == "density_per_m2":
+        row["sigma"] = of["selection_density"] / 100 * row["value"] / RANGE_OF_FIVE
+    elif row["quantity"] == "sigma_mad_mm":
+        row["sigma"] = of["selection_precision"] / RANGE_OF_FIVE
+    elif row["quantity"] == "pixel_mm":  # of a bar of L: pixel / (L / pixel); v is a mean of two
+        bar, count = (600, 1) if row["direction"] == "h" else (800, 2)
+        row["sigma"] = of["bar_std"] * row["value"] ** 2 / bar / np.sqrt(count)
+    elif row["quantity"] == "w_mm" and np.isfinite(row["value"]):
+        rung = RUNGS_MM.index(row["value"])
+        row["low"] = RUNGS_MM[min(rung + 1, len(RUNGS_MM) - 1)]
+        row["high"] = RUNGS_MM[rung - 1] if rung else np.inf
+    return row

@@ -16,7 +16,7 @@ from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, PLACE, board_frame,
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import CLOUD_ENDINGS
 from mmqa_lab.io.clouds import iterate_cloud
-from mmqa_lab.tender.criteria import COVERAGE, qualification, verdicts
+from mmqa_lab.tender import COVERAGE, qualification, verdicts
 from mmqa_lab.tender.photographs import image_rows
 from mmqa_lab.tender.site import doubt, find_drives
 

@@ -10,33 +10,19 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab._checks import check_columns
+from mmqa_lab.chart_image import evaluate_window, legibility, rules
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
-from mmqa_lab.chart_image.legibility import (
-    CHECK_LIST,
-    JUDGED,
-    TEXT_MM,
-    colour_fringes,
-    photo_marks,
-)
 from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
-from mmqa_lab.chart_image.rules import (
-    ALONG,
-    MARKS,
-    PLACE,
-    agreement,
-    blind_name,
-    board_frame,
-    board_view,
-    choose_images,
-)
 from mmqa_lab.charts import LinePairs, Marker
 from mmqa_lab.io import read_grey
 from mmqa_lab.io.images import decode, exif_number, image_size, image_tags, read_colours
+from mmqa_lab.io.tables import read_table
 from mmqa_lab.tender.site import Drive, doubt
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -74,22 +60,14 @@ def read_marks(path):
     :mod:`mmqa_lab.widgets` writes. A crop is a photograph, or an element of it with its number in
     the check list. Empty cells are no marks.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid marks {path}: no such file. Must exist.")
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except ValueError as error:  # empty, or no text
-        raise ValueError(f"Invalid marks {path}: {error}. Must be CSV.") from None
+    table = read_table(path, "marks", dtype=str, keep_default_na=False)
     if "crop" in table:
         table = table.drop(columns="shows", errors="ignore")
         table = table.melt("crop", var_name="juror", value_name="mark")
         table = table.rename(columns={"crop": "element"})
-    missing = {"juror", "element", "mark"} - set(table)
-    if missing:
-        raise ValueError(f"Invalid marks {path}: no column {sorted(missing)[0]!r}. Must have one.")
+    check_columns(table, ("juror", "element", "mark"), f"marks {path}")
     table = table[table["mark"].str.strip() != ""]
-    agreement(table)  # refuses other marks, and two of one juror
+    rules.agreement(table)  # refuses other marks, and two of one juror
     for name in table["element"].unique():
         _listed(name)
     return table
@@ -100,11 +78,11 @@ def _listed(crop):
     photo, _, number = crop.partition("_")
     if not number:
         return photo, ""
-    if not (number.isdigit() and 0 < int(number) <= len(CHECK_LIST)):
+    if not (number.isdigit() and 0 < int(number) <= len(legibility.CHECK_LIST)):
         raise ValueError(
-            f"Invalid crop {crop!r}: element {number}. Must be 1 to {len(CHECK_LIST)}."
+            f"Invalid crop {crop!r}: element {number}. Must be 1 to {len(legibility.CHECK_LIST)}."
         )
-    return photo, CHECK_LIST[int(number) - 1][0]
+    return photo, legibility.CHECK_LIST[int(number) - 1][0]
 
 
 def image_rows(drive, site, marks, done):
@@ -163,8 +141,8 @@ def _wanted(drive, site, done):
     own = [one.distance_m for one in done.drives if one.system == drive.system]
     wanted = []
     for board in site.boards[site.boards["kind"] == "image"].itertuples():
-        view = board_view(board.corners, drive.path)
-        if view == ALONG:
+        view = rules.board_view(board.corners, drive.path)
+        if view == rules.ALONG:
             wanted.append((board, drive.distance_m))
         elif drive.distance_m == min(own):
             wanted.append((board, site.oblique_m))
@@ -190,15 +168,15 @@ def _images(drive, done):
         done.say(drive.name, "Invalid images.csv: no column 'file'. Must have one.")
         return pd.DataFrame({"file": []})
     images = _readable(images, drive, done)
-    if not set(PLACE) <= set(images) and "time_s" in images:
-        for name in PLACE:
+    if not set(rules.PLACE) <= set(images) and "time_s" in images:
+        for name in rules.PLACE:
             images[name] = np.interp(images["time_s"], drive.path["time_s"], drive.path[name])
     return images
 
 
 def _readable(images, drive, done):
     """The images that exist and whose columns are numbers."""
-    names = [name for name in (*PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
+    names = [name for name in (*rules.PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
     images[names] = images[names].apply(pd.to_numeric, errors="coerce")
     there = [(drive.folder / str(file)).is_file() for file in images["file"]]
     known = images[names].notna().all(axis=1).to_numpy()
@@ -226,11 +204,11 @@ def _camera(drive, done):
 
 def _chosen(drive, images, wanted, camera, done):
     """For each wanted board the image that the rules ask for, and where the board is in it."""
-    oriented = camera is not None and set(PLACE + ANGLES) <= set(images)
+    oriented = camera is not None and set(rules.PLACE + ANGLES) <= set(images)
     maps = {}
     if oriented:
         maps = {board.board: _predicted(images, board, camera, drive) for board, _ in wanted}
-    elif not set(PLACE) <= set(images):
+    elif not set(rules.PLACE) <= set(images):
         images, maps = _searched(drive, images, wanted, camera, done)
     chosen = []
     for board, distance in wanted:
@@ -249,17 +227,17 @@ def _chosen(drive, images, wanted, camera, done):
 
 def _nearest(drive, images, board, distance, shown):
     """The image that the rules choose among those that show a board."""
-    ends = drive.path[PLACE].iloc[[0, -1]].set_axis(["first", "last"])
-    stations = pd.concat([ends[:1], images.reindex(columns=PLACE), ends[1:]])
+    ends = drive.path[rules.PLACE].iloc[[0, -1]].set_axis(["first", "last"])
+    stations = pd.concat([ends[:1], images.reindex(columns=rules.PLACE), ends[1:]])
     among = stations.index.isin(list(shown)) & stations.notna().all(axis=1)
-    return choose_images(stations, board.corners, distance=distance, among=among).iloc[0]
+    return rules.choose_images(stations, board.corners, distance=distance, among=among).iloc[0]
 
 
 def _nothing_shown(board, view, distance, shown):
     """Why no image counts for a board."""
     if not shown:
         return f"No image shows the board {board.board!r}."
-    rule = "from its front" if view == ALONG else f"from {distance:g} m or farther"
+    rule = "from its front" if view == rules.ALONG else f"from {distance:g} m or farther"
     return f"None of the {len(shown)} images that may show the board {board.board!r} is {rule}."
 
 
@@ -268,7 +246,7 @@ def _predicted(images, board, camera, drive):
     maps = {}
     for index, image in images.iterrows():
         try:
-            pose = Pose.of_angles(image[PLACE].to_numpy(float), *image[ANGLES])
+            pose = Pose.of_angles(image[rules.PLACE].to_numpy(float), *image[ANGLES])
             there = ChartMap.from_orientation(camera, pose, board.corners, board.layout)
             size = image_size(drive.folder / image["file"])
         except (ValueError, OSError):  # behind the camera, or no image: the others count
@@ -290,7 +268,7 @@ def _searched(drive, images, wanted, camera, done):
     if same:
         done.say(drive.name, same)
         return images.iloc[:0], maps
-    images = images.assign(**dict.fromkeys(PLACE, np.nan))
+    images = images.assign(**dict.fromkeys(rules.PLACE, np.nan))
     for index, image in images.iterrows():
         origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
         try:
@@ -306,7 +284,7 @@ def _searched(drive, images, wanted, camera, done):
             except ValueError:  # not in this image
                 continue
             maps[board.board][index] = there
-            images.loc[index, PLACE] = _camera_place(there, board)
+            images.loc[index, rules.PLACE] = _camera_place(there, board)
     return images, maps
 
 
@@ -326,8 +304,6 @@ def _same_targets(boards):
 
 def _camera_place(there, board):
     """Where the camera stands in the world, from the map of a board of known size and place."""
-    import cv2
-
     layout = board.layout
     places = layout.corners() - [layout.width / 2, layout.height / 2]
     rays = np.column_stack([layout.corners(), np.ones(4)]) @ there.matrix.T
@@ -337,7 +313,7 @@ def _camera_place(there, board):
     # a rigid board: the tilt that a few targets leave open does not change its distance
     _, turned, away = cv2.solvePnP(solid, flat, np.eye(3), None, flags=cv2.SOLVEPNP_ITERATIVE)
     local = -Rotation.from_rotvec(turned.ravel()).inv().apply(away.ravel())
-    centre, right, normal = board_frame(board.corners)
+    centre, right, normal = rules.board_frame(board.corners)
     return centre + local @ np.stack([right, np.cross(normal, right), normal])
 
 
@@ -408,16 +384,16 @@ def width_interval(quality, direction):
 
 def _legibility(photo, place, marks, done):
     """The jury's mark of a photograph; text of 60 mm is as legible where that of 40 mm is."""
-    crop = blind_name(photo.file, photo.board)
+    crop = rules.blind_name(photo.file, photo.board)
     pixels = photo.quality.pixel_size("v")[0]
-    photo.found.update(crop=crop, cap_px=TEXT_MM / pixels, mark="", marks="", because="")
+    photo.found.update(crop=crop, cap_px=legibility.TEXT_MM / pixels, mark="", marks="", because="")
     rows = {"value": None, "low": np.nan, "high": np.nan}
     if marks is not None:
         rows |= _jury(photo, marks, done)
     place = {**place, "direction": ""}
     texts = [{**place, "quantity": "legibility_40mm", **rows}]
-    larger = rows if rows["high"] < MARKS.index("c") else dict.fromkeys(rows)
-    if photo.view == ALONG:
+    larger = rows if rows["high"] < rules.MARKS.index("c") else dict.fromkeys(rows)
+    if photo.view == rules.ALONG:
         texts.append({**place, "quantity": "legibility_60mm", **larger})
     return texts
 
@@ -428,22 +404,22 @@ def _jury(photo, marks, done):
     listed = [_listed(name) for name in marks["element"]]
     own = marks.assign(element=[element for _, element in listed])
     own = own[[name == crop for name, _ in listed]]
-    own = own[own["element"].isin(["", *JUDGED])]
+    own = own[own["element"].isin(["", *legibility.JUDGED])]
     if own.empty:
         done.say(photo.drive.name, f"Board {photo.board!r}: the jury did not mark crop {crop}.")
         return {}
     if (own["element"] == "").any():
         own = own[own["element"] == ""]
-        mark, because = agreement(own).verdict["mark"].item(), ""
+        mark, because = rules.agreement(own).verdict["mark"].item(), ""
     else:
-        mark, because = photo_marks(own.assign(photo=crop)).loc[0, ["mark", "because"]]
+        mark, because = legibility.photo_marks(own.assign(photo=crop)).loc[0, ["mark", "because"]]
     jurors = sorted(own.groupby("juror")["mark"].max())
     photo.found.update(mark=mark or "", marks="".join(jurors), because=because)
     if mark is None:
         where = f" of {because!r}" if because else ""
         done.say(photo.drive.name, f"Crop {crop}: the jury has no majority{where}, or left it out.")
         return {}
-    ranks = [MARKS.index(one) for one in (*jurors, mark)]
+    ranks = [rules.MARKS.index(one) for one in (*jurors, mark)]
     return {"value": mark, "low": float(min(ranks)), "high": float(max(ranks))}
 
 
@@ -467,7 +443,7 @@ def fringes(photo, gamma="srgb"):
     if colours is None:
         return {}
     values = decode(colours.astype(np.float32) / np.iinfo(colours.dtype).max, gamma)
-    table = colour_fringes(values, quality.layout, quality.chart_map)
+    table = legibility.colour_fringes(values, quality.layout, quality.chart_map)
     found = {}
     for direction, part in table.groupby("direction"):
         width = quality.resolution(direction).width_mm

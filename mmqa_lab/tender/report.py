@@ -7,13 +7,16 @@ import base64
 import io
 import platform
 import textwrap
-from importlib import metadata
 from pathlib import Path
 
+import cv2
+import laspy
+import matplotlib
 import numpy as np
 import pandas as pd
+import scipy
 
-from mmqa_lab import plots
+from mmqa_lab import __version__, plots
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.chart_cloud import CHART_MARGINS_M
 from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED, check_list, expected_text
@@ -22,12 +25,12 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.run.pages import filled
+from mmqa_lab.tender import COVERAGE
 from mmqa_lab.tender.acceptance import VIEWS
-from mmqa_lab.tender.criteria import COVERAGE
 from mmqa_lab.tender.photographs import LIMIT_SHARE, exif_texts, fringes
 from mmqa_lab.tender.site import sha256
 
-LIBRARIES = ("numpy", "scipy", "pandas", "opencv-python-headless", "laspy", "matplotlib")
+LIBRARIES = (np, scipy, pd, cv2, laspy, matplotlib)
 
 A4_INCHES = (8.27, 11.69)
 
@@ -94,58 +97,57 @@ def write_report(done, site, folder, *, criteria, root, inputs):
         pictures = {title: _png(figure) for title, figure in _figures(done)}
     parts = _parts(done, site, criteria, _hashes(root, [*inputs, *site.files, *done.files]))
     texts = {"title": "Acceptance of mobile mapping data", "lines": _lines(done, site)}
-    page = filled("acceptance.html", parts=parts, pictures=_encoded(pictures), **texts)
+    encoded = {name: base64.b64encode(picture).decode() for name, picture in pictures.items()}
+    page = filled("acceptance.html", parts=parts, pictures=encoded, **texts)
     files = [folder / "report.html", folder / "report.pdf"]
     write_atomically(files[0], lambda path: path.write_text(page, encoding="utf-8"))
     write_atomically(files[1], lambda path: _write_pdf(path, parts, pictures, **texts))
     return files
 
 
-def table_1(done):
-    """Image quality as in Table 1 of the paper: a row per system, distance and quantity."""
-    figures = done.results.set_index(["system", "distance_m", "quantity", "direction", "view"])
-    rows = []
-    for system in done.results["system"].unique():
-        for distance in sorted(done.results["distance_m"].unique()):
-            for label, quantity, direction in TABLE_1:
-                key = (system, distance, quantity, direction)
-                cells = {view: _cell(figures, (*key, view)) for view in VIEWS}
-                rows.append({"system": system, "distance (m)": f"{distance:g}", "": label, **cells})
-    return pd.DataFrame(rows)
-
-
-TABLE_1 = (
-    ("legibility of 40 mm text", "legibility_40mm", ""),
-    ("pixel size (mm), horizontal 600", "pixel_mm", "h"),
-    ("pixel size (mm), vertical 800", "pixel_mm", "v"),
-    ("line pairs (mm), horizontal", "w_mm", "h"),
-    ("line pairs (mm), vertical", "w_mm", "v"),
-)
-"""Rows for each system and distance: label, quantity and direction."""
+TABLE_1 = {
+    "legibility of 40 mm text": ("legibility_40mm", ""),
+    "pixel size (mm), horizontal 600": ("pixel_mm", "h"),
+    "pixel size (mm), vertical 800": ("pixel_mm", "v"),
+    "line pairs (mm), horizontal": ("w_mm", "h"),
+    "line pairs (mm), vertical": ("w_mm", "v"),
+}
+"""Rows for each system and distance: quantity and direction."""
 
 TABLE_2 = {
-    "density_per_m2": "density (1/m2)",
-    "sigma_mad_mm": "precision (mm)",
-    "d1_mm": "d1 (mm)",
-    "d4_mm": "d4 (mm)",
+    "density (1/m2)": "density_per_m2",
+    "precision (mm)": "sigma_mad_mm",
+    "d1 (mm)": "d1_mm",
+    "d4 (mm)": "d4_mm",
     "f": "f",
     "g": "g",
 }
 
 
+def table_1(done):
+    """Image quality as in Table 1 of the paper: a row per system, distance and quantity."""
+    rows = []
+    for place, figures in _by_drive(done):
+        for label, key in TABLE_1.items():
+            cells = {view: _cell(figures, (*key, view)) for view in VIEWS}
+            rows.append({**place, "": label, **cells})
+    return pd.DataFrame(rows)
+
+
 def table_2(done):
     """Cloud quality as in Table 2 of the paper, of the chart parallel to the path, and g."""
-    figures = done.results.set_index(["system", "distance_m", "quantity", "direction", "view"])
     rows = []
-    for system in done.results["system"].unique():
-        for distance in sorted(done.results["distance_m"].unique()):
-            cells = {
-                label: _cell(figures, (system, distance, quantity, "", ""))
-                for quantity, label in TABLE_2.items()
-            }
-            rows.append({"system": system, "distance (m)": f"{distance:g}", **cells})
-    rows = pd.DataFrame(rows)
-    return rows[(rows[list(TABLE_2.values())] != "").any(axis=1)]
+    for place, figures in _by_drive(done):
+        cells = {label: _cell(figures, (name, "", "")) for label, name in TABLE_2.items()}
+        rows += [place | cells] if any(cells.values()) else []
+    return pd.DataFrame(rows)
+
+
+def _by_drive(done):
+    """The figures of each system and distance by quantity, direction and view."""
+    for (system, distance), part in done.results.groupby(["system", "distance_m"], sort=True):
+        place = {"system": system, "distance (m)": f"{distance:g}"}
+        yield place, part.set_index(["quantity", "direction", "view"])
 
 
 def _cell(figures, key):
@@ -209,8 +211,8 @@ def _parts(done, site, criteria, hashes):
     parts["Parameters"] = pd.DataFrame(PARAMETERS.items(), columns=["name", "value"])
     parts["Boards and control points"] = _board_table(site)
     parts["Files and their SHA-256"] = pd.DataFrame(hashes, columns=["file", "SHA-256"])
-    names = {"mmqa_lab": metadata.version("mmqa_lab"), "Python": platform.python_version()}
-    names |= {name: metadata.version(name) for name in LIBRARIES if _installed(name)}
+    names = {"mmqa_lab": __version__, "Python": platform.python_version()}
+    names |= {library.__name__: library.__version__ for library in LIBRARIES}
     parts["Versions"] = pd.DataFrame(names.items(), columns=["name", "version"])
     return {title: table for title, table in parts.items() if len(table)}
 
@@ -383,13 +385,9 @@ def _photo_figure(photos):
         photo.quality.plot(ax=ax)
         ax.get_legend().remove()
         ax.set_title(f"{photo.view}, {photo.found['distance_m']:.1f} m", fontsize=7)
-    axes.flat[0].figure.legend(*_legend(axes.flat[0]), loc="outside lower center", ncols=2)
+    named = axes.flat[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=2)
     return figure
-
-
-def _legend(ax):
-    """Lines with names and their names."""
-    return ax.get_legend_handles_labels()
 
 
 def _png(figure):
@@ -397,11 +395,6 @@ def _png(figure):
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     return buffer.getvalue()
-
-
-def _encoded(pictures):
-    """Pictures as a page embeds them."""
-    return {title: base64.b64encode(picture).decode() for title, picture in pictures.items()}
 
 
 def _write_crops(done, folder):
@@ -434,8 +427,6 @@ def _elements(quality):
 
 def _write_picture(file, image):
     """Linear light as PNG."""
-    import cv2
-
     grey = np.round(255 * np.clip(encode(image, "srgb"), 0, 1)).astype(np.uint8)
     data = cv2.imencode(".png", grey)[1].tobytes()
     write_atomically(file, lambda path: path.write_bytes(data))
@@ -455,14 +446,6 @@ def _hashes(root, files):
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else whole.name
         named[name] = whole
     return [(name, sha256(file)) for name, file in sorted(named.items())]
-
-
-def _installed(name):
-    """Whether a library is there under this name."""
-    try:
-        return bool(metadata.version(name))
-    except metadata.PackageNotFoundError:
-        return False
 
 
 def _write_pdf(path, parts, pictures, *, title, lines):

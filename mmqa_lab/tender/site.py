@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_crs, check_positive
-from mmqa_lab.chart_image.evaluation import read_layout
+from mmqa_lab._checks import check_crs, check_file, check_positive
+from mmqa_lab.chart_image import read_layout
 from mmqa_lab.chart_image.geometry import four_corners
 from mmqa_lab.chart_image.rules import ALONG, PLACE, board_frame, board_view, check_drive
 from mmqa_lab.io import read_trajectory
@@ -57,9 +57,7 @@ def read_site(path):
     FileNotFoundError, ValueError
         If there is no such file, or a field is missing or wrong.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"Invalid site {path}: no such file. Must exist.")
+    path = check_file(path, "site")
     try:
         whole = json.loads(path.read_text(encoding="utf-8"))
         rows = [_board(board, path) for board in whole["boards"]]

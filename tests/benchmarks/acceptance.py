@@ -18,13 +18,12 @@ import pandas as pd
 
 from mmqa_lab import stats
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
-from mmqa_lab.chart_image.evaluation import evaluate_window
+from mmqa_lab.chart_image import evaluate_window
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.pages import markdown_table, replaced
 from mmqa_lab.simulate import site as simulated
-from mmqa_lab.tender import COVERAGE, published_criteria, verdicts
+from mmqa_lab.tender import COVERAGE, OWN_SET, SETS, published_criteria, verdicts
 from mmqa_lab.tender.acceptance import FIGURES, accept
-from mmqa_lab.tender.criteria import OWN_SET, SETS
 from mmqa_lab.tender.photographs import read_marks
 from mmqa_lab.tender.site import read_site
 

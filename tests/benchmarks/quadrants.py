@@ -167,7 +167,7 @@ def installed():
     found = {}
     for name, method in METHODS.items():
         try:
-            method(points("uniform", 2000, "scan"))
+            method(points("uniform", 100_000, "scan"))  # enough for the compiled search
             found[name] = method
         except ImportError as reason:
             print(f"{name}: left out ({reason})")
