@@ -263,9 +263,7 @@ def map_(options):
         checks.check_metres(given, "crs")
         checks.check_same_crs("crs", given, "files", checks.check_crs(stated) if stated else None)
     lazily = options.out.suffix == ".tif" and not options.crs
-    maps.check_place(
-        options.out, map_campaigns.known_crs(options.cloud) if lazily else "given"
-    )
+    maps.check_place(options.out, map_campaigns.known_crs(options.cloud) if lazily else "given")
     names = ("cell", "surface", "metrics", "radius", "thickness", "void", "tile")
     choices = {name: getattr(options, name) for name in (*names, "workers", "scheduler")}
     folder = options.out.with_suffix(".run")
