@@ -35,6 +35,7 @@ against the sun.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -76,6 +77,9 @@ FREE, FIXED = np.inf, 0.0
 
 HUBER = 1.5
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009)."""
+
+CONTRADICTION = 3.0
+"""Standard deviations by which a target of known reflectance may differ from what others say."""
 
 REWEIGHTINGS = 6
 """Weights are computed anew in so many iterations and then stay; more would change little."""
@@ -813,6 +817,11 @@ def adjust_block(
         If a column is missing, no tie point lies in two images, the parameters cannot be told
         apart, or the iteration does not converge.
 
+    Warns
+    -----
+    UserWarning
+        If control targets contradict each other.
+
     Notes
     -----
     In vertical images the view's zenith angle is the radius: falling off to the corners and the
@@ -861,6 +870,7 @@ def adjust_block(
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= CONVERGED:
             inverse = _covariance(normal, parameters)
+            _warn_of_control(block, estimate, value, std, scaled)
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
             return replace(adjusted, absolute=control is not None)
     raise ValueError(
@@ -1007,6 +1017,20 @@ def _result(block, observations, estimate, inverse, free, scaled):
     after = _tie_spread(adjusted.correct(observations), block.tie)
     ties["cv_after_percent"] = after.to_numpy()
     return adjusted
+
+
+def _warn_of_control(block, estimate, value, std, scaled):
+    """Warn of targets whose known reflectance contradicts that of the others."""
+    value, std, estimate = (one[-len(block.ties) :] for one in (value, std, estimate))
+    pull = np.abs(estimate - value) / std  # 0 of ties whose reflectance is not known
+    misfit = pd.Series(scaled).groupby(block.tie).median().abs() / _misfit_scale(scaled)
+    doubtful = block.ties[np.isfinite(std) & (np.maximum(pull, misfit) > CONTRADICTION)]
+    if len(doubtful):
+        warnings.warn(
+            f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in "
+            "shadow does: the gains may be wrong by more than their deviations.",
+            stacklevel=3,
+        )
 
 
 def _misfit_scale(scaled):

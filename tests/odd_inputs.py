@@ -16,6 +16,8 @@ HOLE = [[0.3, 0.3, 0], [0.6, 0.3, 0], [0.6, 0.6, 0], [0.3, 0.6, 0], [0.3, 0.3, 0
 def write_odd(folder):
     """Write all of them into a folder."""
     rng = np.random.default_rng(7)
+    profiles = np.stack(np.meshgrid([0.0], 0.05 * np.arange(12), 0.02 * np.arange(40)), axis=-1)
+    np.savetxt(folder / "profiles.xyz", profiles.reshape(-1, 3), fmt="%.4f")
     flat = np.column_stack([rng.uniform(0, 1, (900, 2)), rng.normal(0, 0.004, 900)])
     places = np.column_stack([rng.uniform(0.1, 0.9, (40, 2)), np.zeros(40)])
     _write_texts(folder, flat, places)

@@ -123,6 +123,7 @@ CASES = [
     ("image none.jpg --chart grey", "no such file. Must exist."),
     ("image words.csv --chart grey", "Must be JPEG, PNG or TIFF"),
     ("image cut.png --chart grey", "Must be a complete file."),
+    ("image mosaic.tif --chart grey", "a raw mosaic of colours. Must be developed first."),
     ("image grey.png --chart grey", "none of the 4 coded targets"),
     ("image grey.png --chart none.json", "none.json"),
     ("image grey.png --chart broken.json", "Invalid chart layout"),
@@ -191,7 +192,7 @@ CASES = [
     ("accuracy flat.laz --targets trees.csv", "Invalid kind 'tree'. Must be one of pole"),
     ("accuracy flat.laz --targets blanks.csv", "no finite number in line 2."),
     ("accuracy flat.laz --targets far_poles.csv", "none measured in the cloud"),
-    ("accuracy flat.laz --targets no_poles.csv", "no targets. Must have x, y, z and kind."),
+    ("accuracy flat.laz --targets no_poles.csv", "no targets."),
     ("accuracy flat.laz", "Must have either REFERENCE or --targets."),
     ("map mixed --out m.nc", "have different ones. Must be the same."),
     ("map blank --out m.nc", "e.laz has no points."),
@@ -225,6 +226,7 @@ CASES = [
 ANSWERED = [
     # right numbers, or numbers with what is to be known of them: part of the table or remark
     ("evaluate flat.csv", "900", ""),
+    ("evaluate flat.csv flat.csv", "n 900 900", ""),
     ("evaluate swapped.csv", "900", ""),
     ("evaluate comma.csv", "900", ""),
     ("evaluate id.csv", "area_hull_m2 0.9775", ""),
@@ -254,6 +256,7 @@ ANSWERED = [
     ("map again --out m.nc", "1798 points (99.9 %) share their place with another", ""),
     ("map tiles --out m.nc", "counted once", ""),
     ("map fewer.las --out m.nc", "room for 900 points, the header says 500", ""),
+    ("pattern profiles.xyz", "the lines with the densest points are taken for the profiles", ""),
     ("info feet.laz", "Coordinates are not in metres", ""),
     (
         "plan --scanner vq-450 --speed 10 --range 8 --height-difference 200",
@@ -313,6 +316,11 @@ def folder(tmp_path_factory):
     (folder / "lying.las").write_bytes(lying)
     grey = np.tile(np.arange(0, 200, dtype=np.uint8), (150, 1))
     cv2.imwrite(str(folder / "grey.png"), grey)
+    cv2.imwrite(str(folder / "mosaic.tif"), grey)
+    tiff = (folder / "mosaic.tif").read_bytes()
+    field = tiff.index(b"\x06\x01\x03\x00\x01\x00\x00\x00")  # what values mean
+    filters = (32803).to_bytes(2, "little")  # a mosaic of colour filters
+    (folder / "mosaic.tif").write_bytes(tiff[: field + 8] + filters + tiff[field + 10 :])
     (folder / "cut.png").write_bytes((folder / "grey.png").read_bytes()[:60])
     write_odd(folder)
     return folder

@@ -132,8 +132,10 @@ def test_command_estimates_the_mounting_and_writes_corrected_clouds(files, tmp_p
 
 def test_command_says_what_is_kept_and_not_determined(files, capsys):
     assert call(files, "--poles", "poles.csv", "--keep", "x_m,y_m", "--json") == 0
-    remarks = {row["parameter"]: row["remark"] for row in json.loads(capsys.readouterr().out)}
+    rows = json.loads(capsys.readouterr().out)
+    remarks = {row["parameter"]: row["remark"] for row in rows}
     assert remarks["x_m"] == "kept as assumed"
+    assert all("do not contain errors of the paths" in row["remarks"] for row in rows)
     assert "without control" in remarks["z_m"]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from rendered import slanted_edge, true_mtf50
 
 from mmqa_lab.mtf import (
     blur_dependence,
@@ -210,3 +211,12 @@ def test_rejects():
         haar_sharpness(np.zeros((20, 20)))
     with pytest.raises(ValueError, match="Invalid sigma_px"):
         PointSpread(-1.0)
+
+
+@pytest.mark.parametrize("grain", [0.02, 0.1])
+def test_a_long_oblique_edge_with_grain_is_found_among_many_pixels(grain):
+    image = slanted_edge(0.9, np.radians(40), 0.0, shape=(650, 700))
+    image += grain * np.random.default_rng(1).standard_normal(image.shape) * (image > 0.35)
+    found = fit_edge(image)
+    assert found.mtf50 == pytest.approx(true_mtf50(0.9, np.radians(40)), rel=0.02)
+    assert found.remark == ""

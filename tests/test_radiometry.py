@@ -150,6 +150,16 @@ def block(rng, noise=0.005, images=8, ties=120):
 PRIORS = {"radial": (0.1, 0.0), "haze": (0.0, FREE)}
 
 
+def test_a_control_target_in_shadow_is_doubted(rng, recwarn):
+    table, ground, _ = block(rng)
+    control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 0.002})
+    adjust_block(table, control=control, **PRIORS)
+    assert not recwarn
+    dark = np.where(table["tie"] == 3, 0.6, 1.0)
+    with pytest.warns(UserWarning, match=r"Control targets .*3.* contradict the others"):
+        adjust_block(table.assign(radiance=dark * table["radiance"]), control=control, **PRIORS)
+
+
 def test_block_recovers_the_truth_without_noise(rng):
     table, ground, gain = block(rng, noise=0.0)
     control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 1e-6})

@@ -81,15 +81,15 @@ def print_json(value):
 
 def _texts_left(frame):
     """The table with texts, and their headings, at the left of their columns."""
-    padded = {}
-    for name in frame:
-        column = frame[name]
+    import pandas as pd
+
+    columns = []
+    for name, column in frame.items():  # a file given twice has two columns of its name
         if len(column) and all(isinstance(value, str) for value in column):
             width = max(len(name), column.str.len().max())
-            padded[name.ljust(width)] = column.str.ljust(width)
-        else:
-            padded[name] = column
-    return type(frame)(padded)
+            column = column.str.ljust(width).rename(name.ljust(width))
+        columns.append(column)
+    return pd.concat(columns, axis=1)
 
 
 def _figure(value):

@@ -18,6 +18,9 @@ GAMMAS = ("srgb", "linear")
 
 SRGB_KNEE = 0.0031308
 
+PHOTOMETRIC, COLOUR_FILTERS = {"little": b"\x06\x01", "big": b"\x01\x06"}, 32803
+"""TIFF's field for what values mean, and its value for a mosaic."""
+
 
 def read_grey(path: str | os.PathLike) -> np.ndarray:
     """Read an image file as grey values, in the type of the file.
@@ -190,11 +193,26 @@ def _scan_of_jpeg(whole):
     return place
 
 
+def _is_mosaic(path):
+    """Whether a TIFF file's pixels lie behind a mosaic of colour filters, as in raw photographs."""
+    with path.open("rb") as file:
+        head = file.read(8)
+        order = {b"II*\0": "little", b"MM\0*": "big"}.get(head[:4])
+        if order is None:
+            return False
+        file.seek(int.from_bytes(head[4:], order))
+        fields = [file.read(12) for _ in range(int.from_bytes(file.read(2), order))]
+    kinds = [int.from_bytes(one[8:10], order) for one in fields if one[:2] == PHOTOMETRIC[order]]
+    return COLOUR_FILTERS in kinds
+
+
 def _checked_path(path):
     """The path of a complete file."""
     path = check_file(path, "image")
     if not _is_complete(path):
         raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
+    if _is_mosaic(path):
+        raise ValueError(f"Invalid image {path}: a raw mosaic of colours. Must be developed first.")
     return path
 
 

@@ -49,8 +49,8 @@ PIXEL_SIGMA = 12**-0.5
 SIGMAS_PX = (0.15, 12.0)
 """Limits of the single width that begins the fit."""
 
-FIRST_PIXELS = 1500
-"""So many pixels give the first, robust values of a fit."""
+FIRST_PIXELS, FIRST_REACH_PX = 1500, 60.0
+"""So many pixels, no farther off the edge, give the first, robust values of a fit."""
 
 LENS_PIXELS = 3000
 """About so many pixels, spread evenly, tell one lens from another."""
@@ -247,12 +247,14 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
         return _best_lens((distance, along, values, angle), order, gap)
     shape = method if method in ("logistic", *LENSES) else "gaussian"
     model = _Model(angle, gap, shape)
-    few = slice(None, None, len(values) // FIRST_PIXELS + 1)
+    off = np.abs(distance - np.clip(distance, 0, gap if model.double else 0))
+    few = np.flatnonzero(off <= FIRST_REACH_PX)
+    few = few[:: len(few) // FIRST_PIXELS + 1]
     first = model.within(few, ())
     shift, width, wider = _single_width(first, distance[few], along[few], values[few], order)
     model.gap = model.gap + wider
     reach = 12 * np.hypot(width, PIXEL_SIGMA) + 6
-    near = np.abs(distance - np.clip(distance, 0, gap if model.double else 0)) <= reach
+    near = off <= reach
     distance, along, values = distance[near], along[near], values[near]
     model = model.within(near, width * WIDTH_RATIO ** np.arange(-1.0, 2.0))
     if method != "isogaussian":
