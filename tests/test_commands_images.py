@@ -242,8 +242,8 @@ def test_tender_exempts_f_for_the_density_asked_for(capsys, tmp_path):
         (["c.csv", "c.csv"], "no column 'system'"),
         (["words.json", "r.csv"], "Must be CSV or JSON"),
         (["object.json", "r.csv"], "no list of objects"),
-        (["empty.csv", "r.csv"], "Must be CSV or JSON"),
-        (["bytes.csv", "r.csv"], "Must be CSV or JSON"),
+        (["empty.csv", "r.csv"], "Must be rows of columns"),
+        (["bytes.csv", "r.csv"], "no column 'criterion'"),
         (["pfeifer2021:3", "r.csv"], "no such file"),
     ],
 )

@@ -131,7 +131,7 @@ def test_bad_input_gets_one_sentence(form, choices, sentence):
 def test_a_file_that_holds_something_else_is_kept(form, tmp_path):
     file = tmp_path / "marks.csv"
     file.write_text("name,age\nx,1\n")
-    with pytest.raises(ValueError, match="no column 'element'"):
+    with pytest.raises(ValueError, match="no column 'juror'"):
         form()
     assert file.read_text() == "name,age\nx,1\n"
     with pytest.raises(ValueError, match="Invalid mark 'd'"):
