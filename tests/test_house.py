@@ -135,6 +135,21 @@ def test_commands_start_with_the_standard_library_alone():
                 assert ours or name.split(".")[0] in sys.stdlib_module_names, f"{path}: {name}"
 
 
+@pytest.mark.parametrize("path", sorted((PACKAGE / "commands").glob("*.py")), ids=lambda p: p.stem)
+def test_commands_name_modules_within_rooms_themselves(path):
+    """A room has no attribute for a module of it that nothing has imported yet."""
+    tree = ast.parse(path.read_text())
+    lazy = {
+        node.targets[0].id: node.value.args[0].value.replace(".", "/")
+        for node in tree.body
+        if isinstance(node, ast.Assign) and getattr(node.value, "func", None)
+        if getattr(node.value.func, "id", "") == "Lazy"
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in lazy:
+            assert not (ROOT / lazy[node.value.id] / f"{node.attr}.py").exists(), node.lineno
+
+
 def test_importing_the_package_is_light():
     code = "import sys, mmqa_lab; print({'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -12,6 +12,7 @@ checks = Lazy("mmqa_lab._checks")
 chart_image = Lazy("mmqa_lab.chart_image")
 charts = Lazy("mmqa_lab.charts")
 io = Lazy("mmqa_lab.io")
+legibility = Lazy("mmqa_lab.chart_image.legibility")
 plots = Lazy("mmqa_lab.plots")
 
 
@@ -170,17 +171,17 @@ def image(options):
 
 def _legibility(quality):
     """What pixels, and a program where one is installed, say of text of 40 mm."""
-    pixels = chart_image.legibility.TEXT_MM / quality.pixel_size("v")[0]
-    found = {"px_per_40mm": pixels, "expected_mark": chart_image.legibility.expected_text(pixels)}
+    pixels = legibility.TEXT_MM / quality.pixel_size("v")[0]
+    found = {"px_per_40mm": pixels, "expected_mark": legibility.expected_text(pixels)}
     if find_spec("rapidocr_onnxruntime") is None:
         return found
     try:
-        texts = chart_image.legibility.check_list(quality.layout)
+        texts = legibility.check_list(quality.layout)
     except ValueError:  # a chart of one's own, without the paper's texts
         return found
-    texts = [text for text in texts if text.name in chart_image.legibility.JUDGED]
+    texts = [text for text in texts if text.name in legibility.JUDGED]
     crops = chart_image.text_crops(quality.image, quality.layout, quality.chart_map, texts=texts)
-    read = chart_image.legibility.read_texts(crops)
+    read = legibility.read_texts(crops)
     worst = read.sort_values("mark", ascending=False, kind="stable").iloc[0]
     return found | {"read_mark": worst["mark"], "read_because": worst["element"]}
 
