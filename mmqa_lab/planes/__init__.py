@@ -441,13 +441,18 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     normal, freedom = best.jac.T @ best.jac, len(xy) - len(best.x)
     covariance = np.full((2, 2), np.nan)
     apart = np.exp(best.x[2]) / 2 if free else radius / 2
-    rivals = [fit.cost for fit in fits if np.hypot(*(fit.x - best.x)[:2]) > apart]
+    rivals = [fit.cost for fit in fits if _opposite(fit.x[:2], best.x[:2], apart)]
     worse = min(rivals, default=np.inf) - best.cost
     if np.linalg.cond(normal) < 1e10 and freedom > 0 and worse * freedom > CLEARLY * 2 * best.cost:
         pulls = jacobian(best.x) * (best.fun / (1 + (best.fun / FAR) ** 2))[:, None]
         effects = np.linalg.solve(normal, pulls.T)[:2]
         covariance = len(xy) / freedom * effects @ effects.T
     return Circle(origin + best.x[:2], float(np.exp(best.x[2]) if free else radius), covariance)
+
+
+def _opposite(a, b, apart):
+    """Whether two centres lie so far apart and more than 120 degrees about the points' middle."""
+    return np.hypot(*(a - b)) > apart and a @ b < -0.5 * np.hypot(*a) * np.hypot(*b)
 
 
 def algebraic_circle(xy):
