@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import multiprocessing
 import os
 import re
 import signal
@@ -127,15 +128,25 @@ def test_the_tool_runs_on_samples(tmp_path):
 def broken(tmp_path):
     """Run a notebook of the given cells, the first one with the parameters, as a study."""
 
-    def run(*sources, **choices):
+    def run(*sources, run_study=notebooks.run_study, **choices):
         cells = [nbformat.v4.new_code_cell(source) for source in sources]
         cells[0].metadata["tags"] = ["parameters"]
         study = Elsewhere(99, "broken", "Broken", "What happens?", "nowhere")
         object.__setattr__(study, "folder", tmp_path)
         nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
-        return study, notebooks.run_study(study, tmp_path / "results", **choices)
+        return study, run_study(study, tmp_path / "results", **choices)
 
     return run
+
+
+def run_alone(study, folder):
+    """Run a study in a process of its own; return its exit status."""
+    process = multiprocessing.get_context("spawn").Process(
+        target=notebooks.run_study, args=(study, folder)
+    )
+    process.start()
+    process.join()
+    return process.exitcode
 
 
 MADE = """
@@ -166,8 +177,8 @@ def test_a_failing_cell_is_named_and_what_it_made_is_shown(broken, tmp_path):
 
 def test_a_study_that_is_interrupted_shows_what_it_made(broken, tmp_path):
     stop = "import os, signal, time; os.kill(os.getppid(), signal.SIGTERM); time.sleep(600)"
-    with pytest.raises(KeyboardInterrupt):
-        broken("seed = 1", MADE, "print('so far')", stop)
+    _, status = broken("seed = 1", MADE, "print('so far')", stop, run_study=run_alone)
+    assert status == 1
     folder = tmp_path / "results" / "broken"
     assert pages.read_outcome(folder).verdict == "stopped before its end"
     page = (folder / "broken.html").read_text()
