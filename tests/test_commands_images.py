@@ -243,7 +243,7 @@ def test_tender_exempts_f_for_the_density_asked_for(capsys, tmp_path):
         (["words.json", "r.csv"], "Must be CSV or JSON"),
         (["object.json", "r.csv"], "no list of objects"),
         (["empty.csv", "r.csv"], "Must be rows of columns"),
-        (["bytes.csv", "r.csv"], "no column 'criterion'"),
+        (["bytes.csv", "r.csv"], "Must be rows of columns"),
         (["pfeifer2021:3", "r.csv"], "no such file"),
     ],
 )

@@ -155,7 +155,7 @@ def read_trajectory(
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
     check_choice(time_unit, "time_unit", tuple(seconds))
     check_choice(angle_unit, "angle_unit", ("degrees", "radians"))
-    raw = read_table(path, "trajectory")
+    raw = read_table(path, "trajectory", encoding_errors="replace")
     lower = {str(name).strip().lower(): name for name in raw.columns}
     found = {}
     for column, names in TRAJECTORY_COLUMNS.items():
@@ -319,9 +319,13 @@ def text_tables(path, chunk):
             yield points.to_numpy(dtype="float64"), {name: frame[name].to_numpy() for name in rest}
 
 
-def read_table(path, name, columns=(), **choices):
-    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing."""
-    table = _read_csv(check_file(path, name), name, skipinitialspace=True, **choices)
+def read_table(path, name, columns=(), encoding_errors="strict", **choices):
+    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
+
+    Names must be UTF-8: a letter that cannot be read would make another name of it.
+    """
+    choices = {"skipinitialspace": True, "encoding_errors": encoding_errors} | choices
+    table = _read_csv(check_file(path, name), name, **choices)
     check_columns(table, columns, f"{name} {path}")
     return table
 
@@ -337,10 +341,11 @@ def with_numbers(table, columns, name):
     return table.assign(**found)
 
 
-def _read_csv(path, name="table", **choices):
+def _read_csv(path, name="table", encoding_errors="replace", **choices):
     """``pandas.read_csv`` with one sentence where the file is no table."""
+    choices |= {"encoding": "utf-8-sig", "encoding_errors": encoding_errors}
     try:
-        return pd.read_csv(path, encoding="utf-8-sig", encoding_errors="replace", **choices)
+        return pd.read_csv(path, **choices)
     except (pd.errors.EmptyDataError, pd.errors.ParserError, ValueError) as error:
         reason = first_sentence(error)
         raise ValueError(f"Invalid {name} {path}: {reason}. Must be rows of columns.") from error
