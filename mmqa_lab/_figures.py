@@ -71,6 +71,31 @@ def finish_figure(figure):
     _set_symbols(figure)
 
 
+def say_kind(figure, kind):
+    """Say in the lower right corner which kind of numbers a figure shows, unless its texts do.
+
+    Parameters
+    ----------
+    figure : Figure
+        Changed in place; twice is the same as once.
+    kind : str
+        Such as "measured (simulated)"; nothing is said without one.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> figure = plt.figure()
+    >>> say_kind(figure, "measured (simulated)")
+    >>> figure.get_supxlabel()
+    'measured (simulated)'
+    >>> plt.close(figure)
+    """
+    said = " ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+    if kind and kind not in said and not all(word in said for word in re.findall(r"\w+", kind)):
+        lines = filter(None, [figure.get_supxlabel(), kind])
+        figure.supxlabel("\n".join(lines), x=0.99, ha="right", fontsize=6, color="0.35")
+
+
 @dataclass
 class Series:
     """What one name of a legend, or one colour, stands for: a line, dots, or filled areas."""
