@@ -194,8 +194,8 @@ class Run:
         ``seen`` says in a sentence what one sees, for readers without the picture; without it the
         axes' labels and the legends do.
         """
-        kind = kind or (self._kinds.get(name, "") if data is None else _kind_of(data))
-        say_kind(figure, kind)
+        known = "" if data is None else _kind_of(data)
+        say_kind(figure, kind or known or self._kinds.get(name, ""))
         finish_figure(figure)
         subject = {"CreationDate": None, "Subject": self._record["study"], "Creator": self._made}
         details = {
