@@ -100,6 +100,13 @@ def student_cell(source):
     return "\n".join([*given, "", *check])
 
 
+class NotRight(AssertionError):
+    """What is wrong with an answer; a notebook shows the sentence alone."""
+
+    def _render_traceback_(self):
+        return [f"Exercise {self}"]
+
+
 def check_answer(sealed, scope):
     """Check a student's work, and say in a sentence what is wrong with it.
 
@@ -112,7 +119,7 @@ def check_answer(sealed, scope):
 
     Raises
     ------
-    AssertionError
+    NotRight
         If a name has no value yet, or a check does not hold; in a unit taken for another it is
         named.
     """
@@ -120,7 +127,7 @@ def check_answer(sealed, scope):
     number, scope = task["number"], dict(scope)
     missing = [name for name in task["answers"] if scope.get(name, ...) is ...]
     if missing:
-        raise AssertionError(f"{number}: give {missing[0]} a value.")
+        raise NotRight(f"{number}: give {missing[0]} a value.")
     exec("\n".join(task["imports"]), scope)
     wrong = _wrong(task["checks"], scope)
     if wrong is None:
@@ -130,7 +137,7 @@ def check_answer(sealed, scope):
     listed = ", ".join(name for name in task["answers"] if name != NUMBER)
     said = [sentence for sentence in (*said, wrong) if sentence]
     said = said or [f"not right yet. Check the formula, and the unit of {listed}."]
-    raise AssertionError(f"{number}: {said[0]}")
+    raise NotRight(f"{number}: {said[0]}")
 
 
 def _wrong(checks, scope):
