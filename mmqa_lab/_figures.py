@@ -37,8 +37,8 @@ JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 """Formatters of axes whose places have names."""
 
-NOTE_INCHES = 0.13
-"""Height of a line below the panels."""
+NOTE_INCHES = 0.25
+"""Height of the line below the panels, with its margins."""
 
 LARGEST_IMAGE = 40_000
 """Pixels of a picture whose values are written with a figure's data: of a larger one every k-th."""

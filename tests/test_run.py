@@ -250,7 +250,7 @@ def test_a_figure_says_the_kind_of_its_numbers(run, kind, data, said):
     high = ax.get_position().height * figure.get_figheight()
     run.save_figure(figure, "kinds", kind=kind, data=None if data is None else pd.DataFrame(data))
     assert figure.get_supxlabel() == said
-    assert ax.get_position().height * figure.get_figheight() > 0.95 * high
+    assert ax.get_position().height * figure.get_figheight() > 0.99 * high
     plt.close(figure)
 
 
