@@ -37,7 +37,7 @@ JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 """Formatters of axes whose places have names."""
 
-NOTE_INCHES = 0.25
+NOTE_INCHES = 0.18
 """Height of the line below the panels, with its margins."""
 
 LARGEST_IMAGE = 40_000
