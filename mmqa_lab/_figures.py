@@ -95,9 +95,8 @@ def say_kind(figure, kind):
     """
     said = " ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
     if kind and kind not in said and not all(word in said for word in re.findall(r"\w+", kind)):
-        lines = filter(None, [figure.get_supxlabel(), kind])
         figure.set_figheight(figure.get_figheight() + NOTE_INCHES)  # the panels keep theirs
-        figure.supxlabel("\n".join(lines), x=0.99, ha="right", fontsize=6, color="0.35")
+        figure.supxlabel(kind, x=0.99, ha="right", fontsize=6, color="0.35")
 
 
 @dataclass
