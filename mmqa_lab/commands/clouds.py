@@ -227,7 +227,7 @@ def thresholds(text):
     option("--rho0", "DENSITY", "points/m2 asked for: map where f does not matter", float),
     option("--crs", "EPSG:N", "of the files, where they do not say"),
     option("--tile", "M", "side of the tiles; changes no result", float),
-    option("--workers", "N", "processes, default one per core", int),
+    option("--workers", "N", "processes, default by points, up to the cores", int),
     option("--scheduler", "tcp://HOST:PORT", "of a running Dask cluster"),
     *OUTPUT,
     examples=(
