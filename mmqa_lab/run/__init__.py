@@ -209,11 +209,16 @@ class Run:
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
         }
         with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
+            layout = figure.get_layout_engine()
             for form in FORMATS:
                 self._write(
                     f"{name}.{form}",
                     lambda path, form=form: figure.savefig(path, metadata=details[form]),
                 )
+                if layout is not None:  # one for all formats: it takes as long as drawing
+                    figure.set_layout_engine("none")
+            if layout is not None:
+                figure.set_layout_engine(layout)
         shown = drawn(figure)
         self._write_table(shown, f"{name}_drawn", float_format="%.9g")
         if data is not None or f"{name}.csv" not in self._record["files"]:
