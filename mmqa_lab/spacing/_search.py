@@ -500,12 +500,11 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
         ring = 0
         while True:
             for row in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
-                whole = abs(row - cy) == ring
-                for column in range(cx - ring, cx + ring + 1, 1 if whole else 2 * ring):
+                apart = 1 if abs(row - cy) == ring else 2 * ring
+                for column in range(cx - ring, cx + ring + 1, apart):
+                    at = column * shape[1] + row
                     if 0 <= column < shape[0]:
-                        at = column * shape[1] + row
-                        for j in range(first[at], first[at + 1]):
-                            _note(xy[j, 0] - x, xy[j, 1] - y, steps)
+                        _note(xy, first[at], first[at + 1], x, y, steps)
             # all points up to that distance have been seen
             seen = min(x - (cx - ring) * cell, (cx + ring + 1) * cell - x)
             seen = min(seen, y - (cy - ring) * cell, (cy + ring + 1) * cell - y)
@@ -519,13 +518,15 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _note(dx, dy, steps):
-    """Keep a neighbour when it is the nearest of its step of direction."""
-    distance = np.sqrt(dx * dx + dy * dy)
-    if distance > 0:
-        turn = np.arctan2(dy, dx) / np.pi * len(steps)
-        k = int(np.floor(turn + 0.5)) % len(steps)
-        steps[k] = min(steps[k], distance)
+def _note(xy, start, stop, x, y, steps):
+    """Keep each neighbour that is the nearest of its step of direction."""
+    for j in range(start, stop):
+        dx, dy = xy[j, 0] - x, xy[j, 1] - y
+        distance = np.sqrt(dx * dx + dy * dy)
+        if distance > 0:
+            turn = np.arctan2(dy, dx) / np.pi * len(steps)
+            k = int(np.floor(turn + 0.5)) % len(steps)
+            steps[k] = min(steps[k], distance)
 
 
 @njit(cache=True, nogil=True)
