@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
-END_NOISE = 2.0
-"""Share of the points' variance in that of an end: the outermost of many noisy points marks it."""
+END_GAPS, END_NOISE = 1.37, 1.0
+"""Standard deviation of an end in mean gaps, and share of the points' variance in its variance: the
+last point of a row lies an exponentially distributed way before its end, and 3.7 gaps with 95 % on
+the shorter of two rows."""
+
+BIN_GAPS = 5.0
+"""Mean gaps of a bin at least, so that by chance few bins of a thin cloud are empty."""
 
 LEAST_SUPPORT = 6
 """Points beside an edge on either plane."""
@@ -107,8 +112,9 @@ def extract_edges(
     The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
     patches have points within half of ``size`` of the line that are clear of the other plane, and a
     quarter of what their other bins have at least; runs of bins, gaps of one bin closed, are edges.
-    An edge ends where its first side ends: at the last point and half a gap, which is what
-    the end of a row of points leaves open.
+    Points of both must also come as near to the line as their spacing allows: planes that end
+    before it have no edge there. An edge ends where its first side ends: at the last point and half
+    a gap, which is what the end of a row of points leaves open.
 
     Parameters
     ----------
@@ -154,7 +160,9 @@ def extract_edges(
     if len(patches) > 1:
         lines = _Lines(points, patches, size / 2, angle)
         for line, sides in lines.supported(tolerance, size / 2):
-            for low, high, counts in _runs(sides, size / CELLS_PER_SIZE):
+            for low, high, counts in _runs(
+                sides, size / CELLS_PER_SIZE, *lines.blur(line, tolerance)
+            ):
                 if high[0] - low[0] >= size / 2 and min(counts) >= LEAST_SUPPORT:
                     rows.append(lines.edge(line, low, high, counts))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 5
@@ -193,57 +201,74 @@ class _Lines:
         self.foot = start + height[:, None] * (second - cosine[:, None] * first)
 
     def supported(self, tolerance, reach):
-        """Each line with the sorted stations of the points beside it, those of either plane."""
-        side, station = beside_lines(self, tolerance, reach)
-        order = np.lexsort((station, side))
-        side, station = side[order], station[order]
+        """Each line with the points beside it on either plane, rows (station, distance)."""
+        side, *places = beside_lines(self, tolerance, reach)
+        order = np.lexsort((places[0], side))
+        side, places = side[order], np.array(places)[:, order]
         bounds = np.searchsorted(side, np.arange(2 * len(self.pairs) + 1))
         for line in range(len(self.pairs)):
             a, b, c = bounds[2 * line : 2 * line + 3]
             if a < b < c:
-                yield line, (station[a:b], station[b:c])
+                yield line, (places[:, a:b], places[:, b:c])
+
+    def blur(self, line, tolerance):
+        """How far off a line the points clear of both planes begin, and the points' noise, m."""
+        noise = max(self.patches[number].sigma for number in self.pairs[line])
+        return tolerance / np.sqrt(self.sine2[line]), noise
 
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         solve = np.linalg.pinv(self.normals[pair])
-        noise = max(self.patches[number].sigma for number in pair)
         covariance = []
-        for end, (_, gap) in zip(ends, (low, high), strict=True):
+        for end, (_, sigma) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
-            along = (gap**2 + END_NOISE * noise**2) * np.outer(direction, direction)
+            along = sigma**2 * np.outer(direction, direction)
             covariance.append(solve @ heights @ solve.T + along)
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
 
 
-def _runs(sides, cell):
-    """Edges along a line: (low end, gap there), (high end, gap), numbers of points."""
-    low = max(side[0] for side in sides)
-    bins = int(np.ceil((min(side[-1] for side in sides) - low) / cell))
+def _runs(sides, cell, clear, noise):
+    """Edges along a line: (low end, its sigma), (high end, its sigma), numbers of points."""
+    gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
+    cell = max(cell, BIN_GAPS * max(gaps, default=0.0))
+    low = max(side[0, 0] for side in sides)
+    bins = int(np.ceil((min(side[0, -1] for side in sides) - low) / cell))
     if bins < 1:
         return
     edges = low + cell * np.arange(bins + 1)
-    both = np.all([_full(np.histogram(side, edges)[0]) for side in sides], axis=0)
+    both = np.all([_full(side, edges, cell, clear) for side in sides], axis=0)
     both[1:-1] |= both[:-2] & both[2:]
     change = np.flatnonzero(np.diff(np.r_[False, both, False].astype(int)))
     for start, stop in change.reshape(-1, 2):
         first, last = edges[start], edges[stop]
-        ends = [_ends(side, first, last, cell) for side in sides]
+        if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
+            continue
+        ends = [_ends(side[0], first, last, cell, noise) for side in sides]
         low_end = max((end[:2] for end in ends), key=lambda end: end[0])
         high_end = min((end[2:4] for end in ends), key=lambda end: end[0])
         yield low_end, high_end, [end[4] for end in ends]
 
 
-def _full(counts):
-    """Bins with a fair share of the points, less what chance takes away."""
+def _full(side, edges, cell, clear):
+    """Bins with a fair share of the points, less what chance takes away, that reach the line."""
+    station, distance = side
+    counts = np.histogram(station, edges)[0]
     usual = np.median(counts[counts > 0]) if counts.any() else 0
-    return counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
+    inside = (station >= edges[0]) & (station < edges[-1])
+    nearest = np.full(len(counts), np.inf)
+    bins = np.searchsorted(edges, station[inside], "right") - 1
+    np.minimum.at(nearest, bins, distance[inside])
+    lines_apart = np.diff(np.sort(distance)).max(initial=0)
+    away = np.maximum(max(cell / 4, lines_apart), LONGEST_GAP * 2 * cell / (counts + 1))
+    fair = counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
+    return fair & (nearest <= clear + away)
 
 
-def _ends(side, first, last, cell):
-    """Low end and gap, high end and gap, number of points of one side about a run of bins."""
+def _ends(side, first, last, cell, noise):
+    """Low end, sigma, high end, sigma, number of points of one side about a run of bins."""
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
     core = (inside >= first) & (inside <= last)
@@ -253,7 +278,8 @@ def _ends(side, first, last, cell):
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    return inside[a] - gap, gap, inside[b] + gap, gap, b - a + 1
+    sigma = np.hypot(END_GAPS * gap, np.sqrt(END_NOISE) * noise)
+    return inside[a] - gap, sigma, inside[b] + gap, sigma, b - a + 1
 
 
 @dataclass(frozen=True, eq=False)
