@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
-END_GAPS, END_NOISE = 1.37, 1.0
-"""Standard deviation of an end in mean gaps, and share of the points' variance in its variance: the
-last point of a row lies an exponentially distributed way before its end, and 3.7 gaps with 95 % on
-the shorter of two rows."""
+END_GAPS = 1.88
+"""Variance of an end in squared mean gaps, to which that of the points' noise is added: a row ends
+an exponentially distributed way beyond its last point, and the shorter of two rows, with 95 %,
+within 3.7 gaps."""
 
 BIN_GAPS = 5.0
 """Mean gaps of a bin at least, so that by chance few bins of a thin cloud are empty."""
@@ -122,7 +122,8 @@ def extract_edges(
         Metres.
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
-        support neither; edges are half of ``size`` long at least.
+        support neither; edges are half of ``size`` long at least, and a face of less than 0.375
+        ``size`` squared has none.
     angle : float
         Least angle between two planes, degrees.
 
@@ -160,9 +161,8 @@ def extract_edges(
     if len(patches) > 1:
         lines = _Lines(points, patches, size / 2, angle)
         for line, sides in lines.supported(tolerance, size / 2):
-            for low, high, counts in _runs(
-                sides, size / CELLS_PER_SIZE, *lines.blur(line, tolerance)
-            ):
+            clear = tolerance / np.sqrt(lines.sine2[line])
+            for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
                 if high[0] - low[0] >= size / 2 and min(counts) >= LEAST_SUPPORT:
                     rows.append(lines.edge(line, low, high, counts))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 5
@@ -211,27 +211,23 @@ class _Lines:
             if a < b < c:
                 yield line, (places[:, a:b], places[:, b:c])
 
-    def blur(self, line, tolerance):
-        """How far off a line the points clear of both planes begin, and the points' noise, m."""
-        noise = max(self.patches[number].sigma for number in self.pairs[line])
-        return tolerance / np.sqrt(self.sine2[line]), noise
-
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         solve = np.linalg.pinv(self.normals[pair])
+        noise = max(self.patches[number].sigma for number in pair)
         covariance = []
-        for end, (_, sigma) in zip(ends, (low, high), strict=True):
+        for end, (_, gap) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
-            along = sigma**2 * np.outer(direction, direction)
-            covariance.append(solve @ heights @ solve.T + along)
+            along = END_GAPS * gap**2 + noise**2
+            covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
 
 
-def _runs(sides, cell, clear, noise):
-    """Edges along a line: (low end, its sigma), (high end, its sigma), numbers of points."""
+def _runs(sides, cell, clear):
+    """Edges along a line: (low end, gap there), (high end, gap), numbers of points."""
     gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
     cell = max(cell, BIN_GAPS * max(gaps, default=0.0))
     low = max(side[0, 0] for side in sides)
@@ -246,7 +242,7 @@ def _runs(sides, cell, clear, noise):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
             continue
-        ends = [_ends(side[0], first, last, cell, noise) for side in sides]
+        ends = [_ends(side[0], first, last, cell) for side in sides]
         low_end = max((end[:2] for end in ends), key=lambda end: end[0])
         high_end = min((end[2:4] for end in ends), key=lambda end: end[0])
         yield low_end, high_end, [end[4] for end in ends]
@@ -255,20 +251,20 @@ def _runs(sides, cell, clear, noise):
 def _full(side, edges, cell, clear):
     """Bins with a fair share of the points, less what chance takes away, that reach the line."""
     station, distance = side
-    counts = np.histogram(station, edges)[0]
+    bins = np.searchsorted(edges, station, "right") - 1
+    inside = (bins >= 0) & (bins < len(edges) - 1)
+    counts = np.bincount(bins[inside], minlength=len(edges) - 1)
     usual = np.median(counts[counts > 0]) if counts.any() else 0
-    inside = (station >= edges[0]) & (station < edges[-1])
     nearest = np.full(len(counts), np.inf)
-    bins = np.searchsorted(edges, station[inside], "right") - 1
-    np.minimum.at(nearest, bins, distance[inside])
+    np.minimum.at(nearest, bins[inside], distance[inside])
     lines_apart = np.diff(np.sort(distance)).max(initial=0)
     away = np.maximum(max(cell / 4, lines_apart), LONGEST_GAP * 2 * cell / (counts + 1))
     fair = counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
     return fair & (nearest <= clear + away)
 
 
-def _ends(side, first, last, cell, noise):
-    """Low end, sigma, high end, sigma, number of points of one side about a run of bins."""
+def _ends(side, first, last, cell):
+    """Low end and gap, high end and gap, number of points of one side about a run of bins."""
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
     core = (inside >= first) & (inside <= last)
@@ -278,8 +274,7 @@ def _ends(side, first, last, cell, noise):
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    sigma = np.hypot(END_GAPS * gap, np.sqrt(END_NOISE) * noise)
-    return inside[a] - gap, sigma, inside[b] + gap, sigma, b - a + 1
+    return inside[a] - gap, gap, inside[b] + gap, gap, b - a + 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,18 +33,22 @@ def main():
     parser.add_argument("--kinds", nargs="*", default=[*DENSE, "tilted profiler, windows"])
     parser.add_argument("--seeds", type=int, nargs="*", default=[1, 2])
     parser.add_argument("--length", type=float, default=30.0)
+    parser.add_argument("--sizes", type=float, nargs="*", default=[2.0, 1.5])
     options = parser.parse_args()
     rows = []
     for kind in options.kinds:
         for seed in options.seeds:
             faces, points, noise = scene(kind, seed, options.length)
-            began = time.process_time()
-            found = lines.extract_edges(points)
-            used = time.process_time() - began
-            figures, _, _ = score(found.segments.ends, faces, points, noise)
-            rows.append({"scene": kind, "seed": seed, "points": len(points), "s": used} | figures)
-            print(pd.DataFrame(rows[-1:]).round(3).to_string(index=False, header=len(rows) == 1))
-    table = pd.DataFrame(rows).groupby("scene", sort=False).mean(numeric_only=True)
+            for size in options.sizes:
+                began = time.process_time()
+                found = lines.extract_edges(points, size=size)
+                used = time.process_time() - began
+                figures, _, _ = score(found.segments.ends, faces, points, noise)
+                head = {"scene": kind, "size": size, "seed": seed, "points": len(points), "s": used}
+                rows.append(head | figures)
+                last = pd.DataFrame(rows[-1:]).round(3)
+                print(last.to_string(index=False, header=len(rows) == 1), flush=True)
+    table = pd.DataFrame(rows).groupby(["scene", "size"], sort=False).mean(numeric_only=True)
     print(table.round(3).to_string())
 
 
