@@ -581,11 +581,13 @@ def _chains_of_dxf(path):
         ) from error
     try:
         entities = ezdxf.readfile(path).modelspace()
-    except (OSError, ezdxf.DXFError) as error:
+    except (OSError, StopIteration, ezdxf.DXFError) as error:
         raise ValueError(f"Invalid segments {path}. Must be a DXF file.") from error
-    chains = [(line.dxf.start, line.dxf.end) for line in entities.query("LINE")]
-    chains += [line.vertices_in_wcs() for line in entities.query("LWPOLYLINE")]
-    chains += [line.points_in_wcs() for line in entities.query("POLYLINE")]
+    chains = [[line.dxf.start, line.dxf.end] for line in entities.query("LINE")]
+    for line in entities.query("LWPOLYLINE POLYLINE"):
+        flat = line.dxftype() == "LWPOLYLINE"
+        chain = list(line.vertices_in_wcs() if flat else line.points_in_wcs())
+        chains.append(chain + chain[:1] * (line.closed if flat else line.is_closed))
     return [[tuple(vertex) for vertex in chain] for chain in chains]
 
 
