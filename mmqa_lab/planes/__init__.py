@@ -402,8 +402,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     Circle
         The best one from seven starts: the algebraic circle, and circles beside the points. Its
         covariance is unknown where another one, on the other side of the points, fits as well;
-        where there are only two points more than parameters, or fewer; and where a free radius is only
-        known to 12 %, or points scatter by 15 % of it: such circles lie amid the points.
+        where there are only two points more than parameters, or fewer; and where a free radius is
+        known to 12 % only, or points scatter by 15 % of it: such circles lie amid the points.
 
     Raises
     ------
