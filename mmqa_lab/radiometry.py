@@ -575,7 +575,7 @@ def empirical_line(
             f"Invalid reflectance {shares.min():g} to {shares.max():g}. Must be between 0 and 1."
         )
     slope = np.polyfit(dn, known, 1)[0]
-    if not slope > 0:
+    if not slope * np.ptp(dn) > 1e-9:
         raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
     std = np.ones_like(dn) if std_dn is None else np.hypot(slope * np.asarray(std_dn), std)
     if (std <= 0).any():

@@ -286,7 +286,7 @@ ANSWERED = [
     ("evaluate geocentric.xyz", "area_hull_m2 0.97", ""),
     ("evaluate flat.csv --polygon repeated.geojson", "area_polygon_m2 0.64", ""),
     ("evaluate flat.csv --polygon clockwise.geojson", "area_polygon_m2 0.64", ""),
-    ("evaluate flat.csv --polygon upright.geojson", "turned by 87 degrees from the polygon", ""),
+    ("evaluate flat.csv --polygon upright.geojson", "turned by 89 degrees from the polygon", ""),
     ("evaluate sentinel.csv", "3 points lie far from the others, up to 1.7", ""),
     ("evaluate geographic.csv", "are the coordinates in degrees, not metres?", ""),
     ("evaluate withheld.las", "900", "300 of 900 points of withheld.las are withheld"),

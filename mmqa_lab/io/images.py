@@ -272,8 +272,11 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
     else:
         listed = ", ".join(dict.fromkeys((*CLOUD_ENDINGS, *RASTER_ENDINGS)))
         raise ValueError(f"Invalid reference {path}. Must end in one of {listed}.")
+    points = check_points(points, name=f"reference {path}")
     points = points[np.abs(points[:, 2]) < NO_HEIGHT_M]
-    return check_points(points, name=f"reference {path}")
+    if not len(points):
+        raise ValueError(f"Invalid reference {path}: no height below {NO_HEIGHT_M:g} m. Must have.")
+    return points
 
 
 def _listed(path, ending):
