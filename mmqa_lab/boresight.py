@@ -32,7 +32,7 @@ from scipy.stats import t
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.planes import fit_plane, sigma_mad
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.lattice import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
@@ -86,6 +86,9 @@ BEYOND = 0.5
 
 WEAK = 1e-4
 """Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
+
+MOST_TURNS = 15
+"""Adjustments, points and features left out after each."""
 
 SAMPLE = 2_000_000
 """Points of a cloud looked at in the search for planes; of larger clouds, so many at random."""
@@ -641,7 +644,7 @@ class _Adjustment:
         parameters = values.ravel()[self.free]
         _refuse_open(self.system(parameters)[1], self.free)
         limits = {"x_scale": "jac", "xtol": 1e-7, "ftol": 1e-7, "max_nfev": 20}
-        while True:
+        for left in reversed(range(MOST_TURNS)):
             self.last = None
             found = least_squares(
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
@@ -654,12 +657,15 @@ class _Adjustment:
                 _near(feature.inside(part)) & keep
                 for feature, part, keep in zip(self.features, by_feature, good, strict=True)
             ]
-            survey, self.survey = self.survey, self._survey_error(by_feature)
+            survey, seen = self.survey, self._survey_error(by_feature)
+            # halfway: weights and medians of few heights could change to and fro for ever
+            self.survey = (survey + seen) / 2 if survey else seen
             planes = slice(self.counts[: self._first("pole")].sum())
             along = (normal * self.shots.beams(values)).sum(axis=1)[planes]
             self.noise_m = np.sqrt(np.mean(misfit[planes] ** 2) / np.mean(along**2))
             settled = np.abs(self.survey - survey) <= 0.1 * self.survey
-            if good.all() and np.concatenate(near).mean() > 1 - STEADY and settled:
+            steady = good.all() and np.concatenate(near).mean() > 1 - STEADY and settled
+            if steady or not left:
                 return found, values
             self._keep(near)
 
@@ -674,10 +680,14 @@ class _Adjustment:
         return np.sqrt(max(sigma_mad(heights) ** 2 - inside, 0)) / noise
 
     def _usual(self, by_feature):
-        """Which features lie no farther off than is usual for their kind."""
+        """Which features lie no farther off than is usual for their kind.
+
+        Of heights over control points, most of which is one survey error, three deviations count.
+        """
         rms = [np.sqrt(np.mean(part**2)) for part in by_feature]
         table = pd.DataFrame({"kind": [f.kind for f in self.features], "rms": rms})
         usual = table.groupby("kind")["rms"].transform("median")
+        usual = usual.where(table["kind"] != "control", CONSISTENT_SCALE * usual)
         return (table["rms"] <= BAD_FEATURE * np.maximum(usual, 1e-6)).to_numpy()
 
     def _keep(self, near):
@@ -812,9 +822,12 @@ def _from_axis(points, height, axis, beams, noise_m):
 
 
 def _control_misfit(points, known):
-    """Heights over a control point, less a tilted surface through it; two tilts, and a constant."""
+    """Heights over a control point, less the slope about the points' middle; tilts, a constant.
+
+    A slope through the control point itself would take up a part of its height's error.
+    """
     off = points - known
-    tilts = off[:, :2]
+    tilts = off[:, :2] - off[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(tilts, off[:, 2], rcond=None)[0]
     normal = np.broadcast_to([-slope[0], -slope[1], 1.0], points.shape)
     return off[:, 2] - tilts @ slope, normal, np.column_stack([tilts, np.ones(len(off))])
