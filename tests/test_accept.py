@@ -313,7 +313,9 @@ def test_intervals_of_clouds_have_the_part_of_the_speed(done):
         value, _, high, _ = alone.loc[figure]
         of_speed = np.sqrt((table.loc[quantity, "high"] - value) ** 2 - (high - value) ** 2)
         assert of_speed / value == pytest.approx(1.96 * share, rel=0.15)  # lines as far apart
-    assert table.loc["d1_mm", "high"] == pytest.approx(alone.loc["d1", "high"], rel=1e-3)
+    # no better than half a step of the stored coordinates, 0.1 mm
+    assert alone.loc["d1", "high"] - alone.loc["d1", "value"] < 0.001
+    assert table.loc["d1_mm", "high"] - table.loc["d1_mm", "value"] == pytest.approx(0.05)
     steady = pd.DataFrame({"time_s": [0.0, 5, 7], "northing_m": [0.0, 50, 100]})
     steady = steady.assign(easting_m=0.0, height_m=0.0)
     pace = np.array([0.1] * 50 + [0.04] * 49)  # half of it at 10, half at 25 m/s

@@ -22,6 +22,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,8 +108,6 @@ class ImageQuality(Shown):
         Of :func:`mmqa_lab.chart_image.reading.pixel_sizes`.
     pairs : DataFrame
         Of :func:`mmqa_lab.chart_image.read_pairs`.
-    edges : DataFrame
-        Of :func:`mmqa_lab.chart_image.reading.bar_edges`.
     image : array, shape (rows, columns)
         Linear light, full scale 1; of a file, the window around the chart.
     layout : Layout
@@ -131,10 +130,19 @@ class ImageQuality(Shown):
     tones: Tones
     sizes: pd.DataFrame
     pairs: pd.DataFrame
-    edges: pd.DataFrame
     image: np.ndarray
     layout: Layout
     origin: tuple = (0, 0)
+
+    @cached_property
+    def edges(self) -> pd.DataFrame:
+        """Table of :func:`mmqa_lab.chart_image.reading.bar_edges`, fitted when first asked for."""
+        return reading.bar_edges(self.tones, self.layout, self.chart_map)
+
+    @property
+    def residual_px(self) -> float:
+        """Root mean square by which the bars end off their places, pixels."""
+        return float(np.sqrt((self.sizes["offset_px"] ** 2).mean()))
 
     def pixel_size(self, direction: str) -> tuple[float, float]:
         """Return the pixel size in direction h or v and its standard deviation, mm."""
@@ -163,8 +171,7 @@ class ImageQuality(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units; NaN where not measurable."""
-        residual = float(np.sqrt((self.sizes["offset_px"] ** 2).mean()))
-        row = {"located_by": self.chart_map.source, "residual_px": residual}
+        row = {"located_by": self.chart_map.source, "residual_px": self.residual_px}
         for direction in "hv":
             size, sigma = self.pixel_size(direction)
             found = self.resolution(direction)
@@ -179,18 +186,20 @@ class ImageQuality(Shown):
             row[f"mtf50_{direction}_sigma_per_px"] = mtf50_sigma
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
-        return pd.DataFrame([row | {"remark": self._remark(row)}])
+        remarks = [*self.remarks, *sorted(set(self.edges["remark"]) - {""})]
+        return pd.DataFrame([row | {"remark": "; ".join(remarks)}])
 
-    def _remark(self, row):
-        """What speaks against the figures of a row."""
-        clipped, residual = row["clipped_share"], row["residual_px"]
+    @property
+    def remarks(self) -> list[str]:
+        """What speaks against pixel sizes and widths."""
+        clipped, residual = self.tones.clipped_share, self.residual_px
         doubts = {
             f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
             f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
         }
         for direction in "hv":
             refused = f"not even the coarsest line pairs are resolved in direction {direction}"
-            doubts[refused] = bool(np.isnan(row[f"w_{direction}_mm"]))
+            doubts[refused] = bool(np.isnan(self.resolution(direction).width_mm))
         hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]["name"]
         doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
         # blurred pairs are half white, half black in linear light only
@@ -199,8 +208,7 @@ class ImageQuality(Shown):
             abs(tone - 0.5) > LARGEST_TONE_ERROR
         )
         doubts[self.chart_map.remark] = bool(self.chart_map.remark)
-        said = [text for text, true in doubts.items() if true]
-        return "; ".join([*said, *sorted(set(self.edges["remark"]) - {""})])
+        return [text for text, true in doubts.items() if true]
 
     def plot(self, *, ax: Axes) -> Axes:
         """Draw the photograph with its line pairs outlined: resolved or refused.
@@ -290,10 +298,7 @@ def evaluate_image(
     if aligned:
         chart_map = align(image, layout, chart_map)
     tones = reading.find_tones(image, layout, chart_map)
-    tables = [
-        read(tones, layout, chart_map)
-        for read in (reading.pixel_sizes, read_pairs, reading.bar_edges)
-    ]
+    tables = [read(tones, layout, chart_map) for read in (reading.pixel_sizes, read_pairs)]
     return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
 
 

@@ -105,7 +105,7 @@ def accept(options):
     height_m; heading_deg, pitch_deg, roll_deg; first_column and first_row where a file is a part of
     its image. camera.json has the width of a panorama, or width, height and focal_px. Without
     orientations the boards are found by their coded targets. The site's file has the boards with
-    corners and charts, distances_m, speed_kmh, oblique_distance_m, crs and control_points.
+    corners and charts, distances_m, speed_kmh, oblique_distance_m, crs, control_points and a note.
 
     CRITERIA are CSV or JSON files as for mmqa tender, or pfeifer2021:test, pfeifer2021:1,
     pfeifer2021:2 and pfeifer2021:g, the test with g in place of f; all four where left out. A file

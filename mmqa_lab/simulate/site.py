@@ -261,6 +261,7 @@ def _write_plan(folder, boards):
         about = {"board": board.board, "kind": board.kind, "layout": file}
         rows.append(about | {"corners": board.corners.round(4).tolist()})
     site = {
+        "note": "Clouds, photographs and marks of this delivery are simulated.",
         "crs": CRS,
         "distances_m": list(DISTANCES),
         "oblique_distance_m": OBLIQUE_M,

@@ -142,18 +142,24 @@ def _cloud_rows(drive, site, done):
         about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
         done.clouds.append((drive, about, quality))
         if view == ALONG:
-            rows += _cloud_figures(drive, quality, _by_speed(drive, part, polygon, done))
+            by_speed = _by_speed(drive, part, polygon, quality, done)
+            rows += _cloud_figures(drive, quality, by_speed, part.resolution)
             for remark in quality.remarks:
                 done.say(drive.name, f"Board {board.board!r}: {remark}")
     return rows
 
 
-def _cloud_figures(drive, quality, by_speed):
-    """A row for each figure that criteria may name; intervals of the pattern and of the speed."""
+def _cloud_figures(drive, quality, by_speed, step):
+    """A row for each figure that criteria may name; intervals of the pattern and of the speed.
+
+    Distances are not known better than to half a step of the stored coordinates.
+    """
     table = quality.intervals().set_index("figure")
     reach = by_speed.reindex(table.index, fill_value=0.0)
-    table["low"] = table["value"] - np.hypot(table["value"] - table["low"], reach)
-    table["high"] = table["value"] + np.hypot(table["high"] - table["value"], reach)
+    least = 500 * np.nan_to_num(step) * table.index.str.fullmatch(r"d\d")
+    for end, sign in (("low", -1), ("high", 1)):
+        away = np.hypot(table[end] - table["value"], reach)
+        table[end] = table["value"] + sign * np.maximum(away, least)
     place = {"system": drive.system, "distance_m": drive.distance_m, "view": "", "direction": ""}
     place |= doubt(drive, ALONG)
     return [
@@ -162,11 +168,11 @@ def _cloud_figures(drive, quality, by_speed):
     ]
 
 
-def _by_speed(drive, cloud, polygon, done):
-    """How far each figure is from that at the drive's mean speed, by 1.96 standard deviations.
+def _by_speed(drive, cloud, polygon, quality, done):
+    """How far each figure moves with the speed, by 1.96 standard deviations.
 
     The points are shifted along the path to where a slightly faster and slower drive would have
-    laid them; what one image pair gives at once stays as it is.
+    laid them, and the larger change counts; what one image pair gives at once stays as it is.
     """
     path = drive.path
     if "gps_time" not in cloud:
@@ -178,11 +184,15 @@ def _by_speed(drive, cloud, polygon, done):
         return pd.Series(dtype=float)
     at = np.column_stack([np.interp(time, path["time_s"], path[name]) for name in PLACE])
     shift = COVERAGE * speed_share(path, polygon.mean(axis=0)) * (at - at.mean(axis=0))
-    ends = []
-    for moved in (cloud.points - shift, cloud.points + shift):
-        table = evaluate_cloud(moved, polygon=polygon).intervals()
-        ends.append(table.set_index("figure")["value"])
-    return (ends[1] - ends[0]).abs() / 2
+    here = _values(quality)
+    moved = (cloud.points - shift, cloud.points + shift)
+    away = [(_values(evaluate_cloud(p, polygon=polygon)) - here).abs() for p in moved]
+    return np.fmax(*away)
+
+
+def _values(quality):
+    """Every figure of a cloud by its name."""
+    return quality.intervals().set_index("figure")["value"]
 
 
 def speed_share(path, board):

@@ -38,13 +38,18 @@ ROWS_A_SHEET, LETTERS_A_ROW = 66, 125
 
 WIDEST_CELL = 46
 
+FEWEST_POINTS = 100
+"""Fewer points on a board tell their number and where it stands, and no more."""
+
 PARAMETERS = {
     "left out of a point chart below, right, above, left (m)": ", ".join(map(str, CHART_MARGINS_M)),
     "largest distance of a point from the board's plane (m)": "0.1",
-    "factor of sigma_MAD": f"{CONSISTENT_SCALE}",
+    "factor of sigma_MAD": f"{CONSISTENT_SCALE:.4f}",
     "density": "of the selected part of the board (section 3.3)",
     "axes of the quadrants": "principal",
     "a cloud's intervals": "noise and place of the pattern on the board, and by its speed",
+    "least interval of d1 and d4": "half a step of the stored coordinates to either side",
+    "fewest points of a board for more than their number": f"{FEWEST_POINTS}",
     "tolerance of a drive's distance (m), our own": "0.5",
     "uncertainty of the width at which line pairs vanish": f"{100 * LIMIT_SHARE:g} %",
     "standard deviations of a pixel size in its interval": f"{COVERAGE}",
@@ -176,6 +181,7 @@ def _lines(done, site):
     """What the report begins with."""
     drives = ", ".join(drive.name for drive in done.drives)
     return [
+        *([site.note] if site.note else []),
         f"Drives: {drives}.",
         f"Asked: {' m and '.join(f'{d:g}' for d in site.distances_m)} m beside the boards, at "
         f"least {site.speed_kmh:g} km/h; forward and backward images from {site.oblique_m:g} m or "
@@ -290,11 +296,15 @@ def _image_tables(done):
             "expected mark": expected_text(found["cap_px"]),
             "colour fringes at the limit": _fringe_text(photo),
         }
-        said = {**exif_texts(photo.file), "remark": photo.quality.to_frame()["remark"].item()}
+        said = {**exif_texts(photo.file), "remark": "; ".join(photo.quality.remarks)}
         image = {name: place[name] for name in ("drive", "image")}
         for name, row in zip(tables, (place, image | said, image | texts), strict=True):
             tables[name].append(row)
-    return {name: pd.DataFrame(rows) for name, rows in tables.items()}
+    # of grey photographs there are no fringes
+    return {
+        name: pd.DataFrame(rows).replace("", np.nan).dropna(axis=1, how="all").fillna("")
+        for name, rows in tables.items()
+    }
 
 
 def _shift_text(shift):
@@ -309,18 +319,21 @@ def _fringe_text(photo):
 
 
 def _cloud_table(done):
-    """Figures of every point chart, those across the path too."""
+    """Figures of every point chart, those across the path too; dashes for those of few points."""
     rows = []
     for drive, about, quality in done.clouds:
         figures = {
-            "points": str(about["n"]),
-            "density (1/m2)": _short(quality.density_polygon_per_m2),
-            "precision (mm)": _short(quality.sigma_mad_mm),
-            "d1 (mm)": _short(quality.d1_mm),
-            "d4 (mm)": _short(quality.d4_mm),
-            "f": _short(quality.f),
-            "before its surveyed plane (mm)": f"{about['offset_mm']:.1f}",
+            "precision (mm)": quality.sigma_mad_mm,
+            "d1 (mm)": quality.d1_mm,
+            "d4 (mm)": quality.d4_mm,
+            "f": quality.f,
         }
+        enough = about["n"] >= FEWEST_POINTS
+        figures = {name: _short(value) if enough else "–" for name, value in figures.items()}
+        counts = {"points": str(about["n"])}
+        counts["density (1/m2)"] = _short(quality.density_polygon_per_m2)
+        figures = counts | figures
+        figures["before its surveyed plane (mm)"] = f"{about['offset_mm']:.1f}"
         place = {"board": about["board"], "view": about["view"]}
         rows.append({"drive": drive.name, **place, **figures})
     return pd.DataFrame(rows)
@@ -382,7 +395,7 @@ def _photo_figure(photos):
     for ax in axes.flat[len(photos) :]:
         ax.set_axis_off()
     for ax, photo in zip(axes.flat, photos, strict=False):
-        photo.quality.plot(ax=ax)
+        photo.quality.plot(ax=ax).set_anchor("N")
         ax.get_legend().remove()
         ax.set_title(f"{photo.view}, {photo.found['distance_m']:.1f} m", fontsize=7)
     named = axes.flat[0].get_legend_handles_labels()

@@ -35,6 +35,7 @@ class Site:
     crs: object
     control: tuple
     files: tuple
+    note: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ def read_site(path):
     crs = check_crs(whole["crs"]) if whole.get("crs") else None
     layouts = [path.parent / one["layout"] for one in whole["boards"] if "layout" in one]
     files = (path, *(file for file in layouts if file.is_file()))
-    return Site(boards, tuple(sorted(distances)), *rules, crs, control, files)
+    note = str(whole.get("note", ""))
+    return Site(boards, tuple(sorted(distances)), *rules, crs, control, files, note)
 
 
 def find_drives(folder, site, done):

@@ -1,24 +1,26 @@
 """Acceptances of simulated sites against their truth: write the table of the README.
 
-``python tests/benchmarks/acceptance.py FOLDER`` simulates and judges 20 sites of each of three
-systems, some ten minutes of processor time. What is finished stays in FOLDER, so that a run that
-was stopped goes on. Truth of a cloud's figure is its mean over 40 other drives of the same system
-at the same nominal speed and distance; of a pixel size the camera's geometry; of a pair width what
-the photograph without noise says; of a mark the simulated jury's rule without its scatter.
+``python tests/benchmarks/acceptance.py FOLDER`` simulates and judges sites of each of three
+systems, a seed of all three before the next; what is finished stays in FOLDER, so that a run that
+was stopped goes on. A site has the boards and images that verdicts need. Truth of a cloud's figure
+is its mean over the other finished sites of the same system: drives at the same nominal speed and
+distance; of a pixel size the camera's geometry; of a pair width what the photograph without noise
+says; of a mark the simulated jury's rule without its scatter.
 """
 
 import argparse
 import json
 import shutil
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab import stats
-from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
-from mmqa_lab.chart_image import evaluate_window
+from mmqa_lab.chart_image import read_pairs, resolution
+from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.pages import markdown_table, replaced
 from mmqa_lab.simulate import site as simulated
@@ -28,30 +30,12 @@ from mmqa_lab.tender.photographs import read_marks
 from mmqa_lab.tender.site import read_site
 
 README = Path(__file__).resolve().parents[2] / "README.md"
-SYSTEMS, OTHERS = "ABC", range(100, 140)
-CLEAN = replace(simulated.SENSOR, noise=0.0, bits=16, jpeg_quality=None)
+SYSTEMS = "ABC"
+CLEAN = replace(simulated.SENSOR, noise=0.0, gamma="linear", bits=None, jpeg_quality=None)
+CRITERIA = {name: published_criteria(name) for name in (*SETS, OWN_SET)}
 PLACE = ["system", "quantity", "distance_m", "view", "direction"]
-PARTS = ("clouds", "images")
 PASSES = ("met", "exempt")
 BARS = {"h": ("bar_horizontal",), "v": ("bar_left", "bar_right")}
-
-
-def cloud_truth(system):
-    """Mean of every figure over many drives, by quantity and distance."""
-    boards = simulated.site_boards()
-    boards = boards[(boards["kind"] == "point") & (boards["view"] == "orthogonal")]
-    polygon, vehicle = chart_polygon(boards["corners"].iloc[0]), simulated.VEHICLES[system]
-    rows = []
-    for seed in OTHERS:
-        for distance in simulated.DISTANCES:
-            drive = simulated.make_drive(distance, seed=seed + 1000 * ord(system))
-            cloud = simulated.drive_cloud(vehicle, drive, boards, seed=seed)
-            stored = np.round(cloud.points, 4)  # as the delivered LAZ
-            found = evaluate_cloud(stored, polygon=polygon).intervals()
-            rows.append(found[["figure", "value"]].assign(distance_m=distance))
-    table = pd.concat(rows).groupby(["figure", "distance_m"])["value"].mean().reset_index()
-    table["quantity"] = table.pop("figure").map(FIGURES)
-    return table.dropna().assign(system=system, view="", direction="")
 
 
 def image_truth(photo, system, seed, boards):
@@ -61,11 +45,12 @@ def image_truth(photo, system, seed, boards):
     time = drive.stations.iloc[int(photo.file.stem.split("_")[1])]["time_s"]
     there = simulated.station_map(vehicle, drive, time, board)
     clean = simulated.take_photo(vehicle, drive, time, board, seed=seed, sensor=CLEAN)
-    quality = evaluate_window(clean.image, board.layout, clean.chart_map, gamma="srgb")
+    tones = find_tones(clean.image, board.layout, clean.chart_map)
+    pairs = read_pairs(tones, board.layout, clean.chart_map)
     place = {"system": system, "distance_m": photo.distance_m, "view": photo.view}
     for direction, names in BARS.items():
         size = bar_pixel(there, [board.layout[name] for name in names])
-        width = quality.resolution(direction).width_mm
+        width = resolution(pairs, direction).width_mm
         width = np.inf if np.isnan(width) else width
         for quantity, value in (("pixel_mm", size), ("w_mm", width)):
             yield {**place, "direction": direction, "quantity": quantity, "value": value}
@@ -88,31 +73,39 @@ def bar_pixel(there, bars):
     return long / seen
 
 
-def judged(system, seed, folder, clouds, part):
-    """Figures and verdicts of one site beside their truth, of its clouds or of its images."""
-    site_folder = folder / f"site_{system}_{seed}_{part}"
+def judged(system, seed, folder):
+    """Figures of one site, and the truth of its photographs."""
+    site_folder = folder / f"site_{system}_{seed}"
     shutil.rmtree(site_folder, ignore_errors=True)
-    simulated.write_site(site_folder, systems=system, seed=seed, images=part == "images")
-    criteria = {name: published_criteria(name) for name in (*SETS, OWN_SET)}
-    marks = read_marks(site_folder / "marks.csv") if part == "images" else None
-    done = accept(site_folder, read_site(site_folder / "site.json"), criteria, marks=marks)
+    simulated.write_site(site_folder, systems=system, seed=seed)
+    marks = read_marks(site_folder / "marks.csv")
+    done = accept(site_folder, read_site(site_folder / "site.json"), CRITERIA, marks=marks)
     boards = simulated.site_boards().set_index("board", drop=False)
     rows = [row for p in done.photographs for row in image_truth(p, system, seed, boards)]
-    truth = pd.concat([clouds, pd.DataFrame(rows)], ignore_index=True)
     shutil.rmtree(site_folder)
-    figures = done.results.merge(truth, how="left", on=PLACE, suffixes=("", "_true"))
+    return done.results.assign(seed=seed), pd.DataFrame(rows).assign(seed=seed)
+
+
+def cloud_truth(figures):
+    """Of each cloud's figure the mean over the other sites of its system."""
+    own = figures[figures["quantity"].isin(FIGURES.values())]
+    value = pd.to_numeric(own["value"])
+    group = value.groupby([own[name] for name in ("system", "quantity", "distance_m")])
+    others = (group.transform("sum") - value) / (group.transform("count") - 1)
+    return own[[*PLACE, "seed"]].assign(value=others)
+
+
+def true_verdicts(truth, results):
+    """Verdicts of one site beside those from its truth."""
     unresolved = truth["value"].map(lambda value: value == np.inf)
     bounds = truth.assign(low=np.where(unresolved, 40.1, np.nan))
     bounds["high"] = np.where(unresolved, np.inf, np.nan)
     bounds["value"] = truth["value"].mask(unresolved, None)
-    found = []
-    for name, table in done.verdicts.items():
-        true = verdicts(criteria[name], bounds)[[*PLACE, "criterion", "margin", "verdict"]]
-        both = table.merge(true, on=[*PLACE, "criterion"], suffixes=("", "_true"))
-        found.append(both.assign(set=name))
-    tables = figures.assign(seed=seed), pd.concat(found).assign(seed=seed)
-    of_clouds = part == "clouds"
-    return [table[table["quantity"].isin(FIGURES.values()) == of_clouds] for table in tables]
+    for name, criteria in CRITERIA.items():
+        true = verdicts(criteria, bounds)[[*PLACE, "criterion", "margin", "verdict"]]
+        found = verdicts(criteria, results)
+        both = found.merge(true, on=[*PLACE, "criterion"], suffixes=("", "_true"))
+        yield both.assign(set=name)
 
 
 def coverage(figures):
@@ -160,46 +153,58 @@ def agreement(found):
     return pd.DataFrame(rows)
 
 
-def unit(options, system, seed, clouds, part):
+def without_spares(boards_of, photographed):
+    """What makes the boards and photographs of a site, without those that no verdict sees."""
+
+    def boards():
+        every = boards_of()
+        return every[(every["kind"] == "image") | (every["view"] == "orthogonal")]
+
+    def chosen(drive, boards):
+        return photographed(drive, boards).iloc[::2]
+
+    return boards, chosen
+
+
+def unit(options, system, seed):
     """Tables of one site, kept or simulated; none of what is missing with --finished."""
-    kept = options.folder / f"{system}_{seed:02d}_{part}.json"
+    kept = options.folder / f"{system}_{seed:02d}.json"
     if not kept.is_file():
         if options.finished:
             return []
-        tables = judged(system, seed, options.folder, clouds, part)
+        tables = judged(system, seed, options.folder)
         text = json.dumps([table.to_json(orient="records") for table in tables])
         write_atomically(kept, lambda path: path.write_text(text))
         print(kept.stem, flush=True)
-    return [[pd.DataFrame(json.loads(text)) for text in json.loads(kept.read_text())]]
+    texts = json.loads(kept.read_text())
+    return [[pd.read_json(StringIO(text), dtype=False) for text in texts]]
 
 
 def main():
     """Simulate what is missing, print, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--systems", default=SYSTEMS, help="only these, and no README")
     parser.add_argument("--seeds", type=int, default=20, help="sites of each system")
     parser.add_argument("--finished", action="store_true", help="tables of what is finished")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    tables = []
-    for system in options.systems:
-        kept = options.folder / f"clouds_{system}.csv"
-        if not kept.is_file():
-            table = cloud_truth(system)
-            write_atomically(kept, lambda path, table=table: table.to_csv(path, index=False))
-        clouds = pd.read_csv(kept, keep_default_na=False)
-        for part in PARTS:
-            for seed in range(1, options.seeds + 1):
-                tables += unit(options, system, seed, clouds, part)
-    figures, found = (pd.concat(part, ignore_index=True) for part in zip(*tables, strict=True))
-    shown = [coverage(figures), agreement(found)]
+    spare = simulated.site_boards, simulated.photographed
+    simulated.site_boards, simulated.photographed = without_spares(*spare)
+    places = [(system, seed) for seed in range(1, options.seeds + 1) for system in SYSTEMS]
+    tables = [table for place in places for table in unit(options, *place)]
+    figures, images = (pd.concat(part, ignore_index=True) for part in zip(*tables, strict=True))
+    truth = pd.concat([cloud_truth(figures), images], ignore_index=True)
+    beside = figures.merge(truth, how="left", on=[*PLACE, "seed"], suffixes=("", "_true"))
+    found = []
+    for (_, seed), part in figures.groupby(["system", "seed"]):
+        own = truth[(truth["seed"] == seed) & (truth["system"] == part["system"].iloc[0])]
+        found += true_verdicts(own.reset_index(drop=True), part.reset_index(drop=True))
+    shown = [coverage(beside), agreement(pd.concat(found, ignore_index=True))]
     print(*(table.to_string(index=False) for table in shown), sep="\n\n")
-    if options.systems == SYSTEMS:
-        text = README.read_text(encoding="utf-8")
-        for name, table in zip(("acceptance", "acceptance verdicts"), shown, strict=True):
-            text = replaced(text, name, markdown_table(table))
-        write_atomically(README, lambda path: path.write_text(text, encoding="utf-8"))
+    text = README.read_text(encoding="utf-8")
+    for name, table in zip(("acceptance", "acceptance verdicts"), shown, strict=True):
+        text = replaced(text, name, markdown_table(table))
+    write_atomically(README, lambda path: path.write_text(text, encoding="utf-8"))
 
 
 if __name__ == "__main__":
