@@ -93,6 +93,9 @@ MOST_TURNS = 15
 SAMPLE = 2_000_000
 """Points of a cloud looked at in the search for planes; of larger clouds, so many at random."""
 
+MOST_OF_GROUP = 100
+"""Points of a drive's head that one plane takes."""
+
 BLOCK = 200_000
 """Points placed at a time."""
 
@@ -610,8 +613,8 @@ class _Adjustment:
         shots, placed = self.shots, self.shots.placed(values)
         _, normal, basis = self.measured(values)
         arm = np.einsum("nij,ni->nj", shots.rotation, placed - shots.offset)
-        turned = np.einsum("nij,nkj->nki", shots.rotation, np.cross(AXES[None], arm[:, None]))
-        effects = np.column_stack([normal, np.einsum("nki,ni->nk", turned, normal)])
+        across = np.einsum("nij,ni->nj", shots.rotation, normal)
+        effects = np.column_stack([normal, np.cross(arm, across) @ AXES.T])
         change = np.zeros((len(placed), 6 * (shots.drive.max() + 1)))
         columns = shots.drive[:, None] * 6 + np.arange(6)
         np.put_along_axis(change, columns, effects, axis=1)
@@ -931,7 +934,7 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
         return None
     best = max(range(len(members)), key=lambda k: len(members[k]))
     alike = [
-        _some(run[_near(plane.residuals)], rng)
+        rng.permutation(run[_near(plane.residuals)])[:MOST_OF_GROUP]
         for run, plane in zip(members, planes, strict=True)
         if abs(plane.normal @ planes[best].normal) > np.cos(np.radians(5))
         and abs(planes[best].distances(plane.centre[None])[0]) < PATCH_GAP_M
@@ -944,11 +947,6 @@ def _filled(points):
     off = points - points.mean(axis=0)
     along = np.sort(off @ np.linalg.svd(off, full_matrices=False)[2][:2].T, axis=0)
     return bool((np.diff(along, axis=0).max(axis=0) < LARGEST_GAP * np.ptp(along, axis=0)).all())
-
-
-def _some(run, rng, share=100):
-    """Some of the points of a group, at random."""
-    return rng.choice(run, min(len(run), share), replace=False)
 
 
 def _round(placed, index, fewest):
