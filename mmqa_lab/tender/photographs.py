@@ -178,9 +178,9 @@ def _readable(images, drive, done):
     """The images that exist and whose columns are numbers."""
     names = [name for name in (*rules.PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
     images[names] = images[names].apply(pd.to_numeric, errors="coerce")
-    there = [(drive.folder / str(file)).is_file() for file in images["file"]]
+    there = np.array([(drive.folder / str(f)).is_file() for f in images["file"]], dtype=bool)
     known = images[names].notna().all(axis=1).to_numpy()
-    for file in images.loc[~np.array(there, dtype=bool), "file"]:
+    for file in images.loc[~there, "file"]:
         done.say(drive.name, f"Image {file}: no such file.")
     for file in images.loc[~known, "file"]:
         done.say(drive.name, f"Image {file}: a number is missing in images.csv. Must have all.")
