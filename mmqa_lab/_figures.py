@@ -37,6 +37,9 @@ JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 """Formatters of axes whose places have names."""
 
+NOTE_INCHES = 0.13
+"""Height of a line below the panels."""
+
 LARGEST_IMAGE = 40_000
 """Pixels of a picture whose values are written with a figure's data: of a larger one every k-th."""
 
@@ -69,6 +72,32 @@ def finish_figure(figure):
             told.append(one)
         _update_legends(figure, ax, told)
     _set_symbols(figure)
+
+
+def say_kind(figure, kind):
+    """Say in the lower right corner which kind of numbers a figure shows, unless its texts do.
+
+    Parameters
+    ----------
+    figure : Figure
+        Changed in place; twice is the same as once.
+    kind : str
+        Such as "measured (simulated)"; nothing is said without one.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> figure = plt.figure()
+    >>> say_kind(figure, "measured (simulated)")
+    >>> figure.get_supxlabel()
+    'measured (simulated)'
+    >>> plt.close(figure)
+    """
+    said = " ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+    if kind and kind not in said and not all(word in said for word in re.findall(r"\w+", kind)):
+        lines = filter(None, [figure.get_supxlabel(), kind])
+        figure.set_figheight(figure.get_figheight() + NOTE_INCHES)  # the panels keep theirs
+        figure.supxlabel("\n".join(lines), x=0.99, ha="right", fontsize=6, color="0.35")
 
 
 @dataclass

@@ -27,6 +27,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
+from scipy.stats import t
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
@@ -45,6 +46,13 @@ UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
 
 AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """About which roll, pitch and heading turn."""
+
+USUAL_PATH_STD = np.array([0.02, 0.02, 0.02, 0.005, 0.005, 0.015])
+"""East, north, height, m; roll, pitch, heading, degrees: post-processed with good satellites, as
+usually quoted from a maker's sheet (see the system vmx-250)."""
+
+CONTRADICTION = 3.0
+"""Drives that disagree so many times as much as given errors of the paths explain: said."""
 
 FARTHEST_DEG, FARTHEST_M = 10.0, 1.0
 """A mounting farther from the assumed one is an adjustment that ran away, no estimate."""
@@ -73,6 +81,9 @@ BAD_FEATURE = 3.0
 STEADY = 0.001
 """Share of points left out below which the adjustment ends."""
 
+BEYOND = 0.5
+"""Cosine between beam and outward normal from which a point lies on the far side of a pole."""
+
 WEAK = 1e-4
 """Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
 
@@ -91,17 +102,21 @@ class Calibration(Shown):
     ----------
     table : DataFrame
         One row a head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 of a parameter
-        that was kept).
+        that was kept), ``low`` and ``high``: 95 % by Student's t, whose degrees of freedom count
+        the features that matter (Satterthwaite); NaN where kept.
     covariance : array, shape (6 h, 6 h)
         In the order of the table, degrees and metres; from the scatter of what the features say
         (cluster-robust), so that planes that are not quite flat count in, and from the errors of
-        the paths where they were given.
+        the paths.
     sigma0_m : float
         Standard deviation of a point's distance from its plane or pole.
     n, planes, poles, control : int
         Points, and the planes, poles and control points they lie on.
     lever_arms_m : array, shape (h, 3)
         As assumed.
+    remarks : str
+        What the standard errors rest on where the errors of the paths were not given, or are
+        larger than given.
 
     Examples
     --------
@@ -120,6 +135,7 @@ class Calibration(Shown):
     poles: int
     control: int
     lever_arms_m: np.ndarray
+    remarks: str = ""
 
     @property
     def values(self) -> np.ndarray:
@@ -127,9 +143,8 @@ class Calibration(Shown):
         return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
 
     def to_frame(self) -> pd.DataFrame:
-        """Return the table with 95 % intervals, in degrees and metres; none where kept."""
-        half = 1.96 * self.table["std"].where(self.table["std"] > 0)
-        return self.table.assign(low=self.table["value"] - half, high=self.table["value"] + half)
+        """Return the table, in degrees and metres, with the remarks."""
+        return self.table.assign(remarks=self.remarks)
 
     @property
     def correlation(self) -> np.ndarray:
@@ -198,8 +213,8 @@ def calibrate(
     roughness: float = 0.03,
     seed: int = 0,
     rounds: int = 2,
-    path_std_m: ArrayLike = 0.0,
-    path_std_deg: ArrayLike = 0.0,
+    path_std_m: ArrayLike | None = None,
+    path_std_deg: ArrayLike | None = None,
 ) -> Calibration:
     """Estimate boresight and lever arm of every head from planes and poles seen several times.
 
@@ -235,9 +250,11 @@ def calibrate(
         Of the choice of points.
     rounds : int
         How often patches are cut.
-    path_std_m, path_std_deg : float or array_like, shape (3,)
+    path_std_m, path_std_deg : float or array_like, shape (3,), optional
         Standard deviations of the paths, each error lasting a whole drive: east, north, height, m;
-        roll, pitch, heading, degrees. They enter the covariance.
+        roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. Where neither is
+        given, usual ones do (``USUAL_PATH_STD``), larger by as much as the drives disagree more
+        than these explain, and the result says so.
 
     Returns
     -------
@@ -251,12 +268,10 @@ def calibrate(
 
     Notes
     -----
-    The trajectory is taken as true. An error of it that lasts a whole drive is the same as a
-    lever-arm error of opposite sign in the other direction: two drives along one street cannot
-    tell them apart, so residuals do not show it. The standard errors contain it only where
-    ``path_std_m`` and ``path_std_deg`` say how large it may be: simulated drifts of 8 mm and .004
-    to .012 degrees are then covered in 96 to 98 % (nine surveys). Without them standard errors are
-    several times too small for drifting paths.
+    An error of a path that lasts a whole drive is the same as a lever-arm error of opposite sign in
+    the other direction: two drives along one street cannot tell them apart. Residuals show only a
+    part of it, such as the difference of two drives in height. Standard errors are therefore right
+    as far as ``path_std_m`` and ``path_std_deg`` are.
 
     With a free radius, range noise of 5 mm pushes the two sides of a pole of 6 cm 2.5 mm apart,
     which the standard errors do not contain (headings .003 degrees off in simulated streets); with
@@ -310,9 +325,14 @@ def calibrate(
 
 
 def _path_std(metres, degrees):
-    """Standard deviations of a path's errors, (6,): metres, radians."""
-    parts = [np.broadcast_to(np.asarray(given, np.float64), 3) for given in (metres, degrees)]
-    std = np.concatenate([parts[0], np.radians(parts[1])])
+    """Standard deviations of a path's errors, (6,): metres, radians; None where none are given."""
+    if metres is None and degrees is None:
+        return None
+    parts = [
+        np.broadcast_to(np.asarray(0.0 if given is None else given, np.float64), 3)
+        for given in (metres, degrees)
+    ]
+    std = np.concatenate(parts)
     if not (np.isfinite(std).all() and (std >= 0).all()):
         raise ValueError(f"Invalid path_std {metres}, {degrees}. Must be >= 0 m and degrees.")
     return std
@@ -330,26 +350,26 @@ def _calibration(adjustment, found, values, path_std):
     features, free = adjustment.features, adjustment.free
     own = sum(OWN_PARAMETERS[feature.kind] for feature in features)
     freedom = max(len(found.fun) - len(found.x) - own, 1)
-    covariance = np.zeros((values.size, values.size))
-    own_part = _clustered_covariance(features, found)
-    if path_std.any():
-        effects = adjustment.path_effects(values, found.jac)
-        effects *= np.tile(path_std, effects.shape[1] // 6)
-        own_part = own_part + effects @ effects.T
-    covariance[np.ix_(free, free)] = own_part
+    of_points, students = _clustered_covariance(features, found)
+    of_paths, remarks = _path_covariance(adjustment, found, values, path_std)
+    reach, covariance = np.zeros(values.size), np.zeros((values.size, values.size))
+    covariance[np.ix_(free, free)] = of_points + of_paths
+    share = np.diag(of_points) / np.diag(of_points + of_paths)
+    reach[free] = t.ppf(0.975, students / share**2)
     unit = np.tile(UNIT, len(values))
     covariance *= np.outer(unit, unit)
+    std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit
+    half = np.where(std > 0, reach * std, np.nan)
     table = pd.DataFrame(
         {
             "head": np.repeat(np.arange(len(values)), len(PARAMETERS)),
             "parameter": np.tile(PARAMETERS, len(values)),
-            "value": values.ravel() * unit,
-            "std": np.sqrt(np.diag(covariance)),
+            **{"value": value, "std": std, "low": value - half, "high": value + half},
         }
     )
     vague = table["std"] > np.tile(np.repeat([FARTHEST_DEG, FARTHEST_M], 3), len(values))
     if vague.any():
-        head, name, _, std = table[vague].iloc[0]
+        head, name, _, std, *_ = table[vague].iloc[0]
         raise ValueError(
             f"Invalid drives: they leave {name} of head {head + 1} uncertain by {std:.3g}. "
             "Must run in both directions past walls and poles, with dense points."
@@ -357,7 +377,54 @@ def _calibration(adjustment, found, values, path_std):
     kinds = [feature.kind for feature in features]
     counts = (kinds.count(kind) for kind in OWN_PARAMETERS)
     sigma0, n = np.sqrt(2 * found.cost / freedom), sum(map(len, features))
-    return Calibration(table, covariance, float(sigma0), n, *counts, adjustment.shots.lever)
+    lever = adjustment.shots.lever
+    return Calibration(table, covariance, float(sigma0), n, *counts, lever, remarks)
+
+
+def _path_covariance(adjustment, found, values, path_std):
+    """What errors of the paths add to the covariance, and what is to be said of them."""
+    std = USUAL_PATH_STD if path_std is None else path_std
+    drives = adjustment.shots.drive.max() + 1
+    usual, given = (np.tile(one / UNIT[::-1], drives) for one in (USUAL_PATH_STD, std))
+    changes = adjustment.path_changes(values, len(found.fun)) * usual
+    effects = -np.linalg.solve(found.jac.T @ found.jac, found.jac.T @ changes)
+    apart = _disagreement(adjustment, found, changes + found.jac @ effects, given / usual)
+    factor = max(apart, 1.0) if path_std is None else 1.0
+    effects *= factor * given / usual
+    figures = ", ".join(f"{one:g}" for one in std)
+    if path_std is None:
+        said = (
+            f"The errors of the paths are not given; standard deviations of {figures} (east, "
+            f"north, height in m; roll, pitch, heading in degrees) are assumed, times {factor:.1f}."
+        )
+    elif apart > CONTRADICTION:
+        said = (
+            f"The drives disagree {apart:.1f} times as much as the given errors of the paths "
+            "explain: the standard errors are too small."
+        )
+    else:
+        said = ""
+    return effects @ effects.T, said
+
+
+def _disagreement(adjustment, found, changes, given):
+    """How much more the drives disagree than their points and the given paths explain, a ratio.
+
+    Errors of the paths that the mounting cannot take up are fitted to what is left of the misfits.
+    """
+    starts = np.append(0, np.cumsum(adjustment.counts)[:-1])
+    size, ways = np.linalg.eigh(changes.T @ changes)
+    ways = ways[:, size > 1e-9 * size[-1]]
+    rows = (changes @ ways)[: adjustment.counts.sum()]
+    pulls = np.add.reduceat(rows * found.fun[: len(rows), None], starts)
+    own = np.add.reduceat(rows**2, starts)
+    seen = pulls.sum(axis=0) / own.sum(axis=0)
+    noise = ((pulls - own * seen) ** 2).sum(axis=0) / own.sum(axis=0) ** 2
+    clear = noise < 1
+    if not clear.any():
+        return 0.0
+    explained = noise + given**2 @ ways**2
+    return float(np.sqrt(np.mean((seen**2 / explained)[clear])))
 
 
 def _refuse_open(jacobian, free):
@@ -443,6 +510,11 @@ class _Shots:
         inside = self.turned(values) + (self.lever + values[:, 3:])[self.head]
         return self.offset + np.einsum("nij,nj->ni", self.rotation, inside)
 
+    def beams(self, values):
+        """Unit vectors from the head to each point, (n, 3)."""
+        beam = np.einsum("nij,nj->ni", self.rotation, self.turned(values))
+        return beam / np.linalg.norm(beam, axis=1)[:, None]
+
     def derivatives(self, values, normal):
         """Change of each point along ``normal`` (n, 3) by its own head's parameters, (n, 6)."""
         across = np.einsum("nij,ni->nj", self.rotation, normal)
@@ -483,7 +555,8 @@ def _heads(cloud):
 class _Adjustment:
     """The points of all features, one feature after the other, and the least-squares problem.
 
-    ``survey`` is the standard deviation of a control point's height over that of a laser point.
+    ``survey`` is the standard deviation of a control point's height over that of a laser point,
+    ``noise_m`` that of ranges.
     """
 
     shots: _Shots
@@ -491,6 +564,7 @@ class _Adjustment:
     absolute: bool
     free: np.ndarray
     survey: float = 0.0
+    noise_m: float = 0.0
     last: tuple = None
 
     @property
@@ -498,12 +572,17 @@ class _Adjustment:
         """Points of each feature."""
         return np.array([len(feature) for feature in self.features])
 
+    def measured(self, values):
+        """Misfits, directions and basis of :func:`_measured` under a mounting."""
+        points, ranged = self.shots.placed(values), self.noise_m
+        return _measured(self.features, points, self.shots.beams(values), self.survey, ranged)
+
     def system(self, parameters):
         """Misfit of all points and its derivatives, the features' own parameters eliminated."""
         if self.last is not None and np.array_equal(self.last[0], parameters):
             return self.last[1:]
         values = self.values(parameters)
-        misfit, normal, basis = _measured(self.features, self.shots.placed(values), self.survey)
+        misfit, normal, basis = self.measured(values)
         self._eliminate(misfit[:, None], basis[:, COMMON], first=self._first("control"))
         jacobian = np.zeros((len(misfit), values.size))
         columns = self.shots.head[:, None] * len(PARAMETERS) + np.arange(len(PARAMETERS))
@@ -520,22 +599,22 @@ class _Adjustment:
         self.last = (parameters.copy(), misfit, jacobian[:, self.free])
         return self.last[1:]
 
-    def path_effects(self, values, jacobian):
-        """What errors of a drive's path change in the estimates, (free, 6 drives): place, angles.
+    def path_changes(self, values, rows):
+        """Change of the misfits by errors of the drives' paths, (rows, 6 drives): place, angles.
 
         An error that lasts the whole drive moves and turns its points together.
         """
         shots, placed = self.shots, self.shots.placed(values)
-        _, normal, basis = _measured(self.features, placed, self.survey)
+        _, normal, basis = self.measured(values)
         arm = np.einsum("nij,ni->nj", shots.rotation, placed - shots.offset)
         turned = np.einsum("nij,nkj->nki", shots.rotation, np.cross(AXES[None], arm[:, None]))
         effects = np.column_stack([normal, np.einsum("nki,ni->nk", turned, normal)])
-        change = np.zeros((len(jacobian), 6 * (shots.drive.max() + 1)))
+        change = np.zeros((len(placed), 6 * (shots.drive.max() + 1)))
         columns = shots.drive[:, None] * 6 + np.arange(6)
         np.put_along_axis(change, columns, effects, axis=1)
         for column in basis.T:
             self._eliminate(change, column, first=0)
-        return -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ change)
+        return np.pad(change, ((0, rows - len(change)), (0, 0)))
 
     def values(self, parameters):
         """Array (heads, 6), 0 where a parameter is kept."""
@@ -568,7 +647,7 @@ class _Adjustment:
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
             )
             parameters, values = found.x, self.values(found.x)
-            misfit = _measured(self.features, self.shots.placed(values))[0]
+            misfit, normal, _ = self.measured(values)
             by_feature = np.split(misfit, np.cumsum(self.counts)[:-1])
             good = self._usual(by_feature)
             near = [
@@ -576,6 +655,9 @@ class _Adjustment:
                 for feature, part, keep in zip(self.features, by_feature, good, strict=True)
             ]
             survey, self.survey = self.survey, self._survey_error(by_feature)
+            planes = slice(self.counts[: self._first("pole")].sum())
+            along = (normal * self.shots.beams(values)).sum(axis=1)[planes]
+            self.noise_m = np.sqrt(np.mean(misfit[planes] ** 2) / np.mean(along**2))
             settled = np.abs(self.survey - survey) <= 0.1 * self.survey
             if good.all() and np.concatenate(near).mean() > 1 - STEADY and settled:
                 return found, values
@@ -616,7 +698,8 @@ def _near(misfit):
 def _clustered_covariance(features, found):
     """Covariance from what each feature pulls at the estimates (cluster-robust, jackknife).
 
-    Each pull is that of the feature's misfit under the mounting that the others give.
+    Each pull is that of the feature's misfit under the mounting that the others give. Also the
+    degrees of freedom of each variance: as many as features that share alike in it would have.
     """
     ends = np.cumsum([len(feature) for feature in features])
     starts, jacobian = np.append(0, ends[:-1]), found.jac[: ends[-1]]
@@ -625,10 +708,11 @@ def _clustered_covariance(features, found):
     own = np.array([part.T @ part for part in np.split(jacobian, ends[:-1])])
     others = np.eye(len(inverse)) - own @ inverse
     effects = inverse @ np.linalg.solve(others, pulls[..., None])[..., 0].T
-    return effects @ effects.T
+    share = np.einsum("ij,gjk,ki->gi", inverse, own, inverse)
+    return effects @ effects.T, share.sum(axis=0) ** 2 / (share**2).sum(axis=0)
 
 
-def _measured(features, points, survey=0.0):
+def _measured(features, points, beams, survey, noise_m):
     """Distances of points from the features fitted to them, planes first.
 
     Also their directions (n, 3), and an orthonormal basis (n, 5) of what the feature's own
@@ -644,8 +728,11 @@ def _measured(features, points, survey=0.0):
     first = flat
     for feature in np.array(features, dtype=object)[~planes]:
         part = slice(first, first + len(feature))
-        distances = _pole_misfit if feature.kind == "pole" else _control_misfit
-        misfit[part], normal[part], derivative = distances(points[part], feature.known)
+        if feature.kind == "pole":
+            found = _pole_misfit(points[part], feature.known, beams[part, :2], noise_m)
+        else:
+            found = _control_misfit(points[part], feature.known)
+        misfit[part], normal[part], derivative = found
         own, size = np.linalg.qr(derivative)
         if feature.kind == "control":
             left = 1 / np.hypot(1, survey * size[COMMON, COMMON])
@@ -680,42 +767,46 @@ def _plane_misfits(points, counts):
     return along[:, 0], axes[:, :, 0], basis
 
 
-def _pole_misfit(points, radius=None):
+def _pole_misfit(points, radius=None, beams=None, noise_m=0.0):
     """Distances from the best cylinder, outward normals, derivatives by its parameters.
 
-    With a free radius, noise pushes the two sides of a thin pole apart by a millimetre or two. A
-    known one is put in at the end: an arc has a mirrored circle of the same radius behind it.
+    With a free radius, noise pushes the two sides of a thin pole apart by a millimetre or two. Of
+    ``beams`` (n, 2) come the side on which an arc lies, and what range noise adds to distances from
+    the axis: half of its square across, over the radius.
     """
     height = points[:, 2] - points[:, 2].mean()
     middle = np.median(points[:, :2], axis=0)
     spread = np.median(np.hypot(*(points[:, :2] - middle).T))
-    upright = np.array([*middle, 0.0, 0.0, max(spread, 0.03)])
-    axis, free = _fitted_axis(points, height, upright, free=5), 5
+    axis, free = np.array([*middle, 0.0, 0.0, max(spread, 0.03)]), 5 if radius is None else 4
     if radius is not None:
-        free, axis[4] = 4, radius
-        axis = _fitted_axis(points, height, axis, free)
-    misfit, way, derivative = _from_axis(points, height, axis)
-    tilt = np.column_stack([way, -(way * axis[2:4]).sum(axis=1)])
-    return misfit, tilt, derivative[:, :free]
-
-
-def _fitted_axis(points, height, axis, free, steps=12):
-    """The axis whose first parameters, as many as are free, fit best."""
-    for _ in range(steps):
-        misfit, _, derivative = _from_axis(points, height, axis)
+        axis[4] = radius
+        if beams is not None:  # the mean of a half circle is so far from its middle
+            axis[:2] += np.pi / 4 * radius * beams.mean(axis=0)
+    for _ in range(12):
+        misfit, way, derivative = _from_axis(points, height, axis, beams, noise_m)
         change = np.linalg.lstsq(derivative[:, :free], -misfit, rcond=1e-8)[0]
         axis[:free] += np.clip(change, -0.1, 0.1)
         axis[4] = np.clip(axis[4], 0.01, 0.5)
         if np.abs(change).max() < 1e-8:
             break
-    return axis
+    misfit, way, derivative = _from_axis(points, height, axis, beams, noise_m)
+    tilt = np.column_stack([way, -(way * axis[2:4]).sum(axis=1)])
+    return misfit, tilt, derivative[:, :free]
 
 
-def _from_axis(points, height, axis):
-    """Distances from a cylinder, unit vectors from its axis in plan, derivatives."""
+def _from_axis(points, height, axis, beams, noise_m):
+    """Distances from a cylinder, unit vectors from its axis in plan, derivatives.
+
+    A point clearly beyond the axis, seen along its beam, is a negative distance away.
+    """
     off = points[:, :2] - axis[:2] - height[:, None] * axis[2:4]
     distance = np.maximum(np.hypot(*off.T), 1e-9)
     way = off / distance[:, None]
+    if beams is not None:
+        side = np.where((way * beams).sum(axis=1) > BEYOND, -1.0, 1.0)
+        distance, way = side * distance, side[:, None] * way
+        across = way[:, 0] * beams[:, 1] - way[:, 1] * beams[:, 0]
+        distance = distance - (noise_m * across) ** 2 / (2 * axis[4])
     derivative = -np.column_stack([way, height[:, None] * way, np.ones(len(points))])
     return distance - axis[4], way, derivative
 

@@ -101,6 +101,7 @@ STYLE = {
     "mathtext.fontset": "custom",  # of the same family as the text, also for publishers
     "mathtext.rm": "sans",
     "mathtext.it": "sans:italic",
+    "mathtext.cal": "sans:italic",
     "font.size": 8.0,
     "axes.labelsize": 8.0,
     "axes.titlesize": 8.0,

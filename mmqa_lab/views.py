@@ -136,14 +136,17 @@ def _plotter(local, values, label, *, off_screen):
 
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
     plotter.set_background("white")
+    values = np.asarray(values, dtype=np.float64)
+    largest, span = np.nanmax(np.abs(values)), np.nanmax(values) - np.nanmin(values)
+    digits = 3 + max(0, int(np.log10(largest / span))) if span > 0 else 3  # no label twice
     bar = {
-        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": "%.3g"},
+        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": f"%.{digits}g"},
         **{"vertical": False, "position_x": 0.25, "position_y": 0.03, "width": 0.5},
         **{"title_font_size": 18, "label_font_size": 16},
     }
     plotter.add_points(
         pyvista.PolyData(local),
-        scalars=np.asarray(values, dtype=np.float64),
+        scalars=values,
         point_size=4,
         cmap=plots.MAP,
         scalar_bar_args=bar,

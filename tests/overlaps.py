@@ -16,6 +16,9 @@ from mmqa_lab.run import Run
 TOUCHING_PX = 1.5
 """Boxes of texts include the room of letters that are not there; so much of it may be shared."""
 
+DRAWINGS = ("chart", "frame")
+"""Figures that show no numbers of any kind."""
+
 
 def overlapping_texts(figure):
     """A sentence for each pair of texts that overlap, and for each that leaves the figure."""
@@ -91,6 +94,13 @@ def look(drawn):
     return ("area", drawn.get_hatch() or ""), colour
 
 
+def of_no_kind(figure, name):
+    """A sentence for a figure that does not say which kind of numbers it shows."""
+    said = " ".join(text.get_text() for text in figure.findobj(plt.Text))
+    kinds = (*run.KINDS, "simulated")
+    return [] if name in DRAWINGS or any(kind in said for kind in kinds) else ["no kind is said"]
+
+
 def not_redrawn(figure, file):
     """A sentence for each line and name of a figure that the README's three lines do not draw."""
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -159,7 +169,8 @@ def watch(file):
 
     def save(self, figure, name, **choices):
         save_figure(self, figure, name, **choices)
-        look_at(figure, name, not_redrawn(figure, self.folder / f"{name}_drawn.csv"))
+        more = not_redrawn(figure, self.folder / f"{name}_drawn.csv") + of_no_kind(figure, name)
+        look_at(figure, name, more)
 
     def explored(function, **controls):
         start = {name: control.value for name, control in controls.items()}

@@ -55,7 +55,8 @@ def test_an_arc_of_known_radius_lies_on_its_own_side(side):
     angle = np.radians(side + np.linspace(-60, 60, 40))
     height = np.tile([0.0, 0.5, 1.0, 1.5], 10)
     arc = np.column_stack([0.07 * np.cos(angle), 0.07 * np.sin(angle), height])
-    misfit, way, derivative = _pole_misfit(arc, 0.07)
+    beams = np.tile([-np.cos(np.radians(side)), -np.sin(np.radians(side))], (40, 1))
+    misfit, way, derivative = _pole_misfit(arc, 0.07, beams)
     assert np.abs(misfit).max() < 1e-6  # the circle behind the arc is 2 cm off
     assert np.allclose(way[:, :2] * 0.07, arc[:, :2], atol=1e-6)
     assert derivative.shape == (40, 4)

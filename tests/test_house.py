@@ -22,7 +22,7 @@ PACKAGE = ROOT / "mmqa_lab"
 
 LAYERS = {
     "_checks": 0,
-    "_threads": 0,
+    "_compiled": 0,
     "_polygons": 0,
     "_results": 0,
     "cloud": 0,

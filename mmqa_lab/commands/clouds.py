@@ -185,9 +185,6 @@ def evaluate(options):
     print_rows(table, options, upright=None if options.intervals else "file")
 
 
-IN_MEMORY = 2**30
-"""Maps of fewer bytes than this are read once, larger ones piece by piece at each use."""
-
 METRICS = ("density", "linear_point_distance", "spacing", "f", "sigma_mad", "void_share")
 
 
@@ -227,7 +224,7 @@ def thresholds(text):
     option("--rho0", "DENSITY", "points/m2 asked for: map where f does not matter", float),
     option("--crs", "EPSG:N", "of the files, where they do not say"),
     option("--tile", "M", "side of the tiles; changes no result", float),
-    option("--workers", "N", "processes, default one per core", int),
+    option("--workers", "N", "processes, default by points, up to the cores", int),
     option("--scheduler", "tcp://HOST:PORT", "of a running Dask cluster"),
     *OUTPUT,
     examples=(
@@ -272,8 +269,6 @@ def map_(options):
     folder = options.out.with_suffix(".run")
     outcome = maps.map_campaign(options.cloud, folder, progress=sys.stderr.isatty(), **choices)
     dataset = maps.open_map(folder, crs=options.crs, rho0=options.rho0)
-    if dataset.nbytes < IN_MEMORY:
-        dataset = dataset.persist()
     table = maps.summarise(dataset, below=options.below)
     maps.write_map(dataset, options.out)
     about = _about(outcome, dataset) | {"problems": outcome.problems}

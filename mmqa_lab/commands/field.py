@@ -250,11 +250,6 @@ HIGH = 0.95
 WEAK = 0.02
 """Degrees or metres: a parameter with a larger standard error is hardly determined."""
 
-NO_PATH_STD = (
-    "The standard errors do not contain errors of the paths, which can be many times larger: give "
-    "--path-std."
-)
-
 
 @command(
     "boresight and lever arms of scan heads from drives in both directions",
@@ -275,7 +270,7 @@ NO_PATH_STD = (
     option("--keep", "NAME,NAME", "parameters that stay as assumed", str, ""),
     option("--cell", "M", "size of the planes", float, 1.0),
     option("--patches", "N", "most planes used", int, 500),
-    option("--path-std", "M,DEG", "standard deviations of the paths over a drive: metres, degrees"),
+    option("--path-std", "M,DEG", "standard deviations of the paths over a drive; 0,0: exact"),
     option("--out", "FOLDER", "write corrected clouds and covariance here", Path),
     *OUTPUT,
     examples=(
@@ -291,8 +286,8 @@ def calibrate_(options):
     fitted by least squares; the table has what is to be added to the assumed mounting with its
     standard error, and says what the drives do not determine (EuroSDR 2013, mobile laser scanning,
     section 3.3.3). With --out the corrected clouds and the covariance are written. An error of a
-    path that lasts a whole drive looks like an error of the lever arm; standard errors contain it
-    where --path-std is given.
+    path that lasts a whole drive looks like an error of the lever arm; standard errors and 95 %
+    intervals contain it as --path-std says, without it a usual one that the remarks name.
 
     Vehicle frame: x right, y travel, z up. Roll is about y, pitch about x, heading about -z.
     Several heads are told apart by the column head (0, 1, ...) of the clouds.
@@ -304,7 +299,9 @@ def calibrate_(options):
             "Invalid drives: one drive of one head. Must be two, there and back, or several heads."
         )
     wanted = "metres and degrees, such as 0.01,0.005"
-    path_std = numbers(options.path_std or "0,0", "path-std", wanted, count=2)
+    path_std = (None, None)
+    if options.path_std is not None:
+        path_std = numbers(options.path_std, "path-std", wanted, count=2)
     keep = [name.strip() for name in options.keep.split(",") if name.strip()]
     found = boresight.calibrate(
         drives,
@@ -319,8 +316,7 @@ def calibrate_(options):
     )
     if options.out is not None:
         _write(options, drives, found)
-    remarks = "" if any(path_std) else NO_PATH_STD
-    print_rows(_table(found, keep).assign(remarks=remarks), options)
+    print_rows(_table(found, keep).assign(remarks=found.remarks), options)
 
 
 def _drives(options):

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +30,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._compiled import in_threads
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import across
 
@@ -308,7 +308,8 @@ def components(
     """
     shape, arguments = _arguments(test, model, rotate, within)
     parts = [np.empty(shape) for _ in range(4)]
-    _in_blocks(_components_block, shape, arguments, parts)
+    rows = max(1, BLOCK_PAIRS // max(1, shape[1]))
+    in_threads(_components_block, shape[0], *arguments, *parts, least=rows)
     return Components(*parts)
 
 
@@ -351,7 +352,8 @@ def distance_matrix(
     weight = check_number(weight, "weight", low=0)
     shape, arguments = _arguments(test, model, rotate, within)
     distances = np.empty(shape)
-    _in_blocks(_distances_block, shape, (*arguments, weight), [distances])
+    rows = max(1, BLOCK_PAIRS // max(1, shape[1]))
+    in_threads(_distances_block, shape[0], *arguments, weight, distances, least=rows)
     return distances
 
 
@@ -368,22 +370,6 @@ def _arguments(test, model, rotate, within):
         columns = [middles, vectors / lengths[:, None], lengths[:, None]]
         sides.append(np.ascontiguousarray(np.concatenate(columns, axis=1).T))
     return (len(test), len(model)), (*sides, rotate == "shorter", within == "overlap")
-
-
-def _in_blocks(kernel, shape, arguments, outputs):
-    """Run a compiled kernel over blocks of rows, in threads when there are many pairs."""
-    rows = max(1, BLOCK_PAIRS // max(1, shape[1]))
-    starts = range(0, shape[0], rows)
-
-    def block(start):
-        kernel(start, min(start + rows, shape[0]), *arguments, *outputs)
-
-    if len(starts) > 1:
-        with ThreadPoolExecutor() as threads:
-            list(threads.map(block, starts))
-    else:
-        for start in starts:
-            block(start)
 
 
 @numba.njit

@@ -38,6 +38,9 @@ __dir__ = __all__.copy
 
 ENDINGS = (".nc", ".zarr", ".tif")
 
+IN_MEMORY = 2**30
+"""Maps of fewer bytes than this are read once, larger ones piece by piece at each use."""
+
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 DRAWN = {
@@ -60,7 +63,7 @@ SLIMMEST = 4
 def open_map(
     folder: str | os.PathLike, *, crs: str | None = None, rho0: float | None = None
 ) -> xr.Dataset:
-    """Open the tiles of a run as one lazy Dataset.
+    """Open the tiles of a run as one Dataset, from 1 GiB on a lazy one.
 
     Parameters
     ----------
@@ -373,22 +376,24 @@ def _dataset(arrays, record, crs, rho0):
 
 
 def _blocks(folder, name, places, done, shape):
-    """A variable of all tiles as one lazy array."""
-    import dask.array as da
-    from dask import delayed
-
+    """A variable of all tiles as one array, lazy where the whole map would fill the memory."""
     kind = np.int64 if name in ("n", "coincident") else np.float64
     nothing = 0 if name in ("n", "coincident", "area") else np.nan
-    empty = da.full(shape, nothing, dtype=kind, chunks=shape)
-    load = delayed(read_array, pure=True)
+    empty, loaded, block = np.full(shape, nothing, kind), read_array, np.block
+    if len(places) * len(places[0]) * empty.nbytes * len(FIGURES) > IN_MEMORY:
+        import dask.array as da
+        from dask import delayed
 
-    def block(place):
-        """The array of a tile."""
-        if place not in done:
-            return empty
-        return da.from_delayed(load(str(folder / "tiles" / tile_name(place)), name), shape, kind)
+        load, block = delayed(read_array, pure=True), da.block
 
-    return da.block([[block(place) for place in row] for row in places])
+        def loaded(path, name):
+            return da.from_delayed(load(path, name), shape, kind)
+
+    paths = [
+        [(place in done, str(folder / "tiles" / tile_name(place))) for place in row]
+        for row in places
+    ]
+    return block([[loaded(path, name) if there else empty for there, path in row] for row in paths])
 
 
 def _with_exemption(dataset, rho0):

@@ -190,8 +190,8 @@ def map_campaign(
         Side of the tiles, m, rounded to whole cells; chosen from the number of points when not
         given. Results do not depend on it.
     workers : int, optional
-        Processes on this machine; as many as there are cores when not given. With 1, tiles are
-        computed in this process.
+        Processes on this machine; when not given, one for every 1.5 million points, up to the
+        number of cores. With 1, tiles are computed in this process.
     scheduler : str, optional
         Address of a running Dask scheduler, ``tcp://host:port``; ``workers`` is then up to it. Its
         workers need this package, and the files under the same paths.
@@ -235,8 +235,11 @@ def map_campaign(
     if tile is not None:
         tile = max(1, round(check_positive(tile, "tile", unit="m") / cell))
     run = _Run(Path(folder).resolve(), cell, choices, tile)
+    sources = run.sources(found)
+    if workers is None:
+        workers = min(os.cpu_count(), 1 + sum(source.n for source in sources) // COMFORTABLE)
     with _started(workers, scheduler) as engine:
-        return run.complete(found, lambda *tasks: _shown(engine, progress, *tasks))
+        return run.complete(sources, lambda *tasks: _shown(engine, progress, *tasks))
 
 
 class _Run:
@@ -247,9 +250,8 @@ class _Run:
         self.files, self.tiles = folder / "files", folder / "tiles"
         self.problems, self.remarks = [], []
 
-    def complete(self, found, engine):
+    def complete(self, sources, engine):
         """Unpack, lay out and evaluate what is still missing."""
-        sources = self._sources(found)
         grid = self._begin(sources)
         missing = [s for s in sources if not (self.files / f"{s.key}.npz").is_file()]
         sources = self._distinct(self._unpack(sources, missing, grid, engine))
@@ -302,7 +304,7 @@ class _Run:
                 )
         return record
 
-    def _sources(self, found):
+    def sources(self, found):
         """The files whose headers are sound, in one coordinate reference system."""
         sources = []
         for path in found:
@@ -625,7 +627,7 @@ def _started(count, scheduler):
 
     The result of a task that took four workers with it is the exception.
     """
-    count = check_count(os.cpu_count() if count is None else count, "workers")
+    count = check_count(count, "workers")
     if scheduler is None and count == 1:
         yield lambda function, tasks: ((task, function(*task)) for task in tasks)
         return

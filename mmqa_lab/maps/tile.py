@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 
 from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab._compiled import median
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import quadrant_distances
@@ -670,11 +671,14 @@ def _farthest(xyz, starts, chosen, centres, normals):
 @njit(cache=True)
 def group_medians(values, starts):
     """Median of each group's numbers, NaN left out; NaN where there are none."""
-    medians = np.empty(len(starts) - 1)
+    medians, known = np.empty(len(starts) - 1), np.empty(len(values))
     for g in range(len(medians)):
-        known = values[starts[g] : starts[g + 1]]
-        known = known[~np.isnan(known)]
-        medians[g] = np.median(known) if len(known) else np.nan
+        n = np.int64(0)
+        for i in range(starts[g], starts[g + 1]):
+            if not math.isnan(values[i]):
+                known[n] = values[i]
+                n += 1
+        medians[g] = median(known, n)
     return medians
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.special import lambertw
 
 from mmqa_lab._checks import check_count, check_points, check_positive
+from mmqa_lab._compiled import in_threads
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.planes import Plane, fit_plane
 
@@ -273,14 +274,16 @@ class _Search:
         free = np.add.reduceat((self.owner < 0).astype(np.int64), grid.start[:-1])
         seeds = grid.fullest(free)
         thin = LEAST_SPREAD * grid.edge**2
-        pieces, scores = _try_planes(grid.layout, self.owner, seeds, self.trials, tolerance, thin)
+        pieces, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
+        trials = self.trials, tolerance, thin
+        in_threads(_try_planes, len(seeds), grid.layout, self.owner, seeds, *trials, pieces, scores)
         best = np.argsort(-scores, kind="stable")
         best = best[scores[best] > LEAST_TRIAL / 2]
         starts, limits = (seeds[best], pieces[best]), (tolerance, self.least)
         found, taken = _grow_all(grid.layout, self.owner, *starts, *limits, len(self.centres))
         self.centres = np.concatenate([self.centres, found[:, 0]])
         self.normals = np.concatenate([self.normals, found[:, 1]])
-        self.taken = np.concatenate([self.taken, *taken], axis=1)
+        self.taken = np.concatenate([self.taken, taken], axis=1)
         return len(found) > 0
 
     def assigned(self):
@@ -290,11 +293,27 @@ class _Search:
         near = np.searchsorted(cells, np.arange(len(grid.keys) + 1)), planes
         for _ in range(2):
             surfaces = self.centres, self.normals
-            owner, clear = _assign(grid.layout, near, surfaces, self.tolerance)
+            owner = np.full(len(grid.points), -1, dtype=np.int32)
+            clear = np.zeros(len(grid.points), dtype=bool)
+            given = grid.layout, near, surfaces, self.tolerance, owner, clear
+            in_threads(_assign, len(grid.keys), *given, least=1000)
             _refit(grid.points, owner, clear, *surfaces)
         rows = np.empty(len(owner), dtype=np.int32), np.empty(len(owner), dtype=bool)
         rows[0][grid.order], rows[1][grid.order] = owner, clear
         return rows
+
+
+@numba.njit(cache=True)
+def _first_at(keys, key):
+    """First of the sorted keys that is not below a key."""
+    low, high = 0, len(keys)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @numba.njit(cache=True)
@@ -304,7 +323,7 @@ def _around(keys, steps, cell, reach, out):
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
             key = keys[cell] + i * steps[0] + j * steps[1]
-            k = np.searchsorted(keys, key - reach)
+            k = _first_at(keys, key - reach)
             while k < len(keys) and keys[k] <= key + reach:
                 out[n] = k
                 n += 1
@@ -333,17 +352,18 @@ def _add(moments, points, p, origin):
 
 
 @numba.njit(cache=True)
-def _fit(moments, origin):
-    """Centre, unit normal and mean square residual of the least-squares plane of moments."""
-    mean = moments[1:4] / moments[0]
-    scatter = np.empty((3, 3))
-    k = 4
+def _fit(moments, origin, centre, normal):
+    """Write centre and unit normal of the least-squares plane; return its mean square residual."""
+    scatter, k = np.empty((3, 3)), 4
     for i in range(3):
         for j in range(i, 3):
-            scatter[i, j] = scatter[j, i] = moments[k] / moments[0] - mean[i] * mean[j]
+            means = moments[1 + i] / moments[0] * (moments[1 + j] / moments[0])
+            scatter[i, j] = scatter[j, i] = moments[k] / moments[0] - means
             k += 1
     values, vectors = np.linalg.eigh(scatter)
-    return origin + mean, vectors[:, 0].copy(), max(values[0], 0.0)
+    for i in range(3):
+        centre[i], normal[i] = origin[i] + moments[1 + i] / moments[0], vectors[i, 0]
+    return max(values[0], 0.0)
 
 
 @numba.njit(cache=True)
@@ -351,7 +371,7 @@ def _free_around(grid, owner, cell, room, out):
     """Free points around a cell, at most PER_CELL of each cell, evenly drawn; how many."""
     _, keys, start, steps = grid
     n = 0
-    for c in room[: _around(keys, steps, cell, REACH, room)]:
+    for c in room[: _around(keys, steps, cell, np.int64(REACH), room)]:
         free = 0
         for p in range(start[c], start[c + 1]):
             free += owner[p] < 0
@@ -367,64 +387,65 @@ def _free_around(grid, owner, cell, room, out):
 
 
 @numba.njit(cache=True)
-def _triangle(points, a, b, c, least):
-    """Unit normal of three points; zero for a thin triangle."""
-    normal = np.cross(points[b] - points[a], points[c] - points[a])
-    length = np.sqrt((normal**2).sum())
-    if length <= least:
-        return np.zeros(3)
-    return normal / length
+def _step(points, a, b):
+    """From one point to another."""
+    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
 
 
 @numba.njit(cache=True)
-def _best_trial(points, near, trials, tolerance, least):
-    """Centre and normal of the trial that most neighbours lie on."""
-    best, centre, normal = 0, np.zeros(3), np.zeros(3)
+def _best_trial(points, near, trials, tolerance, least, centre, normal):
+    """Write centre and normal of the trial that most neighbours lie on; return their number."""
+    best, trial = 0, np.empty(3)
     for t in range(len(trials)):
-        chosen = (trials[t] * len(near)).astype(np.int64)
-        a, b, c = near[chosen[0]], near[chosen[1]], near[chosen[2]]
-        trial = _triangle(points, a, b, c, least)
-        if not trial.any():
+        n = len(near)
+        a, b = near[int(trials[t, 0] * n)], near[int(trials[t, 1] * n)]
+        c = near[int(trials[t, 2] * n)]
+        ux, uy, uz = _step(points, a, b)
+        vx, vy, vz = _step(points, a, c)
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = math.sqrt(x * x + y * y + z * z)
+        if length <= least:
             continue
+        trial[0], trial[1], trial[2] = x / length, y / length, z / length
         votes = 0
         for p in near:
             votes += abs(_distance(points, p, points[a], trial)) <= tolerance
         if votes > best:
-            best, centre, normal = votes, points[a].copy(), trial
-    return centre, normal
+            best = votes
+            for i in range(3):
+                centre[i], normal[i] = points[a, i], trial[i]
+    return best
 
 
 @numba.njit(cache=True)
-def _refined(points, near, centre, normal, tolerance):
-    """The plane fitted to the neighbours on it; score: their number less what chance would give."""
-    moments, origin, score = np.zeros(10), centre.copy(), 0.0
+def _refine(points, near, centre, normal, tolerance):
+    """Fit the plane to the neighbours on it; return their number less what chance would give."""
+    moments, origin, score = np.empty(10), centre.copy(), 0.0
     for _ in range(3):
-        moments[:] = 0
+        for k in range(10):
+            moments[k] = 0.0
         for p in near:
             if abs(_distance(points, p, centre, normal)) <= tolerance:
                 _add(moments, points, p, origin)
         if moments[0] < LEAST_TRIAL:
-            return centre, normal, 0.0
-        centre, normal, square = _fit(moments, origin)
+            return 0.0
+        square = _fit(moments, origin, centre, normal)
         score = moments[0] * (1 - square / (ROUGH * tolerance**2))
-    return centre, normal, score
+    return score
 
 
-@numba.njit(cache=True, parallel=True)
-def _try_planes(grid, owner, seeds, trials, tolerance, thin):
+@numba.njit(cache=True, nogil=True)
+def _try_planes(begin, end, grid, owner, seeds, trials, tolerance, thin, pieces, scores):
     """A plane piece around each seed cell: (centre, normal) as (n, 2, 3), and scores."""
-    pieces, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
-    for s in numba.prange(len(seeds)):
-        room = np.empty(AROUND, dtype=np.int64)
-        near = np.empty(PER_CELL * AROUND, dtype=np.int64)
+    room = np.empty(AROUND, dtype=np.int64)
+    near = np.empty(PER_CELL * AROUND, dtype=np.int64)
+    for s in range(begin, end):
         n = _free_around(grid, owner, seeds[s], room, near)
+        centre, normal = pieces[s, 0], pieces[s, 1]
         if n < LEAST_TRIAL:
             continue
-        centre, normal = _best_trial(grid[0], near[:n], trials, tolerance, thin)
-        if normal.any():
-            centre, normal, scores[s] = _refined(grid[0], near[:n], centre, normal, tolerance)
-            pieces[s, 0], pieces[s, 1] = centre, normal
-    return pieces, scores
+        if _best_trial(grid[0], near[:n], trials, tolerance, thin, centre, normal):
+            scores[s] = _refine(grid[0], near[:n], centre, normal, tolerance)
 
 
 @numba.njit(cache=True)
@@ -447,34 +468,38 @@ def _takes(grid, owner, cell, centre, normal, tolerance, moments, origin):
 
 
 @numba.njit(cache=True)
-def _grow(grid, owner, seed, centre, normal, tolerance, refit, mark, desk):
-    """Cells that hang together with the seed's on a plane: their number (in the queue), the plane.
+def _grow(grid, owner, seed, plane, tolerance, refit, mark, desk):
+    """Cells that hang together with the seed's on a plane: their number; they are in the queue.
 
-    With ``refit`` the plane is fitted anew whenever the points have doubled. ``desk`` are arrays
-    to work on: marks, queue, room, moments.
+    The plane, (2, 3), is fitted to their points; with ``refit`` anew whenever they have doubled.
+    ``desk`` are arrays to work on: marks, queue, room, moments.
     """
-    (marks, queue, room, moments), origin = desk, centre.copy()
-    moments[:] = 0
+    (marks, queue, room, moments), origin = desk, plane[0].copy()
+    centre, normal = plane[0], plane[1]
+    for k in range(len(moments)):
+        moments[k] = 0.0
     marks[seed] = mark
     if not _takes(grid, owner, seed, centre, normal, tolerance, moments, origin):
-        return 0, centre, normal
-    queue[0], done, n, fitted = seed, 0, 1, 4 * LEAST_TRIAL
-    while done < n:
-        cell = queue[done]
+        return 0
+    queue[0], done, n, fitted = seed, 0, 1, 4.0 * LEAST_TRIAL
+    while True:
+        full = done == n
+        enough = 3.0 if full else 2 * fitted
+        if (full or (refit and done > 0)) and moments[0] >= enough:
+            fitted = moments[0]
+            _fit(moments, origin, centre, normal)
+        if full:
+            return n
+        around = _around(grid[1], grid[3], queue[done], np.int64(1), room)
         done += 1
-        for other in room[: _around(grid[1], grid[3], cell, 1, room)]:
+        for k in range(around):
+            other = room[k]
             if marks[other] == mark:
                 continue
             marks[other] = mark
             if _takes(grid, owner, other, centre, normal, tolerance, moments, origin):
                 queue[n] = other
                 n += 1
-        if refit and moments[0] >= 2 * fitted:
-            fitted = moments[0]
-            centre, normal, _ = _fit(moments, origin)
-    if moments[0] >= 3:
-        centre, normal, _ = _fit(moments, origin)
-    return n, centre, normal
 
 
 @numba.njit(cache=True)
@@ -493,35 +518,50 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
     marks, queue = np.full(cells, -1, dtype=np.int64), np.empty(cells, dtype=np.int64)
     moments = np.zeros(BESIDE + 1)
     desk = marks, queue, np.empty(27, dtype=np.int64), moments
-    found, mark = 0, 0
-    planes, taken = np.empty((len(seeds), 2, 3)), [np.empty((2, 0), dtype=np.int64)]
+    found, mark, held = 0, np.int64(0), 0  # a bare 0 would be compiled as a kind of its own
+    planes, taken = np.empty((len(seeds), 2, 3)), np.empty((2, 1024), dtype=np.int64)
+    grown = np.empty((2, 3))
     for s in range(len(seeds)):
-        centre, normal, size = pieces[s, 0], pieces[s, 1], 0
+        plane, size, n = pieces[s], 0, 0
         for turn in range(PASSES):
-            n, new_centre, new_normal = _grow(
-                grid, owner, seeds[s], centre, normal, tolerance, turn == 0, mark, desk
-            )
+            _copy(plane, grown)
+            n = _grow(grid, owner, seeds[s], grown, tolerance, turn == 0, mark, desk)
             mark += 1
             if n < least[1] or moments[0] < least[0]:
                 size = 0
                 break
             if turn and n <= size:
                 break
-            size, centre, normal = n, new_centre, new_normal
+            size = n
+            _copy(grown, plane)
         if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
             continue
-        _own(grid, owner, queue[:n], centre, normal, tolerance, first + found)
-        taken.append(np.stack((queue[:n], np.full(n, first + found))))
-        planes[found, 0], planes[found, 1] = centre, normal
+        _own(grid, owner, queue[:n], plane[0], plane[1], tolerance, first + found)
+        if held + n > taken.shape[1]:
+            longer = np.empty((2, 2 * (held + n)), dtype=np.int64)
+            _copy(taken, longer)
+            taken = longer
+        for k in range(n):
+            taken[0, held + k], taken[1, held + k] = queue[k], first + found
+        held += n
+        _copy(plane, planes[found])
         found += 1
-    return planes[:found], taken
+    return planes[:found], taken[:, :held]
+
+
+@numba.njit(cache=True)
+def _copy(values, into):
+    """Write the columns of an array into another one."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
 
 
 @numba.njit(cache=True)
 def _planes_around(keys, steps, bounds, planes, cell, room, out):
     """Different planes that take a cell or one beside it; how many."""
     n = 0
-    for c in room[: _around(keys, steps, cell, 1, room)]:
+    for c in room[: _around(keys, steps, cell, np.int64(1), room)]:
         for k in range(bounds[c], bounds[c + 1]):
             known = False
             for other in out[:n]:
@@ -532,14 +572,12 @@ def _planes_around(keys, steps, bounds, planes, cell, room, out):
     return n
 
 
-@numba.njit(cache=True, parallel=True)
-def _assign(grid, near, surfaces, tolerance):
+@numba.njit(cache=True, nogil=True)
+def _assign(begin, end, grid, near, surfaces, tolerance, owner, clear):
     """The nearest plane around each point within the tolerance (-1: none), and whether the only."""
     (points, keys, start, steps), (centres, normals) = grid, surfaces
-    owner = np.full(len(points), -1, dtype=np.int32)
-    clear = np.zeros(len(points), dtype=np.bool_)
-    for cell in numba.prange(len(keys)):
-        room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
+    room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
+    for cell in range(begin, end):
         n = _planes_around(keys, steps, near[0], near[1], cell, room, around)
         for p in range(start[cell], start[cell + 1]):
             least, claims = tolerance, 0
@@ -550,7 +588,6 @@ def _assign(grid, near, surfaces, tolerance):
                     least = d
                     owner[p] = plane
             clear[p] = claims == 1
-    return owner, clear
 
 
 @numba.njit(cache=True)
@@ -562,7 +599,7 @@ def _refit(points, owner, clear, centres, normals):
             _add(moments[owner[p]], points, p, origins[owner[p]])
     for k in range(len(centres)):
         if moments[k, 0] >= 3:
-            centres[k], normals[k], _ = _fit(moments[k], origins[k])
+            _fit(moments[k], origins[k], centres[k], normals[k])
 
 
 def neighbours(grid, owner, n):

@@ -4,9 +4,12 @@ Everything is counted in height bins that are occupied or not, in sectors and in
 in points: a denser scanner changes them little.
 """
 
-import numpy as np
-from numba import njit, prange
+import math
 
+import numpy as np
+from numba import njit
+
+from mmqa_lab._compiled import in_threads, median, ranked
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import near_axis, rows
 
@@ -119,9 +122,10 @@ def _ring(cells, i, j, half):
 @njit(cache=True)
 def _maxima(cells, count, border, scales):
     """Cells (i, j) that are local maxima of clean bins on one of the scales."""
-    size = len(cells)
-    found = []
-    for core, ring in scales:
+    size, n = len(cells), 0
+    found = np.empty((len(scales) * (size // 4 + 1) ** 2, 2), np.int64)  # tops are 4 cells apart
+    for scale in range(len(scales)):
+        core, ring = scales[scale, 0], scales[scale, 1]
         value = np.zeros((size, size), np.float32)
         bits = _spread(cells, core)
         for i in range(border - 5, size - border + 5):
@@ -130,18 +134,16 @@ def _maxima(cells, count, border, scales):
                     clean = bits[i, j]
                     if ring:
                         clean &= ~_ring(cells, i, j, ring)
-                    n = set_bits(clean)
-                    if n >= LEAST_BINS:
-                        value[i, j] = n + _share(count, i, j, core)
+                    k = set_bits(clean)
+                    if k >= LEAST_BINS:
+                        value[i, j] = k + _share(count, i, j, core)
         reach = max(core + 1, 3)
         for i in range(border, size - border):
             for j in range(border, size - border):
                 if value[i, j] > 0 and _is_top(value, i, j, reach):
-                    found.append((i, j))
-    out = np.zeros((len(found), 2), np.int64)
-    for k in range(len(found)):
-        out[k] = found[k]
-    return out
+                    found[n, 0], found[n, 1] = i, j
+                    n += 1
+    return found[:n]
 
 
 @njit(cache=True)
@@ -239,7 +241,7 @@ their occupied height bins."""
 
 
 @njit(cache=True)
-def fit_axis(x, y, h, x0, y0, wide=0.15, narrow=0.06, iterations=12, upright=1.0):
+def fit_axis(x, y, h, x0, y0, wide, narrow, iterations, upright):
     """Robust straight axis (x, y at h = middle, lean x, lean y, middle) near (x0, y0).
 
     Iteratively reweighted least squares with Geman-McClure weights whose scale shrinks from
@@ -293,8 +295,8 @@ def longest_run(flags, gap):
 @njit(cache=True)
 def _profile(across, level, radius, core, shell):
     """Points of each height bin within the radius and in the shell around it."""
-    core[:] = 0
-    shell[:] = 0
+    for k in range(BINS):
+        core[k], shell[k] = 0, 0
     for k in range(len(across)):
         if across[k] <= radius:
             core[level[k]] += 1
@@ -305,10 +307,10 @@ def _profile(across, level, radius, core, shell):
 @njit(cache=True)
 def _flatness(xx, xy, yy):
     """1 - smaller over larger eigenvalue of a plan covariance, and the direction of the larger."""
-    mean, half = (xx + yy) / 2, np.sqrt((xx - yy) ** 2 / 4 + xy * xy)
+    mean, half = (xx + yy) / 2, math.sqrt((xx - yy) ** 2 / 4 + xy * xy)
     if mean + half <= 0:
         return 0.0, 0.0
-    return 1 - (mean - half) / (mean + half), 0.5 * np.arctan2(2 * xy, xx - yy)
+    return 1 - (mean - half) / (mean + half), 0.5 * math.atan2(2 * xy, xx - yy)
 
 
 @njit(cache=True)
@@ -325,136 +327,164 @@ def _arc(sectors):
 
 
 @njit(cache=True)
-def _describe(x, y, h, xy, given, out, axis):
-    """Write the features and the axis (x, y, lean x, lean y, middle, low, high, radius)."""
-    ax, ay, lx, ly, middle = given
-    if np.isnan(ax):
-        close = np.hypot(x - xy[0], y - xy[1]) < 0.5
-        ax, ay, lx, ly, middle = fit_axis(x[close], y[close], h[close], xy[0], xy[1])
-    n = len(x)
-    dx, dy = x - ax - lx * (h - middle), y - ay - ly * (h - middle)
-    across = np.sqrt(dx * dx + dy * dy)
-    level = np.empty(n, np.int64)
-    for k in range(n):
-        level[k] = min(max(int(h[k] / BIN_M), 0), BINS - 1)
+def _describe(h, dx, dy, across, level, axis, out):
+    """Write the features; ends and radius of the pole-like part go into ``axis``."""
+    n, f = len(h), len(RADII_M)
     core, shell = np.zeros(BINS), np.zeros(BINS)
-    runs = np.zeros((len(RADII_M), 2), np.int64)
-    for r in range(len(RADII_M)):
+    runs, flags, longest = np.zeros((f, 2), np.int64), np.zeros(BINS, np.bool_), 0.0
+    for r in range(f):
         _profile(across, level, RADII_M[r], core, shell)
-        runs[r] = longest_run((core > 0) & (shell <= CLEAN * core), 1)
+        for k in range(BINS):
+            flags[k] = core[k] > 0 and shell[k] <= CLEAN * core[k]
+        runs[r, 0], runs[r, 1] = longest_run(flags, np.int64(1))
         out[r] = (runs[r, 1] - runs[r, 0]) * BIN_M
+        longest = max(longest, out[r])
     r = 0
-    while out[r] < NARROW * out[: len(RADII_M)].max():
+    while out[r] < NARROW * longest:
         r += 1
-    low, high = runs[r]
-    radius = RADII_M[r]
+    low, high, radius = runs[r, 0], runs[r, 1], RADII_M[r]
     _profile(across, level, radius, core, shell)
-    first, last = longest_run(core > 0, 1)
+    for k in range(BINS):
+        flags[k] = core[k] > 0
+    first, last = longest_run(flags, np.int64(1))
     if high == low:
         low, high = first, last
     run = max(high - low, 1)
-    f = len(RADII_M)
     out[f], out[f + 1], out[f + 2], out[f + 3] = radius, run * BIN_M, low * BIN_M, high * BIN_M
     out[f + 4], out[f + 5] = (last - first) * BIN_M, last * BIN_M
-    dense, around = core[low:high].sum(), shell[low:high].sum()
-    out[f + 6] = dense / max(dense + around, 1.0)
-    dense_all, around_all = core[first:last].sum(), shell[first:last].sum()
-    out[f + 7] = dense_all / max(dense_all + around_all, 1.0)
-    out[f + 8], out[f + 9] = np.log1p(dense), np.log1p(dense / (run * BIN_M))
-    out[f + 10] = (core[low:high] > 0).sum() / run
-    _shape(across, level, low, high, radius, out[f + 11 :])
-    out[f + 16] = np.degrees(np.arctan(np.hypot(lx, ly)))
-    out[f + 17] = _wobble(dx, dy, across, level, low, high, radius)
+    dense = _sum(core, low, high)
+    out[f + 6] = dense / max(dense + _sum(shell, low, high), 1.0)
+    whole = _sum(core, first, last)
+    out[f + 7] = whole / max(whole + _sum(shell, first, last), 1.0)
+    out[f + 8], out[f + 9] = math.log1p(dense), math.log1p(dense / (run * BIN_M))
+    out[f + 10] = _filled(core, low, high) / run
+    _shape(dx, dy, across, level, low, high, radius, out[f + 11 :])
+    out[f + 16] = math.degrees(math.atan(math.hypot(axis[2], axis[3])))
     _beside(dx, dy, across, level, low, high, radius, out[f + 18 :])
-    _around(dx, dy, across, level, low, high, radius, core, shell, out[f + 27 :])
-    out[f + 35] = core.sum() / max(n, 1)
-    axis[0], axis[1], axis[2], axis[3], axis[4] = ax, ay, lx, ly, middle
+    _around(dx, dy, across, level, low, high, radius, out[f + 27 :])
+    top = min(high + 8, BINS)
+    out[f + 29], out[f + 30] = _filled(core, high, top) / 8, _filled(shell, high, top) / 8
+    out[f + 31] = _filled(shell, 0, low) / max(low, 1)
+    out[f + 35] = _sum(core, 0, BINS) / max(n, 1)
     axis[5], axis[6], axis[7] = low * BIN_M, high * BIN_M, radius
+    out[f + 36] = _elongation(h, across, axis)
 
 
 @njit(cache=True)
-def _shape(across, level, low, high, radius, out):
-    """Distances from the axis within the run: mean, spread, median, 90 % and their taper."""
-    inside = (level >= low) & (level < high) & (across <= radius)
-    rho, where = across[inside], level[inside]
-    if len(rho) < 2:
-        out[:5] = 0.0
-        return
-    out[0], out[1] = rho.mean() / radius, rho.std() / radius
-    ranked = np.sort(rho)
-    out[2], out[3] = ranked[len(rho) // 2], ranked[int(0.9 * (len(rho) - 1))]
-    half = (low + high) / 2
-    lower, upper = rho[where < half], rho[where >= half]
-    out[4] = 0.0
-    if len(lower) > 1 and len(upper) > 1:
-        out[4] = (np.median(upper) - np.median(lower)) / radius
+def _sum(values, first, last):
+    """Sum of a stretch of an array."""
+    total = 0.0
+    for k in range(first, last):
+        total += values[k]
+    return total
 
 
 @njit(cache=True)
-def _wobble(dx, dy, across, level, low, high, radius):
-    """Root mean square distance of the bins' centres from the axis."""
-    total, bins = 0.0, 0
+def _filled(counts, first, last):
+    """Number of bins of a stretch with points."""
+    n = 0
+    for k in range(first, last):
+        n += counts[k] > 0
+    return n
+
+
+@njit(cache=True)
+def _shape(dx, dy, across, level, low, high, radius, out):
+    """Distances from the axis within the run: mean, spread, median, 90 %, taper; and the wobble.
+
+    The wobble, at place 6, is the root mean square distance of the bins' centres from the axis.
+    """
+    rho, upper, n, above = np.empty(len(across)), np.empty(len(across)), 0, 0
+    sums = np.zeros((BINS, 3))
+    total, half = 0.0, (low + high) / 2
+    lower = np.empty(len(across))
+    for k in range(len(across)):
+        if low <= level[k] < high and across[k] <= radius:
+            rho[n] = across[k]
+            if level[k] < half:
+                lower[n - above] = across[k]
+            else:
+                upper[above] = across[k]
+                above += 1
+            total += across[k]
+            n += 1
+            sums[level[k], 0] += dx[k]
+            sums[level[k], 1] += dy[k]
+            sums[level[k], 2] += 1
+    wobble, bins = 0.0, 0
     for b in range(low, high):
-        inside = (level == b) & (across <= radius)
-        if inside.any():
-            total += dx[inside].mean() ** 2 + dy[inside].mean() ** 2
+        if sums[b, 2] > 0:
+            wobble += (sums[b, 0] / sums[b, 2]) ** 2 + (sums[b, 1] / sums[b, 2]) ** 2
             bins += 1
-    return np.sqrt(total / max(bins, 1))
+    out[6] = math.sqrt(wobble / max(bins, 1))
+    for k in range(5):
+        out[k] = 0.0
+    if n < 2:
+        return
+    mean, square = total / n, 0.0
+    for k in range(n):
+        square += (rho[k] - mean) * (rho[k] - mean)
+    out[0], out[1] = mean / radius, math.sqrt(square / n) / radius
+    out[2], out[3] = ranked(rho, n, n // 2), ranked(rho, n, int(0.9 * (n - 1)))
+    if above > 1 and n - above > 1:
+        out[4] = (median(upper, above) - median(lower, n - above)) / radius
 
 
 @njit(cache=True)
 def _beside(dx, dy, across, level, low, high, radius, out):
     """What stands beside the run, by distance and azimuth: 9 numbers."""
-    held = np.zeros((3, BINS), np.bool_)
-    sectors = np.zeros((3, SECTORS), np.bool_)
+    held, sectors = np.zeros((3, BINS)), np.zeros((4, SECTORS), np.bool_)
     for k in range(len(dx)):
         if level[k] < low or level[k] >= high or across[k] <= radius + 0.03:
             continue
         ring = 0 if across[k] <= 0.5 else (1 if across[k] <= 1.0 else 2)
-        held[ring, level[k]] = True
-        turn = (np.arctan2(dy[k], dx[k]) / (2 * np.pi)) % 1.0
-        sectors[ring, min(int(turn * SECTORS), SECTORS - 1)] = True
+        held[ring, level[k]] = 1
+        turn = (math.atan2(dy[k], dx[k]) / (2 * np.pi)) % 1.0
+        sector = min(int(turn * SECTORS), SECTORS - 1)
+        sectors[ring, sector] = sectors[3, sector] = True
     run = max(high - low, 1)
     empty, opposite = _arc(sectors[0])
-    out[0], out[1], out[2] = sectors[0].sum(), empty, opposite
+    out[1], out[2], out[8] = empty, opposite, _arc(sectors[3])[1]
+    out[0], out[6], out[7] = 0.0, 0.0, 0.0
+    for k in range(SECTORS):
+        out[0] += sectors[0, k]
+        out[6] += sectors[1, k]
+        out[7] += sectors[2, k]
     for ring in range(3):
-        out[3 + ring] = held[ring].sum() / run
-    out[6], out[7] = sectors[1].sum(), sectors[2].sum()
-    out[8] = _arc(sectors[0] | sectors[1] | sectors[2])[1]
+        out[3 + ring] = _sum(held[ring], 0, BINS) / run
 
 
 @njit(cache=True)
-def _around(dx, dy, across, level, low, high, radius, core, shell, out):
-    """Lines and slabs around the run, and what is above and below it: 8 numbers."""
-    above, below = (
-        np.zeros((2 * HALF, 2 * HALF), np.bool_),
-        np.zeros((2 * HALF, 2 * HALF), np.bool_),
-    )
-    sums, highest = np.zeros(6), 0
+def _around(dx, dy, across, level, low, high, radius, out):
+    """Lines and slabs around the run, and the highest point: numbers 0, 1, 5, 6 and 7."""
+    above, below = np.zeros((2 * HALF) ** 2), np.zeros((2 * HALF) ** 2)
+    n, u, v, uu, uv, vv, highest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for k in range(len(dx)):
-        i, j = int(np.floor(dx[k] / CELL_M)), int(np.floor(dy[k] / CELL_M))
+        i, j = math.floor(dx[k] / CELL_M), math.floor(dy[k] / CELL_M)
         highest = max(highest, level[k])
         if -HALF <= i < HALF and -HALF <= j < HALF:
-            above[i + HALF, j + HALF] |= high <= level[k] < high + 2
-            below[i + HALF, j + HALF] |= low - 2 <= level[k] < low
+            cell = (i + HALF) * 2 * HALF + j + HALF
+            if high <= level[k] < high + 2:
+                above[cell] = 1
+            if low - 2 <= level[k] < low:
+                below[cell] = 1
         if low <= level[k] < high and across[k] > radius + 0.03:
-            u, v = dx[k], dy[k]
-            for m, moment in enumerate((1.0, u, v, u * u, u * v, v * v)):
-                sums[m] += moment
+            n += 1
+            u += dx[k]
+            v += dy[k]
+            uu += dx[k] * dx[k]
+            uv += dx[k] * dy[k]
+            vv += dy[k] * dy[k]
     out[0], out[1] = 0.0, REACH_M
-    if sums[0] >= 5:
-        m = sums / sums[0]
-        out[0], turn = _flatness(m[3] - m[1] ** 2, m[4] - m[1] * m[2], m[5] - m[2] ** 2)
-        out[1] = abs(m[1] * np.sin(turn) - m[2] * np.cos(turn))
-    top = min(high + 8, BINS)
-    out[2] = (core[high:top] > 0).sum() / 8
-    out[3] = (shell[high:top] > 0).sum() / 8
-    out[4] = (shell[:low] > 0).sum() / max(low, 1)
-    out[5], out[6] = above.sum() / above.size, below.sum() / below.size
+    if n >= 5:
+        u, v, uu, uv, vv = u / n, v / n, uu / n, uv / n, vv / n
+        out[0], turn = _flatness(uu - u**2, uv - u * v, vv - v**2)
+        out[1] = abs(u * math.sin(turn) - v * math.cos(turn))
+    out[5] = _sum(above, 0, len(above)) / len(above)
+    out[6] = _sum(below, 0, len(below)) / len(below)
     out[7] = highest * BIN_M
 
 
-@njit(cache=True, parallel=True)
 def describe(points, height, start, base, xy, given):
     """Return features (k, len(NAMES)) and axes (k, 8) of candidates.
 
@@ -474,80 +504,102 @@ def describe(points, height, start, base, xy, given):
         and upper end of the pole-like part above ground, radius of the core.
     """
     features, axes = np.zeros((len(xy), len(NAMES))), np.zeros((len(xy), 8))
-    for c in prange(len(xy)):
-        _candidate(points, height, start, base, xy[c], given[c], features[c], axes[c])
+    in_threads(_candidates, len(xy), points, height, start, base, xy, given, features, axes)
     return features, axes
 
 
-@njit(cache=True)
-def _candidate(points, height, start, base, xy, given, out, axis):
-    """Write the features and the axis of one candidate."""
-    near = near_axis(points, start, base, xy[0], xy[1], REACH_M)
-    n = 0
-    for i in near:
-        if 0.1 < height[i] < BINS * BIN_M:
-            near[n] = i
-            n += 1
-    x, y, h = np.empty(n), np.empty(n), np.empty(n)
-    for k in range(n):
-        x[k], y[k], h[k] = points[near[k], 0], points[near[k], 1], height[near[k]]
-    _describe(x, y, h, xy, given, out, axis)
-    out[42] = _elongation(x, y, h, axis)
-    _hollow(x, y, h, axis, out[43:])
+@njit(cache=True, nogil=True)
+def _candidates(begin, end, points, height, start, base, xy, given, features, axes):
+    """Write the features and the axes of the candidates from ``begin`` to ``end``."""
+    for c in range(begin, end):
+        near = near_axis(points, start, base, xy[c, 0], xy[c, 1], REACH_M)
+        x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+        n = 0
+        for i in near:
+            if 0.1 < height[i] < BINS * BIN_M:
+                x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
+                n += 1
+        axis = axes[c]
+        for k in range(5):
+            axis[k] = given[c, k]
+        if math.isnan(axis[0]):
+            u, v, w = np.empty(n), np.empty(n), np.empty(n)
+            close = 0
+            for k in range(n):
+                if math.hypot(x[k] - xy[c, 0], y[k] - xy[c, 1]) < 0.5:
+                    u[close], v[close], w[close] = x[k], y[k], h[k]
+                    close += 1
+            axis[0], axis[1], axis[2], axis[3], axis[4] = fit_axis(
+                u[:close], v[:close], w[:close], xy[c, 0], xy[c, 1], 0.15, 0.06, np.int64(12), 1.0
+            )
+        dx, dy, across = np.empty(n), np.empty(n), np.empty(n)
+        level = np.empty(n, np.int64)
+        for k in range(n):
+            dx[k] = x[k] - axis[0] - axis[2] * (h[k] - axis[4])
+            dy[k] = y[k] - axis[1] - axis[3] * (h[k] - axis[4])
+            across[k] = math.sqrt(dx[k] * dx[k] + dy[k] * dy[k])
+            level[k] = min(max(int(h[k] / BIN_M), 0), BINS - 1)
+        _describe(h, dx, dy, across, level, axis, features[c])
+        _hollow(h, dx, dy, features[c, 43:])
 
 
 @njit(cache=True)
-def _elongation(x, y, h, axis):
+def _elongation(h, across, axis):
     """Length of the run over twice the median distance of its points from the axis."""
-    dx = x - axis[0] - axis[2] * (h - axis[4])
-    dy = y - axis[1] - axis[3] * (h - axis[4])
-    across = np.sqrt(dx * dx + dy * dy)
-    inside = (h >= axis[5]) & (h < axis[6]) & (across <= axis[7])
-    if not inside.any():
+    own, n = np.empty(len(h)), 0
+    for k in range(len(h)):
+        if axis[5] <= h[k] < axis[6] and across[k] <= axis[7]:
+            own[n] = across[k]
+            n += 1
+    if n == 0:
         return 0.0
-    return min((axis[6] - axis[5]) / (2 * np.median(across[inside]) + 0.01), 100.0)
+    return min((axis[6] - axis[5]) / (2 * median(own, n) + 0.01), 100.0)
 
 
 @njit(cache=True)
-def _hollow(x, y, h, axis, out):
+def _hollow(h, dx, dy, out):
     """Write how well a hollow cylinder near the axis explains the points: 5 numbers.
 
     Distances from each tried axis fall into rings of 5 mm, of which all radii are made.
     """
-    dx = x - axis[0] - axis[2] * (h - axis[4])
-    dy = y - axis[1] - axis[3] * (h - axis[4])
-    inside = (h < HOLLOW_TOP_M) & (dx * dx + dy * dy < HOLLOW_REACH_M**2)
-    step = max(inside.sum() // HOLLOW_POINTS, 1)
-    dx, dy, bins = dx[inside][::step], dy[inside][::step], (h[inside][::step] / BIN_M)
-    n, best, best_r = len(dx), -1.0, 0
-    bit = np.uint64(1) << bins.astype(np.uint64)
+    inside, bit, n = np.empty(len(h), np.int64), np.empty(len(h), np.uint64), 0
+    for k in range(len(h)):
+        bit[k] = np.uint64(1) << np.uint64(h[k] / BIN_M)
+        if h[k] < HOLLOW_TOP_M and dx[k] * dx[k] + dy[k] * dy[k] < HOLLOW_REACH_M**2:
+            inside[n] = k
+            n += 1
+    step, best, best_r = max(n // HOLLOW_POINTS, 1), -1.0, 0
     count, held = np.empty(RINGS, np.int64), np.empty(RINGS, np.uint64)
     for i in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
         for j in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
-            count[:] = 0
-            held[:] = 0
-            for k in range(n):
+            for ring in range(RINGS):
+                count[ring], held[ring] = 0, 0
+            for m in range(0, n, step):
+                k = inside[m]
                 u, v = dx[k] - i * HOLLOW_STEP_M, dy[k] - j * HOLLOW_STEP_M
-                ring = int(np.sqrt(u * u + v * v) / RING_M)
+                ring = int(math.sqrt(u * u + v * v) / RING_M)
                 if ring < RINGS:
                     count[ring] += 1
                     held[ring] |= bit[k]
             for r in range(len(HOLLOW_RINGS)):
-                first, last, end = HOLLOW_RINGS[r]
-                on, within, beside = count[first:last].sum(), count[:first].sum(), 0
-                beside = count[last:end].sum()
+                first, last, end = HOLLOW_RINGS[r, 0], HOLLOW_RINGS[r, 1], HOLLOW_RINGS[r, 2]
+                on, within, beside = 0, 0, 0
                 band, inner = np.uint64(0), np.uint64(0)
                 for m in range(first):
+                    within += count[m]
                     inner |= held[m]
                 for m in range(first, last):
+                    on += count[m]
                     band |= held[m]
+                for m in range(last, end):
+                    beside += count[m]
                 clean = set_bits(band & ~inner)
                 value = clean + on / (on + within + beside + 1.0)
                 if value > best or (value == best and r < best_r):
                     best, best_r = value, r
                     out[0], out[1], out[2] = clean, on / max(on + within, 1), HOLLOW_RADII_M[r]
                     out[3] = on / max(on + within + beside, 1)
-    out[4] = np.log1p(n * step)
+    out[4] = math.log1p((n + step - 1) // step * step)
 
 
 def describe_facades(points, height, axes):
@@ -564,7 +616,8 @@ def describe_facades(points, height, axes):
     """
     found = rows(tall_cells(points, height))
     out = np.zeros((len(axes), len(FACADE_NAMES)))
-    _facades(found.points, found.start, found.base, np.ascontiguousarray(axes[:, :2]), out)
+    xy = np.ascontiguousarray(axes[:, :2])
+    in_threads(_facades, len(xy), found.points, found.start, found.base, xy, out)
     return out
 
 
@@ -587,14 +640,16 @@ def tall_cells(points, height):
     return np.column_stack([(place[tall] + 0.5) * CELL_M, bins[tall]])
 
 
-@njit(cache=True, parallel=True)
-def _facades(cells, start, base, xy, out):
-    """Write the features of each candidate."""
-    for c in prange(len(xy)):
+@njit(cache=True, nogil=True)
+def _facades(begin, end, cells, start, base, xy, out):
+    """Write the features of the candidates from ``begin`` to ``end``."""
+    for c in range(begin, end):
         near = near_axis(cells, start, base, xy[c, 0], xy[c, 1], WALL_REACH_M)
-        u, v = cells[near, 0] - xy[c, 0], cells[near, 1] - xy[c, 1]
-        other = np.hypot(u, v) > OWN_M
-        _strip(u[other], v[other], cells[near[other], 2], out[c])
+        u, v, bins, n = np.empty(len(near)), np.empty(len(near)), np.empty(len(near)), 0
+        for k in near:
+            u[n], v[n], bins[n] = cells[k, 0] - xy[c, 0], cells[k, 1] - xy[c, 1], cells[k, 2]
+            n += math.hypot(u[n], v[n]) > OWN_M
+        _strip(u[:n], v[:n], bins[:n], out[c])
 
 
 @njit(cache=True)
@@ -606,10 +661,9 @@ def _strip(u, v, bins, out):
     held = np.zeros(steps, np.uint64)  # a bit for each cell's length along the strip
     count, total = np.zeros(steps), np.zeros(steps)
     for turn in range(TURNS):
-        c, s = np.cos(np.pi * turn / TURNS), np.sin(np.pi * turn / TURNS)
-        held[:] = 0
-        count[:] = 0
-        total[:] = 0
+        c, s = math.cos(np.pi * turn / TURNS), math.sin(np.pi * turn / TURNS)
+        for k in range(steps):
+            held[k], count[k], total[k] = 0, 0, 0
         for k in range(len(u)):
             step = int((u[k] * s - v[k] * c + WALL_REACH_M) / half)
             held[step] |= np.uint64(1) << np.uint64((u[k] * c + v[k] * s + WALL_REACH_M) / CELL_M)

@@ -11,12 +11,14 @@ alone (``only_ground`` does as the report); trees are recognised by the width of
 the shapes of sub-components, and signs are not distinguished from other poles.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from scipy.spatial import cKDTree
 
+from mmqa_lab._compiled import in_threads
 from mmqa_lab.poles import common
 
 GROUND, WALL, RAISED = 0, 1, 2
@@ -155,7 +157,7 @@ def _rectangles(xy, first):
     """Centre, diagonal and longer side of the rectangle of each run of points, (k, 4)."""
     out = np.empty((len(first) - 1, 4))
     for k in range(len(first) - 1):
-        out[k] = _rectangle(xy[first[k] : first[k + 1]])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = _rectangle(xy[first[k] : first[k + 1]])
     return out
 
 
@@ -289,7 +291,10 @@ def planar_segments(points, settings):
     thick = ~_is_flat(count, values, settings) & (count >= LEAST_VOTES)
     order = np.argsort(cell, kind="stable")
     start = np.searchsorted(cell[order], np.arange(len(index) + 1))
-    on[order] = _on_seeds(off[order], start, thick, _directions(), settings.plane_thickness)
+    sorted_on = np.ones(len(points), dtype=bool)
+    sorted_off = (off[order], start, thick, _directions(), settings.plane_thickness)
+    in_threads(_on_seeds, len(thick), *sorted_off, sorted_on)
+    on[order] = sorted_on
     count, centre, values, normals = _planes(off, cell, on)
     centre += (index + 0.5) * settings.plane_cell
     flat = _is_flat(count, values, settings)
@@ -333,36 +338,41 @@ def _directions():
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
-@njit(cache=True, parallel=True)
-def _on_seeds(off, start, thick, directions, thickness):
+@njit(cache=True, nogil=True)
+def _on_seeds(begin, end, off, start, thick, directions, thickness, on):
     """Which points, sorted by cell, lie on the seed plane of their cell; all of those not thick."""
-    on = np.ones(len(off), np.bool_)
-    for c in prange(len(thick)):
+    for c in range(begin, end):
         if thick[c]:
-            part = off[start[c] : start[c + 1]]
-            on[start[c] : start[c + 1]] = _seed(part, directions, thickness)
-    return on
+            _seed(off[start[c] : start[c + 1]], directions, thickness, on[start[c] : start[c + 1]])
 
 
 @njit(cache=True)
-def _seed(part, directions, thickness):
-    """Which points lie on the plane with the most votes."""
-    most, best, best_bin = 0, 0, 0
-    reach = int(np.sqrt((part**2).sum(axis=1).max()) / (2 * thickness)) + 1
-    votes = np.zeros(2 * reach + 1, np.int64)
-    for d in range(len(directions)):
-        votes[:] = 0
-        for k in range(len(part)):
-            away = (part[k] * directions[d]).sum()
-            votes[int(np.floor(away / (2 * thickness))) + reach] += 1
-        top = votes.argmax()
-        if votes[top] > most:
-            most, best, best_bin = votes[top], d, top
-    middle = (best_bin - reach + 0.5) * 2 * thickness
-    on = np.empty(len(part), np.bool_)
+def _seed(part, directions, thickness, on):
+    """Write which points lie on the plane with the most votes."""
+    most, best, best_bin, farthest = 0, 0, 0, 0.0
     for k in range(len(part)):
-        on[k] = abs((part[k] * directions[best]).sum() - middle) <= 2 * thickness
-    return on
+        farthest = max(farthest, part[k, 0] ** 2 + part[k, 1] ** 2 + part[k, 2] ** 2)
+    reach = int(math.sqrt(farthest) / (2 * thickness)) + 1
+    votes = np.empty(2 * reach + 1, np.int64)
+    for d in range(len(directions)):
+        for top in range(len(votes)):
+            votes[top] = 0
+        for k in range(len(part)):
+            away = _along(part, k, directions, d)
+            votes[math.floor(away / (2 * thickness)) + reach] += 1
+        for top in range(len(votes)):
+            if votes[top] > most:
+                most, best, best_bin = votes[top], d, top
+    middle = (best_bin - reach + 0.5) * 2 * thickness
+    for k in range(len(part)):
+        on[k] = abs(_along(part, k, directions, best) - middle) <= 2 * thickness
+
+
+@njit(cache=True)
+def _along(points, k, directions, d):
+    """Coordinate of a point along a direction."""
+    x, y, z = points[k, 0], points[k, 1], points[k, 2]
+    return x * directions[d, 0] + y * directions[d, 1] + z * directions[d, 2]
 
 
 def _extents(centre, part, n):

@@ -14,11 +14,13 @@ from the line. The place of the scanner is not needed: where one pulse hits leav
 what stands behind them, the step between the two points lies along the ray.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from mmqa_lab._compiled import in_threads, median, ranked, sort
 from mmqa_lab.poles.common import beside, near_axis, rows
 from mmqa_lab.poles.features import BIN_M, BINS, MAX_LEAN, fit_axis, longest_run, set_bits
 from mmqa_lab.scan_pattern import revolutions_from_time
@@ -110,23 +112,37 @@ def in_order(points, line, place):
     points, line, pulse = points[order], line[order], pulse[order]
     number = np.cumsum(np.diff(line, prepend=line[:1]) != 0)
     start = np.searchsorted(number, np.arange(number.max(initial=-1) + 2))
-    return Lines(points, number, pulse, _nearest(points, pulse, start))
-
-
-@njit(cache=True, parallel=True)
-def _nearest(points, pulse, start):
-    """Where the points of each line lie closest: the foot of the scanner, or not far from it."""
     near = np.zeros((len(start) - 1, 2))
-    for k in prange(len(near)):
-        low, high = start[k], start[k + 1]
-        gap = np.full(high - low, np.inf)
-        for i in range(low, high - 1):
-            if pulse[i + 1] - pulse[i] == 1:
-                gap[i - low] = np.sqrt(((points[i + 1] - points[i]) ** 2).sum())
-        chosen = gap <= np.sort(gap)[len(gap) // 10]  # a partition takes 6 s more to compile
-        for axis in range(2):
-            near[k, axis] = points[low:high, axis][chosen].mean()
-    return near
+    in_threads(_nearest, len(near), points, pulse, start, near)
+    return Lines(points, number, pulse, near)
+
+
+@njit(cache=True, nogil=True)
+def _nearest(begin, end, points, pulse, start, near):
+    """Where the points of each line lie closest: the foot of the scanner, or not far from it."""
+    for k in range(begin, end):
+        low, n = start[k], start[k + 1] - start[k]
+        gap, sorting = np.empty(n), np.empty(n)
+        for i in range(n):
+            gap[i] = math.inf
+            if i + 1 < n and pulse[low + i + 1] - pulse[low + i] == 1:
+                gap[i] = _gap(points, low + i)
+            sorting[i] = gap[i]
+        least, x, y, count = ranked(sorting, n, n // 10), 0.0, 0.0, 0
+        for i in range(n):
+            if gap[i] <= least:
+                x += points[low + i, 0]
+                y += points[low + i, 1]
+                count += 1
+        near[k, 0], near[k, 1] = x / count, y / count
+
+
+@njit(cache=True)
+def _gap(points, k):
+    """Distance of a point from the next one."""
+    x, y = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+    z = points[k + 1, 2] - points[k, 2]
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def _varies(cloud, name):
@@ -262,16 +278,15 @@ def _cut(points, line, pulse):
     gap = np.full(n + 1, np.inf)
     for k in range(1, n):
         if line[k] == line[k - 1] and pulse[k] - pulse[k - 1] <= MISSING:
-            gap[k] = np.sqrt(((points[k] - points[k - 1]) ** 2).sum())
-    first, last, free = [], [], []
-    begin = 0
+            gap[k] = _gap(points, k - 1)
+    first, last, free = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    begin, groups = 0, 0
     for k in range(1, n + 1):
         if gap[k] > GAP_M[0] and gap[k] > min(3 * _third(gap, k), GAP_M[1]):
-            first.append(begin)
-            last.append(k - 1)
-            free.append((gap[begin] > FREE_M) + (gap[k] > FREE_M))
-            begin = k
-    return np.array(first), np.array(last), np.array(free)
+            first[groups], last[groups] = begin, k - 1
+            free[groups] = (gap[begin] > FREE_M) + (gap[k] > FREE_M)
+            begin, groups = k, groups + 1
+    return first[:groups], last[:groups], free[:groups]
 
 
 @njit(cache=True)
@@ -290,23 +305,24 @@ def _third(gap, k):
 
 def stack_candidates(groups):
     """Return plan positions (k, 2) where groups stack up."""
-    support, xy = _support(*groups[:5])
-    top = _tops(*groups[:4], support)
+    n = len(groups.middle)
+    support, xy, top = np.zeros(n), np.zeros((n, 2)), np.zeros(n, bool)
+    in_threads(_support, n, *groups[:5], support, xy)
+    in_threads(_tops, n, *groups[:4], support, top)
     return xy[top]
 
 
-@njit(cache=True, parallel=True)
-def _support(middle, start, low, height, width):
+@njit(cache=True, nogil=True)
+def _support(begin, end, middle, start, low, height, width, support, xy):
     """Bins filled above and below each group, 0 without contrast, and the middle of its stack."""
-    support, xy = np.zeros(len(middle)), np.zeros((len(middle), 2))
-    for g in prange(len(middle)):
+    for g in range(begin, end):
         near = near_axis(middle, start, low, middle[g, 0], middle[g, 1], AROUND_M)
         bits, inside, around, x, y = np.uint64(0), 0, 0, 0.0, 0.0
         for k in near:
             rise = height[k] - height[g]
             if abs(rise) >= SPAN_M:
                 continue
-            away = np.hypot(middle[k, 0] - middle[g, 0], middle[k, 1] - middle[g, 1])
+            away = math.hypot(middle[k, 0] - middle[g, 0], middle[k, 1] - middle[g, 1])
             if away > SUPPORT_M:
                 around += 1
             elif abs(width[k] - width[g]) <= 0.5 * max(width[k], width[g]) + 0.03:
@@ -319,35 +335,40 @@ def _support(middle, start, low, height, width):
         n = set_bits(bits)
         if n >= LEAST_BINS and inside * ratio >= CONTRAST * around:
             support[g] = n + inside / (inside + 50.0)
-    return support, xy
 
 
-@njit(cache=True, parallel=True)
-def _tops(middle, start, low, height, support):
+@njit(cache=True, nogil=True)
+def _tops(begin, end, middle, start, low, height, support, top):
     """Whether the support of a group is the largest within 0.3 m in plan, first of equals."""
-    top = np.zeros(len(middle), np.bool_)
-    for g in prange(len(middle)):
+    for g in range(begin, end):
         if support[g] == 0:
             continue
         top[g] = True
         for k in near_axis(middle, start, low, middle[g, 0], middle[g, 1], 0.3):
-            if support[k] > support[g] or (
-                support[k] == support[g] and (height[k], k) < (height[g], g)
-            ):
+            lower = height[k] < height[g] or (height[k] == height[g] and k < g)
+            if support[k] > support[g] or (support[k] == support[g] and lower):
                 top[g] = False
                 break
-    return top
 
 
-@njit(cache=True, parallel=True)
 def axes_of(middle, start, low, height, xy):
-    """Robust axes (k, 5) of the stacks at plan positions ``xy``."""
+    """Return robust axes (k, 5) of the stacks at plan positions ``xy``."""
     out = np.zeros((len(xy), 5))
-    for c in prange(len(xy)):
-        near = near_axis(middle, start, low, xy[c, 0], xy[c, 1], 0.4)
-        x, y, h = middle[near, 0], middle[near, 1], height[near]
-        out[c] = np.array(fit_axis(x, y, h, xy[c, 0], xy[c, 1], 0.12, 0.04, 10, 2.0))
+    in_threads(_axes, len(xy), middle, start, low, height, xy, out)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _axes(begin, end, middle, start, low, height, xy, out):
+    """Write the axes of :func:`axes_of`."""
+    for c in range(begin, end):
+        near = near_axis(middle, start, low, xy[c, 0], xy[c, 1], 0.4)
+        x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+        for k in range(len(near)):
+            x[k], y[k], h[k] = middle[near[k], 0], middle[near[k], 1], height[near[k]]
+        out[c, 0], out[c, 1], out[c, 2], out[c, 3], out[c, 4] = fit_axis(
+            x, y, h, xy[c, 0], xy[c, 1], 0.12, 0.04, np.int64(10), 2.0
+        )
 
 
 def describe_stacks(groups, axes):
@@ -360,57 +381,72 @@ def describe_stacks(groups, axes):
         x, y at height ``middle`` above ground, lean x, lean y, middle.
     """
     features, ends = np.zeros((len(axes), len(STACK_NAMES))), np.zeros((len(axes), 2))
-    _stacks(*groups, np.ascontiguousarray(axes[:, :5]), features, ends)
+    in_threads(_stacks, len(axes), *groups, np.ascontiguousarray(axes[:, :5]), features, ends)
     return features, ends
 
 
-@njit(cache=True, parallel=True)
-def _stacks(middle, start, low, height, width, count, free, axes, features, ends):
+@njit(cache=True, nogil=True)
+def _stacks(begin, end, middle, start, low, height, width, count, free, axes, features, ends):
     """Write features and ends of each axis."""
-    for c in prange(len(axes)):
-        ax, ay, lx, ly, at = axes[c]
+    for c in range(begin, end):
+        ax, ay, lx, ly, at = axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3], axes[c, 4]
         reach = AROUND_M + MAX_LEAN * GROUPS_TO_M / 2
         near = near_axis(middle, start, low, ax, ay, reach)
         away = np.empty(len(near))
-        for i, k in enumerate(near):
+        for i in range(len(near)):
+            k = near[i]
             u = height[k] - at
-            away[i] = np.hypot(middle[k, 0] - ax - lx * u, middle[k, 1] - ay - ly * u)
+            away[i] = math.hypot(middle[k, 0] - ax - lx * u, middle[k, 1] - ay - ly * u)
         _stack(near, away, height, width, count, free, features[c], ends[c])
 
 
 @njit(cache=True)
 def _stack(near, away, height, width, count, free, out, end):
     """Write features and ends of one axis; all zero where no group is aligned."""
-    chosen = away <= ALIGNED_M
-    if not chosen.any():
+    wide, n = np.empty(len(near)), np.int64(0)
+    for i in range(len(near)):
+        if away[i] <= ALIGNED_M:
+            wide[n] = width[near[i]]
+            n += 1
+    if n == 0:
         return
-    usual = np.median(width[near[chosen]])
-    chosen &= width[near] <= 2 * usual + 0.05
+    usual = median(wide, n)
     filled = np.zeros(BINS, np.bool_)
-    for k in near[chosen]:
-        filled[int(height[k] / BIN_M)] = True
-    begin, stop = longest_run(filled, 2)
-    inside = (height[near] >= begin * BIN_M) & (height[near] < stop * BIN_M)
-    own = near[chosen & inside]
-    if not len(own):
-        return
-    points, others, rivals = count[own].sum(), 0, 0
-    for i, k in enumerate(near):
-        if inside[i] and not chosen[i] and away[i] <= AROUND_M:
+    for i in range(len(near)):
+        if away[i] <= ALIGNED_M and width[near[i]] <= 2 * usual + 0.05:
+            filled[int(height[near[i]] / BIN_M)] = True
+    begin, stop = longest_run(filled, np.int64(2))
+    spacing = np.empty(len(near))
+    n, points, others, rivals, square, both, one = 0, 0, 0, 0, 0.0, 0, 0
+    for i in range(len(near)):
+        k = near[i]
+        if not begin * BIN_M <= height[k] < stop * BIN_M:
+            continue
+        if away[i] <= ALIGNED_M and width[k] <= 2 * usual + 0.05:
+            wide[n], spacing[n] = width[k], width[k] / (count[k] - 1)
+            points += count[k]
+            square += away[i] ** 2
+            both += free[k] == 2
+            one += free[k] == 1
+            n += 1
+        elif away[i] <= AROUND_M:
             rivals += 1
             if away[i] <= 0.5 * usual + 0.25:
                 others += count[k]
-    wide = width[own]
-    out[0], out[1] = (stop - begin) * BIN_M, np.log1p(len(own))
-    out[2] = points / (points + others)
-    out[3] = np.median(wide)
-    out[4] = np.median(np.abs(wide - out[3])) / (out[3] + 0.02)
-    out[5] = np.sqrt((away[chosen & inside] ** 2).mean())
-    out[6], out[7] = (free[own] == 2).mean(), (free[own] == 1).mean()
-    out[8] = points / len(own)
-    out[9] = rivals / len(own)
-    out[10] = filled[begin:stop].sum() / (stop - begin)
-    out[11] = np.median(wide / (count[own] - 1))
+    if n == 0:
+        return
+    out[0], out[1] = (stop - begin) * BIN_M, math.log1p(n)
+    out[2], out[3] = points / (points + others), median(wide, n)
+    for i in range(n):
+        wide[i] = abs(wide[i] - out[3])
+    out[4] = median(wide, n) / (out[3] + 0.02)
+    out[5], out[6], out[7] = math.sqrt(square / n), both / n, one / n
+    out[8], out[9] = points / n, rivals / n
+    bins = 0
+    for b in range(begin, stop):
+        bins += filled[b]
+    out[10] = bins / (stop - begin)
+    out[11] = median(spacing, n)
     end[0], end[1] = begin * BIN_M, stop * BIN_M
 
 
@@ -473,14 +509,15 @@ def describe_rays(lines, axes, ground):
     found = rows(lines.points[chosen])
     features = np.zeros((len(axes), len(RAY_NAMES)))
     where = (found.points, found.start, found.base, chosen[found.order])
-    _all(*lines, *where, np.ascontiguousarray(axes[:, :5]), ground, features)
+    axes = np.ascontiguousarray(axes[:, :5])
+    in_threads(_all, len(axes), *lines, *where, axes, ground, features)
     return features
 
 
-@njit(cache=True, parallel=True)
-def _all(points, line, pulse, near, plan, start, low, order, axes, ground, features):
+@njit(cache=True, nogil=True)
+def _all(begin, end, points, line, pulse, near, plan, start, low, order, axes, ground, features):
     """Write the features of each axis."""
-    for c in prange(len(axes)):
+    for c in range(begin, end):
         ax, ay = axes[c, 0], axes[c, 1]
         close = near_axis(plan, start, low, ax, ay, RAYS_REACH_M)
         n = 0
@@ -491,7 +528,8 @@ def _all(points, line, pulse, near, plan, start, low, order, axes, ground, featu
                 n += 1
         if n < 3:
             continue
-        close = np.sort(close[:n])
+        close = close[:n]
+        sort(close)
         view = _view(points, line, pulse, near, close, ax, ay)
         rays = _rays(points, line, pulse, close, view, axes[c], ground[c])
         if len(rays):
@@ -510,19 +548,20 @@ def _view(points, line, pulse, near, close, ax, ay):
             if not 0 <= j < len(line) or line[j] != line[i] or abs(pulse[j] - pulse[i]) > 3:
                 continue
             dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-            step = np.hypot(dx, dy)
+            step = math.hypot(dx, dy)
             if step > STEP_M:
                 weight = min(step, 1.0) / step**2
                 xx += weight * dx * dx
                 xy += weight * dx * dy
                 yy += weight * dy * dy
                 total += min(step, 1.0)
-    view = np.array([ax - ox, ay - oy])
+    u, v = ax - ox, ay - oy
     if total > 0:
-        turn = 0.5 * np.arctan2(2 * xy, xx - yy)
-        along = np.array([np.cos(turn), np.sin(turn)])
-        view = along if (along * view).sum() > 0 else -along
-    return view / max(np.sqrt((view**2).sum()), 1e-9)
+        turn = 0.5 * math.atan2(2 * xy, xx - yy)
+        c, s = math.cos(turn), math.sin(turn)
+        u, v = (c, s) if c * u + s * v > 0 else (-c, -s)
+    length = max(math.sqrt(u * u + v * v), 1e-9)
+    return u / length, v / length
 
 
 @njit(cache=True)
@@ -536,7 +575,7 @@ def _rays(points, line, pulse, close, view, axis, ground):
         dy = points[close[m], 1] - axis[1] - axis[3] * (h[m] - axis[4])
         u[m] = view[0] * dy - view[1] * dx
     slope = _slope(line, pulse, close, u)
-    out, size, first = np.empty((64, 3)), 0, 0
+    out, size, first = np.empty((64, 3)), np.int64(0), 0
     while slope != 0 and first < n:
         best, last = first, first
         while last < n and line[close[last]] == line[close[first]]:
@@ -545,13 +584,14 @@ def _rays(points, line, pulse, close, view, axis, ground):
         first = last
         if abs(u[best]) <= NEAREST_M:
             rise = h[best] - axis[4]
-            foot = np.array([axis[0] + axis[2] * rise, axis[1] + axis[3] * rise])
+            foot = axis[0] + axis[2] * rise, axis[1] + axis[3] * rise
             middle = pulse[close[best]] - u[best] / slope
             added = size
             out, size = _read(
                 points, line, pulse, close[best], middle, slope, foot, view, out, size
             )
-            out[added:size, 2] = np.floor(h[best] / BIN_M)
+            for m in range(added, size):
+                out[m, 2] = math.floor(h[best] / BIN_M)
     return out[:size]
 
 
@@ -566,7 +606,8 @@ def _read(points, line, pulse, at, middle, slope, foot, view, out, size):
                 break
             if size == len(out):
                 grown = np.empty((2 * size, 3))
-                grown[:size] = out
+                for k in range(size):
+                    grown[k, 0], grown[k, 1], grown[k, 2] = out[k, 0], out[k, 1], out[k, 2]
                 out = grown
             dx, dy = points[i, 0] - foot[0], points[i, 1] - foot[1]
             out[size, 0], out[size, 1] = side, view[0] * dx + view[1] * dy
@@ -599,10 +640,10 @@ def _slope(line, pulse, close, u):
 
 
 @njit(cache=True)
-def _solid(rays, side, depth):
-    """Bits of the height bins in which rays are stopped at a place and none passes it."""
+def _solid(rays, which, side, depth):
+    """Bits of the height bins in which some of the rays are stopped at a place and none passes."""
     stopped, through = np.uint64(0), np.uint64(0)
-    for k in range(len(rays)):
+    for k in which:
         if abs(rays[k, 0] - side) <= HALF_M and rays[k, 1] >= depth - DEPTH_M:
             bit = np.uint64(1) << np.uint64(rays[k, 2])
             if rays[k, 1] <= depth + DEPTH_M:
@@ -615,28 +656,33 @@ def _solid(rays, side, depth):
 @njit(cache=True)
 def _judge(rays, out):
     """Write the features of the rays about one axis."""
-    step = max(len(rays) // MOST, 1)
+    step, which = max(len(rays) // MOST, 1), np.empty(len(rays), np.int64)
     value = np.zeros((2 * SIDES + 1, 2 * DEPTHS + 1))
     best, chosen, place = -1.0, 0, 0
     for i in range(2 * SIDES + 1):
-        side = (i - SIDES) * SIDE_M
-        tried = rays[::step]
-        tried = tried[np.abs(tried[:, 0] - side) <= HALF_M]
+        side, n = (i - SIDES) * SIDE_M, 0
+        for k in range(0, len(rays), step):
+            if abs(rays[k, 0] - side) <= HALF_M:
+                which[n] = k
+                n += 1
         for j in range(2 * DEPTHS + 1):
-            value[i, j] = set_bits(_solid(tried, side, (j - DEPTHS) * DEEP_M))
+            value[i, j] = set_bits(_solid(rays, which[:n], side, (j - DEPTHS) * DEEP_M))
             rank = value[i, j] - 0.01 * (abs(i - SIDES) + abs(j - DEPTHS))
             if abs(i - SIDES) <= SHIFTS and rank > best:
                 best, chosen, place = rank, i, j
     side, depth = (chosen - SIDES) * SIDE_M, (place - DEPTHS) * DEEP_M
-    bits = _solid(rays, side, depth)
+    for k in range(len(rays)):
+        which[k] = k
+    bits = _solid(rays, which, side, depth)
     flags = np.zeros(BINS, np.bool_)
     for k in range(BINS):
         flags[k] = (bits >> np.uint64(k)) & np.uint64(1)
-    begin, stop = longest_run(flags, 2)
+    begin, stop = longest_run(flags, np.int64(2))
     rival = 0.0
     for i in range(2 * SIDES + 1):
-        if abs(i - chosen) >= APART:
-            rival = max(rival, value[i].max())
+        for j in range(2 * DEPTHS + 1):
+            if abs(i - chosen) >= APART:
+                rival = max(rival, value[i, j])
     out[0], out[1], out[2] = set_bits(bits) * BIN_M, (stop - begin) * BIN_M, rival * BIN_M
     _shares(rays, begin, stop, side, depth, out[3:])
 
@@ -646,7 +692,7 @@ def _shares(rays, begin, stop, side, depth, out):
     """Write what becomes of the rays within the run, at the place and beside it."""
     stopped, through, before = 0.0, 0.0, 0.0
     total, square = 0.0, 0.0
-    flank = np.zeros((2, 3))
+    flank = np.zeros((3, 3))
     for k in range(len(rays)):
         if not begin <= rays[k, 2] < stop:
             continue
@@ -661,10 +707,12 @@ def _shares(rays, begin, stop, side, depth, out):
                 square += behind * behind
         elif FLANK_M[0] <= abs(away) <= FLANK_M[1]:
             flank[int(away > 0), fate] += 1
-    out[0], out[1] = np.log1p(stopped), through / max(stopped + through, 1)
+            flank[2, fate] += 1
+    out[0], out[1] = math.log1p(stopped), through / max(stopped + through, 1)
     out[2] = before / max(stopped + through + before, 1)
     mean = total / max(stopped, 1)
-    out[3] = np.sqrt(max(square / max(stopped, 1) - mean * mean, 0))
-    sides = flank[:, 2] / np.maximum(flank.sum(axis=1), 1)
-    out[4], out[5] = max(sides[0], sides[1]), min(sides[0], sides[1])
-    out[6] = flank[:, 1].sum() / max(flank.sum(), 1)
+    out[3] = math.sqrt(max(square / max(stopped, 1) - mean * mean, 0))
+    left = flank[0, 2] / max(flank[0, 0] + flank[0, 1] + flank[0, 2], 1)
+    right = flank[1, 2] / max(flank[1, 0] + flank[1, 1] + flank[1, 2], 1)
+    out[4], out[5] = max(left, right), min(left, right)
+    out[6] = flank[2, 1] / max(flank[2, 0] + flank[2, 1] + flank[2, 2], 1)

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
-from mmqa_lab._figures import drawn, finish_figure
+from mmqa_lab._figures import drawn, finish_figure, say_kind
 from mmqa_lab.io import write_atomically
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class Run:
     def __init__(self, stem: str, *, parameters: dict[str, Any]):
         self.folder = results_folder() / stem
         self._began = time.time()
-        self._values = []
+        self._values, self._kinds = [], {}
         self._record = {
             "study": stem,
             "finished": False,
@@ -148,6 +148,7 @@ class Run:
         for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
             left.unlink()
         self._write_record()
+        _show_tables_whole()
 
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
@@ -167,6 +168,7 @@ class Run:
                 f"Invalid table {name}: nothing says which kind its numbers are. "
                 f"Must be one of {', '.join(KINDS)}."
             )
+        self._kinds[name] = _kind_of(frame)
         self._write_table(frame, name)
         if len(frame) <= LONGEST_LATEX:
             self._write(
@@ -174,16 +176,26 @@ class Run:
             )
 
     def save_figure(
-        self, figure: Figure, name: str, *, data: pd.DataFrame | None = None, seen: str = ""
+        self,
+        figure: Figure,
+        name: str,
+        *,
+        data: pd.DataFrame | None = None,
+        kind: str = "",
+        seen: str = "",
     ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
         What its panels contain is written as ``<name>_drawn.csv``, a row for each point, from
         which it can be drawn again, and ``data``, a DataFrame, as ``<name>.csv``; without it, and
         without a table of this name, that is the same. Its panels get letters, and its series are
-        told apart without colour too. ``seen`` says in a sentence what one sees, for readers
-        without the picture; without it the axes' labels and the legends do.
+        told apart without colour too. The kind of its numbers, ``kind`` or that of ``data`` or of
+        the table of this name, stands in its lower right corner where its texts do not say it.
+        ``seen`` says in a sentence what one sees, for readers without the picture; without it the
+        axes' labels and the legends do.
         """
+        known = "" if data is None else _kind_of(data)
+        say_kind(figure, kind or known or self._kinds.get(name, ""))
         finish_figure(figure)
         subject = {"CreationDate": None, "Subject": self._record["study"], "Creator": self._made}
         details = {
@@ -196,11 +208,16 @@ class Run:
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
         }
         with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
+            layout = figure.get_layout_engine()
             for form in FORMATS:
                 self._write(
                     f"{name}.{form}",
                     lambda path, form=form: figure.savefig(path, metadata=details[form]),
                 )
+                if layout is not None:  # one for all formats: it takes as long as drawing
+                    figure.set_layout_engine("none")
+            if layout is not None:
+                figure.set_layout_engine(layout)
         shown = drawn(figure)
         self._write_table(shown, f"{name}_drawn", float_format="%.9g")
         if data is not None or f"{name}.csv" not in self._record["files"]:
@@ -455,6 +472,43 @@ def _typeset(number):
 def four_digits(number):
     """A number as text: of four digits or, if it is large, whole."""
     return f"{number:.0f}" if 1e4 <= abs(number) < 1e9 else f"{number + 0.0:.4g}"
+
+
+def _kind_of(frame):
+    """The kinds of a table's numbers as a note: those of its column for them, or of its names."""
+    column = next((frame[name] for name in ("kind_of_number", "kind") if name in frame), [])
+    said = [text for text in dict.fromkeys(column) if any(kind in str(text) for kind in KINDS)]
+    return ", ".join(said or [kind for kind in KINDS if any(kind in str(one) for one in frame)])
+
+
+def _show_tables_whole():
+    """Let the notebook show tables with whole texts, without -0.0, and p below 0.001 as such."""
+    from IPython import get_ipython
+
+    if (shell := get_ipython()) is not None:
+        formatter = shell.display_formatter.formatters["text/html"]
+        formatter.for_type(pd.DataFrame, _whole)
+        formatter.for_type(pd.Series, lambda column: _whole(column.to_frame(column.name or "")))
+
+
+def _whole(frame):
+    """A table as HTML for a notebook."""
+    with pd.option_context("display.max_colwidth", None):
+        return _readable(frame)._repr_html_()
+
+
+def _readable(frame):
+    """A copy of a table whose zeros have no sign and whose small p are words."""
+    frame = frame.copy()
+    for place, name in enumerate(frame.columns):
+        column = frame.iloc[:, place]
+        if str(name).split("_")[-1] == "p" and column.dtype.kind == "f":
+            frame.isetitem(place, column.map(lambda p: "< 0.001" if p < 0.001 else four_digits(p)))
+        elif column.dtype.kind == "f":
+            frame.isetitem(place, column + 0.0)
+        elif column.dtype.kind == "O":
+            frame.isetitem(place, column.map(lambda v: v + 0.0 if isinstance(v, float) else v))
+    return frame
 
 
 def _says_kind(frame):

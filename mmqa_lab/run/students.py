@@ -2,8 +2,10 @@
 
 Cells tagged ``solution`` contain an answer and, below a line ``# check``, the code that tests it;
 cells tagged ``lesson`` are for the teacher. A student's copy has the test compressed, so that it
-cannot be read at a glance, and no stored outputs. The cell tagged ``number`` sets the student's
-number in the class, from which exercises take their numbers: everyone has another answer.
+cannot be read at a glance, and no stored outputs; a check that fails does not stop *Run All*. The
+cell tagged ``number`` sets the student's number in the class, from which exercises take their
+numbers: everyone has another answer. The first exercise stands behind what it needs, so that a
+class reaches it at once.
 """
 
 import ast
@@ -98,6 +100,13 @@ def student_cell(source):
     return "\n".join([*given, "", *check])
 
 
+class NotRight(AssertionError):
+    """What is wrong with an answer; a notebook shows the sentence alone."""
+
+    def _render_traceback_(self):
+        return [f"Exercise {self}"]
+
+
 def check_answer(sealed, scope):
     """Check a student's work, and say in a sentence what is wrong with it.
 
@@ -110,7 +119,7 @@ def check_answer(sealed, scope):
 
     Raises
     ------
-    AssertionError
+    NotRight
         If a name has no value yet, or a check does not hold; in a unit taken for another it is
         named.
     """
@@ -118,7 +127,7 @@ def check_answer(sealed, scope):
     number, scope = task["number"], dict(scope)
     missing = [name for name in task["answers"] if scope.get(name, ...) is ...]
     if missing:
-        raise AssertionError(f"{number}: give {missing[0]} a value.")
+        raise NotRight(f"{number}: give {missing[0]} a value.")
     exec("\n".join(task["imports"]), scope)
     wrong = _wrong(task["checks"], scope)
     if wrong is None:
@@ -128,7 +137,7 @@ def check_answer(sealed, scope):
     listed = ", ".join(name for name in task["answers"] if name != NUMBER)
     said = [sentence for sentence in (*said, wrong) if sentence]
     said = said or [f"not right yet. Check the formula, and the unit of {listed}."]
-    raise AssertionError(f"{number}: {said[0]}")
+    raise NotRight(f"{number}: {said[0]}")
 
 
 def _wrong(checks, scope):
@@ -179,7 +188,7 @@ def _exercise(source):
         grading |= {"solution": part == "work", "grade": part == "check"}
         grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
         cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
-        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check"]
+        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check", "raises-exception"]
         yield cell
 
 
@@ -260,19 +269,21 @@ def write_sheets(studies, folder):
     written = []
     for study in studies:
         cells = nbformat.read(study.path, as_version=4).cells
+        texts = [k for k, cell in enumerate(cells) if cell.cell_type == "markdown"]
         tagged = [k for k, cell in enumerate(cells) if "solution" in _tags(cell)]
-        task = next(k for k in reversed(range(tagged[0])) if cells[k].cell_type == "markdown")
-        heading = "## " + cells[task].source.rpartition("## ")[2]  # without what is above it
-        exercises = nbformat.v4.new_markdown_cell(heading)
+        above = dict.fromkeys(max(place for place in texts if place < k) for k in tagged)
+        tasks = ["## " + cells[k].source.rpartition("## ")[2] for k in above]
+        exercises = [nbformat.v4.new_markdown_cell(task) for task in tasks]
         asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
         words = nbformat.v4.new_markdown_cell(_words(study.stem))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
         answers = [
             nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
         ]
+        begin = [cells[k] for k in texts if k < 2]
         sheets = {
-            "handout": [*cells[:2], exercises, *asked, words],
-            "solutions": [cells[0], exercises, *answers, *lesson],
+            "handout": [*begin, *exercises, *asked, words],
+            "solutions": [cells[0], *exercises, *answers, *lesson],
         }
         for kind, chosen in sheets.items():
             book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})

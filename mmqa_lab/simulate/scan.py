@@ -20,13 +20,13 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter, map_coordinates
 from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab._threads import enough_threads
+from mmqa_lab._compiled import enough_threads, in_threads
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.point_patterns import hard_core_points, matern, older_within
@@ -192,7 +192,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed):
         axis = scanner.widening * (rotation @ along)
     origin = origin + (trajectory.origin - scene.origin)
     beam = *scanner.beam_radius, uniform[:, 0], scanner.echo_separation_m, axis
-    echo = Echoes(*echoes(scene.tree, origin, direction, *beam))
+    echo = echoes(scene.tree, origin, direction, *beam)
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = chosen(firing, kept), chosen(echo, kept), noise[kept]
     origin, direction = _rays(
@@ -252,19 +252,19 @@ def draws(seed, pulse):
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
         z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
     u = ((z >> np.uint64(11)) + 0.5) * 2.0**-53
-    return _normal(u), u[:, 4:]
+    normal = np.empty((len(u), 3))
+    in_threads(_normal, len(u), u, normal, least=TASK)
+    return normal, u[:, 4:]
 
 
-@njit(cache=True, parallel=True)
-def _normal(uniform):
+@njit(cache=True, nogil=True)
+def _normal(begin, end, uniform, normal):
     """Three normal numbers by Box and Muller from the first four uniform ones of each row."""
-    normal = np.empty((len(uniform), 3))
-    for k in prange(len(uniform)):
+    for k in range(begin, end):
         u = uniform[k]
         radius, turn = np.sqrt(-2 * np.log(u[0])), 2 * np.pi * u[1]
         normal[k, 0], normal[k, 1] = radius * np.cos(turn), radius * np.sin(turn)
         normal[k, 2] = np.sqrt(-2 * np.log(u[2])) * np.cos(2 * np.pi * u[3])
-    return normal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -725,23 +725,28 @@ def _turned(state, x, y, z):
     return c * x + s * y, c * y - s * x, z
 
 
-@njit(cache=True, parallel=True)
 def beam_rays(states, lever_arm, mounting, beams):
     """Origins and directions of beams in a mounted scanner's frame on a vehicle in given states.
 
     ``states`` are offsets in metres and roll, pitch, heading in radians, (n, 6).
     """
-    n = len(beams)
-    origins, directions = np.empty((n, 3)), np.empty((n, 3))
+    origins, directions = np.empty((len(beams), 3)), np.empty((len(beams), 3))
     matrix = np.ascontiguousarray(mounting).ravel()
-    for k in prange(n):
+    rays = origins, directions
+    in_threads(_beam_rays, len(beams), states, lever_arm, matrix, beams, *rays, least=TASK)
+    return rays
+
+
+@njit(cache=True, nogil=True)
+def _beam_rays(begin, end, states, lever_arm, matrix, beams, origins, directions):
+    """Write the rays of :func:`beam_rays`."""
+    for k in range(begin, end):
         x, y, z = _turned(states[k], lever_arm[0], lever_arm[1], lever_arm[2])
         origins[k, 0], origins[k, 1] = states[k, 0] + x, states[k, 1] + y
         origins[k, 2] = states[k, 2] + z
         x, y, z = mapped(matrix, beams[k, 0], beams[k, 1], beams[k, 2])
         x, y, z = _turned(states[k], x, y, z)
         directions[k, 0], directions[k, 1], directions[k, 2] = x, y, z
-    return origins, directions
 
 
 @njit(cache=True, error_model="numpy")
@@ -836,9 +841,8 @@ def chosen(columns, which):
     return type(columns)(*(None if values is None else values[which] for values in columns))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
 def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
-    """The arrays of the ``Echoes`` of pulses along unit directions.
+    """The ``Echoes`` of pulses along unit directions.
 
     A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a
     ring of six rays, each an equal share of its energy, turned by ``turn`` (0 to 1) at random. Hits
@@ -848,30 +852,38 @@ def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
     by the length of that vector as much again.
     """
     n = len(origins)
+    nothing = np.full((2, n), np.nan)
+    surface, mixed = np.full(n, -1, np.int32), np.zeros(n, bool)
+    found = Echoes(nothing[0], surface, nothing[1], np.zeros(n), mixed)
+    turn = np.ascontiguousarray(turn)  # compiled for one kind of array
+    beam = float(radius), float(growth), turn, float(separation), axis
+    in_threads(_echoes, n, tree, origins, directions, *beam, found, least=TASK)
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _echoes(begin, end, tree, origins, directions, radius, growth, turn, separation, axis, found):
+    """Write the echoes of the pulses from ``begin`` to ``end``."""
     wide = radius > 0.0 or growth > 0.0
     parts = FOOTPRINT if wide else 1
-    ranges, surface = np.full(n, np.nan), np.full(n, -1, np.int32)
-    cosine, signal = np.full(n, np.nan), np.zeros(n)
-    mixed = np.zeros(n, np.bool_)
-    for task in prange((n + TASK - 1) // TASK):
-        stack, hit = np.empty(STACK, np.int64), np.empty(parts, np.int64)
-        rays, best, hits = np.empty((parts, 9)), np.empty(parts), np.empty((parts, 4))
-        for k in range(task * TASK, min((task + 1) * TASK, n)):
-            rays[0, :3], rays[0, 3:6] = origins[k], directions[k]
-            _spread(rays, radius, growth, axis[k % len(axis)], 2 * np.pi * turn[k])
-            nearest(tree, stack, rays, best, hit)
-            found = _sorted_hits(tree, rays, best, hit, hits)
-            if found == 0:
-                continue
-            first, last = _strongest(hits, found, separation)
-            top, weighted = first, 0.0
-            for j in range(first, last):
-                signal[k] += hits[j, 1]
-                weighted += hits[j, 1] * (hits[j, 0] - hits[first, 0])
-                mixed[k] |= hits[j, 3] != hits[first, 3]
-                if hits[j, 1] > hits[top, 1]:
-                    top = j
-            ranges[k] = hits[first, 0] + (weighted / signal[k] if signal[k] > 0.0 else 0.0)
-            surface[k], cosine[k] = hits[top, 3], hits[top, 2]
-            signal[k] *= 1.0 / parts
-    return ranges, surface, cosine, signal, mixed
+    stack, hit = np.empty(STACK, np.int64), np.empty(parts, np.int64)
+    rays, best, hits = np.empty((parts, 9)), np.empty(parts), np.empty((parts, 4))
+    for k in range(begin, end):
+        for j in range(3):
+            rays[0, j], rays[0, 3 + j] = origins[k, j], directions[k, j]
+        _spread(rays, radius, growth, axis[k % len(axis)], 2 * np.pi * turn[k])
+        nearest(tree, stack, rays, best, hit)
+        n = _sorted_hits(tree, rays, best, hit, hits)
+        if n == 0:
+            continue
+        first, last = _strongest(hits, n, separation)
+        top, signal, weighted = first, 0.0, 0.0
+        for j in range(first, last):
+            signal += hits[j, 1]
+            weighted += hits[j, 1] * (hits[j, 0] - hits[first, 0])
+            found.mixed[k] |= hits[j, 3] != hits[first, 3]
+            if hits[j, 1] > hits[top, 1]:
+                top = j
+        found.range_m[k] = hits[first, 0] + (weighted / signal if signal > 0.0 else 0.0)
+        found.surface[k], found.cosine[k] = hits[top, 3], hits[top, 2]
+        found.signal[k] = signal * (1.0 / parts)

@@ -11,10 +11,10 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._threads import enough_threads
+from mmqa_lab._compiled import enough_threads, in_threads
 from mmqa_lab.simulate.surfaces import (
     ELLIPSE,
     ELLIPSOID,
@@ -32,7 +32,7 @@ LEAF_SIZE = 4
 DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
 STACK = 128
 RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
-TASK = 512  # rays a task works through with one stack
+TASK = 512  # rays, at least, that a thread works through with one stack
 
 
 class Hits(NamedTuple):
@@ -133,8 +133,11 @@ class Scene:
             raise ValueError(f"Invalid direction in row {np.argmin(length)}. Must be > 0 m long.")
         unit = directions / length[:, None]
         local = np.ascontiguousarray(np.broadcast_to(origins - self.origin, unit.shape))
+        ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
+        normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
+        found = ranges, surface, normal, reflectance
         with enough_threads(n, RAYS_A_THREAD):
-            ranges, surface, normal, reflectance = _cast(self.tree, local, unit)
+            in_threads(_cast, n, self.tree, local, unit, *found, least=TASK)
         cosine = np.einsum("ij,ij->i", normal, unit)
         normal *= -np.sign(cosine)[:, None]
         ranges[surface < 0] = np.nan
@@ -405,21 +408,17 @@ def _cell(tree, i, x, y, z):
     return tree.reflectance[first + row * columns + column]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _cast(tree, origins, directions):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast(begin, end, tree, origins, directions, ranges, surface, normal, reflectance):
     """Range, surface, normal and reflectance where unit rays first meet a primitive."""
-    n = len(origins)
-    ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
-    normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
-    for task in prange((n + TASK - 1) // TASK):
-        stack, ray = np.empty(STACK, np.int64), np.empty((1, 9))
-        best, hit = np.empty(1), np.empty(1, np.int64)
-        for k in range(task * TASK, min((task + 1) * TASK, n)):
-            ray[0, :3], ray[0, 3:6] = origins[k], directions[k]
-            nearest(tree, stack, ray, best, hit)
-            t, i = best[0], hit[0]
-            if i >= 0:
-                nx, ny, nz, reflectance[k] = describe(tree, ray[0], t, i)
-                normal[k, 0], normal[k, 1], normal[k, 2] = nx, ny, nz
-                ranges[k], surface[k] = t, tree.surface[i]
-    return ranges, surface, normal, reflectance
+    stack, ray = np.empty(STACK, np.int64), np.empty((1, 9))
+    best, hit = np.empty(1), np.empty(1, np.int64)
+    for k in range(begin, end):
+        for j in range(3):
+            ray[0, j], ray[0, 3 + j] = origins[k, j], directions[k, j]
+        nearest(tree, stack, ray, best, hit)
+        t, i = best[0], hit[0]
+        if i >= 0:
+            nx, ny, nz, reflectance[k] = describe(tree, ray[0], t, i)
+            normal[k, 0], normal[k, 1], normal[k, 2] = nx, ny, nz
+            ranges[k], surface[k] = t, tree.surface[i]

@@ -15,9 +15,9 @@ from collections import namedtuple
 
 import numba
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from mmqa_lab._threads import enough_threads
+from mmqa_lab._compiled import enough_threads, in_threads
 from mmqa_lab.cloud import sort_into_cells
 
 POINTS_PER_CELL = 12
@@ -59,16 +59,25 @@ def _nearest(xy, radius, of, threads):
     """The steps of the search: cells, leaves, boxes, distances."""
     grid = _grid(xy)
     points = Points(np.empty(len(xy)), np.empty(len(xy)), np.empty(len(xy), np.int32))
-    starts = _fill(xy, grid, points, threads)
+    free = np.zeros((threads, grid.column[-1] + grid.row[-1] + 1), np.int32)
+    _each(threads, _count, xy, grid, free)
+    starts = _starts(free)
+    _each(threads, _place, xy, grid, points, free)
     first = _first_leaves(starts)
     leaves = np.full(first[-1] + 1, len(xy), np.int32)
-    _part(points, starts, first, leaves, threads)
+    _each(threads, _part, points, starts, first, leaves, threads)
     bottom = 1 << (len(leaves) - 2).bit_length()
     tree = Tree(leaves, np.tile([np.inf, -np.inf, np.inf, -np.inf], (2 * bottom, 1)))
-    _draw_boxes(points, leaves, tree.boxes)
+    in_threads(_draw_boxes, len(leaves) - 1, points, leaves, tree.boxes, least=20 * TASK)
+    _join_boxes(tree.boxes)
     distances = np.empty((len(xy), 4))
-    _search(points, grid, starts, tree, radius, of, distances, threads)
+    _each(threads, _search, points, grid, starts, tree, radius, of, distances, threads)
     return distances
+
+
+def _each(threads, kernel, *arguments):
+    """Run a kernel once in every thread."""
+    in_threads(kernel, threads, *arguments, least=1)
 
 
 def _grid(xy):
@@ -97,30 +106,38 @@ def _cell(grid, x, y):
     return column + grid.row[int((y - grid.y0) / grid.size)]
 
 
-@njit(parallel=True, cache=True)
-def _fill(xy, grid, points, threads):
-    """Sort points by cell, in each cell in input order; return the first of each cell."""
-    n, x, y, rows = len(xy), points.x, points.y, points.rows
-    free = np.zeros((threads, grid.column[-1] + grid.row[-1] + 1), np.int32)
-    for t in prange(threads):
-        for i in range(n * t // threads, n * (t + 1) // threads):
-            free[t, _cell(grid, xy[i, 0], xy[i, 1])] += 1
+@njit(cache=True, nogil=True)
+def _count(thread, _, xy, grid, free):
+    """Count the points of a thread in each cell."""
+    n, threads = len(xy), len(free)
+    for i in range(n * thread // threads, n * (thread + 1) // threads):
+        free[thread, _cell(grid, xy[i, 0], xy[i, 1])] += 1
+
+
+@njit(cache=True)
+def _starts(free):
+    """First point of each cell; ``free`` becomes the place where each thread's points begin."""
     starts = np.empty(free.shape[1] + 1, np.int32)
     total = 0
     for c in range(free.shape[1]):
         starts[c] = total
-        for t in range(threads):
+        for t in range(len(free)):
             count = free[t, c]
             free[t, c] = total
             total += count
     starts[-1] = total
-    for t in prange(threads):
-        for i in range(n * t // threads, n * (t + 1) // threads):
-            c = _cell(grid, xy[i, 0], xy[i, 1])
-            place = free[t, c]
-            free[t, c] += 1
-            x[place], y[place], rows[place] = xy[i, 0], xy[i, 1], i
     return starts
+
+
+@njit(cache=True, nogil=True)
+def _place(thread, _, xy, grid, points, free):
+    """Sort the points of a thread by cell, in each cell in input order."""
+    n, threads = len(xy), len(free)
+    for i in range(n * thread // threads, n * (thread + 1) // threads):
+        c = _cell(grid, xy[i, 0], xy[i, 1])
+        place = free[thread, c]
+        free[thread, c] += 1
+        points.x[place], points.y[place], points.rows[place] = xy[i, 0], xy[i, 1], i
 
 
 @njit(cache=True)
@@ -136,17 +153,16 @@ def _first_leaves(starts):
     return first
 
 
-@njit(parallel=True, cache=True)
-def _part(points, starts, first, leaves, threads):
+@njit(cache=True, nogil=True)
+def _part(thread, _, points, starts, first, leaves, threads):
     """Order the points of each cell into its leaves; note the first point of each leaf."""
-    for t in prange(threads):
-        stack = np.empty((64, 3), np.int64)
-        for task in range(t * TASK, len(first) - 1, threads * TASK):
-            for c in range(task, min(task + TASK, len(first) - 1)):
-                if first[c + 1] > first[c]:
-                    stack[0, 0], stack[0, 1] = starts[c], starts[c + 1]
-                    stack[0, 2] = first[c + 1] - first[c]
-                    _halve(points, stack, leaves, first[c])
+    stack = np.empty((64, 3), np.int64)
+    for task in range(thread * TASK, len(first) - 1, threads * TASK):
+        for c in range(task, min(task + TASK, len(first) - 1)):
+            if first[c + 1] > first[c]:
+                stack[0, 0], stack[0, 1] = starts[c], starts[c + 1]
+                stack[0, 2] = first[c + 1] - first[c]
+                _halve(points, stack, leaves, first[c])
 
 
 @njit(cache=True)
@@ -207,34 +223,32 @@ def _box(points, start, end):
     return x_low, x_high, y_low, y_high
 
 
-@njit(parallel=True, cache=True)
-def _draw_boxes(points, leaves, boxes):
-    """Fill in the boxes of the leaves, then from the bottom up the boxes around two."""
+@njit(cache=True, nogil=True)
+def _draw_boxes(begin, end, points, leaves, boxes):
+    """Fill in the boxes of the leaves."""
     m = len(boxes) // 2
-    for k in prange(len(leaves) - 1):
-        box = _box(points, leaves[k], leaves[k + 1])
-        for side in range(4):
-            boxes[m + k, side] = box[side]
-    for k in range(m - 1, 0, -1):
+    for k in range(begin, end):
+        x_low, x_high, y_low, y_high = _box(points, leaves[k], leaves[k + 1])
+        boxes[m + k, 0], boxes[m + k, 1] = x_low, x_high
+        boxes[m + k, 2], boxes[m + k, 3] = y_low, y_high
+
+
+@njit(cache=True)
+def _join_boxes(boxes):
+    """Fill in the boxes around two others, from the bottom up."""
+    for k in range(len(boxes) // 2 - 1, 0, -1):
         left, right = boxes[2 * k], boxes[2 * k + 1]
         boxes[k, 0], boxes[k, 1] = min(left[0], right[0]), max(left[1], right[1])
         boxes[k, 2], boxes[k, 3] = min(left[2], right[2]), max(left[3], right[3])
 
 
-@njit(parallel=True, cache=True)
-def _search(points, grid, starts, tree, radius, of, distances, threads):
-    """Fill in the distances, the tasks of leaves dealt out to the threads."""
-    for t in prange(threads):
-        _search_share(points, grid, starts, tree, radius, of, distances, np.int64(t), threads)
-
-
-@njit(cache=True)
-def _search_share(points, grid, starts, tree, radius, of, distances, t, threads):
+@njit(cache=True, nogil=True)
+def _search(thread, _, points, grid, starts, tree, radius, of, distances, threads):
     """Fill in the distances of one thread's leaves."""
     leaves, boxes = tree.leaves, tree.boxes
     group, need = np.empty(6 * LANES), np.empty(4)
     stack = np.empty(64, np.int64)
-    for task in range(t * TASK, len(leaves) - 1, threads * TASK):
+    for task in range(thread * TASK, len(leaves) - 1, threads * TASK):
         for k in range(task, min(task + TASK, len(leaves) - 1)):
             start, end = leaves[k], leaves[k + 1]
             if not _is_any(of, points.rows, start, end, distances):
@@ -487,12 +501,11 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
         ring = 0
         while True:
             for row in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
-                whole = abs(row - cy) == ring
-                for column in range(cx - ring, cx + ring + 1, 1 if whole else 2 * ring):
+                apart = 1 if abs(row - cy) == ring else 2 * ring
+                for column in range(cx - ring, cx + ring + 1, apart):
+                    at = column * shape[1] + row
                     if 0 <= column < shape[0]:
-                        at = column * shape[1] + row
-                        for j in range(first[at], first[at + 1]):
-                            _note(xy[j, 0] - x, xy[j, 1] - y, steps)
+                        _note(xy, first[at], first[at + 1], x, y, steps)
             # all points up to that distance have been seen
             seen = min(x - (cx - ring) * cell, (cx + ring + 1) * cell - x)
             seen = min(seen, y - (cy - ring) * cell, (cy + ring + 1) * cell - y)
@@ -506,13 +519,15 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _note(dx, dy, steps):
-    """Keep a neighbour when it is the nearest of its step of direction."""
-    distance = np.sqrt(dx * dx + dy * dy)
-    if distance > 0:
-        turn = np.arctan2(dy, dx) / np.pi * len(steps)
-        k = int(np.floor(turn + 0.5)) % len(steps)
-        steps[k] = min(steps[k], distance)
+def _note(xy, start, stop, x, y, steps):
+    """Keep each neighbour that is the nearest of its step of direction."""
+    for j in range(start, stop):
+        dx, dy = xy[j, 0] - x, xy[j, 1] - y
+        distance = np.sqrt(dx * dx + dy * dy)
+        if distance > 0:
+            turn = np.arctan2(dy, dx) / np.pi * len(steps)
+            k = int(np.floor(turn + 0.5)) % len(steps)
+            steps[k] = min(steps[k], distance)
 
 
 @njit(cache=True, nogil=True)

@@ -294,6 +294,9 @@ METHODS = {
 STYLES = 9 * ["o-", "s--", "^:", "x-.", "d-", "v--", "*:"]
 """Lines of methods, told apart without colour."""
 
+FLOOR = 1e-3
+"""The least error that is drawn, millimetres or degrees."""
+
 EQUATIONS = tuple(METHODS)[:3]
 """The methods that do not look at the points."""
 
@@ -343,11 +346,14 @@ def draw_errors(results):
     titles = {"point_mm": ("point spacing", "mm"), "angle_deg": ("profile angle", "degrees")}
     for ax, (name, (title, unit)) in zip(axes, titles.items(), strict=True):
         size = np.abs(results[name]).to_dataframe().groupby(["range_m", "method"])[name]
-        lines = size.median().unstack()
+        lines = size.median().unstack().clip(lower=FLOOR)  # rounding errors lie far below
         lines.plot(ax=ax, style=STYLES[: len(lines.columns)], logy=True, legend=False)
         ax.set(title=title, xlabel="range (m)", ylabel=f"median error ({unit})")
-        ax.set_ylim(bottom=1e-3)  # rounding errors lie far below
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        ax.axhline(FLOOR, color="0.7", lw=0.6, zorder=0)
+        beside = ("axes fraction", "data")
+        ax.annotate("this or less", (0.99, FLOOR), xycoords=beside, ha="right", va="bottom", size=6)
+        ax.set_ylim(bottom=FLOOR / 1.5)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 

@@ -16,6 +16,7 @@ from mmqa_lab.published import ledger
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
+from mmqa_lab.stats import errors
 from mmqa_lab.studies import NOTES, SMALL, stated
 from mmqa_lab.testfield import (
     height_accuracy,
@@ -135,21 +136,23 @@ def predicted(street, tested, *, ground, targets, draws, seed):
     paths = dict(zip(DIRECTIONS, street.drives(), strict=True))
     for direction, places in ground.items():
         path = paths[direction]
+        at_ground, fall = _looked_at(path, tested, places)
+        at_targets, _ = _looked_at(path, tested, targets[direction])
+        noise = np.hypot(street.reference_std_m, 0.7 * tested.heads[0].range_noise_m * fall)
         for draw in range(draws):
             choices = {"seed": [seed, draw, direction == "back"], "interval_s": INTERVAL_S}
             known = measured(path, tested.navigation, **choices)
-            error, fall = _carried(path, known, tested, places)
-            noise = np.hypot(street.reference_std_m, 0.7 * tested.heads[0].range_noise_m * fall)
+            error = _carried(known, *at_ground)
             dz = error[:, 2] + rng.normal(0, 1, len(places)) * noise
-            plan = _carried(path, known, tested, targets[direction])[0][:, :2]
+            plan = _carried(known, *at_targets)[:, :2]
             plan = plan + rng.normal(0, street.plan_std_m, plan.shape)
             rows.append((direction, *_accuracy(dz, plan)))
     names = ["direction", "height_std_mm", "plan_mean_mm", "plan_std_mm", "plan_rmse_mm"]
     return pd.DataFrame(rows, columns=names)
 
 
-def _carried(path, known, tested, places):
-    """Errors of computed points (n, 3), and the sine of the fall of their beams."""
+def _looked_at(path, tested, places):
+    """Places with their times and beams in the assumed frame; the sine of the beams' fall."""
     head = tested.heads[0]
     normal = getattr(head, "plane_normal", np.array([0.0, 1.0, 0.0]))
     start, rotation = (value[0] for value in path.at(path.time[:1]))
@@ -157,20 +160,23 @@ def _carried(path, known, tested, places):
     ahead = ((places - start) @ rotation - head.lever_arm_m) @ normal / normal[1]
     time = path.time[0] + np.clip(ahead / speed, 0, path.duration_s)
     place, rotation = path.at(time)
-    told, turned = known.at(time)
     beam = np.einsum("nij,ni->nj", rotation, places - place) - head.lever_arm_m
     boresight = rotations(*np.radians(head.boresight_deg)[:, None])[0]
     assumed = tested.assumed_lever_arms[0] + beam @ boresight
-    error = (told - places) + np.einsum("nij,nj->ni", turned, assumed)
-    return error, np.abs(beam[:, 2]) / np.linalg.norm(beam, axis=1)
+    return (places, time, assumed), np.abs(beam[:, 2]) / np.linalg.norm(beam, axis=1)
+
+
+def _carried(known, places, time, assumed):
+    """Errors of points (n, 3) that are computed with a reported path."""
+    told, turned = known.at(time)
+    return (told - places) + np.einsum("nij,nj->ni", turned, assumed)
 
 
 def _accuracy(dz, plan):
     """Std of heights; mean, std and RMSE of plan distances; shift removed, mm."""
-    heights = height_accuracy(pd.DataFrame({"dz_m": dz, "reason": ""}))
-    named = pd.DataFrame(plan, columns=["dx_m", "dy_m"]).assign(reason="")
-    row = plan_accuracy(named).iloc[1]
-    return heights["std_mm"].iloc[1], row["mean_mm"], row["std_mm"], row["rmse_mm"]
+    dz, plan = 1000 * dz, np.asfortranarray(1000 * plan)  # summed column by column
+    away = errors(np.hypot(*(plan - plan.mean(axis=0)).T))
+    return errors(dz - dz.mean()).std, away.bias, away.std, away.rmse
 
 
 def prediction_table(predictions):
