@@ -94,10 +94,10 @@ def write_report(done, site, folder, *, criteria, root, inputs):
     """
     folder = Path(folder)
     jury = _write_crops(done, folder / "crops")
-    _write_csv(folder / "jury.csv", jury)
+    write_atomically(folder / "jury.csv", jury)
     rows = [table.assign(criteria=name) for name, table in done.verdicts.items()]
-    _write_csv(folder / "verdicts.csv", pd.concat(rows))
-    _write_csv(folder / "results.csv", done.results.drop(columns=["too_good", "too_bad"]))
+    write_atomically(folder / "verdicts.csv", pd.concat(rows))
+    write_atomically(folder / "results.csv", done.results.drop(columns=["too_good", "too_bad"]))
     with plots.style():
         pictures = {title: _png(figure) for title, figure in _figures(done)}
     parts = _parts(done, site, criteria, _hashes(root, [*inputs, *site.files, *done.files]))
@@ -105,7 +105,7 @@ def write_report(done, site, folder, *, criteria, root, inputs):
     encoded = {name: base64.b64encode(picture).decode() for name, picture in pictures.items()}
     page = filled("acceptance.html", parts=parts, pictures=encoded, **texts)
     files = [folder / "report.html", folder / "report.pdf"]
-    write_atomically(files[0], lambda path: path.write_text(page, encoding="utf-8"))
+    write_atomically(files[0], page)
     write_atomically(files[1], lambda path: _write_pdf(path, parts, pictures, **texts))
     return files
 
@@ -443,11 +443,6 @@ def _write_picture(file, image):
     grey = np.round(255 * np.clip(encode(image, "srgb"), 0, 1)).astype(np.uint8)
     data = cv2.imencode(".png", grey)[1].tobytes()
     write_atomically(file, lambda path: path.write_bytes(data))
-
-
-def _write_csv(file, table):
-    """A table as CSV, whole or not at all."""
-    write_atomically(file, lambda path: table.to_csv(path, index=False))
 
 
 def _hashes(root, files):
