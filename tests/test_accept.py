@@ -252,6 +252,8 @@ def test_faulty_lists_of_images_are_named(folder, tmp_path):
     assert photographs._images(here, note).empty
     assert said[0] == "Image gone.jpg: no such file."
     assert "a number is missing" in said[1]
+    table[:0].to_csv(tmp_path / "images.csv", index=False)
+    assert photographs._images(here, note).empty
     (tmp_path / "images.csv").write_text("")
     assert photographs._images(here, note).empty
     assert "no column 'file'" in said[2]

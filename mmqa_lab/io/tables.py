@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mmqa_lab.lines import Segments
 
 
-def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -> None:
+def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:
     """Call ``write(temporary_path)`` and put the file in its place only when that succeeded.
 
     The temporary file lies in the same folder and has the same ending; it is removed when
@@ -46,8 +46,9 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     ----------
     path : path
         Folders are made where missing; an existing file is replaced.
-    write : callable
-        Takes the path of the temporary file.
+    write : callable, str or DataFrame
+        Takes the path of the temporary file. A text is written as it is, a table as CSV without its
+        index.
 
     Raises
     ------
@@ -58,7 +59,7 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_atomically(Path(folder) / "f.txt", lambda file: file.write_text("whole"))
+    ...     write_atomically(Path(folder) / "f.txt", "whole")
     ...     [path.name for path in Path(folder).iterdir()]
     ['f.txt']
     """
@@ -66,7 +67,12 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Path], object]) -
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     _check_writable(path, temporary)
     try:
-        write(temporary)
+        if isinstance(write, pd.DataFrame):
+            write.to_csv(temporary, index=False)
+        elif isinstance(write, str):
+            temporary.write_text(write, encoding="utf-8")
+        else:
+            write(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -263,7 +269,7 @@ def write_polygon(path: str | os.PathLike, vertices: ArrayLike | Polygon | Multi
     if len(parts) > 1:
         node = {"type": "MultiPolygon", "coordinates": parts}
     text = json.dumps(node)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(path, text)
 
 
 def _inline(text):
@@ -581,7 +587,7 @@ def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> N
     frame = pd.DataFrame(
         check_segments(segments).ends.reshape(-1, 6), columns=list(SEGMENT_COLUMNS)
     )
-    write_atomically(path, lambda temporary: frame.to_csv(temporary, index=False))
+    write_atomically(path, frame)
 
 
 def _chains_of_geojson(path):

@@ -215,7 +215,7 @@ def write_site(folder, *, systems="ABC", seed=1, images=True):
             drive = make_drive(distance, seed=seed + 1000 * ord(system))
             place = folder / system / f"drive_{distance:02.0f}m"
             times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
-            _write_table(place / "trajectory.csv", _table(drive.reported, times))
+            write_atomically(place / "trajectory.csv", _table(drive.reported, times))
             _write_control(place, drive, seed)
             cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)
             write_cloud(place / "cloud.laz", cloud, scale=0.0001)
@@ -225,7 +225,7 @@ def write_site(folder, *, systems="ABC", seed=1, images=True):
         return
     jury = [f"juror_{number}" for number in (1, 2, 3)]
     table = pd.DataFrame(marks, columns=["crop", *jury]).sort_values("crop")
-    _write_table(folder / "marks.csv", table)
+    write_atomically(folder / "marks.csv", table)
 
 
 def _drawn(*numbers):
@@ -257,7 +257,7 @@ def _write_plan(folder, boards):
     rows = []
     for board in boards.itertuples():
         file = f"charts/{board.board.replace(' ', '_')}.json"
-        _write_text(folder / file, board.layout.to_json())
+        write_atomically(folder / file, board.layout.to_json())
         about = {"board": board.board, "kind": board.kind, "layout": file}
         rows.append(about | {"corners": board.corners.round(4).tolist()})
     site = {
@@ -269,7 +269,7 @@ def _write_plan(folder, boards):
         "boards": rows,
         "control_points": CONTROL.tolist(),
     }
-    _write_text(folder / "site.json", json.dumps(site, indent=1))
+    write_atomically(folder / "site.json", json.dumps(site, indent=1))
 
 
 def _write_control(place, drive, seed):
@@ -280,7 +280,7 @@ def _write_control(place, drive, seed):
     seen = CONTROL + off + CONTROL_SIGMA_M * rng.standard_normal(CONTROL.shape)
     table = pd.DataFrame(seen.round(4), columns=["easting_m", "northing_m", "height_m"])
     table.insert(0, "point", np.arange(1, len(table) + 1))
-    _write_table(place / "control.csv", table)
+    write_atomically(place / "control.csv", table)
 
 
 def _write_jpeg(file, image, camera):
@@ -311,8 +311,8 @@ def _write_images(place, vehicle, drive, boards, seed):
         crop = blind_name(place / file, board["board"])
         given = _judged(photo, np.random.default_rng(noise))
         marks += [(f"{crop}_{number:02d}", *given) for number in JUDGED_NUMBERS]
-    _write_table(place / "images.csv", pd.DataFrame(rows))
-    _write_text(place / "camera.json", json.dumps({"width": vehicle.camera.width}))
+    write_atomically(place / "images.csv", pd.DataFrame(rows))
+    write_atomically(place / "camera.json", json.dumps({"width": vehicle.camera.width}))
     return marks
 
 
@@ -321,13 +321,3 @@ def _judged(photo, rng):
     pixels = 40 / photo.chart_map.pixel_sizes_mm([[500.0, 500.0]])[0, 1]
     jurors = pixels + JUROR_SIGMA_PX * rng.standard_normal(3)
     return np.select([jurors >= least for least in LEGIBLE_PX.values()], [*LEGIBLE_PX], "c")
-
-
-def _write_text(file, text):
-    """A text file, whole or not at all."""
-    write_atomically(file, lambda path: path.write_text(text, encoding="utf-8"))
-
-
-def _write_table(file, table):
-    """A table as CSV, whole or not at all."""
-    write_atomically(file, lambda path: table.to_csv(path, index=False))

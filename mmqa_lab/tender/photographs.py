@@ -178,9 +178,9 @@ def _readable(images, drive, done):
     """The images that exist and whose columns are numbers."""
     names = [name for name in (*rules.PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
     images[names] = images[names].apply(pd.to_numeric, errors="coerce")
-    there = [(drive.folder / str(file)).is_file() for file in images["file"]]
+    there = np.array([(drive.folder / str(f)).is_file() for f in images["file"]], dtype=bool)
     known = images[names].notna().all(axis=1).to_numpy()
-    for file in images.loc[~np.array(there, dtype=bool), "file"]:
+    for file in images.loc[~there, "file"]:
         done.say(drive.name, f"Image {file}: no such file.")
     for file in images.loc[~known, "file"]:
         done.say(drive.name, f"Image {file}: a number is missing in images.csv. Must have all.")
@@ -238,7 +238,7 @@ def _nothing_shown(board, view, distance, shown):
     if not shown:
         return f"No image shows the board {board.board!r}."
     rule = "from its front" if view == rules.ALONG else f"from {distance:g} m or farther"
-    return f"None of the {len(shown)} images that may show the board {board.board!r} is {rule}."
+    return f"Images that may show the board {board.board!r}: {len(shown)}, none of them {rule}."
 
 
 def _predicted(images, board, camera, drive):
@@ -333,7 +333,7 @@ def _evaluated(grey, choice, camera, gamma):
 
 def _shift(choice, quality):
     """How far right of and above the place that survey and orientation give a board is seen, mm."""
-    if choice["map"] is None:
+    if choice["map"] is None or choice["map"].source != "orientation":
         return None
     layout = quality.layout
     middle = np.array([[layout.width / 2, layout.height / 2]])

@@ -94,10 +94,10 @@ def write_report(done, site, folder, *, criteria, root, inputs):
     """
     folder = Path(folder)
     jury = _write_crops(done, folder / "crops")
-    _write_csv(folder / "jury.csv", jury)
+    write_atomically(folder / "jury.csv", jury)
     rows = [table.assign(criteria=name) for name, table in done.verdicts.items()]
-    _write_csv(folder / "verdicts.csv", pd.concat(rows))
-    _write_csv(folder / "results.csv", done.results.drop(columns=["too_good", "too_bad"]))
+    write_atomically(folder / "verdicts.csv", pd.concat(rows))
+    write_atomically(folder / "results.csv", done.results.drop(columns=["too_good", "too_bad"]))
     with plots.style():
         pictures = {title: _png(figure) for title, figure in _figures(done)}
     parts = _parts(done, site, criteria, _hashes(root, [*inputs, *site.files, *done.files]))
@@ -105,7 +105,7 @@ def write_report(done, site, folder, *, criteria, root, inputs):
     encoded = {name: base64.b64encode(picture).decode() for name, picture in pictures.items()}
     page = filled("acceptance.html", parts=parts, pictures=encoded, **texts)
     files = [folder / "report.html", folder / "report.pdf"]
-    write_atomically(files[0], lambda path: path.write_text(page, encoding="utf-8"))
+    write_atomically(files[0], page)
     write_atomically(files[1], lambda path: _write_pdf(path, parts, pictures, **texts))
     return files
 
@@ -445,11 +445,6 @@ def _write_picture(file, image):
     write_atomically(file, lambda path: path.write_bytes(data))
 
 
-def _write_csv(file, table):
-    """A table as CSV, whole or not at all."""
-    write_atomically(file, lambda path: table.to_csv(path, index=False))
-
-
 def _hashes(root, files):
     """Each file, named from a folder, with its SHA-256."""
     root = Path(root).resolve()
@@ -462,7 +457,7 @@ def _hashes(root, files):
 
 
 def _write_pdf(path, parts, pictures, *, title, lines):
-    """The report as sheets of A4: tables, then figures."""
+    """The report as sheets of A4: tables, then figures, three to a sheet."""
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
     from matplotlib.image import imread
@@ -470,12 +465,16 @@ def _write_pdf(path, parts, pictures, *, title, lines):
     with PdfPages(path, metadata={"CreationDate": None, "Title": title}) as file:
         for sheet in _sheets(parts, title, lines):
             file.savefig(sheet)
-        for caption, picture in pictures.items():
+        named = list(pictures.items())
+        for first in range(0, len(named), 3):
             sheet = Figure(figsize=A4_INCHES, layout="none")
-            sheet.text(0.07, 0.95, caption, fontsize=11)
-            ax = sheet.add_axes((0.05, 0.05, 0.9, 0.88), frame_on=False, xticks=[], yticks=[])
-            ax.imshow(imread(io.BytesIO(picture)))
-            ax.set_anchor("N")
+            for place, (caption, picture) in enumerate(named[first : first + 3]):
+                top = 0.97 - 0.32 * place
+                sheet.text(0.07, top, caption, fontsize=10, va="top")
+                ax = sheet.add_axes((0.05, top - 0.3, 0.9, 0.28), frame_on=False)
+                ax.set(xticks=[], yticks=[])
+                ax.imshow(imread(io.BytesIO(picture)))
+                ax.set_anchor("N")
             file.savefig(sheet)
 
 
@@ -483,17 +482,22 @@ def _sheets(parts, title, lines):
     """Sheets with as many rows of text as fit; tables in letters of one width."""
     from matplotlib.figure import Figure
 
-    text = [title, ""]
-    text += [row for line in lines for row in textwrap.wrap(line, 118)]
+    pages = [[title, "", *(row for line in lines for row in textwrap.wrap(line, 118))]]
     for name, table in parts.items():
-        text += ["", "", name, "", *_rows(table)]
-    for first in range(0, len(text), ROWS_A_SHEET):
+        head, *rows = _rows(table)
+        if len(pages[-1]) + 6 > ROWS_A_SHEET:
+            pages.append([])
+        pages[-1] += ["", "", name, "", head]
+        for row in rows:
+            if len(pages[-1]) == ROWS_A_SHEET:
+                pages.append([f"{name}, continued", "", head])
+            pages[-1].append(row)
+    for number, page in enumerate(pages, start=1):
         sheet = Figure(figsize=A4_INCHES, layout="none")
-        part = text[first : first + ROWS_A_SHEET]
-        size = 6.3 * min(1, LETTERS_A_ROW / max(map(len, part)))
+        size = 6.3 * min(1, LETTERS_A_ROW / max(map(len, page)))
         choices = {"family": "DejaVu Sans Mono", "va": "top", "linespacing": 1.9 * 6.3 / size}
-        sheet.text(0.06, 0.97, "\n".join(part), parse_math=False, fontsize=size, **choices)
-        sheet.text(0.94, 0.02, f"{first // ROWS_A_SHEET + 1}", fontsize=7, ha="right")
+        sheet.text(0.06, 0.97, "\n".join(page), parse_math=False, fontsize=size, **choices)
+        sheet.text(0.94, 0.02, f"{number}", fontsize=7, ha="right")
         yield sheet
 
 
