@@ -297,6 +297,7 @@ def test_a_cluster_that_loses_a_worker_completes_the_same_map(street, tmp_path, 
 
 def test_no_scheduler_is_one_sentence(street, tmp_path, monkeypatch):
     import dask
+    import distributed  # noqa: F401 - its settings would be lost with the one below
 
     folder, *_ = street
     with (

@@ -531,7 +531,7 @@ def test_a_hollow_cylinder_is_told_from_a_full_one(rng):
         height = np.ascontiguousarray(found.points[:, 2])  # or the search is compiled once more
         where = (found.points, height, found.start, found.base)
         axis = np.array([[0.0, 0.0, 0.0, 0.0, 1.5]])
-        row = features.describe(*where, np.zeros((1, 2)), axis)[0][0]
+        row = features.describe(where, np.zeros((1, 2)), axis)[0][0]
         values.append(dict(zip(features.NAMES, row, strict=True)))
     assert values[0]["hollow_radius_m"] == pytest.approx(0.14)
     assert values[0]["hollow_share"] > 0.95

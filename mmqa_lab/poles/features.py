@@ -485,13 +485,13 @@ def _around(dx, dy, across, level, low, high, radius, out):
     out[7] = highest * BIN_M
 
 
-def describe(points, height, start, base, xy, given):
+def describe(where, xy, given):
     """Return features (k, len(NAMES)) and axes (k, 8) of candidates.
 
     Parameters
     ----------
-    points, start, base
-        Of :func:`mmqa_lab.poles.columns.rows`; ``height`` (n,) above ground in the same order.
+    where : tuple of points, height, start, base
+        Of :func:`mmqa_lab.poles.common.rows`; ``height`` (n,) above ground in the same order.
     xy : array, shape (k, 2)
         Candidates.
     given : array, shape (k, 5)
@@ -504,7 +504,7 @@ def describe(points, height, start, base, xy, given):
         and upper end of the pole-like part above ground, radius of the core.
     """
     features, axes = np.zeros((len(xy), len(NAMES))), np.zeros((len(xy), 8))
-    in_threads(_candidates, len(xy), points, height, start, base, xy, given, features, axes)
+    in_threads(_candidates, len(xy), *where, xy, given, features, axes)
     return features, axes
 
 

@@ -142,7 +142,7 @@ def described(points, settings, *, lines=None):
         xy, given = _with_stacks(xy, given, stacks)
     sorted_thin = common.rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
-    features, axes = describe(*where, xy, given)
+    features, axes = describe(where, xy, given)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
     features = np.column_stack([features, describe_facades(thin, height, axes)])
     evidence = np.full((len(xy), len(on_lines.STACK_NAMES + on_lines.RAY_NAMES)), -1.0)
@@ -370,7 +370,7 @@ class _Around:
         half = self.base + self.length / 2
         given = np.column_stack([self.middle, self.lean, half])
         where = (found.points, height[found.order], found.start, found.base)
-        return np.round(describe(*where, self.middle, given)[0], 5)
+        return np.round(describe(where, self.middle, given)[0], 5)
 
 
 def _top(h, length):

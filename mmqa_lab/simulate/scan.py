@@ -191,7 +191,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, seed):
         axis = scanner.widening * (rotation @ along)
     origin = origin + (trajectory.origin - scene.origin)
     beam = *scanner.beam_radius, uniform[:, 0], scanner.echo_separation_m, axis
-    echo = echoes(scene.tree, origin, direction, *beam)
+    echo = echoes(scene.tree, origin, direction, beam)
     noise, kept = _detected(scanner, echo, normal, uniform)
     firing, echo, noise = chosen(firing, kept), chosen(echo, kept), noise[kept]
     origin, direction = _rays(
@@ -840,20 +840,22 @@ def chosen(columns, which):
     return type(columns)(*(None if values is None else values[which] for values in columns))
 
 
-def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
+def echoes(tree, origins, directions, beam):
     """The ``Echoes`` of pulses along unit directions.
 
-    A beam of 1/e2 ``radius`` at the exit that grows by ``growth`` a metre is cast as its axis and a
-    ring of six rays, each an equal share of its energy, turned by ``turn`` (0 to 1) at random. Hits
-    closer than ``separation`` in range fall into one echo: its range is their mean weighted by the
-    signal, its signal their sum, its surface and cosine those of its strongest part; it is mixed
-    where they belong to several surfaces. A beam that is not round is wider along ``axis`` (n, 3),
-    by the length of that vector as much again.
+    ``beam`` is (radius, growth, turn, separation, axis). A beam of 1/e2 ``radius`` at the exit that
+    grows by ``growth`` a metre is cast as its axis and a ring of six rays, each an equal share of
+    its energy, turned by ``turn`` (0 to 1) at random. Hits closer than ``separation`` in range fall
+    into one echo: its range is their mean weighted by the signal, its signal their sum, its surface
+    and cosine those of its strongest part; it is mixed where they belong to several surfaces. A
+    beam that is not round is wider along ``axis`` (n, 3), by the length of that vector as much
+    again.
     """
     n = len(origins)
     nothing = np.full((2, n), np.nan)
     surface, mixed = np.full(n, -1, np.int32), np.zeros(n, bool)
     found = Echoes(nothing[0], surface, nothing[1], np.zeros(n), mixed)
+    radius, growth, turn, separation, axis = beam
     turn = np.ascontiguousarray(turn)  # compiled for one kind of array
     beam = float(radius), float(growth), turn, float(separation), axis
     in_threads(_echoes, n, tree, origins, directions, *beam, found, least=RAYS_A_THREAD)
