@@ -78,10 +78,11 @@ def check_crs(crs):
 
 
 def check_metres(crs, name):
-    """Raise where a coordinate reference system is known and its plan is not in metres."""
-    axes = getattr(crs, "axis_info", None)
-    if axes and axes[0].unit_conversion_factor != 1:
-        unit = axes[0].unit_name.replace("degree", "degrees")
+    """Raise where a coordinate reference system is known and an axis of it is not in metres."""
+    axes = getattr(crs, "axis_info", None) or ()
+    other = next((axis for axis in axes if axis.unit_conversion_factor != 1), None)
+    if other is not None:
+        unit = other.unit_name.replace("degree", "degrees")
         raise ValueError(f"Invalid {name} in {unit} ({crs.name}). Must be projected, in metres.")
 
 

@@ -5,28 +5,16 @@ seconds each, plain loops a tenth of that.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 
 import numba
 import numpy as np
 
 
-@contextmanager
-def enough_threads(items, share):
-    """Let compiled code use one thread, and one more for every ``share`` items.
-
-    Waking a thread takes longer than searching a small cloud.
-    """
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(before, 1 + items // share))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
-
-
 def in_threads(kernel, n, *arguments, least=64):
-    """Let a compiled ``kernel(first, last, *arguments)`` work on n rows, in blocks over threads."""
+    """Let a compiled ``kernel(first, last, *arguments)`` work on n rows, in blocks over threads.
+
+    A block has ``least`` rows or more: waking a thread takes longer than working on a few.
+    """
     threads = numba.get_num_threads()
     rows = max(least, -(-n // (8 * threads))) if threads > 1 else max(n, 1)
     blocks = [(first, min(first + rows, n)) for first in range(0, n, rows)]

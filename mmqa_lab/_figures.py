@@ -37,8 +37,8 @@ JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 """Formatters of axes whose places have names."""
 
-NOTE_INCHES = 0.13
-"""Height of a line below the panels."""
+NOTE_INCHES = 0.18
+"""Height of the line below the panels, with its margins."""
 
 LARGEST_IMAGE = 40_000
 """Pixels of a picture whose values are written with a figure's data: of a larger one every k-th."""
@@ -95,9 +95,8 @@ def say_kind(figure, kind):
     """
     said = " ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
     if kind and kind not in said and not all(word in said for word in re.findall(r"\w+", kind)):
-        lines = filter(None, [figure.get_supxlabel(), kind])
         figure.set_figheight(figure.get_figheight() + NOTE_INCHES)  # the panels keep theirs
-        figure.supxlabel("\n".join(lines), x=0.99, ha="right", fontsize=6, color="0.35")
+        figure.supxlabel(kind, x=0.99, ha="right", fontsize=6, color="0.35")
 
 
 @dataclass

@@ -106,7 +106,12 @@ def _ring(vertices, name):
     """A ring's vertices, the first not repeated."""
     if is_table(vertices):
         vertices = check_points(vertices, name=name)
-    ring = np.asarray(vertices)
+    try:
+        ring = np.asarray(vertices)
+    except ValueError:  # some vertices have heights
+        raise ValueError(
+            f"Invalid {name}: vertices of different lengths. Must all have heights, or none."
+        ) from None
     columns = 2 if ring.ndim == 2 and ring.shape[1] == 2 else 3
     ring = check_points(ring, name=name, columns=columns)
     closed = len(ring) > 1 and np.array_equal(ring[0], ring[-1])

@@ -32,7 +32,7 @@ from scipy.stats import t
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.planes import fit_plane, sigma_mad
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.lattice import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
@@ -87,8 +87,14 @@ BEYOND = 0.5
 WEAK = 1e-4
 """Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
 
+MOST_TURNS = 15
+"""Adjustments, points and features left out after each."""
+
 SAMPLE = 2_000_000
 """Points of a cloud looked at in the search for planes; of larger clouds, so many at random."""
+
+MOST_OF_GROUP = 100
+"""Points of a drive's head that one plane takes."""
 
 BLOCK = 200_000
 """Points placed at a time."""
@@ -607,8 +613,8 @@ class _Adjustment:
         shots, placed = self.shots, self.shots.placed(values)
         _, normal, basis = self.measured(values)
         arm = np.einsum("nij,ni->nj", shots.rotation, placed - shots.offset)
-        turned = np.einsum("nij,nkj->nki", shots.rotation, np.cross(AXES[None], arm[:, None]))
-        effects = np.column_stack([normal, np.einsum("nki,ni->nk", turned, normal)])
+        across = np.einsum("nij,ni->nj", shots.rotation, normal)
+        effects = np.column_stack([normal, np.cross(arm, across) @ AXES.T])
         change = np.zeros((len(placed), 6 * (shots.drive.max() + 1)))
         columns = shots.drive[:, None] * 6 + np.arange(6)
         np.put_along_axis(change, columns, effects, axis=1)
@@ -641,7 +647,7 @@ class _Adjustment:
         parameters = values.ravel()[self.free]
         _refuse_open(self.system(parameters)[1], self.free)
         limits = {"x_scale": "jac", "xtol": 1e-7, "ftol": 1e-7, "max_nfev": 20}
-        while True:
+        for left in reversed(range(MOST_TURNS)):
             self.last = None
             found = least_squares(
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
@@ -654,12 +660,15 @@ class _Adjustment:
                 _near(feature.inside(part)) & keep
                 for feature, part, keep in zip(self.features, by_feature, good, strict=True)
             ]
-            survey, self.survey = self.survey, self._survey_error(by_feature)
+            survey, seen = self.survey, self._survey_error(by_feature)
+            # halfway: weights and medians of few heights could change to and fro for ever
+            self.survey = (survey + seen) / 2 if survey else seen
             planes = slice(self.counts[: self._first("pole")].sum())
             along = (normal * self.shots.beams(values)).sum(axis=1)[planes]
             self.noise_m = np.sqrt(np.mean(misfit[planes] ** 2) / np.mean(along**2))
             settled = np.abs(self.survey - survey) <= 0.1 * self.survey
-            if good.all() and np.concatenate(near).mean() > 1 - STEADY and settled:
+            steady = good.all() and np.concatenate(near).mean() > 1 - STEADY and settled
+            if steady or not left:
                 return found, values
             self._keep(near)
 
@@ -674,10 +683,14 @@ class _Adjustment:
         return np.sqrt(max(sigma_mad(heights) ** 2 - inside, 0)) / noise
 
     def _usual(self, by_feature):
-        """Which features lie no farther off than is usual for their kind."""
+        """Which features lie no farther off than is usual for their kind.
+
+        Of heights over control points, most of which is one survey error, three deviations count.
+        """
         rms = [np.sqrt(np.mean(part**2)) for part in by_feature]
         table = pd.DataFrame({"kind": [f.kind for f in self.features], "rms": rms})
         usual = table.groupby("kind")["rms"].transform("median")
+        usual = usual.where(table["kind"] != "control", CONSISTENT_SCALE * usual)
         return (table["rms"] <= BAD_FEATURE * np.maximum(usual, 1e-6)).to_numpy()
 
     def _keep(self, near):
@@ -812,9 +825,12 @@ def _from_axis(points, height, axis, beams, noise_m):
 
 
 def _control_misfit(points, known):
-    """Heights over a control point, less a tilted surface through it; two tilts, and a constant."""
+    """Heights over a control point, less the slope about the points' middle; tilts, a constant.
+
+    A slope through the control point itself would take up a part of its height's error.
+    """
     off = points - known
-    tilts = off[:, :2]
+    tilts = off[:, :2] - off[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(tilts, off[:, 2], rcond=None)[0]
     normal = np.broadcast_to([-slope[0], -slope[1], 1.0], points.shape)
     return off[:, 2] - tilts @ slope, normal, np.column_stack([tilts, np.ones(len(off))])
@@ -918,7 +934,7 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
         return None
     best = max(range(len(members)), key=lambda k: len(members[k]))
     alike = [
-        _some(run[_near(plane.residuals)], rng)
+        rng.permutation(run[_near(plane.residuals)])[:MOST_OF_GROUP]
         for run, plane in zip(members, planes, strict=True)
         if abs(plane.normal @ planes[best].normal) > np.cos(np.radians(5))
         and abs(planes[best].distances(plane.centre[None])[0]) < PATCH_GAP_M
@@ -931,11 +947,6 @@ def _filled(points):
     off = points - points.mean(axis=0)
     along = np.sort(off @ np.linalg.svd(off, full_matrices=False)[2][:2].T, axis=0)
     return bool((np.diff(along, axis=0).max(axis=0) < LARGEST_GAP * np.ptp(along, axis=0)).all())
-
-
-def _some(run, rng, share=100):
-    """Some of the points of a group, at random."""
-    return rng.choice(run, min(len(run), share), replace=False)
 
 
 def _round(placed, index, fewest):

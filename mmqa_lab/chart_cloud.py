@@ -65,6 +65,12 @@ AXES = ("principal", "horizontal")
 STEEPEST = 0.5
 """Cosine of the slope up to which a polygon in plan is laid onto the surface under it."""
 
+LEAST_COSINE = 0.98
+"""Of the angle between the planes of points and polygon, about 10 degrees."""
+
+FAR, DENSEST = 10.0, 1e7
+"""Farther away than so many times the 90 % quantile, a point is said; points/m2 that none has."""
+
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
 chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge) stay 4 cm away,
@@ -424,7 +430,7 @@ def evaluate_cloud(
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     remarks = []
     if polygon is not None:
-        polygon, inside, remarks = _selected(points, polygon, thickness, cloud.crs)
+        polygon, inside, remarks, surface = _selected(points, polygon, thickness, cloud.crs)
         _check_found(points, polygon, inside)
         points = points[inside]
     if distinct:
@@ -439,6 +445,9 @@ def evaluate_cloud(
     steps = cloud.resolution, _step(points), np.spacing(np.abs(points).max())
     step_mm = 1000 * np.fmax.reduce(steps)
     remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
+    if polygon is not None and abs(plane.normal @ surface.normal) < LEAST_COSINE:
+        turn = np.degrees(np.arccos(min(abs(plane.normal @ surface.normal), 1.0)))
+        remarks.append(f"The plane of the points is turned by {turn:.0f} degrees from the polygon.")
     if sectors != 4 or statistic != 50:
         remarks.append(_remark_on_choices(sectors, gaps))
     return CloudQuality(
@@ -542,7 +551,7 @@ def inside_polygon(
     """
     crs = getattr(points, "crs", None)
     points = check_points(points, minimum=0)
-    _, inside, remarks = _selected(points, polygon, thickness, crs)
+    _, inside, remarks, _ = _selected(points, polygon, thickness, crs)
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
     return inside
@@ -648,6 +657,15 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
             f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
             f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm."
         )
+    away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
+    far = away > FAR * np.quantile(away, 0.9)
+    if far.any():
+        remarks.append(
+            f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they may have "
+            "no true place, and turn the plane."
+        )
+    if gaps.n > DENSEST * max(_hull(gaps.xy).area, 1e-300):
+        remarks.append("More than 10 points/mm2: are the coordinates in degrees, not metres?")
     if gaps.incomplete_share == 1:
         remarks.append(
             "No point has neighbours in all four quadrants within the search radius: d4 and f are "
@@ -680,7 +698,7 @@ def _step(points):
 
 
 def _selected(points, polygon, thickness, crs):
-    """The parts of a polygon with heights, the mask of the points in it, and remarks on it."""
+    """The parts of a polygon with heights, the mask of the points in it, remarks, its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -708,7 +726,7 @@ def _selected(points, polygon, thickness, crs):
     near = np.abs(plane.distances(points)) <= thickness
     x, y = plane.project(points[near]).T
     near[near] = shapely.contains_xy(_outline(parts, plane), x, y)
-    return parts, near, remarks
+    return parts, near, remarks, plane
 
 
 def _check_found(points, parts, inside):

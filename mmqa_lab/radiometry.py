@@ -547,7 +547,8 @@ def empirical_line(
     Raises
     ------
     ValueError
-        If there are fewer than two targets or all have the same DN.
+        If there are fewer than two targets or all have the same DN, a reflectance is not between 0
+        and 1, or reflectance does not grow with DN.
 
     Notes
     -----
@@ -568,7 +569,14 @@ def empirical_line(
         raise ValueError(
             f"Invalid targets: {dn.size} given. Must be two or more of different, finite DN."
         )
+    shares = np.asarray(reflectance, dtype=np.float64)
+    if shares.min() < 0 or shares.max() > 1:
+        raise ValueError(
+            f"Invalid reflectance {shares.min():g} to {shares.max():g}. Must be between 0 and 1."
+        )
     slope = np.polyfit(dn, known, 1)[0]
+    if not slope * np.ptp(dn) > 1e-9:
+        raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
     std = np.ones_like(dn) if std_dn is None else np.hypot(slope * np.asarray(std_dn), std)
     if (std <= 0).any():
         raise ValueError("Invalid standard errors. Must be > 0 DN.")

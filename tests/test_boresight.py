@@ -8,7 +8,7 @@ import pytest
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
-from mmqa_lab.boresight import _pole_misfit, calibrate, corrected
+from mmqa_lab.boresight import _from_axis, _pole_misfit, calibrate, corrected
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
@@ -29,7 +29,8 @@ def drives(street):
 def found(street, drives):
     control = street.ground(spacing_m=4.0, seed=2)
     lever = study.two_heads(NavigationErrors()).assumed_lever_arms
-    return calibrate(drives, lever_arms_m=lever, poles=street.poles, control=control)
+    known = {"poles": street.poles, "control": control, "path_std_m": 0}
+    return calibrate(drives, lever_arms_m=lever, **known)
 
 
 def test_mounting_is_recovered(found):
@@ -38,6 +39,30 @@ def test_mounting_is_recovered(found):
     assert np.abs(found.values - truth)[:, 3:].max() < 0.005
     assert found.planes > 100
     assert np.allclose(np.diag(found.correlation), 1)
+    assert found.remarks == ""  # the paths are exact, as stated
+
+
+def test_arcs_beyond_each_other_are_pushed_back():
+    """Of a pole of 6 cm, each side moved by 5 cm along its beams: past the other one."""
+    turn, height = np.radians(np.linspace(-60, 60, 41)), np.tile([0.0, 0.5, 1.0], 14)[:41]
+    arc = 0.03 * np.column_stack([-np.cos(turn), np.sin(turn)]) + [0.05, 0]
+    points = np.column_stack([np.vstack([arc, -arc]), np.tile(height, 2)])
+    beams = np.repeat([[1.0, 0.0], [-1.0, 0.0]], 41, axis=0)
+    misfit, way, _ = _pole_misfit(points, 0.03, beams)
+    assert ((way[:, :2] * beams).sum(axis=1) < 0).all()  # outwards is where each is seen from
+    assert misfit[[20, 61]] == pytest.approx(-0.05, abs=0.001)
+
+
+def test_range_noise_across_a_thin_pole_adds_no_distance(rng):
+    turn = np.radians(rng.uniform(-70, 70, 200_000))
+    arc = 0.03 * np.column_stack([-np.cos(turn), np.sin(turn)])
+    arc[:, 0] += rng.normal(0, 0.005, len(arc))
+    beams = np.tile([1.0, 0.0], (len(arc), 1))
+    free = np.array([0.0, 0.0, 0.0, 0.0, 0.03])
+    plain, told = (_from_axis(np.c_[arc, turn], 0 * turn, free, beams, s)[0] for s in (0, 0.005))
+    across = np.mean(np.sin(turn) ** 2) * 0.005**2 / 0.06
+    assert plain.mean() == pytest.approx(across, abs=4e-5)
+    assert abs(told.mean()) < 4e-5
 
 
 def test_correction_takes_points_to_their_surfaces(found, street, drives):
@@ -136,7 +161,7 @@ def test_command_says_what_is_kept_and_not_determined(files, capsys):
     rows = json.loads(capsys.readouterr().out)
     remarks = {row["parameter"]: row["remark"] for row in rows}
     assert remarks["x_m"] == "kept as assumed"
-    assert all("do not contain errors of the paths" in row["remarks"] for row in rows)
+    assert all("errors of the paths are not given" in row["remarks"] for row in rows)
     assert "without control" in remarks["z_m"]
 
 

@@ -652,7 +652,7 @@ def test_arrays_of_heights_with_coordinates_are_points(tmp_path):
             {"transform": rasterio.Affine.identity()},
             "Must be a GeoTIFF of one band whose cells have",
         ),
-        ({"crs": "EPSG:4326"}, "in degrees (EPSG:4326). Must be projected, in metres."),
+        ({"crs": "EPSG:4326"}, "in degrees (WGS 84). Must be projected, in metres."),
     ],
 )
 def test_rasters_without_a_place_in_metres_are_refused(tmp_path, choices, sentence):

@@ -10,7 +10,7 @@ import pytest
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.run import Check, Run, parameter_names, read_record
+from mmqa_lab.run import Check, Run, _whole, parameter_names, read_record
 from mmqa_lab.studies import STUDIES
 
 
@@ -222,6 +222,36 @@ def test_tables_are_written_for_latex(run):
     assert "a\\_b \\& f $\\leq$ 2" in text
     run.save_table(pd.concat([frame] * 40), "long", kind="measured")
     assert not (run.folder / "long.tex").exists()
+
+
+def test_tables_of_a_notebook_are_shown_whole():
+    said = "a sentence that is longer than the fifty letters which pandas shows"
+    frame = pd.DataFrame({"off_mm": [-0.0, 1.5], "p": [1.9e-73, 0.25], "why": [said, "b"]})
+    frame["mixed"] = [-0.0, "a"]
+    page = _whole(frame)
+    assert said in page
+    assert "-0" not in page
+    assert "&lt; 0.001" in page
+    assert "e-73" not in page
+    assert frame["p"][0] == 1.9e-73  # what is kept stays
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "said"),
+    [
+        ("predicted", None, "predicted"),
+        ("", {"f_measured": [1.0]}, "measured"),
+        ("", {"f": [1.0, 2.0], "kind": ["published", "fitted"]}, "published, fitted"),
+        ("measured", {"f_predicted": [1.0]}, "measured"),
+    ],
+)
+def test_a_figure_says_the_kind_of_its_numbers(run, kind, data, said):
+    figure, ax = drawn()
+    high = ax.get_position().height * figure.get_figheight()
+    run.save_figure(figure, "kinds", kind=kind, data=None if data is None else pd.DataFrame(data))
+    assert figure.get_supxlabel() == said
+    assert ax.get_position().height * figure.get_figheight() > 0.99 * high
+    plt.close(figure)
 
 
 def test_files_name_what_made_them(run):

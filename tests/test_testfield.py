@@ -242,7 +242,9 @@ def test_command(tmp_path, ground, capsys):
     assert removed["rmse_v_mm"] is None
     assert main(["accuracy", *files, "--reference-std", "-1"]) == 2
     assert "Invalid reference-std -1" in capsys.readouterr().err
-    np.savetxt(tmp_path / "far.csv", reference + 1e5, delimiter=",", header="x,y,z", comments="")
+    np.savetxt(
+        tmp_path / "far.csv", reference + [1e5, 1e5, 0], delimiter=",", header="x,y,z", comments=""
+    )
     path = tmp_path / "path.csv"
     path.write_text("time_s,easting_m,northing_m,height_m\n0,0,0,2\n1,9,9,2\n")
     far = [files[0], str(tmp_path / "far.csv"), "--trajectory", str(path)]

@@ -90,7 +90,7 @@ def _remarks(cloud, telling):
     said = [text for name, text in MISSING.items() if name not in telling]
     if cloud.crs is None:
         said.append("No coordinate system: taken for metres.")
-    elif cloud.crs.axis_info and cloud.crs.axis_info[0].unit_conversion_factor != 1:
+    elif any(axis.unit_conversion_factor != 1 for axis in cloud.crs.axis_info):
         said.append("Coordinates are not in metres: other commands refuse the file.")
     if not _heads(cloud, telling):
         said.append("No number of the head.")

@@ -253,6 +253,8 @@ def _star(values, target):
     figures = _interval("mtf50", "per_px", star.mtf50, reach)
     figures |= _interval("fwhm", "px", star.fwhm_px, reach / star.mtf50 * star.fwhm_px)
     remark = "" if star.mtf50 == star.mtf50 else "the star does not show the frequency of MTF50"
+    if star.mtf50 == star.mtf50 and reach != reach:
+        remark = "the contrast does not fall evenly to a half: are centre and cycles right?"
     return figures | {"mtf10_per_px": star.mtf10, "tilt_deg": star.tilt_deg, "remark": remark}
 
 

@@ -40,6 +40,9 @@ VLR_HEADER, EVLR_HEADER = 54, 60
 LASZIP_CHUNK = 50_000
 """Points in a chunk where the writer does not choose."""
 
+NOISE = (7, 18)
+"""Classes of low and high noise (LAS 1.4 R15, table 17)."""
+
 LAYERED = 3
 """The compressor of point formats 6-10 in a LASzip record."""
 
@@ -240,7 +243,8 @@ def las_tables(path, chunk, *, bare=False):
 
     _check_header(path)
     kinds = laspy.DecompressionSelection
-    wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z if bare else kinds.all()
+    bare_kinds = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.FLAGS | kinds.CLASSIFICATION
+    wanted = bare_kinds if bare else kinds.all()
     with laspy.open(path, decompression_selection=wanted) as reader:
         header = reader.header
         if not (np.isfinite([*header.scales, *header.offsets]).all() and min(header.scales) > 0):
@@ -251,9 +255,10 @@ def las_tables(path, chunk, *, bare=False):
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         names = [] if bare else names
         about = {"resolution": float(max(header.scales)), "crs": _las_crs(path, header)}
-        read, low, high = 0, np.full(3, np.inf), np.full(3, -np.inf)
+        read, useless, low, high = 0, 0, np.full(3, np.inf), np.full(3, -np.inf)
         for part in reader.chunk_iterator(chunk):
             read += len(part)
+            useless += (np.asarray(part.withheld, bool) | np.isin(part.classification, NOISE)).sum()
             attributes = {name: np.array(part[name]) for name in names}
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
@@ -268,6 +273,9 @@ def las_tables(path, chunk, *, bare=False):
             doubts.append(f"its points leave or do not fill the header's box, by {off.max():.6g} m")
     for doubt in doubts:
         warnings.warn(f"{path} may be damaged: {doubt}.", stacklevel=2)
+    if useless:
+        said = f"{useless} of {read} points of {path} are withheld (deleted) or classed as noise"
+        warnings.warn(f"{said}. They count.", stacklevel=2)
 
 
 def las_data(cloud, scale):

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_crs, check_file, check_points
-from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, read_cloud
+from mmqa_lab._checks import check_choice, check_crs, check_file, check_metres, check_points
+from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, TEXT_ENDINGS, read_cloud
 
 GAMMAS = ("srgb", "linear")
 
@@ -221,8 +221,8 @@ RASTER_ENDINGS = (".asc", ".npz", ".tif", ".tiff")
 ARRAY_NAMES = ("ground", "height", "heights", "z")
 """Arrays of an ``.npz`` that are taken for heights, in this order."""
 
-USUAL_NODATA = -9999.0
-"""What an Esri ASCII grid takes for no height where it does not say."""
+NO_HEIGHT_M = 9999.0
+"""Reference heights as large as this stand for none, -9999, -32768 and -3.4e38 among them."""
 
 
 def read_heights(path: str | os.PathLike) -> np.ndarray:
@@ -238,14 +238,20 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
     Returns
     -------
     array, shape (n, 3)
-        Metres; cells without a height are left out.
+        Metres; cells without a height are left out, and those of 9999 m or more above or below.
+        Repeated points of a text file count once.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is neither, is damaged, has no height, or is in degrees.
+        If it is neither, is damaged, has no height, or is not in metres.
+
+    Warns
+    -----
+    UserWarning
+        How many points of a file were left out.
 
     Examples
     --------
@@ -262,11 +268,30 @@ def read_heights(path: str | os.PathLike) -> np.ndarray:
     elif is_raster(path):
         points = _from_raster(path)
     elif ending in CLOUD_ENDINGS:
-        points = read_cloud(path, columns=()).points
+        points = _listed(path, ending)
     else:
         listed = ", ".join(dict.fromkeys((*CLOUD_ENDINGS, *RASTER_ENDINGS)))
         raise ValueError(f"Invalid reference {path}. Must end in one of {listed}.")
-    return check_points(points, name=f"reference {path}")
+    points = check_points(points, name=f"reference {path}")
+    points = points[np.abs(points[:, 2]) < NO_HEIGHT_M]
+    if not len(points):
+        raise ValueError(f"Invalid reference {path}: no height below {NO_HEIGHT_M:g} m. Must have.")
+    return points
+
+
+def _listed(path, ending):
+    """The points of a file of points; what of them will not count is said."""
+    points = read_cloud(path, columns=()).points
+    said = {f"without a height below {NO_HEIGHT_M:g} m": np.abs(points[:, 2]) >= NO_HEIGHT_M}
+    if ending in TEXT_ENDINGS:
+        again = np.ones(len(points), dtype=bool)
+        again[np.unique(points, axis=0, return_index=True)[1]] = False
+        said["that repeat"] = again
+        points = points[~again]
+    for what, which in said.items():
+        if which.any():
+            warnings.warn(f"Dropped {which.sum()} points of {path} {what}.", stacklevel=3)
+    return points
 
 
 def heights_crs(path):
@@ -320,7 +345,8 @@ def _from_raster(path):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.open(path, **choices) as raster:
                 _check_raster(path, raster)
-                heights = _unmasked(raster, USUAL_NODATA if grid else None)
+                heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
+                heights = heights * raster.scales[0] + raster.offsets[0]
                 place = raster.transform
     except rasterio.errors.RasterioError as error:
         wanted = "an Esri ASCII grid" if grid else "a GeoTIFF"
@@ -336,18 +362,8 @@ def _check_raster(path, raster):
         raise ValueError(
             f"Invalid reference {path}. Must be a GeoTIFF of one band whose cells have a place."
         )
-    if raster.crs is not None and raster.crs.is_geographic:
-        raise ValueError(
-            f"Invalid reference {path} in degrees ({raster.crs}). Must be projected, in metres."
-        )
-
-
-def _unmasked(raster, usual):
-    """The heights of a raster's band, NaN where there are none."""
-    heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
-    if raster.nodata is None and usual is not None:
-        heights[heights == usual] = np.nan
-    return heights * raster.scales[0] + raster.offsets[0]
+    if raster.crs is not None:
+        check_metres(check_crs(raster.crs.to_wkt()), f"reference {path}")
 
 
 def _is_grid(path):

@@ -108,8 +108,14 @@ def first_sentence(error):
     return (lines[0] if lines else type(error).__name__).rstrip(". ")
 
 
-SAMPLED_LINES = 8
+SAMPLED_LINES = 50
 """Lines of data that are looked at to find out the layout."""
+
+HIGHEST_M, EARTH_M = 20_000.0, (6.33e6, 6.41e6)
+"""No height of a point is larger; least and largest distance of points from the earth's centre."""
+
+WEEK_S, FASTEST_M_S = 604_800.0, 150.0
+"""A week of GPS, after which its seconds begin again; no vehicle or helicopter is faster."""
 
 TRAJECTORY_COLUMNS = {
     "time_s": ("time_s", "time", "gps_time", "gpstime", "t"),
@@ -146,7 +152,8 @@ def read_trajectory(
     FileNotFoundError
         If there is no such file.
     ValueError
-        If a needed column is missing, a value is no finite number, or a time repeats.
+        If a needed column is missing, a value is no finite number, a time repeats, the seconds of
+        a GPS week begin again, or no vehicle is as fast.
 
     Examples
     --------
@@ -174,9 +181,18 @@ def read_trajectory(
     if angle_unit == "radians":
         angles = [column for column in table if column.endswith("_deg")]
         table[angles] = np.degrees(table[angles])
+    if (table["time_s"].diff() < -WEEK_S / 2).any() and table["time_s"].max() <= WEEK_S:
+        raise ValueError(f"Invalid trajectory {path}: the week begins again. Must count on.")
     table = table.sort_values("time_s", ignore_index=True)
     if (table["time_s"].diff() <= 0).any():
         raise ValueError(f"Invalid trajectory {path}: a time repeats. Must be distinct times.")
+    moved = np.linalg.norm(table[["easting_m", "northing_m", "height_m"]].diff(), axis=1)
+    speed = moved / table["time_s"].diff()
+    if speed.max() > FASTEST_M_S:
+        raise ValueError(
+            f"Invalid trajectory {path}: {speed.max():.4g} m/s in line {speed.argmax() + 2} by time"
+            f". Must be {FASTEST_M_S:g} m/s at most; is the unit of time right?"
+        )
     return table
 
 
@@ -458,14 +474,30 @@ def _numbered(path, rows):
         raise ValueError(
             f"Invalid table {path}: {count} columns. Must be rows of numbers, x y z first."
         )
-    first = pd.to_numeric([row[0] for row in rows], errors="coerce").tolist()
-    counted = [list(range(start, start + len(rows))) for start in (0, 1)]
-    if count > 3 and len(rows) > 2 and first in counted:
-        raise ValueError(
-            f"Invalid table {path}: its first column numbers the rows. "
-            "Must have a header that names x, y, z."
-        )
+    said = _no_place(pd.DataFrame(rows).replace(",", ".", regex=True))
+    if said:
+        raise ValueError(f"Invalid table {path}: {said}. Must have a header that names x, y, z.")
     return ["x", "y", "z", *(f"column_{k + 1}" for k in range(3, count))]
+
+
+def _no_place(rows):
+    """What in the first rows of a table without names speaks against x, y, z as first columns."""
+    values = rows.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    first, counted = values[:, 0], np.arange(len(values))
+    whole = (values % 1 == 0).all(axis=0)
+    if values.shape[1] > 3 and len(values) > 2:
+        if any(np.array_equal(first, counted + start) for start in (0, 1)):
+            return "its first column numbers the rows"
+        for before, said in ((1, "its first column has"), (3, "its first three columns have")):
+            after = whole[before : before + 3]
+            if whole[:before].all() and len(after) == 3 and np.ptp(first) > 0 and not after.any():
+                return f"{said} whole numbers, the next three have not"
+    away = np.linalg.norm(values[:, :3], axis=1)
+    geocentric = (EARTH_M[0] < away) & (away < EARTH_M[1])
+    high = values[np.isfinite(away) & ~geocentric & (np.abs(values[:, 2]) > HIGHEST_M), 2]
+    if len(high):
+        return f"its third column has {high[0]:.10g}, which is no height"
+    return ""
 
 
 SEGMENT_COLUMNS = ("x1", "y1", "z1", "x2", "y2", "z2")
@@ -587,11 +619,13 @@ def _chains_of_dxf(path):
         ) from error
     try:
         entities = ezdxf.readfile(path).modelspace()
-    except (OSError, ezdxf.DXFError) as error:
+    except (OSError, StopIteration, ezdxf.DXFError) as error:
         raise ValueError(f"Invalid segments {path}. Must be a DXF file.") from error
-    chains = [(line.dxf.start, line.dxf.end) for line in entities.query("LINE")]
-    chains += [line.vertices_in_wcs() for line in entities.query("LWPOLYLINE")]
-    chains += [line.points_in_wcs() for line in entities.query("POLYLINE")]
+    chains = [[line.dxf.start, line.dxf.end] for line in entities.query("LINE")]
+    for line in entities.query("LWPOLYLINE POLYLINE"):
+        flat = line.dxftype() == "LWPOLYLINE"
+        chain = list(line.vertices_in_wcs() if flat else line.points_in_wcs())
+        chains.append(chain + chain[:1] * (line.closed if flat else line.is_closed))
     return [[tuple(vertex) for vertex in chain] for chain in chains]
 
 

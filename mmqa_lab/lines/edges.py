@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
-END_NOISE = 2.0
-"""Share of the points' variance in that of an end: the outermost of many noisy points marks it."""
+END_GAPS = 1.88
+"""Variance of an end in squared mean gaps, to which that of the points' noise is added: a row ends
+an exponentially distributed way beyond its last point, and the shorter of two rows, with 95 %,
+within 3.7 gaps."""
+
+BIN_GAPS = 5.0
+"""Mean gaps of a bin at least, so that by chance few bins of a thin cloud are empty."""
 
 LEAST_SUPPORT = 6
 """Points beside an edge on either plane."""
@@ -107,8 +112,9 @@ def extract_edges(
     The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
     patches have points within half of ``size`` of the line that are clear of the other plane, and a
     quarter of what their other bins have at least; runs of bins, gaps of one bin closed, are edges.
-    An edge ends where its first side ends: at the last point and half a gap, which is what
-    the end of a row of points leaves open.
+    Points of both must also come as near to the line as their spacing allows: planes that end
+    before it have no edge there. An edge ends where its first side ends: at the last point and half
+    a gap, which is what the end of a row of points leaves open.
 
     Parameters
     ----------
@@ -116,7 +122,8 @@ def extract_edges(
         Metres.
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
-        support neither; edges are half of ``size`` long at least.
+        support neither; edges are half of ``size`` long at least, and a face of less than 0.375
+        ``size`` squared has none.
     angle : float
         Least angle between two planes, degrees.
 
@@ -154,7 +161,8 @@ def extract_edges(
     if len(patches) > 1:
         lines = _Lines(points, patches, size / 2, angle)
         for line, sides in lines.supported(tolerance, size / 2):
-            for low, high, counts in _runs(sides, size / CELLS_PER_SIZE):
+            clear = tolerance / np.sqrt(lines.sine2[line])
+            for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
                 if high[0] - low[0] >= size / 2 and min(counts) >= LEAST_SUPPORT:
                     rows.append(lines.edge(line, low, high, counts))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 5
@@ -193,15 +201,15 @@ class _Lines:
         self.foot = start + height[:, None] * (second - cosine[:, None] * first)
 
     def supported(self, tolerance, reach):
-        """Each line with the sorted stations of the points beside it, those of either plane."""
-        side, station = beside_lines(self, tolerance, reach)
-        order = np.lexsort((station, side))
-        side, station = side[order], station[order]
+        """Each line with the points beside it on either plane, rows (station, distance)."""
+        side, *places = beside_lines(self, tolerance, reach)
+        order = np.lexsort((places[0], side))
+        side, places = side[order], np.array(places)[:, order]
         bounds = np.searchsorted(side, np.arange(2 * len(self.pairs) + 1))
         for line in range(len(self.pairs)):
             a, b, c = bounds[2 * line : 2 * line + 3]
             if a < b < c:
-                yield line, (station[a:b], station[b:c])
+                yield line, (places[:, a:b], places[:, b:c])
 
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""
@@ -212,34 +220,47 @@ class _Lines:
         covariance = []
         for end, (_, gap) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
-            along = (gap**2 + END_NOISE * noise**2) * np.outer(direction, direction)
-            covariance.append(solve @ heights @ solve.T + along)
+            along = END_GAPS * gap**2 + noise**2
+            covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
 
 
-def _runs(sides, cell):
+def _runs(sides, cell, clear):
     """Edges along a line: (low end, gap there), (high end, gap), numbers of points."""
-    low = max(side[0] for side in sides)
-    bins = int(np.ceil((min(side[-1] for side in sides) - low) / cell))
+    gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
+    cell = max(cell, BIN_GAPS * max(gaps, default=0.0))
+    low = max(side[0, 0] for side in sides)
+    bins = int(np.ceil((min(side[0, -1] for side in sides) - low) / cell))
     if bins < 1:
         return
     edges = low + cell * np.arange(bins + 1)
-    both = np.all([_full(np.histogram(side, edges)[0]) for side in sides], axis=0)
+    both = np.all([_full(side, edges, cell, clear) for side in sides], axis=0)
     both[1:-1] |= both[:-2] & both[2:]
     change = np.flatnonzero(np.diff(np.r_[False, both, False].astype(int)))
     for start, stop in change.reshape(-1, 2):
         first, last = edges[start], edges[stop]
-        ends = [_ends(side, first, last, cell) for side in sides]
+        if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
+            continue
+        ends = [_ends(side[0], first, last, cell) for side in sides]
         low_end = max((end[:2] for end in ends), key=lambda end: end[0])
         high_end = min((end[2:4] for end in ends), key=lambda end: end[0])
         yield low_end, high_end, [end[4] for end in ends]
 
 
-def _full(counts):
-    """Bins with a fair share of the points, less what chance takes away."""
+def _full(side, edges, cell, clear):
+    """Bins with a fair share of the points, less what chance takes away, that reach the line."""
+    station, distance = side
+    bins = np.searchsorted(edges, station, "right") - 1
+    inside = (bins >= 0) & (bins < len(edges) - 1)
+    counts = np.bincount(bins[inside], minlength=len(edges) - 1)
     usual = np.median(counts[counts > 0]) if counts.any() else 0
-    return counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
+    nearest = np.full(len(counts), np.inf)
+    np.minimum.at(nearest, bins[inside], distance[inside])
+    lines_apart = np.diff(np.sort(distance)).max(initial=0)
+    away = np.maximum(max(cell / 4, lines_apart), LONGEST_GAP * 2 * cell / (counts + 1))
+    fair = counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
+    return fair & (nearest <= clear + away)
 
 
 def _ends(side, first, last, cell):

@@ -52,8 +52,8 @@ OUTLINE_SIGMAS = 3.0
 NEARBY = 1.2
 """Contrasts within this ratio of a share tell where the contrast falls to it."""
 
-LENS_SHARE = 0.0025
-"""By which stars behind simulated discs and diffraction err besides noise."""
+LENS_SHARE = 0.0015
+"""By which stars err besides noise behind three simulated lenses, level and tilted (rms)."""
 
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Rings are two pixels wide and begin so far apart: four of them share each pixel."""

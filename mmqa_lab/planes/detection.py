@@ -630,8 +630,8 @@ def _neighbours(grid, bounds, owners):
 def beside_lines(lines, tolerance, reach):
     """Points within ``reach`` of a line of their plane with another, and clear of that other.
 
-    Returns the side of each (twice the line's number, plus one for the second plane) and
-    its station along the line, m.
+    Returns the side of each (twice the line's number, plus one for the second plane), its
+    station along the line and its distance from it, m.
     """
     n, (cells, a, b) = len(lines.normals), lines.meetings.T
     keys = lines.pairs @ [n, 1]
@@ -646,10 +646,10 @@ def beside_lines(lines, tolerance, reach):
 
 @numba.njit(cache=True)
 def _beside(grid, owner, meetings, frames, tolerance, reach, room):
-    """The sides and stations of :func:`beside_lines`, at most ``room``."""
+    """The sides, stations and distances of :func:`beside_lines`, at most ``room``."""
     points, start = grid[0], grid[2]
     foot, direction, centres, normals = frames
-    sides, stations, n = np.empty(room, dtype=np.int64), np.empty(room), 0
+    sides, places, n = np.empty(room, dtype=np.int64), np.empty((2, room)), 0
     for cell, a, b, line in meetings:
         for p in range(start[cell], start[cell + 1]):
             if owner[p] != a or abs(_distance(points, p, centres[b], normals[b])) <= tolerance:
@@ -657,6 +657,6 @@ def _beside(grid, owner, meetings, frames, tolerance, reach, room):
             station = _distance(points, p, foot[line], direction[line])
             square = ((points[p] - foot[line]) ** 2).sum() - station**2
             if square <= reach**2:
-                sides[n], stations[n] = 2 * line + (a > b), station
+                sides[n], places[0, n], places[1, n] = 2 * line + (a > b), station, square
                 n += 1
-    return sides[:n], stations[:n]
+    return sides[:n], places[0, :n], np.sqrt(np.maximum(places[1, :n], 0))

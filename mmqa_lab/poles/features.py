@@ -519,7 +519,7 @@ def _candidates(begin, end, points, height, start, base, xy, given, features, ax
             if 0.1 < height[i] < BINS * BIN_M:
                 x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
                 n += 1
-        axis = axes[c]
+        h, axis = h[:n], axes[c]
         for k in range(5):
             axis[k] = given[c, k]
         if math.isnan(axis[0]):

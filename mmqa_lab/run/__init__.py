@@ -163,12 +163,13 @@ class Run:
         """
         if kind:
             frame = frame.assign(**{"kind_of_number" if "kind" in frame else "kind": kind})
-        if not _says_kind(frame):
+        self._kinds[name] = _kind_of(frame)
+        has_numbers = len(frame) and len(frame.select_dtypes(["number", "bool"]).columns)
+        if has_numbers and not self._kinds[name]:
             raise ValueError(
                 f"Invalid table {name}: nothing says which kind its numbers are. "
                 f"Must be one of {', '.join(KINDS)}."
             )
-        self._kinds[name] = _kind_of(frame)
         self._write_table(frame, name)
         if len(frame) <= LONGEST_LATEX:
             self._write(
@@ -475,10 +476,12 @@ def four_digits(number):
 
 
 def _kind_of(frame):
-    """The kinds of a table's numbers as a note: those of its column for them, or of its names."""
-    column = next((frame[name] for name in ("kind_of_number", "kind") if name in frame), [])
-    said = [text for text in dict.fromkeys(column) if any(kind in str(text) for kind in KINDS)]
-    return ", ".join(said or [kind for kind in KINDS if any(kind in str(one) for one in frame)])
+    """The kinds of a table's numbers: of a column with one in each row, or of columns' names."""
+    words = frame.select_dtypes(exclude=["number", "bool"]).astype(str)
+    told = [name for name in words if words[name].str.contains("|".join(KINDS)).all()]
+    said = " ".join(words[told[0]].unique() if told else map(str, frame))
+    kinds = ", ".join(kind for kind in KINDS if kind in said)
+    return f"{kinds} (simulated)" if kinds and "simulated" in said else kinds
 
 
 def _show_tables_whole():
@@ -509,17 +512,6 @@ def _readable(frame):
         elif column.dtype.kind == "O":
             frame.isetitem(place, column.map(lambda v: v + 0.0 if isinstance(v, float) else v))
     return frame
-
-
-def _says_kind(frame):
-    """Whether a table says of which kind its numbers are, or has none."""
-    words = frame.select_dtypes(exclude=["number", "bool"])
-    if len(words.columns) == len(frame.columns):
-        return True
-    if any(kind in str(name) for name in frame for kind in KINDS):
-        return True
-    pattern = "|".join(KINDS)
-    return any(words[name].astype(str).str.contains(pattern).all() for name in words)
 
 
 def _plain(value):

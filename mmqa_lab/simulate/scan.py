@@ -26,11 +26,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab._compiled import enough_threads, in_threads
+from mmqa_lab._compiled import in_threads
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern.lattice import rotations
 from mmqa_lab.simulate.point_patterns import hard_core_points, matern, older_within
-from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, TASK, Scene, describe, mapped, nearest
+from mmqa_lab.simulate.scenes import RAYS_A_THREAD, STACK, Scene, describe, mapped, nearest
 from mmqa_lab.simulate.trajectories import Trajectory
 
 FOOTPRINT = 7
@@ -170,8 +170,7 @@ def _blocks(scene, heads, trajectory, known, edges, seed):
         for number, head in enumerate(heads):
             first, last = (int(np.ceil(t * head.pulse_rate_hz)) for t in (start, stop))
             pulse = np.arange(first, last)
-            with enough_threads(len(pulse), RAYS_A_THREAD):
-                cloud = _shoot(scene, head, trajectory, known, pulse, [seed, number])
+            cloud = _shoot(scene, head, trajectory, known, pulse, [seed, number])
             if len(heads) > 1:
                 cloud.columns["head"] = np.full(len(cloud), number, np.uint8)
             clouds.append(cloud)
@@ -253,7 +252,7 @@ def draws(seed, pulse):
         z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
     u = ((z >> np.uint64(11)) + 0.5) * 2.0**-53
     normal = np.empty((len(u), 3))
-    in_threads(_normal, len(u), u, normal, least=TASK)
+    in_threads(_normal, len(u), u, normal, least=RAYS_A_THREAD)
     return normal, u[:, 4:]
 
 
@@ -733,7 +732,7 @@ def beam_rays(states, lever_arm, mounting, beams):
     origins, directions = np.empty((len(beams), 3)), np.empty((len(beams), 3))
     matrix = np.ascontiguousarray(mounting).ravel()
     rays = origins, directions
-    in_threads(_beam_rays, len(beams), states, lever_arm, matrix, beams, *rays, least=TASK)
+    in_threads(_beam_rays, len(beams), states, lever_arm, matrix, beams, *rays, least=RAYS_A_THREAD)
     return rays
 
 
@@ -857,7 +856,7 @@ def echoes(tree, origins, directions, radius, growth, turn, separation, axis):
     found = Echoes(nothing[0], surface, nothing[1], np.zeros(n), mixed)
     turn = np.ascontiguousarray(turn)  # compiled for one kind of array
     beam = float(radius), float(growth), turn, float(separation), axis
-    in_threads(_echoes, n, tree, origins, directions, *beam, found, least=TASK)
+    in_threads(_echoes, n, tree, origins, directions, *beam, found, least=RAYS_A_THREAD)
     return found
 
 

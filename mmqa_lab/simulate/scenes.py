@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._compiled import enough_threads, in_threads
+from mmqa_lab._compiled import in_threads
 from mmqa_lab.simulate.surfaces import (
     ELLIPSE,
     ELLIPSOID,
@@ -32,7 +32,6 @@ LEAF_SIZE = 4
 DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
 STACK = 128
 RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
-TASK = 512  # rays, at least, that a thread works through with one stack
 
 
 class Hits(NamedTuple):
@@ -136,8 +135,7 @@ class Scene:
         ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
         normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
         found = ranges, surface, normal, reflectance
-        with enough_threads(n, RAYS_A_THREAD):
-            in_threads(_cast, n, self.tree, local, unit, *found, least=TASK)
+        in_threads(_cast, n, self.tree, local, unit, *found, least=RAYS_A_THREAD)
         cosine = np.einsum("ij,ij->i", normal, unit)
         normal *= -np.sign(cosine)[:, None]
         ranges[surface < 0] = np.nan

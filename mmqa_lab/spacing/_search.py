@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numba import njit
 
-from mmqa_lab._compiled import enough_threads, in_threads
+from mmqa_lab._compiled import in_threads
 from mmqa_lab.cloud import sort_into_cells
 
 POINTS_PER_CELL = 12
@@ -51,8 +51,7 @@ def nearest_per_quadrant(xy, radius, of):
     Only for the points in the mask ``of``; the others get NaN.
     """
     xy = np.require(xy, requirements="CW")  # compiled once, for what a table gives as well
-    with enough_threads(len(xy), POINTS_A_THREAD):
-        return _nearest(xy, radius, of, numba.get_num_threads())
+    return _nearest(xy, radius, of, min(numba.get_num_threads(), 1 + len(xy) // POINTS_A_THREAD))
 
 
 def _nearest(xy, radius, of, threads):

@@ -191,7 +191,7 @@ def plot_readings(results):
     for ax, name in zip(axes, table.columns.unique(0), strict=True):
         table[name].plot.barh(ax=ax, legend=False, width=0.8)
         ax.set(title=name.removesuffix("_percent"), ylabel="")
-    figure.supxlabel("difference from Appendix A (%)")
+    axes[2].set_xlabel("difference from Appendix A (%)")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure
 

@@ -384,6 +384,8 @@ def board_edges():
     DataFrame
         A row for each pose: ``sensor``, ``pose``, ``long_error_mm`` and ``short_error_mm`` of the
         outline's sides, ``lhd_m``, ``perpendicular_m`` and ``corner_rms_mm`` from the camera.
+    Sets
+        All edges of the lidars (test) and of the camera (model), partners in one row.
     """
     camera = _corners("camera")
     outlines = {key: _outline(*key) for key in camera if _shortest(camera[key]) > 0.1}
@@ -393,15 +395,17 @@ def board_edges():
     order = np.array([_order(a, b) for a, b in zip(rough, fixed, strict=True)])
     moving = np.take_along_axis(moving, order[..., None], axis=1)
     turned = _fitted(moving, moving.reshape(-1, 3), fixed.reshape(-1, 3))
+    seen = np.stack([turned, np.roll(turned, -1, axis=1)], axis=2)
     rows = []
-    for (key, outline), corners in zip(outlines.items(), turned, strict=True):
+    for (key, outline), edges, corners in zip(outlines.items(), seen, turned, strict=True):
         long, short = 1000 * (outline.size - BOARD_M)
-        camera_edges = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        found = measured(Sets(outline.segments, lines.Segments(camera_edges)))
+        found = measured(Sets(outline.segments, lines.Segments(edges)))
         rms = 1000 * np.sqrt(((outline.corners - corners) ** 2).sum(axis=1).mean())
         rows.append((*key, long, short, found.value, found.perpendicular_only, rms))
     names = ["sensor", "pose", "long_error_mm", "short_error_mm", "lhd_m", "perpendicular_m"]
-    return pd.DataFrame(rows, columns=[*names, "corner_rms_mm"])
+    ends = np.concatenate([outline.segments.ends for outline in outlines.values()])
+    sets = Sets(lines.Segments(ends), lines.Segments(seen.reshape(-1, 2, 3)))
+    return pd.DataFrame(rows, columns=[*names, "corner_rms_mm"]), sets
 
 
 def _corners(source):

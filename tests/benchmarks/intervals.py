@@ -2,7 +2,7 @@
 
 ``PYTHONPATH=tests python tests/benchmarks/intervals.py`` runs every simulation of
 ``tests/covered.py`` in full, some minutes of processor time. ``--folder`` keeps finished draws, so
-that a run that was stopped goes on; names of estimates run only these and print their rows.
+that a run that was stopped goes on; names of estimates run only these and replace their rows.
 """
 
 import argparse
@@ -20,22 +20,38 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 def main():
     """Simulate, print, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help="estimates; all, and the README, where none")
+    parser.add_argument("names", nargs="*", help="estimates; all where none")
     parser.add_argument("--folder", type=Path, help="where finished draws are kept")
+    parser.add_argument("--draws", type=int, help="of each case, instead of the usual number")
     options = parser.parse_args()
     parts = []
     for estimate in ESTIMATES:
         if options.names and estimate.name not in options.names:
             continue
         folder = options.folder and options.folder / estimate.name.replace(" ", "_")
-        parts.append(shares(estimate, simulated(estimate, estimate.many, folder)))
+        rows = simulated(estimate, options.draws or estimate.many, folder)
+        parts.append(shares(estimate, rows))
         print(parts[-1].round(3).to_string(index=False, header=False), flush=True)
-    if options.names:
-        return
-    table = pd.concat(parts).rename(columns={"low": "from", "high": "to"})
+    write(pd.concat(parts))
+
+
+def write(found):
+    """Put rows into the table of the README, those of the same estimates make room."""
+    table = found.rename(columns={"low": "from", "high": "to"})
     for name in ("coverage", "from", "to", "least case", "largest case"):
         table[name] = table[name].map("{:.3f}".format)
-    text = replaced(README.read_text(encoding="utf-8"), "coverage", markdown_table(table))
+    new = {"head": markdown_table(table).splitlines()[:2]}
+    text = README.read_text(encoding="utf-8")
+    old = text.split("<!-- coverage -->")[1].split("<!-- end coverage -->")[0]
+    for line in old.strip().splitlines()[2:]:
+        new.setdefault(line.split(" | ")[0], []).append(line)
+    fresh = {}
+    for line in markdown_table(table).splitlines()[2:]:
+        fresh.setdefault(line.split(" | ")[0], []).append(line)
+    new |= fresh
+    order = ["head", *(f"| {one.name}" for one in ESTIMATES)]
+    lines = [line for name in order for line in new.get(name, [])]
+    text = replaced(text, "coverage", "\n".join(lines))
     write_atomically(README, lambda path: path.write_text(text, encoding="utf-8"))
 
 
