@@ -71,8 +71,8 @@ def folder(tmp_path_factory):
     columns = ["time", "x", "y", "z", "heading"]
     pd.DataFrame(rows, columns=columns).to_csv(folder / "path.csv", index=False)
     street.poles.to_csv(folder / "posts.csv", index=False)
-    levelled = "x,y,z\n" + "1423215.6,4189097.6,67.88\n" * 30
-    (folder / "levelled.csv").write_text(levelled)
+    rows = (f"{1423215.0 + 0.05 * k:.2f},4189097.6,67.88\n" for k in range(30))
+    (folder / "levelled.csv").write_text("x,y,z\n" + "".join(rows))
     return folder
 
 
