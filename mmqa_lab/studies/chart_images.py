@@ -452,9 +452,9 @@ def draw_rules(results):
     printed = table[(table["spread_px"] == FITTED_PX) & (table["exposure_ms"] == 0)]
     steps = printed.set_index("method")[["steps_h", "steps_v"]].abs().stack().astype(int)
     counts = pd.crosstab(steps, steps.index.get_level_values("method"))
-    counts[order].plot.bar(ax=axes[2], rot=0)
+    counts[order].plot.bar(ax=axes[2], legend=False, rot=0)
     axes[2].set(xlabel="steps from Table 1", ylabel="widths")
-    axes[2].legend(title="", loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    figure.legend(*axes[2].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return figure
 
 
