@@ -258,7 +258,7 @@ def test_scores_and_figure_have_a_row_for_each_rule():
     assert scores.index.names == ["method", "spread_px", "exposure_ms"]
     assert len(scores) == 2 * 3
     figure = images.draw_rules(results)
-    assert [text.get_text() for text in figure.axes[2].get_legend().get_texts()] == ["a", "b"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
     # one of two widths of each of four photographs is a step away
     heights = [[bar.get_height() for bar in bars] for bars in figure.axes[2].containers]
     assert heights == [[4, 4], [4, 4]]
