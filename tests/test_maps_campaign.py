@@ -93,6 +93,18 @@ def test_order_of_files_and_a_file_given_twice_change_nothing(street, tmp_path):
     assert_same(maps.open_map(tmp_path / "run"), expected)
 
 
+def test_a_map_that_would_fill_the_memory_is_lazy_and_the_same(street, tmp_path, monkeypatch):
+    folder, _, expected = street
+    maps.map_campaign([folder], tmp_path / "run", cell=CELL, tile=4.0, workers=1)
+    assert maps.open_map(tmp_path / "run")["n"].chunks is None
+    monkeypatch.setattr(maps, "IN_MEMORY", 0)
+    lazy = maps.open_map(tmp_path / "run")
+    assert lazy["n"].chunks is not None
+    assert_same(lazy, expected)
+    maps.write_map(lazy, tmp_path / "map.nc")
+    assert (tmp_path / "map.nc").is_file()
+
+
 def test_coordinates_far_away_give_the_same_figures(tmp_path):
     """Moved by 10 000 km, coordinates carry 2e-9 m of rounding: figures agree to 1e-4 mm."""
     rng = np.random.default_rng(7)

@@ -38,7 +38,7 @@ __dir__ = __all__.copy
 
 ENDINGS = (".nc", ".zarr", ".tif")
 
-IN_MEMORY = 2**30
+IN_MEMORY = 2**27
 """Maps of fewer bytes than this are read once, larger ones piece by piece at each use."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -63,7 +63,7 @@ SLIMMEST = 4
 def open_map(
     folder: str | os.PathLike, *, crs: str | None = None, rho0: float | None = None
 ) -> xr.Dataset:
-    """Open the tiles of a run as one Dataset, from 1 GiB on a lazy one.
+    """Open the tiles of a run as one Dataset, from 128 MiB on a lazy one.
 
     Parameters
     ----------
