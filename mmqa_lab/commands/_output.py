@@ -57,7 +57,7 @@ def write_rows(frame, options):
     if options.csv is not None:
         from mmqa_lab.io import write_atomically
 
-        write_atomically(options.csv, lambda path: frame.to_csv(path, index=False))
+        write_atomically(options.csv, frame)
 
 
 def write_figure(file, figure, *, title):

@@ -297,7 +297,7 @@ def write_report(path, dataset, table, *, title, lines, problems):
         picture=base64.b64encode(picture.getvalue()).decode(),
         table=table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep="", border=0),
     )
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(path, text)
     write_atomically(path.with_suffix(".png"), figure.savefig)
 
 

@@ -392,7 +392,7 @@ class _Run:
             "sources": [source.path for source in sources],
         }
         text = json.dumps(record, indent=1)
-        write_atomically(self.folder / "run.json", lambda path: path.write_text(text, "utf-8"))
+        write_atomically(self.folder / "run.json", text)
 
 
 def find_files(paths):

@@ -219,7 +219,7 @@ def write_report(path, points, table, *, title, lines=()):
         frame=frame,
         poles=shown.sort_values("doubt", ascending=False).to_dict("records"),
     )
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(path, text)
 
 
 def _pictures(points, table):

@@ -321,7 +321,7 @@ def read_record(folder):
 
 def write_text(path, text):
     """Write a text file whole or not at all."""
-    write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+    write_atomically(path, text)
 
 
 def parameter_names(notebook):

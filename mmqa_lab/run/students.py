@@ -294,7 +294,7 @@ def write_sheets(studies, folder):
 
 def _printed(page, file):
     """Write a page, as PDF where a browser can print it."""
-    write_atomically(file, lambda path: path.write_text(page, encoding="utf-8"))
+    write_atomically(file, page)
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         return file

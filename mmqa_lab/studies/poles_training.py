@@ -411,7 +411,7 @@ def main(folder):
 def _write(name, model):
     """Write trees where the package reads them."""
     target, text = resources.files("mmqa_lab.poles").joinpath(name), model.model_to_string()
-    write_atomically(target, lambda path: path.write_text(text, encoding="utf-8"))
+    write_atomically(target, text)
 
 
 if __name__ == "__main__":

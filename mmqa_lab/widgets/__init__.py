@@ -258,7 +258,7 @@ class JuryForm:
 
     def _write(self, marks):
         """Replace the file by these marks, then show what is next."""
-        write_atomically(self._file, lambda path: marks.to_csv(path, index=False))
+        write_atomically(self._file, marks)
         self._show()
 
     def _show(self):
