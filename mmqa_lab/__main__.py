@@ -48,12 +48,15 @@ def main(arguments=None):
     if unknown:
         of_command(options.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     wanted = TOOLS if options.command == "test" else ENVIRONMENT
-    if not prepared(wanted):
-        return subprocess.call([prepare(wanted), "-m", "mmqa_lab", *arguments])
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
-    if sys.stderr.isatty() and _is_uncompiled(options.command):
-        _say(options.command, "compiles its searches, once; later calls start at once.")
     try:
+        if not prepared(wanted):
+            command = [prepare(wanted), "-m", "mmqa_lab", *arguments]
+            if os.name != "nt":  # in place of this process: signals reach the command itself
+                os.execv(command[0], command)
+            return subprocess.call(command)
+        if sys.stderr.isatty() and _is_uncompiled(options.command):
+            _say(options.command, "compiles its searches, once; later calls start at once.")
         return options.run(options) or 0
     except BrokenPipeError:  # as in: mmqa names | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
