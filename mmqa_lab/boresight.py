@@ -27,7 +27,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
@@ -361,7 +361,7 @@ def _calibration(adjustment, found, values, path_std):
     reach, covariance = np.zeros(values.size), np.zeros((values.size, values.size))
     covariance[np.ix_(free, free)] = of_points + of_paths
     share = np.diag(of_points) / np.diag(of_points + of_paths)
-    reach[free] = t.ppf(0.975, students / share**2)
+    reach[free] = stdtrit(students / share**2, 0.975)
     unit = np.tile(UNIT, len(values))
     covariance *= np.outer(unit, unit)
     std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit

@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
-from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab._compiled import in_threads
@@ -484,6 +483,8 @@ def peak_threshold(
     >>> peak_threshold(nearest).delta
     0.55
     """
+    from scipy.signal import find_peaks  # brings scipy.stats along
+
     nearest = _sorted(nearest)
     sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
     check_choice(order, "order", (1, 2))

@@ -22,7 +22,7 @@ from functools import cache
 from importlib import resources
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from mmqa_lab.poles import common, on_lines
 from mmqa_lab.poles.features import (
@@ -406,4 +406,4 @@ def _diameter_at(z, shaft):
 
 def _quantile(freedom):
     """Half width of an interval in standard errors."""
-    return student.ppf((1 + CONFIDENCE) / 2, freedom)
+    return stdtrit(freedom, (1 + CONFIDENCE) / 2)

@@ -17,7 +17,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from mmqa_lab.io import write_cloud
 from mmqa_lab.run.pages import replaced
+from mmqa_lab.simulate.canyon import canyon, canyon_cloud
 
 HERE = Path(__file__).resolve().parents[2]
 
@@ -28,7 +30,7 @@ CALLS = {
     "mmqa evaluate, 4,014 points": ["evaluate", str(SAMPLES / "chart_a_5m.laz")],
     "mmqa evaluate, 28,185 points": ["evaluate", str(SAMPLES / "road_patch.laz")],
     "mmqa map": ["map", str(SAMPLES / "road_patch.laz"), "--out", "map.nc"],
-    "mmqa lhd": ["lhd", str(SAMPLES / "road_patch.laz"), str(SAMPLES / "road_patch.laz")],
+    "mmqa lhd, 2 x 100,000 points": ["lhd", "{folder}/C1.laz", "{folder}/TLS.laz"],
     "mmqa poles": ["poles", str(SAMPLES / "road_patch.laz")],
 }
 
@@ -41,15 +43,24 @@ def spent(root, words, cache):
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         command = [str(python) if python.exists() else sys.executable, "-m", "mmqa_lab", *words]
-        subprocess.run(command, cwd=folder, env=place, capture_output=True)
+        done = subprocess.run(command, cwd=folder, env=place, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def compare(before, names, repeats):
+def canyons(folder):
+    """Write a pass through a simulated street and its reference."""
+    scene = canyon(1)
+    for name in ("C1", "TLS"):
+        write_cloud(f"{folder}/{name}.laz", canyon_cloud(scene, name, density=100_000 / 14_770))
+
+
+def compare(before, names, repeats, data):
     """Rows (command, state, seconds before, seconds now); both versions in turn."""
     for name in names:
-        words = CALLS[name]
+        words = [word.format(folder=data) for word in CALLS[name]]
         with tempfile.TemporaryDirectory() as old, tempfile.TemporaryDirectory() as new:
             versions = ((before, old), (HERE, new))
             first = [spent(root, words, cache) for root, cache in versions]
@@ -79,13 +90,14 @@ def main():
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write between its marks")
     options = parser.parse_args()
     names, rows = [name for name in CALLS if not options.only or name in options.only], []
-    for row in compare(options.before.resolve(), names, options.repeats):
-        rows.append(row)
-        if options.markdown:  # a run that is stopped leaves what it has measured
-            text = replaced(
-                options.markdown.read_text(encoding="utf-8"), "versions", markdown(rows)
-            )
-            options.markdown.write_text(text, encoding="utf-8")
+    with tempfile.TemporaryDirectory() as data:
+        canyons(data)
+        for row in compare(options.before.resolve(), names, options.repeats, data):
+            rows.append(row)
+            if options.markdown:  # a run that is stopped leaves what it has measured
+                text = options.markdown.read_text(encoding="utf-8")
+                text = replaced(text, "versions", markdown(rows))
+                options.markdown.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
