@@ -103,6 +103,16 @@ def test_norms_of_the_oriented_distance():
         assert found.olhd(10) == pytest.approx(total / lengths)
 
 
+@pytest.mark.filterwarnings("ignore:Only")
+def test_the_larger_direction_across_the_lines_by_hand():
+    test = [[[0, 1, 0], [10, 1, 0]], [[0, 3, 0], [4, 3, 0]]]
+    model = [[[0, 0, 0], [10, 0, 0]]]
+    found = lhd(test, model, pairs=np.array([[True], [True]]))
+    assert found.test_model.perpendicular_only == pytest.approx((10 * 1 + 10 * 3) / 20)
+    assert found.model_test.perpendicular_only == pytest.approx((10 * 1 + 4 * 3) / 14)
+    assert found.perpendicular_only == found.test_model.perpendicular_only
+
+
 def test_lhd_is_the_larger_of_both_directions_by_hand(scene):
     test, model = two(scene)
     found = lhd(test, model)

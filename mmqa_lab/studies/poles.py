@@ -55,6 +55,7 @@ def scene(
     change="as it is",
     share=1.0,
     both_ways=False,
+    progress=False,
 ):
     """Return the cloud of a simulated street, and its truth.
 
@@ -70,6 +71,8 @@ def scene(
         shows: what a thinner one does not show is missed.
     both_ways : bool
         The street is driven there and back, and both clouds are put together.
+    progress : bool
+        Show a bar of the drive.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def scene(
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
         ``street``, ``length_m``, ``poles`` and ``visible`` (their numbers).
     """
-    made, cloud, targets = _drive_once(plan, change, scanner, length, speed, seed)
+    made, cloud, targets = _drive_once(plan, change, scanner, length, speed, seed, progress)
     if both_ways:
         cloud = Cloud.concatenate([cloud, _driven_back(made, scanner, seed, speed)])
     if share < 1:
@@ -87,13 +90,13 @@ def scene(
     return cloud, truth | {"poles": len(targets), "visible": targets["visible"].sum()}
 
 
-def _drive_once(plan, change, scanner, length, speed, seed):
+def _drive_once(plan, change, scanner, length, speed, seed, progress):
     """Street, cloud and visible targets; the first streets of a run come again and are kept."""
     key = plan, change, scanner, length, speed, seed
     if key in _DRIVES:
         return _DRIVES[key]
     made = streets.street(replace(streets.PLANS[plan], **CHANGES[change]), length=length, seed=seed)
-    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    cloud = streets.drive(made, scanner, seed=seed, speed=speed, progress=progress)
     found = made, cloud, streets.visible_targets(made, cloud)
     if change == "as it is" and len(_DRIVES) < KEPT:
         _DRIVES[key] = found
