@@ -131,12 +131,7 @@ def _maxima(cells, count, border, scales):
         for i in range(border - 5, size - border + 5):
             for j in range(border - 5, size - border + 5):
                 if cells[i, j] and bits[i, j]:
-                    clean = bits[i, j]
-                    if ring:
-                        clean &= ~_ring(cells, i, j, ring)
-                    k = set_bits(clean)
-                    if k >= LEAST_BINS:
-                        value[i, j] = k + _share(count, i, j, core)
+                    value[i, j] = _height_of(bits[i, j], cells, count, i, j, core, ring)
         reach = max(core + 1, 3)
         for i in range(border, size - border):
             for j in range(border, size - border):
@@ -144,6 +139,15 @@ def _maxima(cells, count, border, scales):
                     found[n, 0], found[n, 1] = i, j
                     n += 1
     return found[:n]
+
+
+@njit(cache=True)
+def _height_of(clean, cells, count, i, j, core, ring):
+    """The number of clean bins of a cell and its share of points; 0 where they are too few."""
+    if ring:
+        clean &= ~_ring(cells, i, j, ring)
+    k = set_bits(clean)
+    return k + _share(count, i, j, core) if k >= LEAST_BINS else 0.0
 
 
 @njit(cache=True)

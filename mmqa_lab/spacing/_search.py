@@ -499,12 +499,7 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
         cx, cy = cells[i]
         ring = 0
         while True:
-            for row in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
-                apart = 1 if abs(row - cy) == ring else 2 * ring
-                for column in range(cx - ring, cx + ring + 1, apart):
-                    at = column * shape[1] + row
-                    if 0 <= column < shape[0]:
-                        _note(xy, first[at], first[at + 1], x, y, steps)
+            _look_around(xy, cx, cy, ring, shape, first, x, y, steps)
             # all points up to that distance have been seen
             seen = min(x - (cx - ring) * cell, (cx + ring + 1) * cell - x)
             seen = min(seen, y - (cy - ring) * cell, (cy + ring + 1) * cell - y)
@@ -515,6 +510,17 @@ def _search_sectors(xy, cells, shape, first, cell, limit, width, out):
         for k in range(count):
             if out[i, k] > limit:
                 out[i, k] = np.inf
+
+
+@njit(cache=True, nogil=True)
+def _look_around(xy, cx, cy, ring, shape, first, x, y, steps):
+    """Note the points in the cells of a square ring."""
+    for row in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
+        apart = 1 if abs(row - cy) == ring else 2 * ring
+        for column in range(cx - ring, cx + ring + 1, apart):
+            at = column * shape[1] + row
+            if 0 <= column < shape[0]:
+                _note(xy, first[at], first[at + 1], x, y, steps)
 
 
 @njit(cache=True, nogil=True, inline="always")
