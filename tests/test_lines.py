@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import find_peaks
 
 from mmqa_lab.lines import (
     Segments,
@@ -15,7 +16,7 @@ from mmqa_lab.lines import (
     fit_displacement,
     peak_threshold,
 )
-from mmqa_lab.lines.segments import otsu_threshold
+from mmqa_lab.lines.segments import _first_peak, otsu_threshold
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
 
@@ -245,6 +246,15 @@ def test_golden_threshold(rng):
 
 def test_first_differences_see_the_same_jump():
     assert peak_threshold(NEAREST, order=1).delta == 0.55
+
+
+@given(st.lists(st.integers(-40, 40), max_size=40), st.integers(1, 30))
+def test_the_first_peak_is_that_of_scipy(heights, prominence):
+    curve = 0.1 * np.array(heights) + 1e-6 * np.arange(len(heights))  # none equal
+    padded = np.concatenate([[-np.inf], curve, [0.0]])
+    peaks = find_peaks(padded, prominence=0.1 * prominence + 1e-4)[0] - 1
+    first = next((peak for peak in peaks if curve[peak] > 0), None)
+    assert _first_peak(curve, 0.1 * prominence + 1e-4) == first
 
 
 def test_a_jump_in_the_last_place_is_found():

@@ -483,20 +483,35 @@ def peak_threshold(
     >>> peak_threshold(nearest).delta
     0.55
     """
-    from scipy.signal import find_peaks  # brings scipy.stats along
-
     nearest = _sorted(nearest)
     sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
     check_choice(order, "order", (1, 2))
     check_choice(at, "at", ("below", "value"))
     curve = np.diff(np.sort(np.diff(nearest))) if sort_again else np.diff(nearest, order)
-    padded = np.concatenate([[-np.inf], curve, [0.0]])
-    peaks = find_peaks(padded, prominence=sensitivity)[0] - 1
-    peaks = peaks[curve[peaks] > 0]
-    if not len(peaks):
+    peak = _first_peak(curve, sensitivity)
+    if peak is None:
         return _without_jump(nearest)
-    delta = curve[peaks[0]] if at == "value" else nearest[peaks[0] + order - 1]
+    delta = curve[peak] if at == "value" else nearest[peak + order - 1]
     return Threshold(float(delta), False, nearest)
+
+
+def _first_peak(curve, prominence):
+    """Number of the first positive maximum that stands out on both sides; None without one.
+
+    As ``scipy.signal.find_peaks`` has it, whose import takes longer than the whole distance. What
+    comes before the curve counts as low, what comes after it as zero.
+    """
+    top, low = None, -np.inf
+    for i, value in enumerate([*curve, 0.0]):
+        if top is None:
+            low = min(low, value)
+        if value >= low + prominence if top is None else value > curve[top]:
+            top = i
+        elif top is not None and value <= curve[top] - prominence:
+            if curve[top] > 0:
+                return top
+            top, low = None, value
+    return None
 
 
 def otsu_threshold(nearest: ArrayLike) -> Threshold:
