@@ -15,7 +15,7 @@ from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import Segments
 from mmqa_lab.planes import detect_planes, fit_plane
-from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
+from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours, usual_size
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +103,7 @@ def extract_edges(
     points: ArrayLike,
     *,
     tolerance: float = 0.05,
-    size: float = 2.0,
+    size: float | None = None,
     minimum: int | None = None,
     angle: float = 20.0,
 ) -> Edges:
@@ -123,7 +123,8 @@ def extract_edges(
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
         support neither; edges are half of ``size`` long at least, and a face of less than 0.375
-        ``size`` squared has none.
+        ``size`` squared has none. Default size: 1.5 m where points fill cells of a quarter of it,
+        else 2 m, as where scan lines are far apart.
     angle : float
         Least angle between two planes, degrees.
 
@@ -156,6 +157,7 @@ def extract_edges(
     """
     angle = check_number(angle, "angle", low=0, high=90, unit="degrees")
     points = check_points(points, minimum=0)
+    size = usual_size(points) if size is None else size
     patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum)
     rows = []
     if len(patches) > 1:
