@@ -25,8 +25,8 @@ from mmqa_lab.planes import Plane, fit_plane
 CELLS_PER_SIZE = 4
 """Cells of the grid along the smallest plane: points hang together across one of them."""
 
-LEAST_AREA = 0.375
-"""Area of the smallest plane in squared sizes: a strip of 1.5 m2 at a size of 2 m."""
+LEAST_AREA = 0.25
+"""Area of the smallest plane in squared sizes: 1 m2 at a size of 2 m."""
 
 FEWEST = 10, 30
 """The points of a plane at least, by default: what its least area holds, between these."""
@@ -132,7 +132,7 @@ def detect_planes(
         Extent of the smallest plane sought, m. Points of a plane hang together across gaps up
         to a quarter of it: keep that above the distance of scan lines.
     minimum : int, optional
-        Least number of points of a plane, beside its least area of 0.375 ``size`` squared.
+        Least number of points of a plane, beside its least area of a quarter of ``size`` squared.
         Default: what that area holds, 10 to 30.
 
     Returns
