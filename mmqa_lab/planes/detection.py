@@ -594,20 +594,29 @@ def _planes_around(keys, steps, bounds, planes, cell, room, out):
 
 @numba.njit(cache=True, nogil=True)
 def _assign(begin, end, grid, near, surfaces, tolerance, owner, clear):
-    """The nearest plane around each point within the tolerance (-1: none), and whether the only."""
+    """The nearest plane around each point within the tolerance (-1: none), and whether the only.
+
+    It is where its foot on that plane is clear of the others: noise then takes as many points off
+    one side of the plane as off the other.
+    """
     (points, keys, start, steps), (centres, normals) = grid, surfaces
     room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
     for cell in range(begin, end):
         n = _planes_around(keys, steps, near[0], near[1], cell, room, around)
         for p in range(start[cell], start[cell + 1]):
-            least, claims = tolerance, 0
+            least, own = tolerance, -1
             for plane in around[:n]:
                 d = abs(_distance(points, p, centres[plane], normals[plane]))
-                claims += d <= tolerance
                 if d <= least:
-                    least = d
-                    owner[p] = plane
-            clear[p] = claims == 1
+                    least, own = d, plane
+            owner[p], clear[p] = own, own >= 0
+            for plane in around[:n]:
+                if own < 0 or plane == own:
+                    continue
+                height = _distance(points, p, centres[own], normals[own])
+                cosine = (normals[own] * normals[plane]).sum()
+                d = _distance(points, p, centres[plane], normals[plane]) - cosine * height
+                clear[p] &= abs(d) > tolerance
 
 
 @numba.njit(cache=True)
