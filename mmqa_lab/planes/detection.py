@@ -246,8 +246,10 @@ class Grid:
 
     def __init__(self, points, edge):
         self.edge = edge
-        points = points - points.mean(axis=0)
-        self.order, self.start, places = sort_into_cells(points - points.min(axis=0), edge)
+        middle, low = points.mean(axis=0), points.min(axis=0)
+        points = points - low
+        self.order, self.start, places = sort_into_cells(points, edge)
+        points += low - middle
         self.shape = places.max(axis=0) + 8
         self.keys = np.ravel_multi_index((places + 3).T, self.shape)
         self.points = points[self.order]
