@@ -33,7 +33,7 @@ BIN_GAPS = 4.0
 LEAST_SUPPORT = 4
 """Points beside an edge on either plane."""
 
-LONGEST_GAP = 5.0
+LONGEST_GAP = 4.0
 """An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
 
 
