@@ -119,6 +119,7 @@ def test_command_makes_the_study(files, capsys):
         ("C1,C3,0,0\nC1,C3,0,999", "segment 999 of C3 in row 2. Must be a whole number from 0 to"),
         ("C1,C3,-1,0", "segment -1 of C1"),
         ("C1,C3,0.5,0", "segment 0.5 of C1"),
+        ("", "Invalid truth of 0 pairs. Must have one or more."),
     ],
 )
 def test_wrong_truth_is_refused_and_nothing_written(files, capsys, table, said):

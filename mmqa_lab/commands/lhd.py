@@ -35,11 +35,11 @@ SIZES = ("tolerance", "size", "minimum")
     option("--sensitivity", "M", "of the peak that gives the threshold, default 0.5 m", float),
     option("--radius", "M", "largest displacement that is sought, default 4 m", float),
     option("--tolerance", "M", "clouds: of a plane, three times the noise, default 0.05 m", float),
-    option("--size", "M", "clouds: extent of the smallest plane, default 2 m", float),
+    option("--size", "M", "clouds: extent of the smallest plane, default 1.5 or 2 m", float),
     option(
         "--minimum",
         "N",
-        "clouds: points of a plane; its least area grows with the size, default 30",
+        "clouds: points of a plane; its least area grows with the size, default 10 to 30",
         int,
     ),
     option("--matcher", None, "who pairs, default all", choices=MATCHERS),

@@ -357,6 +357,8 @@ def _truth(truth, sets, pairs):
 
         truth = read_table(truth, "truth", dtype={"test_set": str, "model_set": str})
     check_columns(truth, TRUTH_COLUMNS, "truth")
+    if not len(truth):
+        raise ValueError("Invalid truth of 0 pairs. Must have one or more.")
     found = {}
     for row, (a, b, i, j) in enumerate(truth[TRUTH_COLUMNS].itertuples(index=False), start=1):
         names = (a, b) if (a, b) in pairs else (b, a)
@@ -418,7 +420,9 @@ def _page(found, parts, files):
 
     loader = PackageLoader("mmqa_lab", "run/templates")
     page = Environment(loader=loader, autoescape=True).get_template("lines.html")
-    tables = {"Both directions": found.to_frame(), "Comparisons": found.comparisons()}
+    compared = found.comparisons().set_index("comparison").T
+    compared = compared.rename_axis(columns=None).reset_index(names="comparison")
+    tables = {"Both directions": found.to_frame(), "Comparisons": compared}
     tables["What the distances are made of"] = parts
     shown = {
         title: table.dropna(axis=1, how="all").to_html(

@@ -15,7 +15,7 @@ from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import Segments
 from mmqa_lab.planes import detect_planes, fit_plane
-from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours
+from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours, usual_size
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,18 +23,17 @@ if TYPE_CHECKING:
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
 
-END_GAPS = 1.88
-"""Variance of an end in squared mean gaps, to which that of the points' noise is added: a row ends
-an exponentially distributed way beyond its last point, and the shorter of two rows, with 95 %,
-within 3.7 gaps."""
+BEYOND = 40.0
+"""Of 40 rows of points one ends further before the end of its face than is allowed for, so that the
+shorter of two does so in 5 %."""
 
-BIN_GAPS = 5.0
+BIN_GAPS = 4.0
 """Mean gaps of a bin at least, so that by chance few bins of a thin cloud are empty."""
 
-LEAST_SUPPORT = 6
+LEAST_SUPPORT = 4
 """Points beside an edge on either plane."""
 
-LONGEST_GAP = 5.0
+LONGEST_GAP = 4.0
 """An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
 
 
@@ -103,7 +102,7 @@ def extract_edges(
     points: ArrayLike,
     *,
     tolerance: float = 0.05,
-    size: float = 2.0,
+    size: float | None = None,
     minimum: int | None = None,
     angle: float = 20.0,
 ) -> Edges:
@@ -122,8 +121,9 @@ def extract_edges(
         Metres.
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
-        support neither; edges are half of ``size`` long at least, and a face of less than 0.375
-        ``size`` squared has none.
+        support neither; edges are half of ``size`` long at least, and a face of less than a
+        quarter of ``size`` squared has none. Default size: 1.5 m where points fill cells of a
+        quarter of it, else 2 m, as where scan lines are far apart.
     angle : float
         Least angle between two planes, degrees.
 
@@ -156,6 +156,7 @@ def extract_edges(
     """
     angle = check_number(angle, "angle", low=0, high=90, unit="degrees")
     points = check_points(points, minimum=0)
+    size = usual_size(points) if size is None else size
     patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum)
     rows = []
     if len(patches) > 1:
@@ -218,16 +219,16 @@ class _Lines:
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
         covariance = []
-        for end, (_, gap) in zip(ends, (low, high), strict=True):
+        for end, (_, spread) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
-            along = END_GAPS * gap**2 + noise**2
+            along = spread**2 + noise**2
             covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
 
 
 def _runs(sides, cell, clear):
-    """Edges along a line: (low end, gap there), (high end, gap), numbers of points."""
+    """Edges along a line: (low end, its spread), (high end, its spread), numbers of points."""
     gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
     cell = max(cell, BIN_GAPS * max(gaps, default=0.0))
     low = max(side[0, 0] for side in sides)
@@ -264,7 +265,11 @@ def _full(side, edges, cell, clear):
 
 
 def _ends(side, first, last, cell):
-    """Low end and gap, high end and gap, number of points of one side about a run of bins."""
+    """Both ends, each with its spread, and number of points of one side about a run of bins.
+
+    The gap behind the last point is exponentially distributed; its mean is that of n gaps, so that
+    one of 40 is longer than n (40^(1/n) - 1) means.
+    """
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
     core = (inside >= first) & (inside <= last)
@@ -274,7 +279,9 @@ def _ends(side, first, last, cell):
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    return inside[a] - gap, gap, inside[b] + gap, gap, b - a + 1
+    n = max(within.sum() / (2 * gap), 1.0)
+    spread = gap * (n * (BEYOND ** (1 / n) - 1) - 1) / 1.96
+    return inside[a] - gap, spread, inside[b] + gap, spread, b - a + 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,17 @@ from mmqa_lab.planes import Plane, fit_plane
 CELLS_PER_SIZE = 4
 """Cells of the grid along the smallest plane: points hang together across one of them."""
 
-LEAST_AREA = 0.375
-"""Area of the smallest plane in squared sizes: a strip of 1.5 m2 at a size of 2 m."""
+LEAST_AREA = 0.25
+"""Area of the smallest plane in squared sizes: 1 m2 at a size of 2 m."""
+
+FEWEST = 10, 30
+"""The points of a plane at least, by default: what its least area holds, between these."""
+
+USUAL_SIZES = 1.5, 2.0
+"""Default extents of the smallest plane, m: where points fill its cells, and where not."""
+
+FILLED = 3.3
+"""Cells per cell of twice their side: 4 on surfaces without gaps, 2 where lines are apart."""
 
 ROUGHEST = 0.48
 """Largest residual standard deviation in tolerances; points without any plane have 0.58."""
@@ -123,8 +132,8 @@ def detect_planes(
         Extent of the smallest plane sought, m. Points of a plane hang together across gaps up
         to a quarter of it: keep that above the distance of scan lines.
     minimum : int, optional
-        Least number of points of a plane, beside its least area of 0.375 ``size`` squared, which
-        grows with the density by itself. Default 30.
+        Least number of points of a plane, beside its least area of a quarter of ``size`` squared.
+        Default: what that area holds, 10 to 30.
 
     Returns
     -------
@@ -163,17 +172,28 @@ def detect_planes(
     points = check_points(points, minimum=0)
     tolerance = check_positive(tolerance, "tolerance", unit="m")
     size = check_positive(size, "size", unit="m")
-    minimum = check_count(30 if minimum is None else minimum, "minimum", low=3)
-    if len(points) < minimum:
+    minimum = None if minimum is None else check_count(minimum, "minimum", low=3)
+    if len(points) < (minimum or FEWEST[0]):
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
     _warn_if_thin(grid, size)
+    expected = LEAST_AREA * CELLS_PER_SIZE**2 * grid.points_per_cell()
+    minimum = minimum or int(np.clip(expected, *FEWEST))
     search = _Search(grid, tolerance, minimum)
     for _ in range(ROUNDS):
         if not search.round():
             break
     owner, clear = search.assigned()
     return _patches(points, owner, clear, tolerance, minimum)
+
+
+def usual_size(points):
+    """The extent of the smallest plane that points carry, m: one of ``USUAL_SIZES``."""
+    if not len(points):
+        return USUAL_SIZES[1]
+    places = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE).places
+    doubled = sort_into_cells(places, 2).places
+    return USUAL_SIZES[0 if len(places) >= FILLED * len(doubled) else 1]
 
 
 def _warn_if_thin(grid, size):
@@ -226,8 +246,10 @@ class Grid:
 
     def __init__(self, points, edge):
         self.edge = edge
-        points = points - points.mean(axis=0)
-        self.order, self.start, places = sort_into_cells(points - points.min(axis=0), edge)
+        middle, low = points.mean(axis=0), points.min(axis=0)
+        points = points - low
+        self.order, self.start, places = sort_into_cells(points, edge)
+        points += low - middle
         self.shape = places.max(axis=0) + 8
         self.keys = np.ravel_multi_index((places + 3).T, self.shape)
         self.points = points[self.order]
@@ -574,20 +596,29 @@ def _planes_around(keys, steps, bounds, planes, cell, room, out):
 
 @numba.njit(cache=True, nogil=True)
 def _assign(begin, end, grid, near, surfaces, tolerance, owner, clear):
-    """The nearest plane around each point within the tolerance (-1: none), and whether the only."""
+    """The nearest plane around each point within the tolerance (-1: none), and whether the only.
+
+    It is where its foot on that plane is clear of the others: noise then takes as many points off
+    one side of the plane as off the other.
+    """
     (points, keys, start, steps), (centres, normals) = grid, surfaces
     room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
     for cell in range(begin, end):
         n = _planes_around(keys, steps, near[0], near[1], cell, room, around)
         for p in range(start[cell], start[cell + 1]):
-            least, claims = tolerance, 0
+            least, own = tolerance, -1
             for plane in around[:n]:
                 d = abs(_distance(points, p, centres[plane], normals[plane]))
-                claims += d <= tolerance
                 if d <= least:
-                    least = d
-                    owner[p] = plane
-            clear[p] = claims == 1
+                    least, own = d, plane
+            owner[p], clear[p] = own, own >= 0
+            for plane in around[:n]:
+                if own < 0 or plane == own:
+                    continue
+                height = _distance(points, p, centres[own], normals[own])
+                cosine = (normals[own] * normals[plane]).sum()
+                d = _distance(points, p, centres[plane], normals[plane]) - cosine * height
+                clear[p] &= abs(d) > tolerance
 
 
 @numba.njit(cache=True)
