@@ -40,6 +40,8 @@ def write_odd(folder):
         "late.csv": "time,x,y,z,roll,pitch,heading\n100,0,0,2,0,0,0\n110,0,9,2,0,0,0\n",
         "in_ms.csv": "time,x,y,z,roll,pitch,heading\n0,0,0,2,0,0,0\n6000,0,9,2,0,0,0\n",
         "many.csv": "system,quantity,value\nA,density_per_m2,many\n",
+        "beyond.csv": "system,quantity,value,low,high\nA,density_per_m2,5000,100,200\n",
+        "far_path.csv": "time,x,y,z,roll,pitch,heading\n0,5e6,0,2,0,0,0\n10,5e6,9,2,0,0,0\n",
         "text.laz": "x y z\n1 2 3\n",
     }
     for name, text in texts.items():
@@ -146,9 +148,10 @@ def _write_clouds(folder, flat):
     write_cloud(folder / "coarse.laz", Cloud(flat), scale=0.05)
     for name, number in (("a", 25832), ("b", 25833)):
         write_cloud(folder / "mixed" / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
-    for name, last in (("timed.laz", 5.0), ("again.laz", 4.0)):
-        timed = Cloud(flat, {"gps_time": np.linspace(0, last, len(flat))})
-        write_cloud(folder / name, timed, scale=1e-4)
+    whiles = {"timed": (0, 5), "again": (0, 4), "rollover": (604_790, 604_810)}
+    for name, ends in whiles.items():
+        timed = Cloud(flat, {"gps_time": np.linspace(*ends, len(flat)) % 604_800})
+        write_cloud(folder / f"{name}.laz", timed, scale=1e-4)
     (folder / "blank").mkdir()
     laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "blank" / "e.laz")
     for name in ("laz.ply", "laz.csv", "laz.las"):

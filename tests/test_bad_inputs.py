@@ -242,6 +242,11 @@ CASES = [
     ("radiometry star star.tif", "Invalid star without targets. Must have --targets."),
     ("radiometry edge tarps.tif --through-zero", "Must be with calibrate."),
     ("radiometry star star.tif --targets tarps.csv", "no column 'radius_px'"),
+    # intervals that do not hold their value, paths of another place
+    ("tender pfeifer2021:1 beyond.csv", "density_per_m2 of A 5000: low 100, high 200."),
+    ("accuracy flat.laz levelled.csv --trajectory far_path.csv", "5000.0 km from the points"),
+    ("poles flat.laz --trajectory far_path.csv", "5000.0 km from the points"),
+    ("calibrate timed.laz again.laz --trajectory far_path.csv", "5000.0 km from the points"),
     ("accept none", "none: no such folder. Must exist."),
     ("accept nothing", "no such file. Must exist."),
     # names
@@ -281,6 +286,7 @@ ANSWERED = [
     ("accuracy flat.laz levelled_low.csv", "The median difference is +43.00 m", ""),
     ("accuracy flat.laz levelled.csv --trajectory unsorted.csv", "trend_mm_per_m", ""),
     ("accuracy flat.laz levelled_id.csv", "all kept 40", ""),
+    ("accuracy rollover.laz levelled.csv --drives", "drive 1 kept 40 -0.4644", ""),
     ("evaluate plain_utm.xyz", "area_hull_m2 0.97", ""),
     ("evaluate plain_local.xyz", "area_hull_m2 0.97", ""),
     ("evaluate geocentric.xyz", "area_hull_m2 0.97", ""),
