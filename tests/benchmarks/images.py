@@ -63,14 +63,15 @@ def photographs(step, seeds=(0, 1), folder=None):
     results = bench.run(cases, {"ours": _measured}, make=_shot, seeds=seeds, folder=folder)
     table = bench.cell_table(results)
     table = table[~table["failure"].str.contains("not whole")]
-    for row in table[table["failure"] != ""].itertuples():
+    found = table["spurious"].notna()
+    for row in table[~found].itertuples():
         print(f"{row.condition}, {row.pixel_mm} mm, seed {row.seed}: {row.failure}")
     for size, part in [*table.groupby("pixel_mm"), ("all", table)]:
         steps = Counter(part[["steps_h", "steps_v"]].stack().dropna().astype(int))
         near = sum(steps[one] for one in (-1, 0, 1))
         scores = part.filter(regex="^score").stack().dropna().abs()
         print(
-            f"{size} mm: found without corners {(part['failure'] == '').sum()} of {len(part)}; "
+            f"{size} mm: found without corners {found[part.index].sum()} of {len(part)}; "
             f"w within one step {near} of {steps.total()}: {dict(sorted(steps.items()))} "
             f"(positive: finer); spurious {part['spurious'].sum():.0f}; "
             f"pixel size within 1.96 sigma {(scores < 1.96).mean():.3f} of {len(scores)}"
