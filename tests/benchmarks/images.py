@@ -329,12 +329,19 @@ def _sizes_of(layout, bar, pixel, heading, noise, count):
 
 
 def panorama():
-    """Seconds and memory for a panorama of 250 megapixels, from the file to the figures."""
+    """Seconds and memory for panoramas of 24 and 250 megapixels, from the file to the figures."""
+    for megapixels, distance in ((24, 5), (250, 10)):
+        print(f"{megapixels} megapixels, {distance} m", flush=True)
+        _panorama(megapixels, distance)
+
+
+def _panorama(megapixels, distance):
+    """The time of one panorama, the chart found by its corners and by itself."""
     import cv2
 
     layout = charts.imaging_chart()
-    camera = cameras.PanoramaCamera.of_megapixels(250)
-    view = cameras.chart_view(camera, distance=10, layout=layout, heading_deg=20, aim_deg=30)
+    camera = cameras.PanoramaCamera.of_megapixels(megapixels)
+    view = cameras.chart_view(camera, distance=distance, layout=layout, heading_deg=20, aim_deg=30)
     sensor = cameras.Sensor(noise=0.02, gamma="srgb", bits=8)
     photo = cameras.photograph(layout, view, sensor=sensor, seed=1)
     rng = np.random.default_rng(1)
