@@ -16,6 +16,10 @@ PLAN_NAMES = (
 )
 """Columns of tables that are taken for coordinates in plan, the first pair that is there."""
 
+FARTHEST_M, WEEK_S = 2000.0, 604_800.0
+"""No scanner of a vehicle or helicopter measures farther; a week of GPS, whose seconds begin again.
+"""
+
 HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "h", "hoehe", "höhe")
 """Columns of tables that are taken for heights, the first that is there."""
 
@@ -223,6 +227,25 @@ def _coordinates(points, name, columns):
         wanted = ", ".join("xyz"[:columns])
         raise ValueError(f"Invalid {name} with columns {listed}. Must have {wanted}.")
     return points.to_numpy()
+
+
+def check_passes(path, points, name):
+    """Raise where a path in plan does not come near points.
+
+    Examples
+    --------
+    >>> check_passes(np.array([[5e6, 0], [5e6, 9]]), np.zeros((1, 3)), "trajectory far.csv")
+    Traceback (most recent call last):
+    ValueError: Invalid trajectory far.csv: 5000.0 km from the points. Must pass them within 2 km.
+    """
+    boxes = [(np.min(one, axis=0), np.max(one, axis=0)) for one in (path[:, :2], points[:, :2])]
+    away = np.maximum(boxes[0][0] - boxes[1][1], boxes[1][0] - boxes[0][1])
+    gap = float(np.linalg.norm(np.maximum(away, 0)))
+    if gap > FARTHEST_M:
+        raise ValueError(
+            f"Invalid {name}: {gap / 1000:.1f} km from the points. Must pass them within "
+            f"{FARTHEST_M / 1000:g} km."
+        )
 
 
 def check_file(path, name):

@@ -25,7 +25,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_number, check_plan, check_points, check_positive
+from mmqa_lab._checks import (
+    WEEK_S,
+    check_choice,
+    check_number,
+    check_plan,
+    check_points,
+    check_positive,
+)
 from mmqa_lab._polygons import path_distance
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import fit_circle, fit_line
@@ -228,7 +235,7 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     Parameters
     ----------
     gps_time : array_like, shape (n,)
-        Seconds, in any order.
+        Seconds, in any order. A drive over the end of a GPS week, where they begin again, is one.
     gap_s : float
         Shortest gap, s. A drive may pass a place more than once; an hour is another drive.
 
@@ -246,6 +253,8 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     --------
     >>> split_drives([5.0, 90_000.0, 6.0, 90_001.0]).tolist()
     [0, 1, 0, 1]
+    >>> split_drives([604_799.0, 0.5, 90_000.0]).tolist()
+    [1, 1, 0]
     """
     time = np.asarray(gps_time, dtype=np.float64)
     if time.ndim != 1 or not len(time) or not np.isfinite(time).all():
@@ -254,6 +263,8 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     order = np.argsort(time, kind="stable")
     number = np.empty(len(time), dtype=int)
     number[order] = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap)
+    if time.min() >= 0 and time.max() <= WEEK_S <= np.ptp(time) + gap:
+        number = np.where(number, number, number.max()) - min(number.max(), 1)
     return number
 
 

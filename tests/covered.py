@@ -22,7 +22,13 @@ from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
-from mmqa_lab.radiometry import adjust_block, empirical_line, fit_sensor
+from mmqa_lab.radiometry import (
+    adjust_block,
+    empirical_line,
+    fit_sensor,
+    ndvi,
+    relative_response,
+)
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
 from mmqa_lab.simulate.canyon import CENTRE_M, canyon
@@ -104,11 +110,11 @@ def trend(seed, n):
     return {"slope": (found["slope_low"], found["slope_high"], 0.3)}
 
 
-def pole(seed, known):
-    """The position of a pole of 10 cm, 150 degrees of it seen by 40 points, 4 mm of noise."""
+def pole(seed, known, n):
+    """The position of a pole of 10 cm, 150 degrees of it seen by n points, 4 mm of noise."""
     rng = np.random.default_rng(seed)
-    turn = rng.uniform(-1.3, 1.3, 40)
-    points = (0.05 + rng.normal(0, 0.004, 40))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
+    turn = rng.uniform(-1.3, 1.3, n)
+    points = (0.05 + rng.normal(0, 0.004, n))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
     found = fit_circle(points, diameter=0.1 if known else None)
     std = np.sqrt(np.diag(found.covariance))
     return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
@@ -203,14 +209,14 @@ LENS_PX = {"gaussian": 0.6, "disc": 1.3, "diffraction": 1.4}
 """Widths of simulated lenses, in the unit of each."""
 
 
-def edge_of_image(seed, lens):
+def edge_of_image(seed, lens, method):
     """MTF50 of a slanted edge behind a lens, 1 % of noise."""
     spread, rng = PointSpread(LENS_PX[lens], lens=lens), np.random.default_rng(seed)
     angle = float(rng.uniform(4, 12))
     image = render_edge(
         (80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5))
     )
-    found = fit_edge(image + 0.005 * rng.standard_normal(image.shape))
+    found = fit_edge(image + 0.005 * rng.standard_normal(image.shape), method=method)
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, spread.mtf50(angle))}
 
 
@@ -263,14 +269,34 @@ def sensor(seed, n):
     }
 
 
-def reflectance(seed, n):
-    """Reflectance by the empirical line, targets with known standard errors."""
+def reflectance(seed, n, stated):
+    """Reflectance by the empirical line, targets with known standard errors; or without, then the
+    reflectance of an exact DN by Student's t."""
     rng, truth = np.random.default_rng(seed), np.linspace(0.05, 0.5, n)
-    dn = (truth + 0.05) / 0.0005 + rng.normal(0, 8, n)
-    line = empirical_line(dn, truth + rng.normal(0, 0.01, n), std_dn=8.0, std=0.01)
-    seen = (0.3 + 0.05) / 0.0005 + rng.normal(0, 8)
-    found = float(line.reflectance(seen)), float(line.std(seen, std_dn=8.0))
-    return {"reflectance": around(*found, 0.3)}
+    dn = (truth + 0.05) / 0.0005 + rng.normal(0, 8 * stated, n)
+    errors = {"std_dn": 8.0, "std": 0.01} if stated else {}
+    line = empirical_line(dn, truth + rng.normal(0, 0.01, n), **errors)
+    seen = (0.3 + 0.05) / 0.0005 + rng.normal(0, 8 * stated)
+    found = float(line.reflectance(seen)), float(line.std(seen, std_dn=8.0 * stated))
+    return {"reflectance": around(*found, 0.3, Z if stated else t.ppf(0.975, n - 2))}
+
+
+def index(seed, correlation):
+    """NDVI of two reflectances whose errors of 3 % correlate."""
+    rng = np.random.default_rng(seed)
+    off = rng.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]])
+    near, red = np.array([0.45, 0.08]) * (1 + 0.03 * off)
+    errors = {"std_near_infrared": 0.03 * near, "std_red": 0.03 * red}
+    found = ndvi(near, red, **errors, correlation=correlation)
+    return {"NDVI": around(*map(float, found), 0.37 / 0.53)}
+
+
+def falloff(seed, n):
+    """The share of light lost in the corners, n images of even ground, 1 % of noise."""
+    rng, side = np.random.default_rng(seed), np.linspace(-1, 1, 40)
+    light = 1 - 0.1 * np.add.outer(side**2, side**2) / 2
+    found = relative_response(light + 0.01 * rng.standard_normal((n, 40, 40)))
+    return {"radial": around(found["radial"], found["radial_std"], 0.1)}
 
 
 def block(seed, noise):
@@ -316,16 +342,17 @@ def mounting(seed, drift, stated):
 
 
 def average(seed, n):
-    """The mean of a method over cells, as the bench sums it up."""
-    values = np.random.default_rng(seed).normal(3, 1, n)
-    data = iter(values)
-    results = bench.run([{"only": 1}], {"one": lambda _: next(data)}, make=_nothing, seeds=range(n))
-    found = bench.summary(results).iloc[0]
-    return {"mean": (found["low"], found["high"], 3.0)}
-
-
-def _nothing(only, seed):
-    """No data."""
+    """The mean of a method over cells and its difference from another, as the bench has them."""
+    values = np.random.default_rng(seed).normal([3, 2.5], 1, (n, 2))
+    methods = {"one": lambda data: data[0], "other": lambda data: data[1]}
+    make, cases = (lambda k, seed: values[k]), bench.grid(k=range(n))
+    results = bench.run(cases, methods, make=make)
+    mean = bench.summary(results).iloc[0]
+    apart = bench.compare(results, reference="other").iloc[0]
+    return {
+        "mean": (mean["low"], mean["high"], 3.0),
+        "difference": (apart["low"], apart["high"], 0.5),
+    }
 
 
 @dataclass(frozen=True)
@@ -357,7 +384,7 @@ ESTIMATES = (
     Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 5, 300),
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
     Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 10, 500),
-    Estimate("pole position", pole, bench.grid(known=(True, False)), 3, 300),
+    Estimate("pole position", pole, bench.grid(known=(True, False), n=(8, 12, 40)), 3, 300),
     Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
     Estimate(
         "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 3, 200
@@ -370,7 +397,12 @@ ESTIMATES = (
         bench.grid(angle_deg=(90, 60), density=(5, 100, 3000), noise=(0.005, 0.02)),
         *(1, 60),
     ),
-    Estimate("edge of an image", edge_of_image, bench.grid(lens=tuple(LENS_PX)), 2, 200),
+    Estimate(
+        "edge of an image",
+        edge_of_image,
+        bench.grid(lens=tuple(LENS_PX), method=("isogaussian", "lens")),
+        *(1, 100),
+    ),
     Estimate(
         "Siemens star",
         star_of_image,
@@ -384,7 +416,9 @@ ESTIMATES = (
         *(0, 24),
     ),
     Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 10, 300),
-    Estimate("reflectance", reflectance, bench.grid(n=(4, 12)), 10, 300),
+    Estimate("reflectance", reflectance, bench.grid(n=(4, 12), stated=(True, False)), 10, 300),
+    Estimate("NDVI", index, bench.grid(correlation=(0.0, 0.8)), 20, 500),
+    Estimate("light falloff", falloff, bench.grid(n=(1, 10)), 5, 200),
     Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 60),
     Estimate("mounting, exact paths", mounting, ({"drift": False, "stated": True},), 1, 200),
     Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 200),

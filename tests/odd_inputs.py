@@ -40,12 +40,24 @@ def write_odd(folder):
         "late.csv": "time,x,y,z,roll,pitch,heading\n100,0,0,2,0,0,0\n110,0,9,2,0,0,0\n",
         "in_ms.csv": "time,x,y,z,roll,pitch,heading\n0,0,0,2,0,0,0\n6000,0,9,2,0,0,0\n",
         "many.csv": "system,quantity,value\nA,density_per_m2,many\n",
+        "beyond.csv": "system,quantity,value,low,high\nA,density_per_m2,5000,100,200\n",
+        "far_path.csv": "time,x,y,z,roll,pitch,heading\n0,5e6,0,2,0,0,0\n10,5e6,9,2,0,0,0\n",
         "text.laz": "x y z\n1 2 3\n",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)
     _write_headerless(folder, flat)
     _write_images(folder, rng)
+    _write_lines(folder, rng)
+
+
+def _write_lines(folder, rng):
+    """Two sets of lines, the one moved by (2.31, 5.50, 0.66) m."""
+    starts, ways = rng.uniform(0, 1, (30, 3)) * [40, 40, 8], rng.normal(0, 3, (30, 3))
+    still = np.hstack([starts, starts + ways])
+    moved = still + np.tile([2.31, 5.5, 0.66], 2) + rng.normal(0, 0.01, still.shape)
+    for name, lines in {"still": still, "moved": moved}.items():
+        np.savetxt(folder / f"{name}.csv", lines, delimiter=",", fmt="%.3f")
 
 
 def _write_headerless(folder, flat):
@@ -80,6 +92,9 @@ def _write_images(folder, rng):
     for (row, column), more in {(10, 10): 5000, (10, 50): 30_000, (60, 10): 15_000}.items():
         tarps[row : row + 20, column : column + 20] += more
     cv2.imwrite(str(folder / "tarps.tif"), tarps.astype(np.uint16))
+    cv2.imwrite(str(folder / "float.tif"), tarps.astype(np.float32))
+    cv2.imwrite(str(folder / "pixel.png"), np.zeros((1, 1), np.uint8))
+    (folder / "photo.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(64))
     head = "name,x_px,y_px,width_px,height_px,reflectance\n"
     known = {"": (0.05, 0.5), "_percent": (5, 50), "_same": (0.3, 0.3), "_turned": (0.5, 0.05)}
     for name, (dark, bright) in known.items():
@@ -146,9 +161,14 @@ def _write_clouds(folder, flat):
     write_cloud(folder / "coarse.laz", Cloud(flat), scale=0.05)
     for name, number in (("a", 25832), ("b", 25833)):
         write_cloud(folder / "mixed" / f"{name}.laz", Cloud(flat, crs=f"EPSG:{number}"), scale=1e-4)
-    for name, last in (("timed.laz", 5.0), ("again.laz", 4.0)):
-        timed = Cloud(flat, {"gps_time": np.linspace(0, last, len(flat))})
-        write_cloud(folder / name, timed, scale=1e-4)
+    whiles = {"timed": (0, 5), "again": (0, 4), "rollover": (604_790, 604_810)}
+    for name, ends in whiles.items():
+        timed = Cloud(flat, {"gps_time": np.linspace(*ends, len(flat)) % 604_800})
+        write_cloud(folder / f"{name}.laz", timed, scale=1e-4)
+    single = (flat + [6.9e6, 6.9e6, 500]).astype(np.float32)
+    names = "".join(f"property float {axis}\n" for axis in "xyz")
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex 900\n{names}end_header\n"
+    (folder / "single.ply").write_bytes(header.encode() + single.tobytes())
     (folder / "blank").mkdir()
     laspy.LasData(laspy.LasHeader(version="1.4", point_format=6)).write(folder / "blank" / "e.laz")
     for name in ("laz.ply", "laz.csv", "laz.las"):

@@ -230,7 +230,7 @@ def test_f_does_not_matter_where_points_are_dense_enough(d4, verdict):
 )
 def test_an_uncertain_exemption_leaves_open_what_f_does_not_meet(low, high, f, verdict):
     criteria = pd.DataFrame([("h", "f", "<", 2.0, 3000)], columns=[*tender.CRITERIA, "rho0_per_m2"])
-    figures = [("f", f, f - 0.1, f + 0.1), ("d1_mm", 7.0, 6.0, 8.0), ("d4_mm", 18.1, low, high)]
+    figures = [("f", f, f - 0.1, f + 0.1), ("d1_mm", 7.0, 6.0, 8.0), ("d4_mm", low, low, high)]
     results = pd.DataFrame(figures, columns=["quantity", "value", "low", "high"])
     found = tender.verdicts(criteria, results.assign(system="S"))
     assert found["verdict"].item() == verdict

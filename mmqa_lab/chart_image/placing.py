@@ -274,7 +274,7 @@ def align(image, layout, chart_map):
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
-            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there?"
+            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, and not mirrored?"
         )
     chart_map = comparison.bent(chart_map)
     remark = comparison.differences(chart_map)

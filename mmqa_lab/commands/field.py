@@ -128,6 +128,9 @@ def _heights(options):
         reference = testfield.thinned(reference, options.thin)
     path = None if options.trajectory is None else io.read_trajectory(options.trajectory)
     cloud = _read(options)
+    if path is not None:
+        places = path[["easting_m", "northing_m"]].to_numpy()
+        checks.check_passes(places, cloud.points, f"trajectory {options.trajectory}")
     checks.check_same_crs(
         "reference", image_files.heights_crs(options.reference), "cloud", cloud.crs
     )
@@ -348,6 +351,7 @@ def _drives(options):
                 f"points of {name} from {time.min():.2f} to {time.max():.2f} s. Must cover them, "
                 "on the same day and clock."
             )
+        checks.check_passes(path.position, cloud.points, f"trajectory {file}")
         drives.append((cloud, path))
     return drives
 

@@ -77,7 +77,8 @@ def lhd(options):
     if options.out is not None:
         comparisons.write_report(found, options.out)
     if len(found.results) == 1 and options.truth is None:
-        _print_one(next(iter(found.results.values())), options)
+        names, result = next(iter(found.results.items()))
+        _print_one(result, found.displacements[names], options)
     elif options.json:
         write_rows(found.to_frame(), options)
         tables = {"directions": found.to_frame(), "comparisons": found.comparisons()}
@@ -87,13 +88,18 @@ def lhd(options):
         print(f"\n{found.comparisons().T.to_string(header=False, float_format='{:.4g}'.format)}")
 
 
-def _print_one(result, options):
-    """One comparison in detail; pairs and covariances are left to JSON."""
+def _print_one(result, moved, options):
+    """One comparison in detail; pairs and covariances are left to JSON.
+
+    The displacement is that of the pairs that agree on one: those of the distance may be false.
+    """
     interval = result.interval(seed=options.seed)
     values = result.to_dict() | dict(zip(("lhd_low_m", "lhd_high_m"), interval, strict=True))
+    values |= {"displacement_m": moved.vector.tolist(), "turn_deg": moved.turn_deg}
+    values["displacement_covariance_m2"] = moved.covariance.tolist()
+    values["turn_sigma_deg"] = moved.turn_sigma_deg
     row = {"test": result.test.name, "model": result.model.name}
     row |= {name: value for name, value in values.items() if not isinstance(value, list)}
-    moved = result.displacement
     for axis, shift, variance in zip("xyz", moved.vector, moved.covariance.diagonal(), strict=True):
         row |= {f"displacement_{axis}_m": shift, f"displacement_{axis}_sigma_m": variance**0.5}
     if options.json:

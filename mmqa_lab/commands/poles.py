@@ -82,6 +82,8 @@ def poles_(options):
     decisions = None if options.decisions is None else delivery.read_decisions(options.decisions)
     scope = {"trajectory": path, "corridor": options.corridor}
     cloud = _read_clouds(options)
+    if path is not None:
+        checks.check_passes(path, cloud.points, f"trajectory {options.trajectory}")
     tile = TILE_M if options.tile is None and len(cloud) > MANY else options.tile
     found = poles.detect(cloud, method=options.method, explain=options.explain, tile=tile, **scope)
     found = found.drop(columns=["lean_x", "lean_y"])

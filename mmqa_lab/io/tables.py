@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import (
+    WEEK_S,
     check_choice,
     check_columns,
     check_crs,
@@ -114,8 +115,8 @@ SAMPLED_LINES = 50
 HIGHEST_M, EARTH_M = 20_000.0, (6.33e6, 6.41e6)
 """No height of a point is larger; least and largest distance of points from the earth's centre."""
 
-WEEK_S, FASTEST_M_S = 604_800.0, 150.0
-"""A week of GPS, after which its seconds begin again; no vehicle or helicopter is faster."""
+FASTEST_M_S = 150.0
+"""No vehicle or helicopter is faster."""
 
 TRAJECTORY_COLUMNS = {
     "time_s": ("time_s", "time", "gps_time", "gpstime", "t"),

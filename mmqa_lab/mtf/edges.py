@@ -249,7 +249,7 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
     model = _Model(angle, gap, shape)
     off = np.abs(distance - np.clip(distance, 0, gap if model.double else 0))
     few = np.flatnonzero(off <= FIRST_REACH_PX)
-    few = few[:: len(few) // FIRST_PIXELS + 1]
+    few = few[_spread_out(len(few), FIRST_PIXELS)]
     first = model.within(few, ())
     shift, width, wider = _single_width(first, distance[few], along[few], values[few], order)
     model.gap = model.gap + wider
@@ -307,7 +307,7 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
 def _best_lens(pixels, order, gap):
     """The lens whose fit leaves least; its MTF50 and deviation are those of all lenses, by how well
     they fit."""
-    few = slice(None, None, len(pixels[0]) // LENS_PIXELS + 1)
+    few = _spread_out(len(pixels[0]), LENS_PIXELS)
     pixels = *(one[few] for one in pixels[:3]), pixels[3]
     gap = gap[few] if np.ndim(gap) else gap
     fits = [fit_pixels(*pixels, order=order, gap=gap, method=name) for name in LENSES]
@@ -324,6 +324,12 @@ def _best_lens(pixels, order, gap):
     mean, spread = weighted(found, weights)
     sigma = float(np.hypot(best.mtf50_sigma, spread))
     return replace(best, method="lens", mtf50=mean, mtf50_sigma=sigma)
+
+
+def _spread_out(count, most):
+    """Numbers of some of the pixels; a whole step between them would take the same columns of each
+    row."""
+    return np.linspace(0, count - 1, min(count, most)).astype(int)
 
 
 def weighted(values, weights):

@@ -402,7 +402,7 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     Circle
         The best one from seven starts: the algebraic circle, and circles beside the points. Its
         covariance is unknown where another one, on the other side of the points, fits as well;
-        where there are only two points more than parameters, or fewer; and where a free radius is
+        where there are only four points more than parameters, or fewer; and where a free radius is
         known to 12 % only, or points scatter by 15 % of it: such circles lie amid the points.
 
     Raises
@@ -435,7 +435,7 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     freedom, covariance = len(xy) - slopes.shape[1], np.full((2, 2), np.nan)
     rivals = [_opposite(one[:2], centre, radius / 2) for one in circles]
     ratio = np.min(costs[rivals], initial=np.inf) / max(costs[best], 1e-300)
-    if np.linalg.cond(normal) < 1e10 and freedom > 2 and freedom * np.log(ratio) > 2 * CLEARLY:
+    if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 2 * CLEARLY:
         inverse, pulls = np.linalg.inv(normal), off / (1 + far)
         effects = inverse @ (slopes * pulls[:, None]).T
         # from each residual and from their mean; two less, as their spread is uncertain itself

@@ -89,8 +89,8 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     Raises
     ------
     ValueError
-        If a column is missing, a name repeats, a relation is another, or a value or threshold is
-        neither a number nor a mark.
+        If a column is missing, a name repeats, a relation is another, a value or threshold is
+        neither a number nor a mark, or a value lies outside of its own interval.
 
     Examples
     --------
@@ -275,8 +275,6 @@ def _criteria(criteria):
 def _results(results):
     """Results checked and with every column."""
     results = _with_columns(results, RESULTS, "results")
-    for row in results.itertuples():
-        _rank(row.value, f"{row.quantity} of {row.system}")
     for name in ("sigma", "low", "high"):
         results[name] = _numbers(results, name)
     if (results["sigma"] < 0).any():
@@ -284,6 +282,14 @@ def _results(results):
     crossed = results.loc[results["low"] > results["high"], "low"]
     if len(crossed):
         raise ValueError(f"Invalid low {crossed.iloc[0]}. Must not exceed high.")
+    for row in results.itertuples():
+        name = f"{row.quantity} of {row.system}"
+        rank = _rank(row.value, name)
+        if rank < row.low or rank > row.high:
+            raise ValueError(
+                f"Invalid {name} {row.value!r}: low {row.low:g}, high {row.high:g}. Must lie "
+                "between them."
+            )
     return results
 
 

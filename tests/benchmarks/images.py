@@ -22,7 +22,7 @@ import camera
 from photographed import RealPairs, real_edges
 from rendered import grey, pattern_case, slanted_edge, true_mtf50
 
-from mmqa_lab import chart_image, charts, io, mtf, samples
+from mmqa_lab import bench, chart_image, charts, io, mtf, samples
 from mmqa_lab.chart_image import reading
 from mmqa_lab.chart_image.placing import align
 from mmqa_lab.chart_image.reading import SMALLEST_GAP, SMALLEST_PAIR_PX
@@ -53,43 +53,61 @@ COUNTS = {
 """Cases of each line: usually, and in full."""
 
 
-def photographs(step):
-    """Every so many of the 242 photographs of the tests' own camera: found, read, and how well."""
-    layout, background = charts.imaging_chart(), None
-    if samples.has_real("images"):
-        background = io.read_grey(samples.real_path("images/panorama.jpg"))
-    found, steps, scores, spurious, began = Counter(), Counter(), [], 0, time.process_time()
-    for name, pixel_mm, seed in list(camera.cases())[::step]:
-        scene = camera.CONDITIONS[name]
-        shot = camera.shoot(layout, pixel_mm, seed=seed, background=background, **scene)
-        outline = shot.pixels(layout.corners())
-        if (outline < 0).any() or (outline > np.array(shot.image.shape[1::-1]) - 1).any():
-            continue
-        try:
-            there = chart_image.locate(_bytes(shot.image), layout)
-            quality = chart_image.evaluate_image(shot.linear, layout, there)
-        except ValueError as error:
-            print(f"{name}, {pixel_mm} mm, seed {seed}: {error}", flush=True)
-            found[False] += 1
-            continue
-        found[True] += 1
-        for direction in "hv":
-            width = quality.resolution(direction).width_mm
-            steps[shot.steps(layout, width, direction)] += 1
-        for row in quality.pairs[quality.pairs["resolved"]].itertuples():
-            contrast, width = shot.contrast(layout[row.name])
-            spurious += contrast < 0.05 or width < 2
-        for row in quality.sizes.dropna(subset=["length_px"]).itertuples():
-            truth = layout[row.name].corners()[[0, 1] if row.direction == "h" else [0, 3]]
-            truth = truth + (layout[row.name].corners().mean(axis=0) - truth.mean(axis=0))
-            length = np.linalg.norm(np.diff(shot.pixels(truth), axis=0))
-            scores.append((row.length_px - length) / row.length_sigma_px)
-    steps.pop(None, None)
-    near = sum(steps[one] for one in (-1, 0, 1))
-    print(f"found without corners {found[True]} of {found.total()}; w within one step {near} of")
-    print(f"{steps.total()}: {dict(sorted(steps.items()))} (positive: finer); spurious {spurious}")
-    print(f"pixel size within 1.96 sigma: {np.mean(np.abs(scores) < 1.96):.3f} of {len(scores)}")
+def photographs(step, seeds=(0, 1), folder=None):
+    """Every so many of the 242 photographs of the tests' own camera: found, read, and how well.
+
+    Other ``seeds`` take other photographs of the same conditions; a run with a ``folder`` resumes.
+    """
+    began, cases = time.process_time(), list(dict.fromkeys(one[:2] for one in camera.cases()))
+    cases = [{"condition": name, "pixel_mm": size} for name, size in cases[::step]]
+    results = bench.run(cases, {"ours": _measured}, make=_shot, seeds=seeds, folder=folder)
+    table = bench.cell_table(results)
+    table = table[~table["failure"].str.contains("not whole")]
+    found = table["spurious"].notna()
+    for row in table[~found].itertuples():
+        print(f"{row.condition}, {row.pixel_mm} mm, seed {row.seed}: {row.failure}")
+    for size, part in [*table.groupby("pixel_mm"), ("all", table)]:
+        steps = Counter(part[["steps_h", "steps_v"]].stack().dropna().astype(int))
+        near = sum(steps[one] for one in (-1, 0, 1))
+        scores = part.filter(regex="^score").stack().dropna().abs()
+        print(
+            f"{size} mm: found without corners {found[part.index].sum()} of {len(part)}; "
+            f"w within one step {near} of {steps.total()}: {dict(sorted(steps.items()))} "
+            f"(positive: finer); spurious {part['spurious'].sum():.0f}; "
+            f"pixel size within 1.96 sigma {(scores < 1.96).mean():.3f} of {len(scores)}"
+        )
     print(f"processor time {time.process_time() - began:.0f} s, rendering included")
+
+
+def _shot(condition, pixel_mm, seed):
+    """A photograph of the chart in one of the 37 conditions."""
+    there = samples.has_real("images")
+    background = io.read_grey(samples.real_path("images/panorama.jpg")) if there else None
+    scene = camera.CONDITIONS[condition]
+    layout = charts.imaging_chart()
+    return camera.shoot(layout, pixel_mm, seed=seed, background=background, **scene)
+
+
+def _measured(shot):
+    """What is read in a photograph, as errors against its truth."""
+    layout = charts.imaging_chart()
+    outline = shot.pixels(layout.corners())
+    if (outline < 0).any() or (outline > np.array(shot.image.shape[1::-1]) - 1).any():
+        raise ValueError("the chart is not whole in the frame")
+    there = chart_image.locate(_bytes(shot.image), layout)
+    quality = chart_image.evaluate_image(shot.linear, layout, there)
+    resolved = quality.pairs[quality.pairs["resolved"]]["name"]
+    truth = [shot.contrast(layout[name]) for name in resolved]
+    found = {"spurious": sum(contrast < 0.05 or width < 2 for contrast, width in truth)}
+    for one in "hv":
+        steps = shot.steps(layout, quality.resolution(one).width_mm, one)
+        found |= {} if steps is None else {f"steps_{one}": steps}
+    for row in quality.sizes.dropna(subset=["length_px"]).itertuples():
+        bar = layout[row.name].corners()[[0, 1] if row.direction == "h" else [0, 3]]
+        bar = bar + (layout[row.name].corners().mean(axis=0) - bar.mean(axis=0))
+        length = np.linalg.norm(np.diff(shot.pixels(bar), axis=0))
+        found[f"score_{row.name}"] = (row.length_px - length) / row.length_sigma_px
+    return found
 
 
 def _bytes(image):
@@ -311,12 +329,19 @@ def _sizes_of(layout, bar, pixel, heading, noise, count):
 
 
 def panorama():
-    """Seconds and memory for a panorama of 250 megapixels, from the file to the figures."""
+    """Seconds and memory for panoramas of 24 and 250 megapixels, from the file to the figures."""
+    for megapixels, distance in ((24, 5), (250, 10)):
+        print(f"{megapixels} megapixels, {distance} m", flush=True)
+        _panorama(megapixels, distance)
+
+
+def _panorama(megapixels, distance):
+    """The time of one panorama, the chart found by its corners and by itself."""
     import cv2
 
     layout = charts.imaging_chart()
-    camera = cameras.PanoramaCamera.of_megapixels(250)
-    view = cameras.chart_view(camera, distance=10, layout=layout, heading_deg=20, aim_deg=30)
+    camera = cameras.PanoramaCamera.of_megapixels(megapixels)
+    view = cameras.chart_view(camera, distance=distance, layout=layout, heading_deg=20, aim_deg=30)
     sensor = cameras.Sensor(noise=0.02, gamma="srgb", bits=8)
     photo = cameras.photograph(layout, view, sensor=sensor, seed=1)
     rng = np.random.default_rng(1)
