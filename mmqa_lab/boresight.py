@@ -72,6 +72,9 @@ HEIGHT_GAP_M = 0.3
 LARGEST_GAP = 0.6
 """Of the extent of a plane's points: three scan lines at equal distances leave 0.5."""
 
+LEAST_WIDTH_M = 0.01
+"""Points of one scan line are no plane."""
+
 OUTLIER = 3.5
 """Points so many sigma_MAD from their own group's plane or circle are left out."""
 
@@ -924,10 +927,10 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
     members, planes = [], []
     for name in np.unique(group):
         run = near[group == name]
-        if len(run) < fewest:
+        if len(run) < fewest or not _filled(placed[run]):
             continue
         plane = fit_plane(placed[run])
-        if plane.rms <= roughness and _filled(placed[run]):
+        if plane.rms <= roughness:
             members.append(run)
             planes.append(plane)
     if len(members) < 2:
@@ -946,7 +949,8 @@ def _filled(points):
     """Whether no gap takes most of their extent: two scan lines lie on one plane on any surface."""
     off = points - points.mean(axis=0)
     along = np.sort(off @ np.linalg.svd(off, full_matrices=False)[2][:2].T, axis=0)
-    return bool((np.diff(along, axis=0).max(axis=0) < LARGEST_GAP * np.ptp(along, axis=0)).all())
+    gap, extent = np.diff(along, axis=0).max(axis=0), np.ptp(along, axis=0)
+    return bool((gap < LARGEST_GAP * extent).all() and extent[1] > LEAST_WIDTH_M)
 
 
 def _round(placed, index, fewest):
