@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 from scipy.stats import t
 
@@ -565,7 +565,10 @@ class _Adjustment:
     """The points of all features, one feature after the other, and the least-squares problem.
 
     ``survey`` is the standard deviation of a control point's height over that of a laser point,
-    ``noise_m`` that of ranges.
+    ``noise_m`` that of ranges. Vectors in ``shots`` are without the range errors that the last
+    turn found (``error``), so that planes tilt about where the beams meet them: a range error moves
+    a point along its plane too, which would tilt the plane. ``left`` is what these errors are in
+    misfits, without what the features' own parameters take out.
     """
 
     shots: _Shots
@@ -576,6 +579,9 @@ class _Adjustment:
     noise_m: float = 0.0
     last: tuple = None
 
+    def __post_init__(self):
+        self.error = self.left = np.zeros(len(self.shots.head))
+
     @property
     def counts(self):
         """Points of each feature."""
@@ -583,8 +589,9 @@ class _Adjustment:
 
     def measured(self, values):
         """Misfits, directions and basis of :func:`_measured` under a mounting."""
-        points, ranged = self.shots.placed(values), self.noise_m
-        return _measured(self.features, points, self.shots.beams(values), self.survey, ranged)
+        points, beams = self.shots.placed(values), self.shots.beams(values)
+        found = _measured(self.features, points, beams, self.survey, self.noise_m)
+        return found[0] + self.left, *found[1:]
 
     def system(self, parameters):
         """Misfit of all points and its derivatives, the features' own parameters eliminated."""
@@ -666,14 +673,12 @@ class _Adjustment:
             survey, seen = self.survey, self._survey_error(by_feature)
             # halfway: weights and medians of few heights could change to and fro for ever
             self.survey = (survey + seen) / 2 if survey else seen
-            planes = slice(self.counts[: self._first("pole")].sum())
-            along = (normal * self.shots.beams(values)).sum(axis=1)[planes]
-            self.noise_m = np.sqrt(np.mean(misfit[planes] ** 2) / np.mean(along**2))
             settled = np.abs(self.survey - survey) <= 0.1 * self.survey
             steady = good.all() and np.concatenate(near).mean() > 1 - STEADY and settled
-            if steady or not left:
+            if (steady and self.noise_m) or not left:
                 return found, values
             self._keep(near)
+            self._take_errors(values)
 
     def _survey_error(self, by_feature):
         """Standard deviation of the control points' heights over that of a laser point."""
@@ -696,9 +701,30 @@ class _Adjustment:
         usual = usual.where(table["kind"] != "control", CONSISTENT_SCALE * usual)
         return (table["rms"] <= BAD_FEATURE * np.maximum(usual, 1e-6)).to_numpy()
 
+    def _take_errors(self, values):
+        """Take the range errors that explain the misfits out of the vectors."""
+        misfit, normal, _ = self.measured(values)
+        planes, poles = (self.counts[: self._first(kind)].sum() for kind in ("pole", "control"))
+        along = (normal * self.shots.beams(values)).sum(axis=1)
+        design = np.column_stack([np.ones(planes), along[:planes] ** 2])
+        surface, ranges = nnls(design, misfit[:planes] ** 2)[0]
+        self.noise_m = max(np.sqrt(ranges), 1e-9)
+        means = np.add.reduceat(misfit, np.cumsum(self.counts) - self.counts) / self.counts
+        error = misfit - np.repeat(means, self.counts)
+        error *= ranges * along / np.maximum(surface + ranges * along**2, 1e-300)
+        error[planes:poles] = 0.0
+        length = np.linalg.norm(self.shots.vector, axis=1)
+        self.shots.vector *= (1 + (self.error - error) / length)[:, None]
+        self.error, self.left = error, error * along
+        basis = self.measured(values)[2]
+        for column in basis.T:
+            self._eliminate(self.left[:, None], column, first=0)
+
     def _keep(self, near):
         """Leave out points, and features of which none is left."""
-        self.shots = self.shots.select(np.concatenate(near))
+        inside = np.concatenate(near)
+        self.shots = self.shots.select(inside)
+        self.error, self.left = self.error[inside], self.left[inside]
         self.features = [
             replace(feature, index=feature.index[inside])
             for feature, inside in zip(self.features, near, strict=True)
