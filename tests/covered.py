@@ -336,9 +336,9 @@ def positions(seed, n):
     rng = np.random.default_rng(seed)
     place = np.column_stack([np.arange(n) * 12.0, rng.uniform(0, 20, n)])
     seen = place + [0.02, -0.01] + rng.normal(0, 0.01, (n, 2))
-    turn = np.radians(rng.uniform(-80, 80, (n, 200)))
+    turn = np.radians(rng.uniform(-80, 80, (n, 80)))
     away = 0.07 + rng.normal(0, 0.005, turn.shape)
-    height = np.tile([1.0, 5.0], 100) + rng.uniform(-0.4, 0.4, turn.shape)
+    height = np.tile([1.0, 5.0], 40) + rng.uniform(-0.4, 0.4, turn.shape)
     xy = seen[:, None] + away[..., None] * np.stack([-np.cos(turn), np.sin(turn)], axis=-1)
     survey = place + rng.normal(0, 0.014, (n, 2))
     targets = pd.DataFrame(survey, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.14)
@@ -427,7 +427,7 @@ ESTIMATES = (
     Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 200),
     Estimate("mounting, drift not stated", mounting, ({"drift": True, "stated": False},), 0, 200),
     Estimate("heights of a field", levelled, bench.grid(reach_m=(0.5, 1.5)), 3, 300),
-    Estimate("positions of a field", positions, bench.grid(n=(8, 24)), 3, 300),
+    Estimate("positions of a field", positions, bench.grid(n=(6, 16)), 2, 100),
     Estimate("mean over cells", average, bench.grid(n=(6, 20)), 3, 100),
 )
 
