@@ -663,7 +663,7 @@ class _Adjustment:
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
             )
             parameters, values = found.x, self.values(found.x)
-            misfit, normal, _ = self.measured(values)
+            misfit = self.measured(values)[0]
             by_feature = np.split(misfit, np.cumsum(self.counts)[:-1])
             good = self._usual(by_feature)
             near = [
