@@ -180,7 +180,11 @@ def unit(options, system, seed):
         write_atomically(kept, lambda path: path.write_text(text))
         print(kept.stem, flush=True)
     texts = json.loads(kept.read_text())
-    return [[pd.read_json(StringIO(text), dtype=False) for text in texts]]
+    tables = [pd.read_json(StringIO(text), dtype=False) for text in texts]
+    for table, name in zip(tables, ("high", "value"), strict=True):
+        infinite = (table["quantity"] == "w_mm") & table[name].isna()  # JSON has no infinity
+        table.loc[infinite, name] = np.inf
+    return [tables]
 
 
 def main():
