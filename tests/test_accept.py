@@ -124,6 +124,14 @@ def test_a_site_without_a_board_is_judged_by_the_others(bare):
         read_site(file)
 
 
+def test_a_delivery_in_which_nothing_is_measured_gets_its_report(bare):
+    plan = json.loads((bare / "site.json").read_text())
+    plan["boards"] = [board for board in plan["boards"] if board["board"] != "point orthogonal"]
+    (bare / "site.json").write_text(json.dumps(plan))
+    assert main(["accept", str(bare), "--criteria", "pfeifer2021:1"]) == 1
+    assert "not measured" in (bare / "report" / "report.html").read_text()
+
+
 def test_a_slow_drive_proves_nothing_good(bare):
     for file in bare.rglob("trajectory.csv"):
         path = pd.read_csv(file)
