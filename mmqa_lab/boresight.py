@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
@@ -71,6 +71,9 @@ HEIGHT_GAP_M = 0.3
 
 LARGEST_GAP = 0.6
 """Of the extent of a plane's points: three scan lines at equal distances leave 0.5."""
+
+LEAST_WIDTH_M = 0.01
+"""Points of one scan line are no plane."""
 
 OUTLIER = 3.5
 """Points so many sigma_MAD from their own group's plane or circle are left out."""
@@ -562,7 +565,10 @@ class _Adjustment:
     """The points of all features, one feature after the other, and the least-squares problem.
 
     ``survey`` is the standard deviation of a control point's height over that of a laser point,
-    ``noise_m`` that of ranges.
+    ``noise_m`` that of ranges. Vectors in ``shots`` are without the range errors that the last
+    turn found (``error``), so that planes tilt about where the beams meet them: a range error moves
+    a point along its plane too, which would tilt the plane. ``left`` is what these errors are in
+    misfits, without what the features' own parameters take out.
     """
 
     shots: _Shots
@@ -573,6 +579,9 @@ class _Adjustment:
     noise_m: float = 0.0
     last: tuple = None
 
+    def __post_init__(self):
+        self.error = self.left = np.zeros(len(self.shots.head))
+
     @property
     def counts(self):
         """Points of each feature."""
@@ -580,8 +589,9 @@ class _Adjustment:
 
     def measured(self, values):
         """Misfits, directions and basis of :func:`_measured` under a mounting."""
-        points, ranged = self.shots.placed(values), self.noise_m
-        return _measured(self.features, points, self.shots.beams(values), self.survey, ranged)
+        points, beams = self.shots.placed(values), self.shots.beams(values)
+        found = _measured(self.features, points, beams, self.survey, self.noise_m)
+        return found[0] + self.left, *found[1:]
 
     def system(self, parameters):
         """Misfit of all points and its derivatives, the features' own parameters eliminated."""
@@ -653,7 +663,7 @@ class _Adjustment:
                 lambda p: self.system(p)[0], parameters, jac=lambda p: self.system(p)[1], **limits
             )
             parameters, values = found.x, self.values(found.x)
-            misfit, normal, _ = self.measured(values)
+            misfit = self.measured(values)[0]
             by_feature = np.split(misfit, np.cumsum(self.counts)[:-1])
             good = self._usual(by_feature)
             near = [
@@ -663,14 +673,12 @@ class _Adjustment:
             survey, seen = self.survey, self._survey_error(by_feature)
             # halfway: weights and medians of few heights could change to and fro for ever
             self.survey = (survey + seen) / 2 if survey else seen
-            planes = slice(self.counts[: self._first("pole")].sum())
-            along = (normal * self.shots.beams(values)).sum(axis=1)[planes]
-            self.noise_m = np.sqrt(np.mean(misfit[planes] ** 2) / np.mean(along**2))
             settled = np.abs(self.survey - survey) <= 0.1 * self.survey
             steady = good.all() and np.concatenate(near).mean() > 1 - STEADY and settled
-            if steady or not left:
+            if (steady and self.noise_m) or not left:
                 return found, values
             self._keep(near)
+            self._take_errors(values)
 
     def _survey_error(self, by_feature):
         """Standard deviation of the control points' heights over that of a laser point."""
@@ -693,9 +701,30 @@ class _Adjustment:
         usual = usual.where(table["kind"] != "control", CONSISTENT_SCALE * usual)
         return (table["rms"] <= BAD_FEATURE * np.maximum(usual, 1e-6)).to_numpy()
 
+    def _take_errors(self, values):
+        """Take the range errors that explain the misfits out of the vectors."""
+        misfit, normal, _ = self.measured(values)
+        planes, poles = (self.counts[: self._first(kind)].sum() for kind in ("pole", "control"))
+        along = (normal * self.shots.beams(values)).sum(axis=1)
+        design = np.column_stack([np.ones(planes), along[:planes] ** 2])
+        surface, ranges = nnls(design, misfit[:planes] ** 2)[0]
+        self.noise_m = max(np.sqrt(ranges), 1e-9)
+        means = np.add.reduceat(misfit, np.cumsum(self.counts) - self.counts) / self.counts
+        error = misfit - np.repeat(means, self.counts)
+        error *= ranges * along / np.maximum(surface + ranges * along**2, 1e-300)
+        error[planes:poles] = 0.0
+        length = np.linalg.norm(self.shots.vector, axis=1)
+        self.shots.vector *= (1 + (self.error - error) / length)[:, None]
+        self.error, self.left = error, error * along
+        basis = self.measured(values)[2]
+        for column in basis.T:
+            self._eliminate(self.left[:, None], column, first=0)
+
     def _keep(self, near):
         """Leave out points, and features of which none is left."""
-        self.shots = self.shots.select(np.concatenate(near))
+        inside = np.concatenate(near)
+        self.shots = self.shots.select(inside)
+        self.error, self.left = self.error[inside], self.left[inside]
         self.features = [
             replace(feature, index=feature.index[inside])
             for feature, inside in zip(self.features, near, strict=True)
@@ -924,10 +953,10 @@ def _common_plane(placed, near, group, roughness, rng, fewest=15):
     members, planes = [], []
     for name in np.unique(group):
         run = near[group == name]
-        if len(run) < fewest:
+        if len(run) < fewest or not _filled(placed[run]):
             continue
         plane = fit_plane(placed[run])
-        if plane.rms <= roughness and _filled(placed[run]):
+        if plane.rms <= roughness:
             members.append(run)
             planes.append(plane)
     if len(members) < 2:
@@ -946,7 +975,8 @@ def _filled(points):
     """Whether no gap takes most of their extent: two scan lines lie on one plane on any surface."""
     off = points - points.mean(axis=0)
     along = np.sort(off @ np.linalg.svd(off, full_matrices=False)[2][:2].T, axis=0)
-    return bool((np.diff(along, axis=0).max(axis=0) < LARGEST_GAP * np.ptp(along, axis=0)).all())
+    gap, extent = np.diff(along, axis=0).max(axis=0), np.ptp(along, axis=0)
+    return bool((gap < LARGEST_GAP * extent).all() and extent[1] > LEAST_WIDTH_M)
 
 
 def _round(placed, index, fewest):

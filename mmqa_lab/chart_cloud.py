@@ -336,14 +336,13 @@ class CloudQuality(Shown):
         place = np.clip(((self.xy - low) / extent).astype(int), 0, BLOCKS - 1)
         counts = np.bincount(place[:, 0] * BLOCKS + place[:, 1], minlength=BLOCKS**2)
         density = self.n / whole.area
-        reach = _reach(counts - density * areas, (areas > 0).sum()) / whole.area
+        off = (counts - density * areas)[areas > 0]
+        reach = stats.mean_reach(off, np.arange(len(off))) * len(off) / whole.area
         return density, max(density - reach, 0.0), density + reach
 
     def _std_interval(self, block):
         """Interval of std, from the sums of squares in the blocks."""
-        squares = (1000 * self.plane.residuals) ** 2
-        sums = np.bincount(block, squares - squares.mean(), minlength=BLOCKS**2)
-        reach = _reach(sums, len(np.unique(block))) / self.n
+        reach = stats.mean_reach((1000 * self.plane.residuals) ** 2, block)
         return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 
 
@@ -638,15 +637,6 @@ def _directions(plane, axes):
         return turned_axes(plane.axes, check_number(axes, "axes", unit="degrees"))
     check_choice(axes, "axes", AXES)
     return plane.axes if axes == "principal" else plane.horizontal_axes()
-
-
-def _reach(sums, count):
-    """Half the 95 % interval of a total, from deviations of its sums over ``count`` blocks."""
-    from scipy.special import stdtrit
-
-    if count < 2:
-        return np.nan
-    return stdtrit(count - 1, 0.975) * np.sqrt(count / (count - 1) * (sums**2).sum())
 
 
 def _remarks_on_points(gaps, step_mm, sigma_mm):

@@ -36,7 +36,7 @@ from mmqa_lab._checks import (
 from mmqa_lab._polygons import path_distance
 from mmqa_lab.cloud import Cloud, as_cloud
 from mmqa_lab.planes import fit_circle, fit_line
-from mmqa_lab.stats import errors
+from mmqa_lab.stats import blocks, errors, mean_reach
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -202,7 +202,8 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         Two rows, ``shift`` = kept and removed: ``n``; ``mean_mm`` (the shift), ``median_mm``,
         ``min_mm``, ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the difference
-        that 90 % of all stay within.
+        that 90 % of all stay within; 95 % intervals of the shift and the RMSE (``mean_low_mm``,
+        ``mean_high_mm``, ``rmse_low_mm``, ``rmse_high_mm``).
 
     Raises
     ------
@@ -215,6 +216,11 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     reference; with the shift removed they describe the scatter. LE90 is taken from the differences,
     not as 1.645 RMSE, which is right for normal errors without a shift only.
 
+    The intervals are for other reference points on the same drives. They follow from the sums of
+    4 x 4 blocks of the field (:func:`mmqa_lab.stats.mean_reach`), that of the RMSE on its
+    logarithm; without ``x_m`` and ``y_m`` differences are taken as independent. What errors of the
+    path have in common over all of the field, they do not contain.
+
     Examples
     --------
     >>> table = pd.DataFrame({"dz_m": [0.01, 0.02, 0.03], "reason": ["", "", ""]})
@@ -223,10 +229,14 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     """
     if "dz_m" not in table or "reason" not in table:
         raise ValueError("Invalid table. Must have the columns dz_m and reason.")
-    dz = 1000 * table.loc[table["reason"] == "", "dz_m"].to_numpy(dtype=np.float64)
+    used = table[table["reason"] == ""]
+    dz = 1000 * used["dz_m"].to_numpy(dtype=np.float64)
+    block = np.arange(len(used))
+    if {"x_m", "y_m"} <= set(used) and len(used):
+        block = blocks(used[["x_m", "y_m"]])
     shift = dz.mean() if len(dz) else np.nan
-    parts = (("kept", 0), ("removed", shift))
-    return pd.DataFrame([{"shift": name, **_summary(dz - part)} for name, part in parts])
+    kept = {"shift": "kept", **_summary(dz, block), **_mean_ends("mean", shift, dz, block)}
+    return pd.DataFrame([kept, {"shift": "removed", **_summary(dz - shift, block)}])
 
 
 def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
@@ -375,7 +385,13 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
         Two rows, ``shift`` = kept and removed: ``n``, ``missing``; ``mean_east_mm``,
         ``mean_north_mm``, ``std_east_mm``, ``std_north_mm``; of the distances in plan ``mean_mm``,
         ``min_mm``, ``max_mm``, ``std_mm``; and ``rmse_mm``, the root of the mean squared distance
-        (equation 3-1; ASPRS: RMSE_H).
+        (equation 3-1; ASPRS: RMSE_H). 95 % intervals of the shift and the RMSE, as
+        ``mean_east_low_mm`` and ``mean_east_high_mm``.
+
+    Notes
+    -----
+    The intervals are for other targets on the same drives: all slices of a target are one value,
+    targets are taken as independent. See :func:`height_accuracy`.
 
     Examples
     --------
@@ -387,11 +403,30 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     difference = 1000 * used[["dx_m", "dy_m"]].to_numpy(dtype=np.float64)
     mean = difference.mean(axis=0) if len(used) else np.full(2, np.nan)
     counts = {"n": len(used), "missing": len(table) - len(used)}
-    parts = (("kept", 0), ("removed", mean))
-    return pd.DataFrame([{"shift": name} | counts | _plan(difference - p) for name, p in parts])
+    target = np.arange(len(used))
+    if {"x_m", "y_m"} <= set(used):
+        target = used.groupby(["x_m", "y_m"]).ngroup().to_numpy()
+    ends = [
+        _mean_ends(name, *given, target)
+        for name, *given in zip(("mean_east", "mean_north"), mean, difference.T, strict=True)
+    ]
+    kept = {"shift": "kept"} | counts | _plan(difference, target) | ends[0] | ends[1]
+    return pd.DataFrame([kept, {"shift": "removed"} | counts | _plan(difference - mean, target)])
 
 
-def _plan(difference):
+def _mean_ends(name, mean, values, block):
+    """The 95 % interval of a mean, mm."""
+    reach = mean_reach(values, block)
+    return {f"{name}_low_mm": mean - reach, f"{name}_high_mm": mean + reach}
+
+
+def _rmse_ends(rmse, values, block):
+    """The 95 % interval of an RMSE, on its logarithm, mm."""
+    share = mean_reach(values**2, block) / np.maximum(rmse**2, 1e-300) / 2
+    return {"rmse_low_mm": rmse * np.exp(-share), "rmse_high_mm": rmse * np.exp(share)}
+
+
+def _plan(difference, target):
     """The figures of one row, in mm, of differences in easting and northing (n, 2) in mm."""
     distance = np.hypot(*difference.T)
     east, north, plan = (errors(values) for values in (*difference.T, distance))
@@ -406,6 +441,7 @@ def _plan(difference):
         "max_mm": ends[1],
         "std_mm": plan.std,
         "rmse_mm": plan.rmse,
+        **_rmse_ends(plan.rmse, distance, target),
     }
 
 
@@ -529,7 +565,7 @@ def distance_to_path(points: Cloud | ArrayLike, path: ArrayLike | pd.DataFrame) 
     return path_distance(points - origin, path - origin)
 
 
-def _summary(values):
+def _summary(values, block):
     """The figures of one row of an accuracy table, in mm, of differences in mm."""
     found = errors(values)
     known = values if len(values) else np.array([np.nan])
@@ -543,6 +579,7 @@ def _summary(values):
         "rmse_mm": found.rmse,
         "nmad_mm": found.nmad,
         "le90_mm": np.quantile(np.abs(known), 0.9),
+        **_rmse_ends(found.rmse, values, block),
     }
 
 

@@ -15,6 +15,7 @@ from functools import cache
 import camera
 import numpy as np
 import pandas as pd
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.stats import chi2, t
 
 from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, testfield
@@ -341,6 +342,42 @@ def mounting(seed, drift, stated):
     }
 
 
+def levelled(seed, reach_m):
+    """Shift and RMSE of heights: 100 levelled points on a street whose cloud errs over a length."""
+    rng = np.random.default_rng(seed)
+    cell = 0.25
+    error = gaussian_filter(rng.standard_normal((240, 80)), reach_m / cell, mode="wrap")
+    points = rng.uniform(0, 1, (40_000, 3)) * [60, 20, 0]
+    points[:, 2] = 0.02 + 0.008 * map_coordinates(error / error.std(), points[:, :2].T / cell)
+    points[:, 2] += rng.normal(0, 0.005, len(points))
+    known = rng.uniform(1, 19, (100, 3)) * [3, 1, 0] + [0, 0, 1] * rng.normal(0, 0.011, (100, 1))
+    row = testfield.height_accuracy(testfield.height_differences(points, known)).iloc[0]
+    shift = (row["mean_low_mm"], row["mean_high_mm"], 20.0)
+    rmse = *row[["rmse_low_mm", "rmse_high_mm"]], None, row["rmse_mm"]
+    return {"shift of heights": shift, "RMSE of heights": rmse}
+
+
+def positions(seed, n):
+    """Shift and RMSE in plan of poles, each seen from one side in two slices."""
+    rng = np.random.default_rng(seed)
+    place = np.column_stack([np.arange(n) * 12.0, rng.uniform(0, 20, n)])
+    seen = place + [0.02, -0.01] + rng.normal(0, 0.01, (n, 2))
+    turn = np.radians(rng.uniform(-80, 80, (n, 80)))
+    away = 0.07 + rng.normal(0, 0.005, turn.shape)
+    height = np.tile([1.0, 5.0], 40) + rng.uniform(-0.4, 0.4, turn.shape)
+    xy = seen[:, None] + away[..., None] * np.stack([-np.cos(turn), np.sin(turn)], axis=-1)
+    survey = place + rng.normal(0, 0.014, (n, 2))
+    targets = pd.DataFrame(survey, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.14)
+    cloud = np.column_stack([xy.reshape(-1, 2), height.ravel()])
+    row = testfield.plan_accuracy(testfield.plan_differences(cloud, targets)).iloc[0]
+    rmse = *row[["rmse_low_mm", "rmse_high_mm"]], None, row["rmse_mm"]
+    shifts = {
+        f"shift in plan: {axis}": (*row[[f"mean_{axis}_low_mm", f"mean_{axis}_high_mm"]], true)
+        for axis, true in (("east", 20.0), ("north", -10.0))
+    }
+    return shifts | {"RMSE in plan": rmse}
+
+
 def average(seed, n):
     """The mean of a method over cells and its difference from another, as the bench has them."""
     values = np.random.default_rng(seed).normal([3, 2.5], 1, (n, 2))
@@ -423,6 +460,8 @@ ESTIMATES = (
     Estimate("mounting, exact paths", mounting, ({"drift": False, "stated": True},), 1, 200),
     Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 200),
     Estimate("mounting, drift not stated", mounting, ({"drift": True, "stated": False},), 0, 200),
+    Estimate("heights of a field", levelled, bench.grid(reach_m=(0.5, 1.5)), 3, 300),
+    Estimate("positions of a field", positions, bench.grid(n=(6, 16)), 2, 100),
     Estimate("mean over cells", average, bench.grid(n=(6, 20)), 3, 100),
 )
 

@@ -8,7 +8,15 @@ import pytest
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
-from mmqa_lab.boresight import _from_axis, _pole_misfit, calibrate, corrected
+from mmqa_lab.boresight import (
+    _Adjustment,
+    _Feature,
+    _from_axis,
+    _pole_misfit,
+    _Shots,
+    calibrate,
+    corrected,
+)
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
@@ -73,6 +81,26 @@ def test_correction_takes_points_to_their_surfaces(found, street, drives):
     after = found.correct(cloud, path).points[on_road, 2] - street.origin[2]
     # 5 mm of range noise is what may be left
     assert np.sqrt(np.mean(after**2)) < 0.006 < np.sqrt(np.mean(before**2))
+
+
+def test_range_errors_do_not_tilt_planes_seen_at_a_slant(rng):
+    """A floor and a wall, 60 cm wide and 3 m away, with 3 cm of noise along the beams."""
+    floor = rng.uniform(-0.3, 0.3, (40_000, 3)) * [1, 1, 0] + [2, 0, -2]
+    wall = rng.uniform(-0.3, 0.3, (40_000, 3)) * [0, 1, 1] + [3, 0, -0.5]
+    vector = np.concatenate([floor, wall])
+    vector *= 1 + rng.normal(0, 0.03, (80_000, 1)) / np.linalg.norm(vector, axis=1)[:, None]
+    still = np.zeros((80_000, 3)), np.broadcast_to(np.eye(3), (80_000, 3, 3))
+    drive = np.zeros(80_000, int)
+    shots = _Shots(np.zeros((1, 3)), drive, *still, vector, drive)
+    features = [_Feature("plane", np.arange(40_000)), _Feature("plane", np.arange(40_000, 80_000))]
+    adjustment = _Adjustment(shots, features, False, np.ones(6, dtype=bool))
+    tilts = []
+    for _ in range(3):
+        normal = adjustment.measured(np.zeros((1, 6)))[1][0]
+        tilts.append(np.degrees(np.hypot(*normal[:2])))
+        adjustment._take_errors(np.zeros((1, 6)))
+    assert tilts[0] > 0.7
+    assert tilts[2] < 0.1  # noise tilts it by 0.03 degrees
 
 
 @pytest.mark.parametrize("side", [0, 90, 200])

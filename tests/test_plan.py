@@ -128,7 +128,7 @@ def test_plan_of_a_system_leaves_out_heads_that_look_away():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ("--system sensei --speed 9 --range 5", "Invalid system 'sensei'. Must be one of roamer"),
+        ("--system sensei --speed 9 --range 5", "Invalid system 'sensei': its head scans several"),
         ("--system lynx --range 5", "Invalid plan without --speed. Must have it."),
         ("--system lynx --speed 9 --range 5 --sigma speed_m_s=1", "Invalid --sigma with --system."),
         ("--range 5", "Invalid plan without --pulse-rate."),

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
+from statsmodels.stats.weightstats import DescrStatsW
 
 from mmqa_lab import stats
 
@@ -87,3 +88,12 @@ def test_bootstrap_is_reproducible_by_seed(rng):
 def test_bad_input_gets_a_sentence(call, sentence):
     with pytest.raises(ValueError, match=sentence):
         call()
+
+
+def test_reach_of_a_mean_is_students_of_independent_values_and_wider_of_dependent_ones(rng):
+    values = rng.normal(0, 1, 30)
+    low, high = DescrStatsW(values).tconfint_mean()
+    assert stats.mean_reach(values, np.arange(30)) == pytest.approx((high - low) / 2)
+    twice = stats.mean_reach(np.repeat(values, 2), np.repeat(np.arange(30), 2))
+    assert twice == pytest.approx((high - low) / 2)
+    assert np.isnan(stats.mean_reach(values, np.zeros(30, int)))

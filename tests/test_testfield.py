@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial import Delaunay
+from scipy.stats import t
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
@@ -182,6 +183,26 @@ def test_gross_errors_in_plan_do_not_count(rng):
     found = plan_differences(np.vstack(posts), poles)
     assert set(found.loc[found["reason"] == "gross error", "name"]) == {5}
     assert set(plan_differences(np.vstack(posts), poles, gross_limit=1.0)["reason"]) == {""}
+
+
+def test_slices_of_one_target_do_not_narrow_its_intervals(rng):
+    table = pd.DataFrame(rng.normal(0, 0.01, (12, 2)), columns=["dx_m", "dy_m"])
+    table = table.assign(x_m=np.arange(12.0), y_m=0.0, reason="")
+    once, twice = (plan_accuracy(pd.concat([table] * k)).iloc[0] for k in (1, 2))
+    half = t.ppf(0.975, 11) * 1000 * table["dx_m"].std() / np.sqrt(12)
+    for row in (once, twice):
+        assert row["mean_east_high_mm"] - row["mean_east_mm"] == pytest.approx(half)
+        assert row["rmse_low_mm"] < row["rmse_mm"] < row["rmse_high_mm"]
+
+
+def test_heights_that_err_together_have_wider_intervals(rng):
+    place = pd.DataFrame(rng.uniform(0, 40, (400, 2)), columns=["x_m", "y_m"])
+    errors = rng.normal(0, 0.01, 400)
+    together = 0.01 * np.sign(place["x_m"] // 10 % 2 - 0.5) + errors
+    ends = [height_accuracy(place.assign(dz_m=dz, reason="")).iloc[0] for dz in (errors, together)]
+    alone, common = (row["mean_high_mm"] - row["mean_low_mm"] for row in ends)
+    assert common > 2 * alone
+    assert ends[0]["rmse_low_mm"] < 10 < ends[0]["rmse_high_mm"]
 
 
 def test_plan_accuracy_removes_easting_and_northing_separately():

@@ -68,6 +68,9 @@ def accuracy(options):
 
     targets.csv has the columns x, y, z (of the foot, m), kind (pole, building, curb, mark) and,
     where known, name and diameter (of poles, m).
+
+    Columns with low and high are 95 % intervals: what other reference points or targets on the same
+    drives would give. What a path has wrong all along the field, they do not contain.
     """
     if (options.reference is None) == (options.targets is None):
         raise ValueError("Invalid request. Must have either REFERENCE or --targets.")

@@ -155,6 +155,11 @@ def _of_system(target, options):
         raise ValueError(f"Invalid {others[0]} with --system. Must be without it.")
     if options.speed is None:
         raise ValueError("Invalid plan without --speed. Must have it.")
+    if options.system in set(systems.SYSTEMS) - set(HEADS):
+        raise ValueError(
+            f"Invalid system {options.system!r}: its head scans several layers at once. Must scan "
+            f"profiles: {', '.join(HEADS)}."
+        )
     heads = systems.SYSTEMS[checks.check_choice(options.system, "system", HEADS)].heads
     found = pd.DataFrame()
     for number, head in enumerate(heads, start=1):

@@ -68,7 +68,7 @@ SPREAD_PX = 0.8
 
 SUPERSAMPLING = 4
 
-SENSOR = Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=95)
+SENSOR = Sensor(noise=0.01, bayer=True, gamma="srgb", bits=8, jpeg_quality=95)
 
 LEGIBLE_PX = {"a": 11.0, "b": 9.0}
 """Pixels per capital from which a text has a mark: the simulated jury's rule. It gives all twelve
@@ -293,7 +293,8 @@ def _write_jpeg(file, image, camera):
     taken = {Base.FNumber: 8.0, Base.DateTimeOriginal: "2021:01:12 10:00:00"}
     exif.get_ifd(IFD.Exif).update(taken | {Base.ExposureTime: EXPOSURE_S})
     options = {"quality": SENSOR.jpeg_quality, "exif": exif}
-    write_atomically(file, lambda path: fromarray(image).save(path, "JPEG", **options))
+    image = fromarray(np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image)
+    write_atomically(file, lambda path: image.save(path, "JPEG", **options))
 
 
 def _write_images(place, vehicle, drive, boards, seed):

@@ -265,6 +265,7 @@ def _with_gaps(rows, site, done):
     """All rows, and one without a value for each figure that the test asks for and is missing."""
     known = {(r["system"], r["quantity"], r["distance_m"], r["view"], r["direction"]) for r in rows}
     blank = {"value": None, "too_good": False, "too_bad": False}
+    blank |= dict.fromkeys(("low", "high", "sigma"), np.nan)
     systems = dict.fromkeys(drive.system for drive in done.drives)
     for system in systems:
         own = {drive.distance_m for drive in done.drives if drive.system == system}

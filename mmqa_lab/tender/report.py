@@ -186,8 +186,8 @@ def _lines(done, site):
         f"Asked: {' m and '.join(f'{d:g}' for d in site.distances_m)} m beside the boards, at "
         f"least {site.speed_kmh:g} km/h; forward and backward images from {site.oblique_m:g} m or "
         "farther, of the nearest drive.",
-        "A verdict is undecided where its threshold lies within the 95 % interval, or where the "
-        "drive was against the rules and may have caused it.",
+        "A verdict is undecided where its threshold, or that of the exemption from it, lies within "
+        "the 95 % interval, or where the drive was against the rules and may have caused it.",
         "Direction h: the lying bar of 600 mm, pairs of standing bars; v: the two standing bars of "
         "800 mm, pairs of lying bars.",
         "Expected marks follow from the pixels per letter, by thresholds fitted to the marks of "

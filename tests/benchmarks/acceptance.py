@@ -15,6 +15,7 @@ from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -31,7 +32,7 @@ from mmqa_lab.tender.site import read_site
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 SYSTEMS = "ABC"
-CLEAN = replace(simulated.SENSOR, noise=0.0, gamma="linear", bits=None, jpeg_quality=None)
+CLEAN = {"noise": 0.0, "gamma": "linear", "bits": None, "jpeg_quality": None}
 CRITERIA = {name: published_criteria(name) for name in (*SETS, OWN_SET)}
 PLACE = ["system", "quantity", "distance_m", "view", "direction"]
 PASSES = ("met", "exempt")
@@ -44,8 +45,10 @@ def image_truth(photo, system, seed, boards):
     drive = simulated.make_drive(photo.drive.distance_m, seed=seed + 1000 * ord(system))
     time = drive.stations.iloc[int(photo.file.stem.split("_")[1])]["time_s"]
     there = simulated.station_map(vehicle, drive, time, board)
-    clean = simulated.take_photo(vehicle, drive, time, board, seed=seed, sensor=CLEAN)
-    tones = find_tones(clean.image, board.layout, clean.chart_map)
+    sensor = replace(simulated.SENSOR, **CLEAN)
+    clean = simulated.take_photo(vehicle, drive, time, board, seed=seed, sensor=sensor)
+    grey = cv2.cvtColor(clean.image, cv2.COLOR_BGR2GRAY) if sensor.bayer else clean.image
+    tones = find_tones(grey, board.layout, clean.chart_map)
     pairs = read_pairs(tones, board.layout, clean.chart_map)
     place = {"system": system, "distance_m": photo.distance_m, "view": photo.view}
     for direction, names in BARS.items():
@@ -177,7 +180,11 @@ def unit(options, system, seed):
         write_atomically(kept, lambda path: path.write_text(text))
         print(kept.stem, flush=True)
     texts = json.loads(kept.read_text())
-    return [[pd.read_json(StringIO(text), dtype=False) for text in texts]]
+    tables = [pd.read_json(StringIO(text), dtype=False) for text in texts]
+    for table, name in zip(tables, ("high", "value"), strict=True):
+        infinite = (table["quantity"] == "w_mm") & table[name].isna()  # JSON has no infinity
+        table.loc[infinite, name] = np.inf
+    return [tables]
 
 
 def main():
@@ -185,9 +192,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=20, help="sites of each system")
+    parser.add_argument("--grey", action="store_true", help="cameras without a colour mosaic")
     parser.add_argument("--finished", action="store_true", help="tables of what is finished")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
+    simulated.SENSOR = replace(simulated.SENSOR, bayer=not options.grey)
     spare = simulated.site_boards, simulated.photographed
     simulated.site_boards, simulated.photographed = without_spares(*spare)
     places = [(system, seed) for seed in range(1, options.seeds + 1) for system in SYSTEMS]
