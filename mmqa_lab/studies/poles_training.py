@@ -404,10 +404,15 @@ def main(folder):
     _write("shapes.txt", fit(taught))
 
 
+SPARED = ("tree_sizes=", "split_gain=", "leaf_weight=", "leaf_count=", "internal_")
+"""Lines of a file of trees that no prediction needs."""
+
+
 def _write(name, model):
     """Write trees where the package reads them."""
-    target, text = resources.files("mmqa_lab.poles").joinpath(name), model.model_to_string()
-    write_atomically(target, text)
+    lines = model.model_to_string().splitlines(keepends=True)
+    text = "".join(line for line in lines if not line.startswith(SPARED))
+    write_atomically(resources.files("mmqa_lab.poles").joinpath(name), text)
 
 
 if __name__ == "__main__":
