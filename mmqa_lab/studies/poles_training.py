@@ -72,6 +72,9 @@ SCATTER_M = (0.0, 0.0, 0.01, 0.03)
 """Standard deviations of an added error of every coordinate: navigation and old sensors."""
 
 
+BARE, CROPPED = 2, (2, 4)
+"""Which of three examples is a yard; which views are cropped."""
+
 LEAST_POINTS = 200
 """Views with fewer are left out."""
 
@@ -195,7 +198,7 @@ def example(number, *, seed=FIRST_SEED, stretch=1.0):
     """
     rng = np.random.default_rng([seed, number])
     name, length, speeds = SETUPS[number // 3 % len(SETUPS)]
-    if number % 3 == 2:
+    if number % 3 == BARE:
         made = yard(rng, stretch * length)
     else:
         made = streets.street(random_plan(rng), length=stretch * length, seed=seed + number)
@@ -380,10 +383,11 @@ def fit(taught, *, rounds=300, leaves=31, rate=0.05):
 
 
 def fit_classes(taught, *, rounds=40):
-    """Return trees that tell the class of a pole from its features, one set a class."""
+    """Return trees that tell the class of a pole, one set a class, from whole views of streets."""
     import lightgbm
 
-    own = taught["label"] == 1
+    whole = ~np.isin(taught["view"], CROPPED) & (taught["number"] % 3 != BARE)
+    own = whole & (taught["label"] == 1)
     features, kind = taught["features"][own][:, : len(NAMES)], taught["kind"][own]
     weight = 1 / np.sqrt(np.bincount(kind)[kind])
     data = lightgbm.Dataset(features, kind, weight=weight / weight.mean(), feature_name=list(NAMES))
