@@ -502,8 +502,7 @@ def leave_one_block_out(whole, references, blocks=10):
     probability = np.empty(len(axes))
     for number in range(blocks):
         other = (block != number) & (label >= 0)
-        taught = {"features": features, "label": label, "number": block, "view": 0 * block}
-        model = fit({name: values[other] for name, values in taught.items()}, rounds=100)
+        model = fit(features[other], label[other], block[other], rounds=100)
         probability[block == number] = model.predict(features[block == number])
     found = ours.judged(local, where, probability, settings)
     return found.assign(x_m=found["x_m"] + origin[0], y_m=found["y_m"] + origin[1])
