@@ -125,6 +125,12 @@ def test_rates_on_a_street_never_trained_on(street, detected, method, recall, pr
     assert result.precision.value >= precision
 
 
+@pytest.mark.parametrize(("low", "found"), [(0.5, 1), (4.5, 0)])
+def test_what_hangs_has_no_foot(low, found, rng):
+    cloud = scene(post(1.0, 2.0, low=low), rng=rng)
+    assert len(poles.detect(cloud, method="ours")) == found
+
+
 def test_explain_names_the_test_that_rejected(rng):
     cloud = scene(post(1, 2), post(3, 3, height=0.7, line=200), rng=rng)
     table = poles.detect(cloud, method="fgi", explain=True)
@@ -132,7 +138,7 @@ def test_explain_names_the_test_that_rejected(rng):
     assert near["rejected_by"].tolist() == ["length"]
     assert (table["rejected_by"] == "").sum() == 1
     learned = poles.detect(cloud, method="ours", explain=True)
-    assert set(learned["rejected_by"]) <= {"", "probability", "length", "duplicate"}
+    assert set(learned["rejected_by"]) <= {"", "probability", "length", "foot", "duplicate"}
 
 
 def test_a_shell_that_is_not_empty_rejects(rng):

@@ -64,6 +64,8 @@ class Settings:
         a sparse one.
     minimum_length : float
         Of the pole-like part, metres.
+    highest_foot : float
+        Above the ground; what begins higher hangs, metres.
     apart : float
         Two poles are at least that far apart, metres.
     """
@@ -71,6 +73,7 @@ class Settings:
     threshold: float = 0.4
     voxel: float = 0.03
     minimum_length: float = 1.0
+    highest_foot: float = 3.0
     apart: float = 0.6
 
 
@@ -112,10 +115,12 @@ def read_model(name="model.txt"):
 def judged(points, where, probability, settings, *, lines=None, explain=False):
     """Return the table of candidates with given probabilities; ``where`` is from ``described``."""
     features, axes, ground = where
+    column, top = (features[:, NAMES.index(name)] for name in ("column_m", "column_high_m"))
     reason = common.first_reason(
         len(axes),
         probability=probability < settings.threshold,
-        length=features[:, NAMES.index("column_m")] < settings.minimum_length,
+        length=column < settings.minimum_length,
+        foot=np.minimum(top - column, axes[:, 5]) > settings.highest_foot,
     )
     low, high = axes[:, 5], axes[:, 6]
     middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]

@@ -15,11 +15,13 @@ from scipy.spatial import cKDTree
 from mmqa_lab import io, poles, samples, simulate, stats
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles import ours
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.studies import NOTES, SMALL, stated
+from mmqa_lab.studies.poles_training import fit, labels
 
 QUICK, TOLD = SMALL["poles"], NOTES["poles"]
 
@@ -475,6 +477,38 @@ def oakland(tiles=None):
     unknown = unknown[(unknown["points"] >= 8) & (unknown["height_m"] >= 1.0)]
     rest = pd.concat([unasked, unknown]).assign(ignore=True)
     return whole, pd.concat([asked.assign(ignore=small), rest], ignore_index=True)
+
+
+def leave_one_block_out(whole, references, blocks=10):
+    """Return the poles of a real cloud by trees that learned from its other blocks alone.
+
+    Parameters
+    ----------
+    whole, references
+        Of :func:`oakland`.
+    blocks : int
+        Of equally many candidates, from west to east.
+
+    Returns
+    -------
+    DataFrame
+        As of :func:`mmqa_lab.poles.detect`.
+    """
+    origin = np.floor(whole.points.min(axis=0))
+    local, settings = whole.points - origin, ours.Settings()
+    where = ours.described(local, settings)
+    features, axes, _ = where
+    upright = dict.fromkeys(("lean_x", "lean_y", "diameter_base_m"), 0.0)
+    truth = references.assign(**upright, visible=~references["ignore"])
+    label, _ = labels(axes + np.pad(origin[:2], (0, 6)), truth)
+    block = np.argsort(np.argsort(axes[:, 0])) * blocks // len(axes)
+    probability = np.empty(len(axes))
+    for number in range(blocks):
+        other = (block != number) & (label >= 0)
+        model = fit(features[other], label[other], block[other], rounds=100)
+        probability[block == number] = model.predict(features[block == number])
+    found = ours.judged(local, where, probability, settings)
+    return found.assign(x_m=found["x_m"] + origin[0], y_m=found["y_m"] + origin[1])
 
 
 def _components(whole, labels):

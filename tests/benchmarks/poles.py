@@ -1,21 +1,143 @@
-"""Seconds and memory of each detector over the number of points, to 2e7 points of 400 m of street.
+"""Rates of the learned detector on streets that it never saw; seconds and memory of all detectors.
 
-``python tests/benchmarks/poles.py`` drives 60 m of street once (976 kHz, 95 Hz) and lays copies of
-it end to end. Seconds a million points must not rise with the number of points.
+``python tests/benchmarks/poles.py --rates`` scores streets of both generators, bare shafts and,
+with ``MMQA_DATA``, Oakland part 2; ``--streets N`` takes the first N of each row. Without
+``--rates`` it drives 60 m of street once (976 kHz, 95 Hz) and lays copies of it end to end: seconds
+a million points must not rise with the number of points.
 """
 
 import argparse
 import resource
+import sys
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from mmqa_lab import poles
+from mmqa_lab import poles, samples
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles.ours import CLASSES
 from mmqa_lab.simulate import streets
+from mmqa_lab.simulate.systems import PRESETS
+from mmqa_lab.studies import poles as study
+from mmqa_lab.studies.poles_training import kinds
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import other_street
 
 LENGTH_M = 60.0
+GREEN = (("balconies", 8211), ("green", 8212), ("balconies", 8213), ("green", 8214))
+SEEDS = {
+    "own": range(8201, 8207),
+    "tilted profiler": range(321, 329),
+    "clutter": range(331, 337),
+    "32 beams": range(341, 345),
+}
+"""Streets of the rates; none was used to choose anything."""
+
+OTHERS = {"lamp": 0, "sign": 1, "tree": 2}
+BEAMS = streets.replace(PRESETS["hdl-32e"], lever_arm_m=(0.0, 0.0, 2.2))
+
+
+def own(plan, seed, length):
+    """A street of the generator of the training."""
+    cloud, truth = study.scene(plan=plan, seed=seed, length=length)
+    targets = truth["targets"]
+    return cloud, targets.assign(kind=np.array(CLASSES)[kinds(targets)]), truth["path"]
+
+
+def other(scanner, seed, clutter=0):
+    """A street of the tests' own generator, with some more cars and people."""
+    made, rng = other_street.make(seed), np.random.default_rng([seed, 79])
+    for _ in range(clutter):
+        side = rng.choice([-1, 1])
+        other_street._car(made, side * 2.4, rng.uniform(0, 45))
+        other_street._person(made, side * rng.uniform(4, 8), rng.uniform(0, 45))
+    points, seconds, line, pole, path = other_street.scan(made, scanner, seed)
+    cloud = Cloud(points, {"scan_line": line, "gps_time": seconds})
+    truth = other_street.tables(made, pole)[0]
+    low = pd.Series(np.where(truth["height_m"] < 2, 3, 0), truth.index)  # bollards and masts
+    kind = truth["class"].map(OTHERS).fillna(low).astype(int)
+    return cloud, truth.assign(kind=np.array(CLASSES)[kind]), path
+
+
+def damaged(kind, cloud, truth):
+    """A cloud cropped, thin, with stray points below the ground or without columns; its targets."""
+    rng = np.random.default_rng(len(cloud))
+    if kind == "cropped at 2 m":
+        cloud = cloud[cloud.points[:, 2] < 2]
+        plain = streets.Street(None, truth.drop(columns=SEEN), 0.0, None)
+        return cloud, streets.visible_targets(plain, cloud)
+    if kind == "5 % of the points":
+        return cloud[rng.random(len(cloud)) < 0.05], truth
+    if kind == "no columns but time":
+        columns = {"gps_time": cloud["gps_time"], "scan_angle": np.zeros(len(cloud))}
+        return Cloud(cloud.points, columns), truth
+    stray = cloud[rng.choice(len(cloud), len(cloud) // 5000)]
+    stray.points[:, 2] = -rng.uniform(1, 6, len(stray))
+    return Cloud.concatenate([cloud, stray]), truth
+
+
+SEEN = ["points", "sweeps", "span_m", "visible", "distance_m"]
+DAMAGES = ("cropped at 2 m", "0.02 % stray points", "5 % of the points", "no columns but time")
+
+
+def rated(count):
+    """Yield the row, the cloud, the targets and the path of each street, shafts and real cloud."""
+    for seed in SEEDS["own"][:count]:
+        cloud, truth, path = own("table-4-1", seed, 80.0)
+        yield "own generator, table-4-1", cloud, truth, path
+        for kind in DAMAGES:
+            yield f"the same, {kind}", *damaged(kind, cloud, truth), path
+    for plan, seed in GREEN[:count]:
+        yield "own generator, balconies and green", *own(plan, seed, 40.0)
+    for name, scanner in (("profiler", "roamer"), ("32 beams", BEAMS)):
+        yield f"64 bare shafts, {name}", *study.bare_shafts(scanner, seed=8201), None
+    for row in ("tilted profiler", "clutter", "32 beams"):
+        scanner, more = ("tilted profiler", 8) if row == "clutter" else (row, 0)
+        for seed in SEEDS[row][:count]:
+            yield f"other generator, {row}", *other(scanner, seed, more)
+    if samples.has_real(study.OAKLAND[0]):
+        yield "Oakland part 2", *study.oakland(), None
+
+
+def right_class(result):
+    """Whether each hit has the class of its target; none where the reference has no classes."""
+    hits = result.detections[result.detections["outcome"] == "hit"]
+    if "kind" not in result.targets:
+        return np.empty(0)
+    return (hits["class"] == result.targets.loc[hits["reference"], "kind"].to_numpy()).to_numpy()
+
+
+def print_rates(count):
+    """Print a row for each kind of street."""
+    rows = {}
+    for name, cloud, truth, path in rated(count):
+        scope = {} if path is None else {"corridor": 30, "trajectory": path}
+        rows.setdefault(name, []).append(poles.score(poles.detect(cloud), truth, **scope))
+    for name, results in rows.items():
+        print_row(name, results)
+
+
+def print_row(name, results):
+    """Print the rates of some streets together."""
+    found, asked, made = (
+        sum(numbers)
+        for numbers in zip(*[(r.recall.k, r.recall.n, r.precision.n) for r in results], strict=True)
+    )
+    judged = pd.concat([r.detections for r in results])
+    hits = judged[judged["outcome"] == "hit"]
+    right = np.concatenate([right_class(r) for r in results])
+    reliable = study.reliability(judged)
+    error = ((reliable["right"] - reliable["mean_score"]).abs() * reliable["n"]).sum()
+    print(
+        f"{name:<40}{found:>4}/{asked:<4} {found:>4}/{made:<4} F1 {2 * found / (asked + made):.3f} "
+        f"calibration {error / made:.3f} class {np.mean(right) if len(right) else np.nan:.2f} "
+        f"diameters {hits['diameter_m'].notna().mean():.2f}",
+        flush=True,
+    )
 
 
 def piece():
@@ -43,9 +165,14 @@ def repeated(cloud, times):
 def main():
     """Print a row for each method and size."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rates", action="store_true")
+    parser.add_argument("--streets", type=int)
     parser.add_argument("--copies", type=int, nargs="+", default=[1, 2, 4, 7])
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    if options.rates:
+        print_rates(options.streets)
+        return
     one = piece()
     for method in poles.METHODS:
         poles.detect(one[::20], method=method)  # compiles
