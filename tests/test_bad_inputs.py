@@ -276,7 +276,11 @@ ANSWERED = [
     ("evaluate doubled.csv", "1800 points (100 %) share their place", ""),
     ("evaluate coarse.laz", "in steps of 50 mm: too coarse", ""),
     ("evaluate single.ply", "in steps of 500 mm: too coarse", ""),
-    ("lhd moved.csv still.csv", "displacement_y_m 5.498", "at a displacement beyond the radius of 4 m"),
+    (
+        "lhd moved.csv still.csv",
+        "displacement_y_m 5.498",
+        "at a displacement beyond the radius of 4 m",
+    ),
     ("evaluate scaled.las", "900", "leave or do not fill the header's box, by 98.9"),
     ("evaluate moved.las", "900", "leave or do not fill the header's box, by 1000 m"),
     ("evaluate fewer.las", "500", "room for 900 points, the header says 500"),

@@ -48,7 +48,11 @@ def main():
                 rows.append(head | figures)
                 last = pd.DataFrame(rows[-1:]).round(3)
                 print(last.to_string(index=False, header=len(rows) == 1), flush=True)
-    table = pd.DataFrame(rows).groupby(["scene", "size"], sort=False, dropna=False).mean(numeric_only=True)
+    table = (
+        pd.DataFrame(rows)
+        .groupby(["scene", "size"], sort=False, dropna=False)
+        .mean(numeric_only=True)
+    )
     print(table.round(3).to_string())
 
 
