@@ -64,8 +64,8 @@ def read_grey(path: str | os.PathLike) -> np.ndarray:
         cv2.utils.logging.setLogLevel(level)
     if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
         raise ValueError(
-            f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits and 3 x 3 pixels or "
-            "more; export HEIC and raw photographs as one of these."
+            f"Invalid image {path}. Must be JPEG, PNG or TIFF with 8 or 16 bits and 3 x 3 pixels "
+            "or more; export HEIC and raw photographs as one of these."
         )
     return grey
 
