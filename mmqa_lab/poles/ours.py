@@ -65,7 +65,8 @@ class Settings:
     minimum_length : float
         Of the pole-like part, metres.
     highest_foot : float
-        Above the ground; what begins higher hangs, metres.
+        Above the ground; what begins higher hangs, metres. Lower than 4 m it would refuse poles
+        whose foot hides behind cars and hedges: 2 of 59 on the streets of the study at 3 m.
     apart : float
         Two poles are at least that far apart, metres.
     """
@@ -73,7 +74,7 @@ class Settings:
     threshold: float = 0.4
     voxel: float = 0.03
     minimum_length: float = 1.0
-    highest_foot: float = 3.0
+    highest_foot: float = 4.0
     apart: float = 0.6
 
 
