@@ -47,6 +47,7 @@ def main(arguments=None):
     options, unknown = parser().parse_known_args(arguments)
     if unknown:
         of_command(options.command).error(f"unrecognized arguments: {' '.join(unknown)}")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
     wanted = TOOLS if options.command == "test" else ENVIRONMENT
     warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
     try:
