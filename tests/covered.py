@@ -210,14 +210,14 @@ LENS_PX = {"gaussian": 0.6, "disc": 1.3, "diffraction": 1.4}
 """Widths of simulated lenses, in the unit of each."""
 
 
-def edge_of_image(seed, lens, method):
+def edge_of_image(seed, lens, fit):
     """MTF50 of a slanted edge behind a lens, 1 % of noise."""
     spread, rng = PointSpread(LENS_PX[lens], lens=lens), np.random.default_rng(seed)
     angle = float(rng.uniform(4, 12))
     image = render_edge(
         (80, 60), spread, angle_deg=angle, position_px=float(rng.uniform(-0.5, 0.5))
     )
-    found = fit_edge(image + 0.005 * rng.standard_normal(image.shape), method=method)
+    found = fit_edge(image + 0.005 * rng.standard_normal(image.shape), method=fit)
     return {"MTF50": around(found.mtf50, found.mtf50_sigma, spread.mtf50(angle))}
 
 
@@ -437,7 +437,7 @@ ESTIMATES = (
     Estimate(
         "edge of an image",
         edge_of_image,
-        bench.grid(lens=tuple(LENS_PX), method=("isogaussian", "lens")),
+        bench.grid(lens=tuple(LENS_PX), fit=("isogaussian", "lens")),
         *(1, 100),
     ),
     Estimate(

@@ -81,6 +81,8 @@ def poles_(options):
         reference = delivery.read_table(options.reference, "reference", ("x_m", "y_m"))
     decisions = None if options.decisions is None else delivery.read_decisions(options.decisions)
     scope = {"trajectory": path, "corridor": options.corridor}
+    if options.corridor is not None:
+        checks.check_positive(options.corridor, "corridor", unit="m")
     cloud = _read_clouds(options)
     if path is not None:
         checks.check_passes(path, cloud.points, f"trajectory {options.trajectory}")
