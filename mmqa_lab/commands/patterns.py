@@ -28,8 +28,8 @@ SCANNERS = (
     *("lynx-m1-second", "push-broom"),
 )
 
-HEADS = ("roamer", "vmx-250", "streetmapper-360", "lynx", "xp1", "lynx-m1")
-"""Scanners and systems that measure profiles."""
+HEADS = ("roamer", "vmx-250", "streetmapper-360", "lynx", "sensei", "xp1", "lynx-m1")
+"""Scanners of profiles, and systems."""
 
 GRAZING_DEG = 85.0
 """Incidence beyond which neighbouring points lie too far apart for a prediction at one point."""
@@ -64,7 +64,9 @@ SIGMA = {"action": "append", "default": []}
     option("--range", "M", "X of the target at scanner height", float, required=True),
     option("--height-difference", "M", "above the scanner", float, 0.0),
     option("--scanner", "PRESET", f"a profile scanner by name: {', '.join(SCANNERS)}"),
-    option("--system", "NAME", f"all heads of a system, range from each head: {', '.join(HEADS)}"),
+    option(
+        "--system", "NAME", f"all heads (layers) of a system, range from each: {', '.join(HEADS)}"
+    ),
     option(
         "--sigma",
         "INPUT=STD",
@@ -155,15 +157,10 @@ def _of_system(target, options):
         raise ValueError(f"Invalid {others[0]} with --system. Must be without it.")
     if options.speed is None:
         raise ValueError("Invalid plan without --speed. Must have it.")
-    if options.system in set(systems.SYSTEMS) - set(HEADS):
-        raise ValueError(
-            f"Invalid system {options.system!r}: its head scans several layers at once. Must scan "
-            f"profiles: {', '.join(HEADS)}."
-        )
     heads = systems.SYSTEMS[checks.check_choice(options.system, "system", HEADS)].heads
     found = pd.DataFrame()
-    for number, head in enumerate(heads, start=1):
-        setup = scan_pattern.ScanSetup.of_scanner(head, speed_m_s=options.speed)
+    for number, profiler in enumerate((one for head in heads for one in head.layers), start=1):
+        setup = scan_pattern.ScanSetup.of_scanner(profiler, speed_m_s=options.speed)
         if abs(target.heading_deg - setup.scanner_heading_deg) < 90:
             found[f"head_{number}"] = pd.Series(_prediction(setup, target))
     if found.empty:

@@ -627,6 +627,11 @@ class ProfileScanner(Scanner):
         return (0.0,)
 
     @property
+    def layers(self) -> tuple[ProfileScanner]:
+        """The scanner itself: its only beam measures profiles."""
+        return (self,)
+
+    @property
     def plane_normal(self) -> np.ndarray:
         """Normal of the scan plane in the vehicle's frame, (3,)."""
         return self.mounting[:, 1]
@@ -690,6 +695,23 @@ class MultiBeamScanner(Scanner):
         check_positive(self.spin_hz, "spin_hz", unit="Hz")
         for elevation in self.elevations_deg:
             check_number(elevation, "elevations_deg", low=-90, high=90, unit="degrees")
+
+    @property
+    def layers(self) -> tuple[ProfileScanner, ...]:
+        """Beams from the lowest up, each as the plane that its cone touches level with the scanner.
+
+        For an axis along the track (``tilt_deg`` 90) and elevations of a few degrees.
+        """
+        mounting = {"lever_arm_m": self.lever_arm_m, "boresight_deg": self.boresight_deg}
+        mounting["tilt_deg"] = self.tilt_deg - 90
+        pulses = {
+            "pulse_rate_hz": self.pulse_rate_hz / len(self.elevations_deg),
+            "mirror_frequency_hz": self.spin_hz,
+        }
+        return tuple(
+            ProfileScanner(heading_deg=self.heading_deg - elevation, **mounting, **pulses)
+            for elevation in sorted(self.elevations_deg)
+        )
 
     def fire(self, pulse: ArrayLike) -> tuple[Firing, np.ndarray]:
         """Return the ``Firing`` of pulses counted from the start, and which of them left."""
