@@ -131,8 +131,7 @@ def test_plan_of_layers_is_what_a_drive_lays_on_a_wall():
     wall = rectangle((8, 40, 0) - 5 * along - [0, 0, 0.5], 10 * along, (0, 0, 1))
     (cloud,) = scan(Scene([wall]), head, straight(80, 8), seed=1, block_s=10)
     assert len(cloud) / 10 == pytest.approx(rows["density_per_m2"]["together"], rel=0.02)
-    beams = cloud["elevation_deg"] if "elevation_deg" in cloud.columns else cloud["ring"]
-    each = np.unique(beams, return_counts=True)[1] / 10
+    each = np.unique(cloud["ring"], return_counts=True)[1] / 10
     predicted = [rows["density_per_m2"][f"head_{k}"] for k in (1, 2, 3, 4)]
     assert each == pytest.approx(predicted, rel=0.02)
 
