@@ -656,7 +656,7 @@ class _Adjustment:
         """The scipy result, and the estimates (heads, 6); bad features leave on the way."""
         parameters = values.ravel()[self.free]
         _refuse_open(self.system(parameters)[1], self.free)
-        limits = {"x_scale": "jac", "xtol": 1e-7, "ftol": 1e-7, "max_nfev": 20}
+        limits = {"x_scale": "jac", "xtol": 1e-5, "ftol": 1e-6, "max_nfev": 20}
         for left in reversed(range(MOST_TURNS)):
             self.last = None
             found = least_squares(
