@@ -8,15 +8,9 @@ import pytest
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
-from mmqa_lab.boresight import (
-    _Adjustment,
-    _Feature,
-    _from_axis,
-    _pole_misfit,
-    _Shots,
-    calibrate,
-    corrected,
-)
+from mmqa_lab.boresight import calibrate, corrected
+from mmqa_lab.boresight.adjustment import Adjustment, Shots
+from mmqa_lab.boresight.features import Feature, from_axis, pole_misfit
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
@@ -56,7 +50,7 @@ def test_arcs_beyond_each_other_are_pushed_back():
     arc = 0.03 * np.column_stack([-np.cos(turn), np.sin(turn)]) + [0.05, 0]
     points = np.column_stack([np.vstack([arc, -arc]), np.tile(height, 2)])
     beams = np.repeat([[1.0, 0.0], [-1.0, 0.0]], 41, axis=0)
-    misfit, way, _ = _pole_misfit(points, 0.03, beams)
+    misfit, way, _ = pole_misfit(points, 0.03, beams)
     assert ((way[:, :2] * beams).sum(axis=1) < 0).all()  # outwards is where each is seen from
     assert misfit[[20, 61]] == pytest.approx(-0.05, abs=0.001)
 
@@ -67,7 +61,7 @@ def test_range_noise_across_a_thin_pole_adds_no_distance(rng):
     arc[:, 0] += rng.normal(0, 0.005, len(arc))
     beams = np.tile([1.0, 0.0], (len(arc), 1))
     free = np.array([0.0, 0.0, 0.0, 0.0, 0.03])
-    plain, told = (_from_axis(np.c_[arc, turn], 0 * turn, free, beams, s)[0] for s in (0, 0.005))
+    plain, told = (from_axis(np.c_[arc, turn], 0 * turn, free, beams, s)[0] for s in (0, 0.005))
     across = np.mean(np.sin(turn) ** 2) * 0.005**2 / 0.06
     assert plain.mean() == pytest.approx(across, abs=4e-5)
     assert abs(told.mean()) < 4e-5
@@ -91,12 +85,12 @@ def test_range_errors_do_not_tilt_planes_seen_at_a_slant(rng):
     vector *= 1 + rng.normal(0, 0.03, (80_000, 1)) / np.linalg.norm(vector, axis=1)[:, None]
     still = np.zeros((80_000, 3)), np.broadcast_to(np.eye(3), (80_000, 3, 3))
     drive = np.zeros(80_000, int)
-    shots = _Shots(np.zeros((1, 3)), drive, *still, vector, drive)
-    features = [_Feature("plane", np.arange(40_000)), _Feature("plane", np.arange(40_000, 80_000))]
-    adjustment = _Adjustment(shots, features, False, np.ones(6, dtype=bool))
+    shots = Shots(np.zeros((1, 3)), drive, *still, vector, drive)
+    features = [Feature("plane", np.arange(40_000)), Feature("plane", np.arange(40_000, 80_000))]
+    adjustment = Adjustment(shots, features, False, np.ones(6, dtype=bool))
     tilts = []
     for _ in range(3):
-        normal = adjustment.measured(np.zeros((1, 6)))[1][0]
+        normal = adjustment.misfits(np.zeros((1, 6)))[1][0]
         tilts.append(np.degrees(np.hypot(*normal[:2])))
         adjustment._take_errors(np.zeros((1, 6)))
     assert tilts[0] > 0.7
@@ -109,7 +103,7 @@ def test_an_arc_of_known_radius_lies_on_its_own_side(side):
     height = np.tile([0.0, 0.5, 1.0, 1.5], 10)
     arc = np.column_stack([0.07 * np.cos(angle), 0.07 * np.sin(angle), height])
     beams = np.tile([-np.cos(np.radians(side)), -np.sin(np.radians(side))], (40, 1))
-    misfit, way, derivative = _pole_misfit(arc, 0.07, beams)
+    misfit, way, derivative = pole_misfit(arc, 0.07, beams)
     assert np.abs(misfit).max() < 1e-6  # the circle behind the arc is 2 cm off
     assert np.allclose(way[:, :2] * 0.07, arc[:, :2], atol=1e-6)
     assert derivative.shape == (40, 4)
