@@ -87,10 +87,10 @@ LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
 LARGEST_TONE_ERROR = 0.12
 """Of the mean of blurred line pairs: a display's curve taken for linear light shifts it by 0.2."""
 
-MODEL_SHARE, NARROW_SHARE, WIDE_GROUND_PX = 0.013, 0.025, 8.0
-"""Share of MTF50 that the fitted profiles err by, with so much plain ground beside an edge or more,
-and with less, where the tails of a lens are not seen. From photographs by the tests' own camera
-with Gaussian, defocused and diffracting lenses; what lenses differ that fit alike is added."""
+MODEL_SHARE = 0.009
+"""Share of MTF50 that the fitted profiles err by. From photographs by the tests' own camera with
+Gaussian, defocused and diffracting lenses: the tails of the last reach from the next elements into
+the plain ground. What lenses differ that fit alike is added."""
 
 OUTLINES = {True: "C5", False: "C1"}
 """Colours of resolved and refused patterns."""
@@ -166,8 +166,7 @@ class ImageQuality(Shown):
         # edges that differ by more than their deviations widen the interval
         differ = (weights * (rows["mtf50"] - mean) ** 2).sum() / max(len(rows) - 1, 1)
         sigma = np.sqrt(max(differ, 1) / weights.sum())
-        wide = (weights * (rows["ground_px"] >= WIDE_GROUND_PX)).sum() / weights.sum() > 0.5
-        return mean, float(np.hypot(sigma, (MODEL_SHARE if wide else NARROW_SHARE) * mean))
+        return mean, float(np.hypot(sigma, MODEL_SHARE * mean))
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units; NaN where not measurable."""

@@ -19,7 +19,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
-from mmqa_lab.mtf.edges import fit_pixels, spread_edge
+from mmqa_lab.mtf.edges import lens_fits, one_lens, spread_edge
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
 """A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
@@ -121,12 +121,9 @@ NEIGHBOUR_PX, NEIGHBOUR_WIDTHS = 1.5, 2.5
 
 SHORTEST_REACH_PX = 2.0
 
-FREE_REACH_PX = 4.0
-"""With less plain ground the fit is one Gaussian: more could not be told from the neighbours."""
-
 EDGE_COLUMNS = (
     *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
-    *("n", "remark", "ground_px"),
+    *("n", "remark"),
 )
 
 
@@ -570,8 +567,7 @@ def bar_edges(levels, layout, chart_map):
     DataFrame
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
         standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
-        ``remark`` where the edge could not be measured; ``ground_px``, how far the plain ground
-        reaches that was used.
+        ``remark`` where the edge could not be measured.
 
     Examples
     --------
@@ -584,9 +580,12 @@ def bar_edges(levels, layout, chart_map):
     >>> sorted(set(edges["name"])), sorted(set(edges["direction"]))
     (['bar_horizontal', 'bar_left', 'bar_right'], ['h', 'v'])
     """
-    rows = []
-    for bar in _long_bars(layout):
-        rows += _bar_rows(levels, layout, bar, chart_map)
+    edges = [
+        one for bar in _long_bars(layout) for one in _bar_edges(levels, layout, bar, chart_map)
+    ]
+    # one lens took the photograph: an edge with plain ground tells it for those with little
+    found = iter(one_lens([fits for _, fits in edges if fits]))
+    rows = [(vars(next(found)) if fits else {}) | row for row, fits in edges]
     return pd.DataFrame(rows, columns=EDGE_COLUMNS)
 
 
@@ -899,33 +898,27 @@ def _lanes(end, residuals, slope, offset):
     }
 
 
-def _bar_rows(levels, layout, bar, chart_map):
-    """The rows of one bar: its two edges, or both in one fit."""
+def _bar_edges(levels, layout, bar, chart_map):
+    """Rows and fits of one bar: of its two edges, or of both at once."""
     axis = 0 if bar.width < bar.height else 1
     middle = np.array([[bar.x + bar.width / 2, bar.y + bar.height / 2]])
     width_px = min(bar.width, bar.height) / chart_map.pixel_sizes_mm(middle)[0, axis]
-    sides = (0, 1) if width_px >= SINGLE_EDGE_PX else (None,)
-    rows = []
-    for side in sides:
+    for side in (0, 1) if width_px >= SINGLE_EDGE_PX else (None,):
         name = bar.name if side is None else f"{bar.name}, {('low', 'high')[side]} edge"
-        row = {"name": name, "direction": "hv"[axis]}
+        row, fits = {"name": name, "direction": "hv"[axis]}, None
         try:
-            found, margin = None, NEIGHBOUR_PX
-            while found is None or NEIGHBOUR_WIDTHS * found.width_px > 1.05 * margin:
-                margin = max(margin, NEIGHBOUR_WIDTHS * found.width_px if found else 0)
-                found, ground = _across(levels, layout, bar, chart_map, (axis, side, margin))
+            width, margin = np.inf, NEIGHBOUR_PX
+            while NEIGHBOUR_WIDTHS * width > 1.05 * margin:
+                margin = max(margin, NEIGHBOUR_WIDTHS * width if fits else 0)
+                fits = _across(levels, layout, bar, chart_map, (axis, side, margin))
+                width = one_lens([fits])[0].width_px
         except ValueError as error:
-            row |= {"n": 0, "remark": str(error)}
-        else:
-            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:-1]}
-            row["ground_px"] = float(ground)
-        rows.append(row)
-    return rows
+            row, fits = row | {"n": 0, "remark": str(error)}, None
+        yield row, fits
 
 
 def _across(levels, layout, bar, chart_map, where):
-    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours, and
-    how far they reach."""
+    """Fits of the pixels along one edge of a bar, or along both, clear of the neighbours."""
     axis, side, margin = where
     corners = bar.corners()
     low, size = corners[0], corners[2] - corners[0]
@@ -953,8 +946,5 @@ def _across(levels, layout, bar, chart_map, where):
     distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
     angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
     along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
-    single = side is not None and outer >= FREE_REACH_PX
-    choices = {"method": "isogaussian" if single else "lens", "order": 2}
-    if side is None:
-        choices["gap"] = np.abs(gap)
-    return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer
+    gap = np.abs(gap) if side is None else np.inf
+    return lens_fits(distance, along, 1 - values[used], angle, order=2, gap=gap)
