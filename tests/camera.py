@@ -159,14 +159,24 @@ class Shot:
         width = np.linalg.norm(np.diff(self.pixels(ends + middle), axis=0))
         return float((seen[1::2].mean() - seen[::2].mean()) / light), float(width)
 
+    def hidden(self, pairs):
+        """Whether a pole or dirt lies over more than a tenth of a pattern."""
+        share = (np.indices((30, 30)).reshape(2, -1).T + 0.5) / 30
+        places = [pairs.x, pairs.y] + share * [pairs.width, pairs.height]
+        return (_covered(self.scene, places, np.full(len(places), -1.0)) > 0).mean() > 0.1
+
     def steps(self, layout, readings, direction):
-        """Steps by which the resolved width is finer than the truth's, None without a truth."""
+        """Steps by which the resolved width is finer than the truth's, None without a truth.
+
+        What a pole hides takes no part.
+        """
         ladder = [one for one in layout.of_kind(charts.LinePairs) if one.direction == direction]
+        ladder = [one for one in ladder if not self.hidden(one)]
         ladder = sorted(ladder, key=lambda one: -one.pair)
         truth = [self.contrast(pairs) for pairs in ladder]
         seen = [contrast >= LEAST_CONTRAST and width >= FEWEST_PX for contrast, width in truth]
         limit = len(seen) if all(seen) else seen.index(False)
-        found = [pairs.pair for pairs in ladder].index(readings) + 1 if readings == readings else 0
+        found = sum(pairs.pair >= readings for pairs in ladder)  # none where it is NaN
         return found - limit if limit else None
 
 
@@ -267,8 +277,10 @@ def _places(scene, place, size):
             break
     xy = xy.reshape(len(knots[1]), len(knots[0]), 2)
     at = [(np.arange(side * FINE) + 0.5) / FINE - 0.5 for side in size]
-    both = [RectBivariateSpline(*knots[::-1], xy[..., k])(*at[::-1]) for k in (0, 1)]
-    return np.stack(both, axis=-1).astype(np.float32)
+    both = np.empty((len(at[1]), len(at[0]), 2), dtype=np.float32)
+    for k in (0, 1):
+        both[..., k] = RectBivariateSpline(*knots[::-1], xy[..., k])(*at[::-1])
+    return both
 
 
 def _exposed(layout, scene, place, size, background, rng):
@@ -411,4 +423,7 @@ def _recorded(light, scene, rng, *, noisy):
 
 def _at(image, pixels):
     """Values of an image between its pixels."""
-    return map_coordinates(image, pixels[:, ::-1].T, order=3, mode="nearest")
+    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 20, 0)
+    high = np.ceil(pixels.max(axis=0)).astype(int) + 20
+    part = image[low[1] : high[1], low[0] : high[0]]
+    return map_coordinates(part, (pixels - low)[:, ::-1].T, order=3, mode="nearest")

@@ -124,10 +124,12 @@ def pole(seed, known, n):
 
 def girth(seed, diameter, lined):
     """The diameter at 1.3 m of a post on level ground, 6 m from the scanner, 4 mm of noise; pulses
-    every 1 cm along scan lines, or the same points without lines."""
+    every 1 cm, almost in step from scan line to scan line, or the same points without lines."""
     rng = np.random.default_rng(seed)
+    diameter += rng.uniform(-0.01, 0.01)
     turn, line = np.arange(-0.06, 0.06, 0.01 / 6), np.arange(0, 4, 0.05)
-    away = turn + rng.uniform(0, 0.01 / 6, (len(line), 1))
+    phase = rng.uniform() + rng.uniform(0, 0.05) * np.arange(80)[:, None]
+    away = turn + 0.01 / 6 * (phase % 1)
     aside = 6 * np.sin(away)
     hit = np.abs(aside) < diameter / 2
     reach = 6 * np.cos(away) - np.sqrt(np.maximum(diameter**2 / 4 - aside**2, 0))

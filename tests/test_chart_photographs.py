@@ -153,3 +153,13 @@ def test_an_edge_with_much_ground_tells_the_lens_of_one_with_little():
     found, sigma = quality.mtf50("v")
     assert found == pytest.approx(true_mtf50(shot.scene), rel=0.04)
     assert abs(found - true_mtf50(shot.scene)) < 2 * sigma
+
+
+@pytest.mark.parametrize("pixel_mm", [2.7, 4.0])
+def test_a_pole_along_all_lying_pairs_leaves_their_width_unmeasured(pixel_mm):
+    shot = shoot(CHART, pixel_mm, seed=0, **CONDITIONS["pole on targets"])
+    there = chart_image.locate(grey(shot.image), CHART)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert np.isnan(quality.resolution("v").width_mm)
+    assert "w is not measurable in direction v: line pairs are hidden" in quality.remarks
+    assert abs(shot.steps(CHART, quality.resolution("h").width_mm, "h")) <= 1

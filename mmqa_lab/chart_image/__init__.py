@@ -196,11 +196,13 @@ class ImageQuality(Shown):
             f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
             f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
         }
+        hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]
         for direction in "hv":
             refused = f"not even the coarsest line pairs are resolved in direction {direction}"
+            if direction in set(hidden["direction"]):
+                refused = f"w is not measurable in direction {direction}: line pairs are hidden"
             doubts[refused] = bool(np.isnan(self.resolution(direction).width_mm))
-        hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]["name"]
-        doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
+        doubts[f"hidden: {', '.join(hidden['name'])}"] = len(hidden) > 0
         # blurred pairs are half white, half black in linear light only
         tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
         doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (

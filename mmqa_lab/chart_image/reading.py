@@ -63,11 +63,15 @@ the gaps stands out as much."""
 HIDDEN_SHARE, HIDDEN_PX = 0.4, 4.0
 """That part, and the width from which on it is no play of the pixels."""
 
+STRANGE_TONE = 0.2
+"""Blur leaves the mean of black and white at a half. Where something hides a pattern, the means of
+its parts differ by more than this, or all of it is as far from a half."""
+
 STRIPS, STRIP_PX = 8, 2.0
 """Strips along the bars read on their own, and their smallest height."""
 
-NOISE_SHARE = 30.0
-"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.2."""
+NOISE_SHARE = 60.0
+"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.1."""
 
 STRIP_SHARE = 0.75
 """Share of the strips in which all gaps must stand out."""
@@ -413,12 +417,14 @@ def read_pattern(tones, pairs, chart_map):
     # in strips so high that noise alone fails few of the gaps
     height = max(STRIP_PX, (NOISE_SHARE * tones.noise) ** 2 / (width_px / 2))
     strips = int(np.clip(length_px / height, 1, STRIPS))
-    gaps, limits, contrast, mean = _gaps(shifted, along, values, pairs, strips, tones.noise)
+    gaps, limits, contrast, tone = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
     reason = _refusal(width_px, phase, bars, pairs.repeats, share)
+    mean = float(np.nanmean(tone)) if np.isfinite(tone).any() else np.nan
     clear = gaps >= np.maximum(SURE_CONTRAST, 3 * limits)
-    if reason and width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE:
+    parts = width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE
+    if reason and width_px >= SMALLEST_PAIR_PX and (parts or _covered(tone)):
         reason = HIDDEN
     seen = contrast, modulation, worst, phase, bars, share
     return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
@@ -696,7 +702,8 @@ def _wave(across, values, pairs, width_px):
 
 
 def _gaps(across, along, values, pairs, strips, noise):
-    """How far each gap stands out in each strip, how far it must, mean contrast, mean tone."""
+    """How far each gap stands out in each strip, how far it must, mean contrast, and the mean tone
+    of each gap with half of both its bars."""
     strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
     half = across / (pairs.pair / 2) - 0.5
     centre = np.round(half).astype(int)
@@ -717,7 +724,16 @@ def _gaps(across, along, values, pairs, strips, noise):
     known = np.isfinite(black).any() and np.isfinite(white).any()
     light, dark = (np.nanmean(white), np.nanmean(black)) if known else (np.nan, np.nan)
     gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
-    return gaps, limits, float(light - dark), float(light + dark) / 2
+    tone = (2 * white + black[:, :-1] + black[:, 1:]) / 4
+    return gaps, limits, float(light - dark), tone
+
+
+def _covered(tone):
+    """Whether something hides a pattern, or part of it, by the mean tones of strips and gaps."""
+    known = [part[np.isfinite(part)] for part in (tone.mean(axis=0), tone.mean(axis=1))]
+    if not min(map(len, known)):
+        return False
+    return max(abs(known[0].mean() - 0.5), *map(np.ptp, known)) > STRANGE_TONE
 
 
 def _refusal(width_px, phase, bars, repeats, share):
