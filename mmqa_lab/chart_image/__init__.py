@@ -212,16 +212,7 @@ class ImageQuality(Shown):
         return [text for text, true in doubts.items() if true]
 
     def plot(self, *, ax: Axes) -> Axes:
-        """Draw the photograph with its line pairs outlined: resolved or refused.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes
-
-        Returns
-        -------
-        Axes
-        """
+        """Draw the photograph with its line pairs outlined: resolved or refused."""
         ax.imshow(self.image, cmap="gray", interpolation="nearest")
         for row in self.pairs.itertuples():
             outline = self.layout[row.name].corners()[[0, 1, 2, 3, 0]]
@@ -233,16 +224,7 @@ class ImageQuality(Shown):
         return ax
 
     def plot_contrast(self, *, ax: Axes) -> Axes:
-        """Draw the contrast of line pairs over their width in pixels; resolved ones are filled.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes
-
-        Returns
-        -------
-        Axes
-        """
+        """Draw the contrast of line pairs over their width in pixels; resolved ones are filled."""
         for direction, marker, label in (("h", "o", "standing bars"), ("v", "s", "lying bars")):
             part = self.pairs[self.pairs["direction"] == direction]
             faces = part["resolved"].map({True: "C0", False: "none"})

@@ -145,17 +145,6 @@ class Tones:
         Levels in the middle of the chart, in the image's unit.
     clipped_share : float
         Share of the plain pixels at zero or full scale.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> levels = find_tones(0.1 + 0.6 * image, layout, there)
-    >>> round(levels.black, 6), round(levels.white, 6), levels.values.max().round(6).item()
-    (0.1, 0.7, 1.0)
     """
 
     values: np.ndarray
@@ -270,17 +259,6 @@ class PairReading:
         Why not; empty when resolved.
     mean : float
         Of black and white bars: a half, however blurred, if the grey values are linear in light.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> reading = read_pattern(find_tones(image, layout, there), layout["pairs_h_40"], there)
-    >>> reading.resolved, round(reading.width_px, 6), round(reading.contrast, 2)
-    (True, 10.0, 1.0)
     """
 
     name: str
@@ -388,8 +366,7 @@ def read_pattern(tones, pairs, chart_map):
 
     Notes
     -----
-    Pixels are taken as they are, at the places on the chart where the map puts them; nothing is
-    resampled. A shift of up to an eighth of a pair or 0.6 pixels counts as error of the map.
+    A shift of up to an eighth of a pair or 0.6 pixels counts as error of the map.
 
     References
     ----------

@@ -178,12 +178,12 @@ class LHD(Shown):
         pairs are right. NaN below two sources in each direction.
         """
         rng = np.random.default_rng(check_count(seed, "seed", low=0))
-        counts = [len(np.unique(one.source)) for one in (self.test_model, self.model_test)]
-        if min(counts) < 2:
+        sides = self.test_model, self.model_test
+        if any(len(np.unique(side.source)) < 2 for side in sides):
             return np.nan, np.nan
-        # both directions weigh the same pairs: drawn apart, the larger of the two would rise
-        first = self.test_model.olhd(self.weight) >= self.model_test.olhd(self.weight)
-        larger, n = (self.test_model, counts[0]) if first else (self.model_test, counts[1])
+        # both weigh the same pairs: drawn apart, the larger of the two would rise
+        larger = max(sides, key=lambda side: side.olhd(self.weight))
+        n = len(np.unique(larger.source))
         ends = np.quantile(larger.resampled(self.weight, REPEATS, rng), ENDS)
         # as wide as Student's t asks for where a bootstrap of few takes the normal's quantile
         wider = stdtrit(n - 1, ENDS[1]) / ndtri(ENDS[1]) * np.sqrt(n / (n - 1))

@@ -330,12 +330,12 @@ def one_lens(edges):
 
 def _mixed(fits, best, weights):
     """The best fit with MTF50 and deviation of all."""
-    found = np.array([fit.mtf50 for fit in fits[:-1]])
-    if not np.isfinite(found[best]):
-        return replace(fits[best], method="lens")
-    mean, spread = weighted(found, np.where(np.isfinite(found), weights, 0))
-    sigma = float(np.hypot(fits[best].mtf50_sigma, spread))
-    return replace(fits[best], method="lens", mtf50=mean, mtf50_sigma=sigma)
+    found, best = np.array([fit.mtf50 for fit in fits[:-1]]), fits[best]
+    mean, sigma = best.mtf50, best.mtf50_sigma
+    if np.isfinite(mean):
+        mean, spread = weighted(found, np.where(np.isfinite(found), weights, 0))
+        sigma = float(np.hypot(sigma, spread))
+    return replace(best, method="lens", mtf50=mean, mtf50_sigma=sigma)
 
 
 def _spread_out(count, most):
