@@ -18,9 +18,10 @@ import pandas as pd
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.stats import chi2, t
 
-from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, testfield
+from mmqa_lab import bench, chart_image, charts, lines, poles, simulate, stats, testfield
 from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.radiometry import (
@@ -121,6 +122,28 @@ def pole(seed, known, n):
     return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
 
 
+def girth(seed, diameter, lined):
+    """The diameter at 1.3 m of a post on level ground, 6 m from the scanner, 4 mm of noise; pulses
+    every 1 cm, almost in step from scan line to scan line, or the same points without lines."""
+    rng = np.random.default_rng(seed)
+    diameter += rng.uniform(-0.01, 0.01)
+    turn, line = np.arange(-0.06, 0.06, 0.01 / 6), np.arange(0, 4, 0.05)
+    phase = rng.uniform() + rng.uniform(0, 0.05) * np.arange(80)[:, None]
+    away = turn + 0.01 / 6 * (phase % 1)
+    aside = 6 * np.sin(away)
+    hit = np.abs(aside) < diameter / 2
+    reach = 6 * np.cos(away) - np.sqrt(np.maximum(diameter**2 / 4 - aside**2, 0))
+    reach = (reach + rng.normal(0, 0.004, away.shape))[hit]
+    z, number = (np.broadcast_to(one[:, None], away.shape)[hit] for one in (line, np.arange(80)))
+    post = np.column_stack([reach * np.cos(away[hit]), reach * np.sin(away[hit]), z])
+    floor = np.column_stack([*np.mgrid[3:9:0.2, -3:3:0.2].reshape(2, -1), np.zeros(900)])
+    scan_line = np.append(np.repeat(-9 - np.arange(30), 30), number)
+    columns = {"scan_line": scan_line, "pulse": np.arange(len(scan_line))}
+    found = poles.detect(Cloud(np.vstack([floor, post]), columns if lined else {}))
+    row = found.loc[np.hypot(found["x_m"] - 6, found["y_m"]).idxmin()]
+    return {"diameter at 1.3 m": (*row[["diameter_13_low_m", "diameter_13_high_m"]], diameter)}
+
+
 def pattern(seed, timed):
     """The scan pattern of a wall, 1 m x 1 m, from a vehicle whose speed wanders by 1 %."""
     cloud, truth = simulate_patch(SETUP, WALL, size=1.0, seed=seed)
@@ -176,6 +199,18 @@ def displaced(seed, comparison, matched, turn_deg):
     yaw = np.subtract(*(scene.surveys[name].positioning.yaw for name in names))
     turned = around(found.turn_deg, found.turn_sigma_deg, np.degrees(turn + yaw))
     return {"vector": vector, "turn": turned}
+
+
+def line_distance(seed, n):
+    """The Hausdorff distance of n upright and level lines of 1 to 6 m that moved by 10 cm, pairs
+    given; ends are extracted to 3 cm."""
+    rng = np.random.default_rng(seed)
+    start = rng.uniform([0, 0, 0], [60, 20, 8], (n, 3))
+    ways = np.eye(3)[rng.integers(0, 3, n)] * rng.uniform(1, 6, (n, 1))
+    model = np.stack([start, start + ways], axis=1)
+    test = model + [0.08, 0.06, 0.0] + rng.normal(0, 0.03, model.shape)
+    found = lines.lhd(test, model, pairs=np.eye(n, dtype=bool))
+    return {"distance": (*found.interval(seed=seed), None, found.value)}
 
 
 def edge_of_walls(seed, angle_deg, density, noise):
@@ -301,22 +336,27 @@ def falloff(seed, n):
 
 
 def block(seed, noise):
-    """Gains and haze of a block of 8 images, gains relative to their geometric mean."""
+    """Gains and haze of a block of 8 images, and the anisotropy of its ground."""
     rng = np.random.default_rng(seed)
     images, ties = np.repeat(np.arange(8), 60), np.tile(np.arange(60), 8)
     ground, gain = rng.uniform(0.05, 0.5, 60), np.exp(rng.normal(0, 0.05, 8))
     sun = np.cos(np.radians(40.0))
-    radiance = gain[images] * (ground[ties] * sun + 0.02) * (1 + rng.normal(0, noise, 480))
+    view, azimuth = rng.uniform(0, 40, 480), rng.uniform(-180, 180, 480)
+    v, along = np.radians(view), np.cos(np.radians(azimuth))
+    light = sun * (1 + 0.2 * v**2 + 0.1 * v * along)
+    radiance = gain[images] * (ground[ties] * light + 0.02) * (1 + rng.normal(0, noise, 480))
     seen = pd.DataFrame({"image": images, "tie": ties, "radiance": radiance})
-    seen = seen.assign(sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
-    control = pd.DataFrame({"tie": range(10), "reflectance": ground[:10], "std": 0.001})
-    found = adjust_block(
-        seen, control=control, anisotropy_std=0.0, haze=(0.0, np.inf), relative_std=noise
-    )
+    seen = seen.assign(sun_zenith_deg=40.0, view_zenith_deg=view, azimuth_deg=azimuth, radius=0.0)
+    known = ground[:10] + rng.normal(0, 0.001, 10)
+    control = pd.DataFrame({"tie": range(10), "reflectance": known, "std": 0.001})
+    found = adjust_block(seen, control=control, haze=(0.0, np.inf), relative_std=noise)
     relative = found.gains["gain_std_percent"].to_numpy() / 100 * found.gains["gain"].to_numpy()
     gains = zip(found.gains["gain"], relative, gain, strict=True)
     ends = {f"gain: {k}": around(*values) for k, values in enumerate(gains)}
-    return ends | {"haze": around(*found.gains[["haze", "haze_std"]].iloc[0], 0.02)}
+    ends["haze"] = around(*found.gains[["haze", "haze_std"]].iloc[0], 0.02)
+    for name, true in (("b1", 0.2), ("b2", 0.1)):
+        ends[name] = around(*found.anisotropy[[name, f"{name}_std"]].iloc[0], true)
+    return ends
 
 
 def mounting(seed, drift, stated):
@@ -392,6 +432,21 @@ def average(seed, n):
     }
 
 
+def ranked(seed, n):
+    """Rank correlations of two methods with the truth over n cases, and how far one is behind."""
+    rng = np.random.default_rng(seed)
+    values = np.arange(n)[:, None] / n + rng.normal(0, [0.1, 0.3], (n, 2))
+    methods = {"sharp": lambda data: data[0], "dull": lambda data: data[1]}
+    results = bench.run(bench.grid(k=range(n)), methods, make=lambda k, seed: values[k])
+    rows = bench.rank(results, truth="k", seed=seed).set_index("method")
+    found = {
+        f"correlation: {name}": (row["low"], row["high"], None, row["spearman"])
+        for name, row in rows.iterrows()
+    }
+    row = rows.loc["dull"]
+    return found | {"behind": (row["behind_low"], row["behind_high"], None, row["behind_best"])}
+
+
 @dataclass(frozen=True)
 class Estimate:
     """An estimate: what it is called, its simulation, its cases, draws in CI and in full."""
@@ -422,10 +477,14 @@ ESTIMATES = (
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
     Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 10, 500),
     Estimate("pole position", pole, bench.grid(known=(True, False), n=(8, 12, 40)), 3, 300),
+    Estimate(
+        "diameter of a pole", girth, bench.grid(diameter=(0.1, 0.2), lined=(True, False)), *(1, 60)
+    ),
     Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
     Estimate(
         "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 3, 200
     ),
+    Estimate("line distance", line_distance, bench.grid(n=(10, 60)), 5, 200),
     Estimate("displacement, pairs given", displaced, DISPLACED[False], 1, 50),
     Estimate("displacement, pairs found", displaced, DISPLACED[True], 1, 50),
     Estimate(
@@ -456,13 +515,14 @@ ESTIMATES = (
     Estimate("reflectance", reflectance, bench.grid(n=(4, 12), stated=(True, False)), 10, 300),
     Estimate("NDVI", index, bench.grid(correlation=(0.0, 0.8)), 20, 500),
     Estimate("light falloff", falloff, bench.grid(n=(1, 10)), 5, 200),
-    Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 60),
+    Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 100),
     Estimate("mounting, exact paths", mounting, ({"drift": False, "stated": True},), 1, 200),
     Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 200),
     Estimate("mounting, drift not stated", mounting, ({"drift": True, "stated": False},), 0, 200),
     Estimate("heights of a field", levelled, bench.grid(reach_m=(0.5, 1.5)), 3, 300),
     Estimate("positions of a field", positions, bench.grid(n=(6, 16)), 2, 100),
     Estimate("mean over cells", average, bench.grid(n=(6, 20)), 3, 100),
+    Estimate("ranks of methods", ranked, bench.grid(n=(12, 40)), 3, 200),
 )
 
 

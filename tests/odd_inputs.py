@@ -42,6 +42,7 @@ def write_odd(folder):
         "many.csv": "system,quantity,value\nA,density_per_m2,many\n",
         "beyond.csv": "system,quantity,value,low,high\nA,density_per_m2,5000,100,200\n",
         "far_path.csv": "time,x,y,z,roll,pitch,heading\n0,5e6,0,2,0,0,0\n10,5e6,9,2,0,0,0\n",
+        "near_path.csv": "time,x,y,z,roll,pitch,heading\n0,99,0,2,0,0,0\n10,99,9,2,0,0,0\n",
         "text.laz": "x y z\n1 2 3\n",
     }
     for name, text in texts.items():

@@ -317,6 +317,7 @@ ANSWERED = [
     ("map fewer.las --out m.nc", "room for 900 points, the header says 500", ""),
     ("pattern profiles.xyz", "the lines with the densest points are taken for the profiles", ""),
     ("info feet.laz", "Coordinates are not in metres", ""),
+    ("poles flat.laz --trajectory near_path.csv", "none", "within the corridor of 30 m about"),
     (
         "plan --scanner vq-450 --speed 10 --range 8 --height-difference 200",
         "point_spacing_m 28.6",

@@ -1,14 +1,19 @@
 """Charts in photographs by a camera of the tests' own: found, placed and read, or doubted."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from camera import CONDITIONS, linear, shoot
+from camera import CONDITIONS, linear, optics, shoot, true_mtf50
 
 from mmqa_lab import chart_image, charts
 from mmqa_lab.chart_image.placing import align
 
 CHART = charts.imaging_chart()
+
+HALF = charts.Layout("half", 1000.0, 1000.0, (charts.Bar("half", 500.0, 0.0, 500.0, 1000.0),))
+"""A chart of one edge."""
 
 PLACES = np.stack(np.meshgrid(np.linspace(60, 940, 7), np.linspace(60, 940, 7)), -1).reshape(-1, 2)
 
@@ -21,6 +26,33 @@ def grey(image):
 def away(shot, chart_map):
     """Distances of a map from the truth all over the chart, pixels."""
     return np.linalg.norm(chart_map.pixels(PLACES) - shot.pixels(PLACES), axis=1)
+
+
+@pytest.mark.parametrize(("lens", "width"), [("blur", 0.4), ("disc", 0.8), ("cutoff", 0.6)])
+def test_the_camera_blurs_as_its_lens_says(lens, width):
+    # a slanted edge without noise beside the lens's closed form, wider and narrower by 2 %
+    shot = shoot(HALF, 5.4, seed=1, roll=4.0, mono=True, margin=0.15, **{lens: width})
+    ends = shot.pixels(np.array([[500.0, 50.0], [500.0, 950.0]]))
+    length = np.linalg.norm(ends[1] - ends[0])
+    along, down = (ends[1] - ends[0]) / length
+    rows, columns = np.indices(shot.clean.shape)
+    rows, columns = rows - ends[0, 1], columns - ends[0, 0]
+    off, place = columns * down - rows * along, columns * along + rows * down
+    used = (np.abs(off) < 5) & (place > 0) & (place < length)
+    off, seen = off[used], shot.clean[used]
+    rates, places = np.arange(0.0025, 4, 0.005), np.linspace(-5, 5, 1001)
+    waves = np.sin(2 * np.pi * places[:, None] * rates) / (np.pi * rates) * 0.005
+    waves *= np.sinc(rates * down) * np.sinc(rates * along)
+    left, scales = [], np.array([-0.02, 0.0, 0.02])
+    for scale in scales:
+        scene = replace(shot.scene, **{lens: width * (1 + scale)})
+        shape = np.interp(off, places, waves @ optics(rates, scene))
+        design = np.column_stack([np.ones_like(shape), shape])
+        left.append(((seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]) ** 2).sum())
+    assert np.sqrt(left[1] / len(seen)) < 0.003
+    curve = np.polyfit(scales, left, 2)
+    found = replace(shot.scene, **{lens: width * (1 - curve[1] / (2 * curve[0]))})
+    assert true_mtf50(found) == pytest.approx(true_mtf50(shot.scene), rel=0.005)
 
 
 @pytest.mark.parametrize(
@@ -111,3 +143,23 @@ def test_texts_of_a_turned_photograph_are_upright(turns):
         rows, columns = (min(pair) for pair in np.stack([upright.image.shape, other.image.shape]).T)
         pair = [crop.image[:rows, :columns].ravel() for crop in (upright, other)]
         assert np.corrcoef(*pair)[0, 1] > 0.97
+
+
+def test_an_edge_with_much_ground_tells_the_lens_of_one_with_little():
+    # 2 px of ground beside the lying bar leave a Gaussian, 15 % off, as likely as diffraction
+    shot = shoot(CHART, 8.0, seed=2, cutoff=0.65, mono=True, jpeg=98, noise=0.005, margin=0.15)
+    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()) + 0.5)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    found, sigma = quality.mtf50("v")
+    assert found == pytest.approx(true_mtf50(shot.scene), rel=0.04)
+    assert abs(found - true_mtf50(shot.scene)) < 2 * sigma
+
+
+@pytest.mark.parametrize("pixel_mm", [2.7, 4.0])
+def test_a_pole_along_all_lying_pairs_leaves_their_width_unmeasured(pixel_mm):
+    shot = shoot(CHART, pixel_mm, seed=0, **CONDITIONS["pole on targets"])
+    there = chart_image.locate(grey(shot.image), CHART)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert np.isnan(quality.resolution("v").width_mm)
+    assert "w is not measurable in direction v: line pairs are hidden" in quality.remarks
+    assert abs(shot.steps(CHART, quality.resolution("h").width_mm, "h")) <= 1

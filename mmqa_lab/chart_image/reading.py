@@ -19,7 +19,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
-from mmqa_lab.mtf.edges import fit_pixels, spread_edge
+from mmqa_lab.mtf.edges import lens_fits, one_lens, spread_edge
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
 """A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
@@ -63,11 +63,15 @@ the gaps stands out as much."""
 HIDDEN_SHARE, HIDDEN_PX = 0.4, 4.0
 """That part, and the width from which on it is no play of the pixels."""
 
+STRANGE_TONE = 0.2
+"""Blur leaves the mean of black and white at a half. Where something hides a pattern, the means of
+its parts differ by more than this, or all of it is as far from a half."""
+
 STRIPS, STRIP_PX = 8, 2.0
 """Strips along the bars read on their own, and their smallest height."""
 
-NOISE_SHARE = 30.0
-"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.2."""
+NOISE_SHARE = 60.0
+"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.1."""
 
 STRIP_SHARE = 0.75
 """Share of the strips in which all gaps must stand out."""
@@ -121,12 +125,9 @@ NEIGHBOUR_PX, NEIGHBOUR_WIDTHS = 1.5, 2.5
 
 SHORTEST_REACH_PX = 2.0
 
-FREE_REACH_PX = 4.0
-"""With less plain ground the fit is one Gaussian: more could not be told from the neighbours."""
-
 EDGE_COLUMNS = (
     *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
-    *("n", "remark", "ground_px"),
+    *("n", "remark"),
 )
 
 
@@ -144,17 +145,6 @@ class Tones:
         Levels in the middle of the chart, in the image's unit.
     clipped_share : float
         Share of the plain pixels at zero or full scale.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> levels = find_tones(0.1 + 0.6 * image, layout, there)
-    >>> round(levels.black, 6), round(levels.white, 6), levels.values.max().round(6).item()
-    (0.1, 0.7, 1.0)
     """
 
     values: np.ndarray
@@ -269,17 +259,6 @@ class PairReading:
         Why not; empty when resolved.
     mean : float
         Of black and white bars: a half, however blurred, if the grey values are linear in light.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> reading = read_pattern(find_tones(image, layout, there), layout["pairs_h_40"], there)
-    >>> reading.resolved, round(reading.width_px, 6), round(reading.contrast, 2)
-    (True, 10.0, 1.0)
     """
 
     name: str
@@ -387,8 +366,7 @@ def read_pattern(tones, pairs, chart_map):
 
     Notes
     -----
-    Pixels are taken as they are, at the places on the chart where the map puts them; nothing is
-    resampled. A shift of up to an eighth of a pair or 0.6 pixels counts as error of the map.
+    A shift of up to an eighth of a pair or 0.6 pixels counts as error of the map.
 
     References
     ----------
@@ -416,12 +394,14 @@ def read_pattern(tones, pairs, chart_map):
     # in strips so high that noise alone fails few of the gaps
     height = max(STRIP_PX, (NOISE_SHARE * tones.noise) ** 2 / (width_px / 2))
     strips = int(np.clip(length_px / height, 1, STRIPS))
-    gaps, limits, contrast, mean = _gaps(shifted, along, values, pairs, strips, tones.noise)
+    gaps, limits, contrast, tone = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
     reason = _refusal(width_px, phase, bars, pairs.repeats, share)
+    mean = float(np.nanmean(tone)) if np.isfinite(tone).any() else np.nan
     clear = gaps >= np.maximum(SURE_CONTRAST, 3 * limits)
-    if reason and width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE:
+    parts = width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE
+    if reason and width_px >= SMALLEST_PAIR_PX and (parts or _covered(tone)):
         reason = HIDDEN
     seen = contrast, modulation, worst, phase, bars, share
     return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
@@ -570,8 +550,7 @@ def bar_edges(levels, layout, chart_map):
     DataFrame
         A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
         standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
-        ``remark`` where the edge could not be measured; ``ground_px``, how far the plain ground
-        reaches that was used.
+        ``remark`` where the edge could not be measured.
 
     Examples
     --------
@@ -584,9 +563,12 @@ def bar_edges(levels, layout, chart_map):
     >>> sorted(set(edges["name"])), sorted(set(edges["direction"]))
     (['bar_horizontal', 'bar_left', 'bar_right'], ['h', 'v'])
     """
-    rows = []
-    for bar in _long_bars(layout):
-        rows += _bar_rows(levels, layout, bar, chart_map)
+    edges = [
+        one for bar in _long_bars(layout) for one in _bar_edges(levels, layout, bar, chart_map)
+    ]
+    # one lens took the photograph: an edge with plain ground tells it for those with little
+    found = iter(one_lens([fits for _, fits in edges if fits]))
+    rows = [(vars(next(found)) if fits else {}) | row for row, fits in edges]
     return pd.DataFrame(rows, columns=EDGE_COLUMNS)
 
 
@@ -697,7 +679,8 @@ def _wave(across, values, pairs, width_px):
 
 
 def _gaps(across, along, values, pairs, strips, noise):
-    """How far each gap stands out in each strip, how far it must, mean contrast, mean tone."""
+    """How far each gap stands out in each strip, how far it must, mean contrast, and the mean tone
+    of each gap with half of both its bars."""
     strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
     half = across / (pairs.pair / 2) - 0.5
     centre = np.round(half).astype(int)
@@ -718,7 +701,16 @@ def _gaps(across, along, values, pairs, strips, noise):
     known = np.isfinite(black).any() and np.isfinite(white).any()
     light, dark = (np.nanmean(white), np.nanmean(black)) if known else (np.nan, np.nan)
     gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
-    return gaps, limits, float(light - dark), float(light + dark) / 2
+    tone = (2 * white + black[:, :-1] + black[:, 1:]) / 4
+    return gaps, limits, float(light - dark), tone
+
+
+def _covered(tone):
+    """Whether something hides a pattern, or part of it, by the mean tones of strips and gaps."""
+    known = [part[np.isfinite(part)] for part in (tone.mean(axis=0), tone.mean(axis=1))]
+    if not min(map(len, known)):
+        return False
+    return max(abs(known[0].mean() - 0.5), *map(np.ptp, known)) > STRANGE_TONE
 
 
 def _refusal(width_px, phase, bars, repeats, share):
@@ -899,33 +891,27 @@ def _lanes(end, residuals, slope, offset):
     }
 
 
-def _bar_rows(levels, layout, bar, chart_map):
-    """The rows of one bar: its two edges, or both in one fit."""
+def _bar_edges(levels, layout, bar, chart_map):
+    """Rows and fits of one bar: of its two edges, or of both at once."""
     axis = 0 if bar.width < bar.height else 1
     middle = np.array([[bar.x + bar.width / 2, bar.y + bar.height / 2]])
     width_px = min(bar.width, bar.height) / chart_map.pixel_sizes_mm(middle)[0, axis]
-    sides = (0, 1) if width_px >= SINGLE_EDGE_PX else (None,)
-    rows = []
-    for side in sides:
+    for side in (0, 1) if width_px >= SINGLE_EDGE_PX else (None,):
         name = bar.name if side is None else f"{bar.name}, {('low', 'high')[side]} edge"
-        row = {"name": name, "direction": "hv"[axis]}
+        row, fits = {"name": name, "direction": "hv"[axis]}, None
         try:
-            found, margin = None, NEIGHBOUR_PX
-            while found is None or NEIGHBOUR_WIDTHS * found.width_px > 1.05 * margin:
-                margin = max(margin, NEIGHBOUR_WIDTHS * found.width_px if found else 0)
-                found, ground = _across(levels, layout, bar, chart_map, (axis, side, margin))
+            width, margin = np.inf, NEIGHBOUR_PX
+            while NEIGHBOUR_WIDTHS * width > 1.05 * margin:
+                margin = max(margin, NEIGHBOUR_WIDTHS * width if fits else 0)
+                fits = _across(levels, layout, bar, chart_map, (axis, side, margin))
+                width = one_lens([fits])[0].width_px
         except ValueError as error:
-            row |= {"n": 0, "remark": str(error)}
-        else:
-            row |= {field: getattr(found, field) for field in EDGE_COLUMNS[2:-1]}
-            row["ground_px"] = float(ground)
-        rows.append(row)
-    return rows
+            row, fits = row | {"n": 0, "remark": str(error)}, None
+        yield row, fits
 
 
 def _across(levels, layout, bar, chart_map, where):
-    """The MTF from the pixels along one edge of a bar, or along both, clear of the neighbours, and
-    how far they reach."""
+    """Fits of the pixels along one edge of a bar, or along both, clear of the neighbours."""
     axis, side, margin = where
     corners = bar.corners()
     low, size = corners[0], corners[2] - corners[0]
@@ -953,8 +939,5 @@ def _across(levels, layout, bar, chart_map, where):
     distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
     angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
     along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
-    single = side is not None and outer >= FREE_REACH_PX
-    choices = {"method": "isogaussian" if single else "lens", "order": 2}
-    if side is None:
-        choices["gap"] = np.abs(gap)
-    return fit_pixels(distance, along, 1 - values[used], angle, **choices), outer
+    gap = np.abs(gap) if side is None else np.inf
+    return lens_fits(distance, along, 1 - values[used], angle, order=2, gap=gap)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import ndtri, stdtrit
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab._results import Shown
@@ -177,12 +178,17 @@ class LHD(Shown):
         pairs are right. NaN below two sources in each direction.
         """
         rng = np.random.default_rng(check_count(seed, "seed", low=0))
-        directions = [self.test_model, self.model_test]
-        if any(len(np.unique(direction.source)) < 2 for direction in directions):
+        sides = self.test_model, self.model_test
+        if any(len(np.unique(side.source)) < 2 for side in sides):
             return np.nan, np.nan
-        values = np.max([d.resampled(self.weight, REPEATS, rng) for d in directions], axis=0)
-        low, high = np.quantile(values, ENDS)
-        return float(low), float(high)
+        # both weigh the same pairs: drawn apart, the larger of the two would rise
+        larger = max(sides, key=lambda side: side.olhd(self.weight))
+        n = len(np.unique(larger.source))
+        ends = np.quantile(larger.resampled(self.weight, REPEATS, rng), ENDS)
+        # as wide as Student's t asks for where a bootstrap of few takes the normal's quantile
+        wider = stdtrit(n - 1, ENDS[1]) / ndtri(ENDS[1]) * np.sqrt(n / (n - 1))
+        low, high = self.value + wider * (ends - self.value)
+        return max(float(low), 0.0), float(high)
 
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.

@@ -244,7 +244,7 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
         If no edge stands out from the noise.
     """
     if method == "lens":
-        return _best_lens((distance, along, values, angle), order, gap)
+        return one_lens([lens_fits(distance, along, values, angle, order=order, gap=gap)])[0]
     shape = method if method in ("logistic", *LENSES) else "gaussian"
     model = _Model(angle, gap, shape)
     off = np.abs(distance - np.clip(distance, 0, gap if model.double else 0))
@@ -304,25 +304,37 @@ def fit_pixels(distance, along, values, angle, *, order=1, gap=np.inf, method="i
     )
 
 
-def _best_lens(pixels, order, gap):
-    """The lens whose fit leaves least; its MTF50 and deviation are those of all lenses, by how well
-    they fit."""
-    few = _spread_out(len(pixels[0]), LENS_PIXELS)
-    pixels = *(one[few] for one in pixels[:3]), pixels[3]
+def lens_fits(distance, along, values, angle, *, order=1, gap=np.inf):
+    """Return the fits of an edge behind each of LENSES, and three free Gaussians at the end."""
+    few = _spread_out(len(distance), LENS_PIXELS)
     gap = gap[few] if np.ndim(gap) else gap
-    fits = [fit_pixels(*pixels, order=order, gap=gap, method=name) for name in LENSES]
-    left = np.array([fit.noise for fit in fits]) ** 2
-    best = fits[int(np.argmin(left))]
-    free = fit_pixels(*pixels, order=order, gap=gap)
-    if free.noise < SHARPENED * best.noise:
-        return replace(free, method="lens")
-    found = np.array([fit.mtf50 for fit in fits])
-    weights = np.exp(-best.n / PIXELS_A_RESIDUAL * (left / left.min() - 1) / 2)
-    weights = np.where(np.isfinite(found), weights, 0)
-    if not np.isfinite(best.mtf50):
-        return replace(best, method="lens")
-    mean, spread = weighted(found, weights)
-    sigma = float(np.hypot(best.mtf50_sigma, spread))
+    pixels = distance[few], along[few], values[few], angle
+    names = (*LENSES, "isogaussian")
+    return [fit_pixels(*pixels, order=order, gap=gap, method=name) for name in names]
+
+
+def one_lens(edges):
+    """Return edges of one image, each with the :func:`lens_fits` of it, behind the lens whose fits
+    leave least in all of them; MTF50 and deviation are those of all lenses, by how well they fit.
+    """
+    if not edges:
+        return []
+    cost = sum(fits[0].n * np.log([max(fit.noise, 1e-9) for fit in fits]) for fits in edges)
+    cost, free = cost[:-1], cost[-1]
+    best, count = int(cost.argmin()), sum(fits[0].n for fits in edges)
+    if free < cost[best] + count * np.log(SHARPENED):
+        return [replace(fits[-1], method="lens") for fits in edges]
+    weights = np.exp((cost[best] - cost) / PIXELS_A_RESIDUAL)
+    return [_mixed(fits, best, weights) for fits in edges]
+
+
+def _mixed(fits, best, weights):
+    """The best fit with MTF50 and deviation of all."""
+    found, best = np.array([fit.mtf50 for fit in fits[:-1]]), fits[best]
+    mean, sigma = best.mtf50, best.mtf50_sigma
+    if np.isfinite(mean):
+        mean, spread = weighted(found, np.where(np.isfinite(found), weights, 0))
+        sigma = float(np.hypot(sigma, spread))
     return replace(best, method="lens", mtf50=mean, mtf50_sigma=sigma)
 
 

@@ -65,7 +65,7 @@ def detect(
         them it warns and the component method answers.
     method : {"ours", "fgi", "itc"}
     trajectory : array_like, shape (m, 2) or (m, 3), optional
-        Points farther than ``corridor`` from it are left out.
+        Points farther than ``corridor`` from it are left out; where none is left, it warns.
     corridor : float, optional
         Metres; where left out 15 of the component method and 30 of the others.
     explain : bool
@@ -217,6 +217,11 @@ def _within(cloud, trajectory, corridor, usual):
         reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
         inside = _near_path(points, check_plan(trajectory, name="trajectory"), reach)
         points = points[inside]
+        if len(cloud) and not len(points):
+            said = f"No point lies within the corridor of {reach:g} m about the trajectory."
+            warnings.warn(
+                f"{said} It must pass them nearer, or the corridor be wider.", stacklevel=3
+            )
     return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
 
 

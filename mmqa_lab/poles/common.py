@@ -327,7 +327,7 @@ LEAST_OF_SLICE = 4
 
 
 def slice_widths(off, z):
-    """Return the widths in plan of level slices of a shaft, metres.
+    """Return the widths in plan of level slices of a shaft, and what is added to the points' own.
 
     Parameters
     ----------
@@ -336,20 +336,29 @@ def slice_widths(off, z):
     z : array, shape (n,)
         Their heights; slices are 0.25 m high, those of fewer than four points are left out.
 
+    Returns
+    -------
+    array, shape (k, 2)
+        Metres.
+
     Notes
     -----
-    The largest width of n points falls short of a uniform one by 2 / (n + 1) of it on average,
-    which is added.
+    The side of a shaft falls into a gap between points, on average into a wide one: at both sides
+    together the mean of the squared gaps over the mean gap is lost. It is one spacing where lines
+    fall in step, and 2 / (n + 1) of the width of n points at random.
     """
     level = np.floor(z / SLICE_M)
     parts = [off[level == number] for number in np.unique(level)]
-    return np.array([_width(part) for part in parts if len(part) >= LEAST_OF_SLICE])
+    widths = [_width(part) for part in parts if len(part) >= LEAST_OF_SLICE]
+    return np.array(widths).reshape(-1, 2)
 
 
 def _width(off):
-    """Largest width in plan, with what is lost on average beyond the last points."""
+    """Largest width in plan with what is lost on average beyond the last points, and that loss."""
     wide = np.linalg.svd(off - off.mean(axis=0), full_matrices=False)[2][0]
-    return np.ptp(off @ wide) * (len(off) + 1) / (len(off) - 1)
+    gaps = np.diff(np.sort(off @ wide))
+    lost = gaps @ gaps / max(gaps.sum(), 1e-9)
+    return gaps.sum() + lost, lost
 
 
 CIRCLE_SLICE_M, WIDEST_CIRCLE_M = 0.5, 1.0

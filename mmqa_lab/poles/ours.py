@@ -194,7 +194,7 @@ def _measure(points, lines, table, radius):
         off = part[:, :2] - axis[0] - lean * rise[:, None]
         if lines is None:
             own = np.hypot(*off.T) <= max(radius[k], WITHIN_M)
-            widths = common.slice_widths(off[own], part[own, 2])
+            widths = common.slice_widths(off[own], part[own, 2])[:, 0]
             table["diameter_m"][k] = np.quantile(widths, 0.25) if len(widths) else np.nan
         else:
             direction = np.array([*lean, 1.0]) / np.sqrt(1 + lean @ lean)
@@ -281,8 +281,8 @@ VOXEL_M = 0.03
 CONFIDENCE = 0.95
 
 SPACING_SHARE = 0.5
-"""How well the ends of a chord are known beside its scatter, in ray spacings: chosen so that on
-simulated streets nine in ten intervals contain the true diameter."""
+"""How well the ends of a chord or slice are known beside its scatter, in ray spacings: chosen so
+that on simulated streets nine in ten intervals contain the true diameter."""
 
 
 def with_attributes(points, found, lines=None):
@@ -390,10 +390,11 @@ def _top(h, length):
 
 def _mean_width(widths):
     """Median of the widths of slices and the interval of their mean, metres."""
-    if len(widths) < 2:
+    n = len(widths)
+    if n < 2:
         return np.nan, np.nan, np.nan
-    middle = float(np.median(widths))
-    half = _quantile(len(widths) - 1) * np.std(widths, ddof=1) / np.sqrt(len(widths))
+    (middle, lost), spread = np.median(widths, axis=0), np.std(widths[:, 0], ddof=1)
+    half = np.hypot(_quantile(n - 1) * spread / np.sqrt(n), SPACING_SHARE * lost)
     return middle, max(middle - half, 0.0), middle + half
 
 
