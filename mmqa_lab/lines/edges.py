@@ -34,7 +34,7 @@ LEAST_SUPPORT = 4
 """Points beside an edge on either plane."""
 
 LONGEST_GAP = 4.0
-"""An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
+"""The points of a bin come as near to the line as this, in their mean gaps across it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +122,8 @@ def extract_edges(
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
         support neither; edges are half of ``size`` long at least, and a face of less than a
-        quarter of ``size`` squared has none. Default size: 1.5 m where points fill cells of a
-        quarter of it, else 2 m, as where scan lines are far apart.
+        quarter of ``size`` squared has none. Default size: 1.5 m, or 2 m where scan lines are far
+        apart; more in thin clouds, up to 3 m, for three points in a square of a quarter of it.
     angle : float
         Least angle between two planes, degrees.
 
@@ -236,9 +236,9 @@ def _runs(sides, cell, clear):
     if bins < 1:
         return
     edges = low + cell * np.arange(bins + 1)
-    both = np.all([_full(side, edges, cell, clear) for side in sides], axis=0)
-    both[1:-1] |= both[:-2] & both[2:]
-    change = np.flatnonzero(np.diff(np.r_[False, both, False].astype(int)))
+    full = np.array([_full(side, edges, cell, clear) for side in sides])
+    full[:, 1:-1] |= full[:, :-2] & full[:, 2:]
+    change = np.flatnonzero(np.diff(np.r_[False, full.all(axis=0), False].astype(int)))
     for start, stop in change.reshape(-1, 2):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
@@ -268,20 +268,26 @@ def _ends(side, first, last, cell):
     """Both ends, each with its spread, and number of points of one side about a run of bins.
 
     The gap behind the last point is exponentially distributed; its mean is that of n gaps, so that
-    one of 40 is longer than n (40^(1/n) - 1) means.
+    one of 40 is longer than n (40^(1/n) - 1) means. By the same law a side is broken off at a gap
+    that one of 40 sides of so many points has.
     """
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
     core = (inside >= first) & (inside <= last)
     within = gaps[core[1:] & core[:-1]]
     gap = (within**2).sum() / (2 * within.sum()) if within.sum() else cell
-    broken = np.flatnonzero(gaps > LONGEST_GAP * gap)
+    n = max(within.sum() / (2 * gap), 1.0)
+    broken = np.flatnonzero(gaps > _beyond(n, BEYOND * len(gaps)) * gap)
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    n = max(within.sum() / (2 * gap), 1.0)
-    spread = gap * (n * (BEYOND ** (1 / n) - 1) - 1) / 1.96
+    spread = gap * (_beyond(n, BEYOND) - 1) / 1.96
     return inside[a] - gap, spread, inside[b] + gap, spread, b - a + 1
+
+
+def _beyond(n, one):
+    """What one gap out of ``one`` exceeds, in means known from n gaps."""
+    return n * (one ** (1 / n) - 1)
 
 
 @dataclass(frozen=True, eq=False)
