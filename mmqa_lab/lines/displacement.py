@@ -202,10 +202,8 @@ def _fitted(test, model, pairs):
     """The field of the paired lines on its most likely drift and noise, and their offsets."""
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
     rows, columns = np.nonzero(np.asarray(pairs))
-    if len(rows) < 3:
-        return None, None
     lines = LinePairs(test, model, rows, columns)
-    start = _least_squares(lines.observe(np.zeros(3)))
+    start = _least_squares(lines.observe(np.zeros(3))) if len(rows) > 2 else None
     if start is None:
         return None, None
     seen = lines.observe(start)

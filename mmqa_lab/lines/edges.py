@@ -71,8 +71,6 @@ class Edges(Shown):
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        if not len(self):
-            return np.empty((0, 2))
         axes = self.segments.directions
         rest = np.eye(3) - axes[:, :, None] * axes[:, None]
         across = rest[:, None] @ self.covariance @ rest[:, None]

@@ -338,26 +338,13 @@ class _Search:
 
 
 @numba.njit(cache=True)
-def _first_at(keys, key):
-    """First of the sorted keys that is not below a key."""
-    low, high = 0, len(keys)
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@numba.njit(cache=True)
 def _around(keys, steps, cell, reach, out):
     """Occupied cells within ``reach`` of a cell along each axis; how many."""
     n = 0
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
             key = keys[cell] + i * steps[0] + j * steps[1]
-            k = _first_at(keys, key - reach)
+            k = np.searchsorted(keys, key - reach)
             while k < len(keys) and keys[k] <= key + reach:
                 out[n] = k
                 n += 1
@@ -456,8 +443,7 @@ def _refine(points, near, centre, normal, tolerance):
     """Fit the plane to the neighbours on it; return their number less what chance would give."""
     moments, origin, score = np.empty(10), centre.copy(), 0.0
     for _ in range(3):
-        for k in range(10):
-            moments[k] = 0.0
+        moments[:] = 0.0
         for p in near:
             if abs(_distance(points, p, centre, normal)) <= tolerance:
                 _add(moments, points, p, origin)
@@ -510,8 +496,7 @@ def _grow(grid, owner, seed, plane, tolerance, refit, mark, desk):
     """
     (marks, queue, room, moments), origin = desk, plane[0].copy()
     centre, normal = plane[0], plane[1]
-    for k in range(len(moments)):
-        moments[k] = 0.0
+    moments[:] = 0.0
     marks[seed] = mark
     if not _takes(grid, owner, seed, centre, normal, tolerance, moments, origin):
         return 0
@@ -552,13 +537,12 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
     marks, queue = np.full(cells, -1, dtype=np.int64), np.empty(cells, dtype=np.int64)
     moments = np.zeros(BESIDE + 1)
     desk = marks, queue, np.empty(27, dtype=np.int64), moments
-    found, mark, held = 0, np.int64(0), 0  # a bare 0 would be compiled as a kind of its own
-    planes, taken = np.empty((len(seeds), 2, 3)), np.empty((2, 1024), dtype=np.int64)
-    grown = np.empty((2, 3))
+    found, mark = 0, np.int64(0)  # a bare 0 would be compiled as a kind of its own
+    planes, taken, grown = np.empty((len(seeds), 2, 3)), [], np.empty((2, 3))
     for s in range(len(seeds)):
         plane, size, n = pieces[s], 0, 0
         for turn in range(PASSES):
-            _copy(plane, grown)
+            grown[:] = plane
             n = _grow(grid, owner, seeds[s], grown, tolerance, turn == 0, mark, desk)
             mark += 1
             if n < least[1] or moments[0] < least[0]:
@@ -567,28 +551,25 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
             if turn and n <= size:
                 break
             size = n
-            _copy(grown, plane)
+            plane[:] = grown
         if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
             continue
         _own(grid, owner, queue[:n], plane[0], plane[1], tolerance, first + found)
-        if held + n > taken.shape[1]:
-            longer = np.empty((2, 2 * (held + n)), dtype=np.int64)
-            _copy(taken, longer)
-            taken = longer
         for k in range(n):
-            taken[0, held + k], taken[1, held + k] = queue[k], first + found
-        held += n
-        _copy(plane, planes[found])
+            taken.append((queue[k], first + found))
+        planes[found] = plane
         found += 1
-    return planes[:found], taken[:, :held]
+    return planes[:found], _rows(taken, 2).T
 
 
 @numba.njit(cache=True)
-def _copy(values, into):
-    """Write the columns of an array into another one."""
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            into[i, j] = values[i, j]
+def _rows(found, width):
+    """Tuples of whole numbers as rows of an array."""
+    rows = np.empty((len(found), width), dtype=np.int64)
+    for k in range(len(found)):
+        for j in range(width):
+            rows[k, j] = found[k][j]
+    return rows
 
 
 @numba.njit(cache=True)
@@ -664,10 +645,7 @@ def _neighbours(grid, bounds, owners):
             for b in near[:k]:
                 if a != b:
                     found.append((cell, a, b))
-    rows = np.empty((len(found), 3), dtype=np.int64)
-    for k, row in enumerate(found):
-        rows[k, 0], rows[k, 1], rows[k, 2] = row
-    return rows
+    return _rows(found, 3)
 
 
 def beside_lines(lines, tolerance, reach):
