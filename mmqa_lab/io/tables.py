@@ -628,8 +628,7 @@ def _chains_of_dxf(path):
         unit = ezdxf.units.unit_name(drawing.units)
         raise ValueError(f"Invalid segments {path} in {unit} ($INSUNITS). Must be in metres.")
     found = recursive_decompose(drawing.modelspace().query("LINE LWPOLYLINE POLYLINE INSERT"))
-    polylines = ("LWPOLYLINE", "POLYLINE")
-    pieces = (one.virtual_entities() if one.dxftype() in polylines else [one] for one in found)
+    pieces = (one.virtual_entities() if "POLY" in one.dxftype() else [one] for one in found)
     lines = [one.dxf for part in pieces for one in part if one.dxftype() == "LINE"]
     return [[tuple(line.start), tuple(line.end)] for line in lines if line.start != line.end]
 

@@ -111,7 +111,8 @@ def extract_edges(
     quarter of what their other bins have at least; runs of bins, gaps of one bin closed, are edges.
     Points of both must also come as near to the line as their spacing allows: planes that end
     before it have no edge there. An edge ends where its first side ends: at the last point and half
-    a gap, which is what the end of a row of points leaves open.
+    a gap, which is what the end of a row of points leaves open, or where a third plane meets both
+    within that uncertainty.
 
     Parameters
     ----------
@@ -188,10 +189,12 @@ class _Lines:
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
         self.meetings = neighbours(self.grid, self.owner, len(patches))
-        pairs = np.unique(np.sort(self.meetings[:, 1:], axis=1), axis=0)
+        met = np.unique(self.meetings[:, 1:], axis=0)
+        self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
+        pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(angle))
         first, second = self.normals[pairs].swapaxes(0, 1)
         cosine = (first * second).sum(axis=1)
-        meet = 1 - cosine**2 >= np.sin(np.radians(angle)) ** 2
+        meet = 1 - cosine**2 >= self.least**2
         self.pairs, first, second, cosine = pairs[meet], first[meet], second[meet], cosine[meet]
         self.sine2 = 1 - cosine**2
         self.direction = np.cross(first, second) / np.sqrt(self.sine2)[:, None]
@@ -213,9 +216,11 @@ class _Lines:
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
-        ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
+        reach = [min(1.96 * np.hypot(s, noise), (high[0] - low[0]) / 4) for _, s in (low, high)]
+        low, high = self._corner(line, low, reach[0]), self._corner(line, high, reach[1])
+        ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         covariance = []
         for end, (_, spread) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
@@ -223,6 +228,23 @@ class _Lines:
             covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
+
+    def _corner(self, line, end, most):
+        """Where a third plane meets both within ``most`` of an end, with its spread; else the end.
+
+        Three planes know the corner of a face far better than the gap behind its last point does.
+        """
+        near = np.intersect1d(*(self.near[number] for number in self.pairs[line]))
+        slope = self.normals[near] @ self.direction[line]
+        near, slope = near[np.abs(slope) >= self.least], slope[np.abs(slope) >= self.least]
+        station = ((self.centres[near] - self.foot[line]) * self.normals[near]).sum(axis=1) / slope
+        off = np.abs(station - end[0])
+        if off.min(initial=np.inf) > most:
+            return end
+        best = off.argmin()
+        place = self.origin + self.foot[line] + station[best] * self.direction[line]
+        variance = self.patches[near[best]].offset_variance(place)
+        return station[best], np.sqrt(variance) / abs(slope[best])
 
 
 def _runs(sides, cell, clear):
