@@ -235,7 +235,7 @@ def test_a_cloud_too_thin_for_the_size_is_said_to_be(rng):
 
 
 def test_an_edge_ends_at_the_corner_of_three_planes():
-    """The gap behind the last point of a row leaves 7 cm open, 12 points/m2 in a strip of 0.95 m."""
+    """The gap behind the last point leaves 7 cm open: 12 points/m2 in a strip of 0.95 m."""
     corner, open_end = [], []
     for seed in range(10):
         ends, _ = in_order(extract_edges(room(np.random.default_rng(seed), n=300, noise=0.005)))
