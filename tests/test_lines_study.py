@@ -172,3 +172,23 @@ def test_lines_of_geojson_and_dxf(tmp_path, monkeypatch):
     (tmp_path / "edges.dxf").write_text("0\nEOF\n")
     with pytest.raises(ValueError, match="ezdxf is not installed"):
         read_segments(tmp_path / "edges.dxf")
+
+
+def test_drawings_of_a_cad(tmp_path):
+    """Blocks are resolved, polylines cut up, arcs and points left out; other units refused."""
+    ezdxf = pytest.importorskip("ezdxf", reason="needs ezdxf, which reads DXF files")
+    drawing = ezdxf.new()
+    model, block = drawing.modelspace(), drawing.blocks.new("window")
+    block.add_line((0, 0, 0), (1, 0, 0))
+    model.add_blockref("window", (10, 0, 3), dxfattribs={"rotation": 90, "xscale": 2})
+    model.add_polyline3d([(0, 0, 0), (0, 0, 5), (3, 0, 5), (3, 0, 5)])
+    model.add_lwpolyline([(0, 0, 1), (4, 0, 0), (4, 7, 0)], format="xyb")  # an arc first
+    drawing.saveas(tmp_path / "edges.dxf")
+    found = read_segments(tmp_path / "edges.dxf")
+    assert sorted(found.lengths.tolist()) == pytest.approx([2, 3, 5, 7])
+    window = found.ends[found.lengths.round(6) == 2][0]
+    assert window == pytest.approx(np.array([[10, 0, 3], [10, 2, 3]]))
+    drawing.units = ezdxf.units.MM
+    drawing.saveas(tmp_path / "edges.dxf")
+    with pytest.raises(ValueError, match=r"in Millimeters \(\$INSUNITS\). Must be in metres"):
+        read_segments(tmp_path / "edges.dxf")

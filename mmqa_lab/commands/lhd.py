@@ -43,7 +43,7 @@ SIZES = ("tolerance", "size", "minimum")
         int,
     ),
     option("--matcher", None, "who pairs, default all", choices=MATCHERS),
-    option("--rotate", None, "line that is turned, default test", choices=("test", "shorter")),
+    option("--rotate", None, "who of a pair turns, default test", choices=("test", "shorter")),
     option("--within", None, "where the parallel part is 0, default containment", choices=WITHIN),
     option("--norm", None, "denominator of equation 7, default pairs", choices=NORMS),
     option("--out --edges", "FOLDER", "write the report and edges there", Path),

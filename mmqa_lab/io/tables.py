@@ -510,8 +510,9 @@ def read_segments(path: str | os.PathLike) -> Segments:
     Parameters
     ----------
     path : path
-        GeoJSON: the pieces of all LineStrings and MultiLineStrings. DXF (needs ``ezdxf``): the
-        pieces of all LINE, LWPOLYLINE and POLYLINE entities. Other files: a segment in a line: six
+        GeoJSON: the pieces of all LineStrings and MultiLineStrings. DXF in metres (needs
+        ``ezdxf``): the straight pieces of all LINE, LWPOLYLINE and POLYLINE entities, those of
+        blocks too; arcs and points are left out. Other files: a segment in a line: six
         numbers x1, y1, z1, x2, y2, z2 in metres, separated by commas, semicolons or white space.
         A header is optional; one with the names x1, y1, z1, x2, y2, z2
         may have them in any order among others. ``#`` begins a comment.
@@ -611,23 +612,25 @@ def _chains_of_geojson(path):
 
 
 def _chains_of_dxf(path):
-    """Vertices (n, 3) of each line of a DXF file."""
+    """Ends of each straight line of a DXF file, those of blocks and polylines too."""
     try:
         import ezdxf
+        from ezdxf.disassemble import recursive_decompose
     except ImportError as error:
         raise ValueError(
             f"Invalid segments {path}: ezdxf is not installed. Must be CSV or GeoJSON without it."
         ) from error
     try:
-        entities = ezdxf.readfile(path).modelspace()
+        drawing = ezdxf.readfile(path)
     except (OSError, StopIteration, ezdxf.DXFError) as error:
         raise ValueError(f"Invalid segments {path}. Must be a DXF file.") from error
-    chains = [[line.dxf.start, line.dxf.end] for line in entities.query("LINE")]
-    for line in entities.query("LWPOLYLINE POLYLINE"):
-        flat = line.dxftype() == "LWPOLYLINE"
-        chain = list(line.vertices_in_wcs() if flat else line.points_in_wcs())
-        chains.append(chain + chain[:1] * (line.closed if flat else line.is_closed))
-    return [[tuple(vertex) for vertex in chain] for chain in chains]
+    if drawing.units not in (0, 6):  # none stated, or metres
+        unit = ezdxf.units.unit_name(drawing.units)
+        raise ValueError(f"Invalid segments {path} in {unit} ($INSUNITS). Must be in metres.")
+    found = recursive_decompose(drawing.modelspace().query("LINE LWPOLYLINE POLYLINE INSERT"))
+    pieces = (one.virtual_entities() if "POLY" in one.dxftype() else [one] for one in found)
+    lines = [one.dxf for part in pieces for one in part if one.dxftype() == "LINE"]
+    return [[tuple(line.start), tuple(line.end)] for line in lines if line.start != line.end]
 
 
 SEGMENT_READERS = {

@@ -254,7 +254,10 @@ def study(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             results[names] = lhd(test, model, **choices)
-            displacements[names] = match_displaced(test, model, radius=radius).displacement
+            moved = match_displaced(test, model, radius=radius).displacement
+            if np.isnan(moved.vector).any():
+                warnings.warn("No displacement: too few lines agree on one.", stacklevel=2)
+            displacements[names] = moved
         for said in caught:
             warnings.warn(f"{'-'.join(names)}: {said.message}", stacklevel=2)
     edges = {name: found for name, found in edges.items() if found is not None}
@@ -379,19 +382,10 @@ def _truth(truth, sets, pairs):
 
 
 def write_report(found, folder):
-    """Write all files of a study; none before all of them could be made.
+    """Write all files of a :class:`Study`, each whole or not at all; return their names.
 
-    Parameters
-    ----------
-    found : Study
-    folder : path
-        Made where missing. Files of the same name are replaced, each whole or not at all.
-
-    Returns
-    -------
-    list of str
-        Names of the files: ``index.html``, ``directions.csv``, ``comparisons.csv``, ``parts.csv``,
-        the edges of every set, and for each comparison its matrix and its pairs.
+    None is written before all could be made: the page, tables, pictures, the edges of every set,
+    and for each comparison its matrix and its pairs.
     """
     from mmqa_lab.io import write_atomically
 

@@ -202,10 +202,8 @@ def _fitted(test, model, pairs):
     """The field of the paired lines on its most likely drift and noise, and their offsets."""
     test, model = check_segments(test, name="test"), check_segments(model, name="model")
     rows, columns = np.nonzero(np.asarray(pairs))
-    if len(rows) < 3:
-        return None, None
     lines = LinePairs(test, model, rows, columns)
-    start = _least_squares(lines.observe(np.zeros(3)))
+    start = _least_squares(lines.observe(np.zeros(3))) if len(rows) > 2 else None
     if start is None:
         return None, None
     seen = lines.observe(start)
@@ -479,7 +477,9 @@ def match_displaced(
             f"it is sought within {reach:.1f} m.",
             stacklevel=2,
         )
-    outcomes = _outcomes(test, model, reach)
+    lines = _candidates(test, model, reach)
+    starts = _starts(*_hypotheses(lines, reach, HYPOTHESES)) if len(lines) > 2 else []
+    outcomes = _refined(starts, lines, STEADY) + _refined(starts, lines, DRIFTING)
     pairs, evidence = _agreed(outcomes) if outcomes else (np.zeros((len(test), len(model))), 0)
     share = pairs.any(axis=1).sum() / max(1, min(pairs.shape))
     if share < CHANCE_SHARE and evidence < CHANCE_EVIDENCE:
@@ -499,15 +499,6 @@ def _wider(test, model, radius):
     if scores.max(initial=0) <= CLEARLY_MORE * within + 1:
         return radius
     return max(radius, 1.2 * lengths[scores.argmax()])
-
-
-def _outcomes(test, model, radius):
-    """Refined outcomes of the best hypotheses."""
-    lines = _candidates(test, model, radius)
-    if len(lines) < 3:
-        return []
-    starts = _starts(*_hypotheses(lines, radius, HYPOTHESES))
-    return _refined(starts, lines, STEADY) + _refined(starts, lines, DRIFTING)
 
 
 class _Refinement:

@@ -34,7 +34,7 @@ LEAST_SUPPORT = 4
 """Points beside an edge on either plane."""
 
 LONGEST_GAP = 4.0
-"""An edge goes on beyond its last full bin while its points are nearer than this, in mean gaps."""
+"""The points of a bin come as near to the line as this, in their mean gaps across it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +71,6 @@ class Edges(Shown):
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        if not len(self):
-            return np.empty((0, 2))
         axes = self.segments.directions
         rest = np.eye(3) - axes[:, :, None] * axes[:, None]
         across = rest[:, None] @ self.covariance @ rest[:, None]
@@ -113,7 +111,8 @@ def extract_edges(
     quarter of what their other bins have at least; runs of bins, gaps of one bin closed, are edges.
     Points of both must also come as near to the line as their spacing allows: planes that end
     before it have no edge there. An edge ends where its first side ends: at the last point and half
-    a gap, which is what the end of a row of points leaves open.
+    a gap, which is what the end of a row of points leaves open, or where a third plane meets both
+    within that uncertainty.
 
     Parameters
     ----------
@@ -122,8 +121,8 @@ def extract_edges(
     tolerance, size, minimum
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
         support neither; edges are half of ``size`` long at least, and a face of less than a
-        quarter of ``size`` squared has none. Default size: 1.5 m where points fill cells of a
-        quarter of it, else 2 m, as where scan lines are far apart.
+        quarter of ``size`` squared has none. Default size: 1.5 m, or 2 m where scan lines are far
+        apart; more in thin clouds, up to 3 m, for three points in a square of a quarter of it.
     angle : float
         Least angle between two planes, degrees.
 
@@ -190,10 +189,12 @@ class _Lines:
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
         self.meetings = neighbours(self.grid, self.owner, len(patches))
-        pairs = np.unique(np.sort(self.meetings[:, 1:], axis=1), axis=0)
+        met = np.unique(self.meetings[:, 1:], axis=0)
+        self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
+        pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(angle))
         first, second = self.normals[pairs].swapaxes(0, 1)
         cosine = (first * second).sum(axis=1)
-        meet = 1 - cosine**2 >= np.sin(np.radians(angle)) ** 2
+        meet = 1 - cosine**2 >= self.least**2
         self.pairs, first, second, cosine = pairs[meet], first[meet], second[meet], cosine[meet]
         self.sine2 = 1 - cosine**2
         self.direction = np.cross(first, second) / np.sqrt(self.sine2)[:, None]
@@ -215,9 +216,11 @@ class _Lines:
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
-        ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
+        reach = [min(1.96 * np.hypot(s, noise), (high[0] - low[0]) / 4) for _, s in (low, high)]
+        low, high = self._corner(line, low, reach[0]), self._corner(line, high, reach[1])
+        ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         covariance = []
         for end, (_, spread) in zip(ends, (low, high), strict=True):
             heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
@@ -225,6 +228,23 @@ class _Lines:
             covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening, pair
+
+    def _corner(self, line, end, most):
+        """Where a third plane meets both within ``most`` of an end, with its spread; else the end.
+
+        Three planes know the corner of a face far better than the gap behind its last point does.
+        """
+        near = np.intersect1d(*(self.near[number] for number in self.pairs[line]))
+        slope = self.normals[near] @ self.direction[line]
+        near, slope = near[np.abs(slope) >= self.least], slope[np.abs(slope) >= self.least]
+        station = ((self.centres[near] - self.foot[line]) * self.normals[near]).sum(axis=1) / slope
+        off = np.abs(station - end[0])
+        if off.min(initial=np.inf) > most:
+            return end
+        best = off.argmin()
+        place = self.origin + self.foot[line] + station[best] * self.direction[line]
+        variance = self.patches[near[best]].offset_variance(place)
+        return station[best], np.sqrt(variance) / abs(slope[best])
 
 
 def _runs(sides, cell, clear):
@@ -236,9 +256,9 @@ def _runs(sides, cell, clear):
     if bins < 1:
         return
     edges = low + cell * np.arange(bins + 1)
-    both = np.all([_full(side, edges, cell, clear) for side in sides], axis=0)
-    both[1:-1] |= both[:-2] & both[2:]
-    change = np.flatnonzero(np.diff(np.r_[False, both, False].astype(int)))
+    full = np.array([_full(side, edges, cell, clear) for side in sides])
+    full[:, 1:-1] |= full[:, :-2] & full[:, 2:]
+    change = np.flatnonzero(np.diff(np.r_[False, full.all(axis=0), False].astype(int)))
     for start, stop in change.reshape(-1, 2):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
@@ -268,20 +288,26 @@ def _ends(side, first, last, cell):
     """Both ends, each with its spread, and number of points of one side about a run of bins.
 
     The gap behind the last point is exponentially distributed; its mean is that of n gaps, so that
-    one of 40 is longer than n (40^(1/n) - 1) means.
+    one of 40 is longer than n (40^(1/n) - 1) means. By the same law a side is broken off at a gap
+    that one of 40 sides of so many points has.
     """
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
     core = (inside >= first) & (inside <= last)
     within = gaps[core[1:] & core[:-1]]
     gap = (within**2).sum() / (2 * within.sum()) if within.sum() else cell
-    broken = np.flatnonzero(gaps > LONGEST_GAP * gap)
+    n = max(within.sum() / (2 * gap), 1.0)
+    broken = np.flatnonzero(gaps > _beyond(n, BEYOND * len(gaps)) * gap)
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    n = max(within.sum() / (2 * gap), 1.0)
-    spread = gap * (n * (BEYOND ** (1 / n) - 1) - 1) / 1.96
+    spread = gap * (_beyond(n, BEYOND) - 1) / 1.96
     return inside[a] - gap, spread, inside[b] + gap, spread, b - a + 1
+
+
+def _beyond(n, one):
+    """What one gap out of ``one`` exceeds, in means known from n gaps."""
+    return n * (one ** (1 / n) - 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,7 @@ NORMS = ("pairs", "matched", "all")
 APART_M = 100.0
 """Sets whose nearest segments are farther apart than this are in different frames."""
 
+KINDS = ["one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple"]
 PARTS = ("displacement", "position", "direction", "ends", "false pairs", "all")
 """What a distance is made of, and their sum."""
 
@@ -255,14 +256,8 @@ class LHD(Shown):
         groups, group = connected_components(graph, directed=False)
         tests = np.bincount(group[:p], minlength=groups)
         models = np.bincount(group[p:], minlength=groups)
-        counts = {
-            "one-to-null": (tests + models == 1).sum(),
-            "one-to-one": ((tests == 1) & (models == 1)).sum(),
-            "one-to-multiple": ((tests == 1) & (models > 1)).sum(),
-            "multiple-to-one": ((tests > 1) & (models == 1)).sum(),
-            "multiple-to-multiple": ((tests > 1) & (models > 1)).sum(),
-        }
-        return pd.Series(counts, name="groups")
+        kind = np.where(tests + models == 1, 0, 1 + (models > 1) + 2 * (tests > 1))
+        return pd.Series(np.bincount(kind, minlength=len(KINDS)), index=KINDS, name="groups")
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row per direction: segments, pairs, threshold, distances, coverage."""

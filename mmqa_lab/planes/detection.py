@@ -31,11 +31,17 @@ LEAST_AREA = 0.25
 FEWEST = 10, 30
 """The points of a plane at least, by default: what its least area holds, between these."""
 
-USUAL_SIZES = 1.5, 2.0
-"""Default extents of the smallest plane, m: where points fill its cells, and where not."""
+USUAL_SIZES = 1.5, 2.0, 3.0
+"""Default extents of the smallest plane, m: where points fill its cells, where lines of points are
+too far apart to, and the largest, in thin clouds."""
 
-FILLED = 3.3
-"""Cells per cell of twice their side: 4 on surfaces without gaps, 2 where lines are apart."""
+FILLED = 0.8
+"""Occupied cells per occupied cell of twice their side, in those of points at random: 1 on surfaces
+without gaps, 1/2 where lines are apart."""
+
+USUAL_COUNT = 3.2
+"""Points of a surface per cell, for which the default extent is enlarged in thin clouds; of 2.4 to
+4.4 those from 2.8 to 3.8 found most edges of simulated streets at 10 and 20 points/m2."""
 
 ROUGHEST = 0.48
 """Largest residual standard deviation in tolerances; points without any plane have 0.58."""
@@ -177,7 +183,7 @@ def detect_planes(
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
     _warn_if_thin(grid, size)
-    expected = LEAST_AREA * CELLS_PER_SIZE**2 * grid.points_per_cell()
+    expected = LEAST_AREA * CELLS_PER_SIZE**2 * _points_per_cell(grid.start)
     minimum = minimum or int(np.clip(expected, *FEWEST))
     search = _Search(grid, tolerance, minimum)
     for _ in range(ROUNDS):
@@ -188,17 +194,32 @@ def detect_planes(
 
 
 def usual_size(points):
-    """The extent of the smallest plane that points carry, m: one of ``USUAL_SIZES``."""
+    """The extent of the smallest plane that points carry, m."""
     if not len(points):
         return USUAL_SIZES[1]
-    places = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE).places
-    doubled = sort_into_cells(places, 2).places
-    return USUAL_SIZES[0 if len(places) >= FILLED * len(doubled) else 1]
+    fine = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE)
+    doubled = sort_into_cells(fine.places, 2)
+    in_cell = _points_per_cell(fine.starts)
+    at_random = 4 * np.expm1(-in_cell) / np.expm1(-4 * in_cell)
+    filled = len(fine.places) >= FILLED * at_random * len(doubled.places)
+    carried = USUAL_SIZES[0] * np.sqrt(USUAL_COUNT / in_cell)
+    return float(np.clip(carried, USUAL_SIZES[0 if filled else 1], USUAL_SIZES[2]))
+
+
+def _points_per_cell(start):
+    """Points that a cell of a surface has on average, empty cells of the surface included.
+
+    A surface with x points per cell shows x / (1 - exp(-x)) per occupied cell. ``start`` are the
+    bounds of the occupied cells.
+    """
+    seen = np.median(np.diff(start)[:: max(1, len(start) // 100_000)])
+    mean = max(float(np.diff(start).mean()), 1.0 + 1e-9) if seen < 3 else seen
+    return mean + lambertw(-mean * np.exp(-mean)).real
 
 
 def _warn_if_thin(grid, size):
     """Say when surfaces have too few points for their cells to hang together."""
-    in_cell = grid.points_per_cell()
+    in_cell = _points_per_cell(grid.start)
     if in_cell < THINNEST:
         density = in_cell / grid.edge**2
         needed = size * np.sqrt(THINNEST / in_cell)
@@ -260,15 +281,6 @@ class Grid:
         steps = np.array([self.shape[1] * self.shape[2], self.shape[2]])
         return self.points, self.keys, self.start, steps
 
-    def points_per_cell(self):
-        """Points that a cell of a surface has on average, empty cells of the surface included.
-
-        A surface with x points per cell shows x / (1 - exp(-x)) per occupied cell.
-        """
-        seen = np.median(np.diff(self.start[:: max(1, len(self.start) // 100_000)]))
-        mean = max(float(np.diff(self.start).mean()), 1.0 + 1e-9) if seen < 3 else seen
-        return mean + lambertw(-mean * np.exp(-mean)).real
-
     def fullest(self, counts):
         """Of every eight cells the one with the highest count, where it is above zero."""
         index = np.stack(np.unravel_index(self.keys, self.shape))
@@ -326,26 +338,13 @@ class _Search:
 
 
 @numba.njit(cache=True)
-def _first_at(keys, key):
-    """First of the sorted keys that is not below a key."""
-    low, high = 0, len(keys)
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@numba.njit(cache=True)
 def _around(keys, steps, cell, reach, out):
     """Occupied cells within ``reach`` of a cell along each axis; how many."""
     n = 0
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
             key = keys[cell] + i * steps[0] + j * steps[1]
-            k = _first_at(keys, key - reach)
+            k = np.searchsorted(keys, key - reach)
             while k < len(keys) and keys[k] <= key + reach:
                 out[n] = k
                 n += 1
@@ -444,8 +443,7 @@ def _refine(points, near, centre, normal, tolerance):
     """Fit the plane to the neighbours on it; return their number less what chance would give."""
     moments, origin, score = np.empty(10), centre.copy(), 0.0
     for _ in range(3):
-        for k in range(10):
-            moments[k] = 0.0
+        moments[:] = 0.0
         for p in near:
             if abs(_distance(points, p, centre, normal)) <= tolerance:
                 _add(moments, points, p, origin)
@@ -498,8 +496,7 @@ def _grow(grid, owner, seed, plane, tolerance, refit, mark, desk):
     """
     (marks, queue, room, moments), origin = desk, plane[0].copy()
     centre, normal = plane[0], plane[1]
-    for k in range(len(moments)):
-        moments[k] = 0.0
+    moments[:] = 0.0
     marks[seed] = mark
     if not _takes(grid, owner, seed, centre, normal, tolerance, moments, origin):
         return 0
@@ -540,13 +537,12 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
     marks, queue = np.full(cells, -1, dtype=np.int64), np.empty(cells, dtype=np.int64)
     moments = np.zeros(BESIDE + 1)
     desk = marks, queue, np.empty(27, dtype=np.int64), moments
-    found, mark, held = 0, np.int64(0), 0  # a bare 0 would be compiled as a kind of its own
-    planes, taken = np.empty((len(seeds), 2, 3)), np.empty((2, 1024), dtype=np.int64)
-    grown = np.empty((2, 3))
+    found, mark = 0, np.int64(0)  # a bare 0 would be compiled as a kind of its own
+    planes, taken, grown = np.empty((len(seeds), 2, 3)), [], np.empty((2, 3))
     for s in range(len(seeds)):
         plane, size, n = pieces[s], 0, 0
         for turn in range(PASSES):
-            _copy(plane, grown)
+            grown[:] = plane
             n = _grow(grid, owner, seeds[s], grown, tolerance, turn == 0, mark, desk)
             mark += 1
             if n < least[1] or moments[0] < least[0]:
@@ -555,28 +551,25 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
             if turn and n <= size:
                 break
             size = n
-            _copy(grown, plane)
+            plane[:] = grown
         if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
             continue
         _own(grid, owner, queue[:n], plane[0], plane[1], tolerance, first + found)
-        if held + n > taken.shape[1]:
-            longer = np.empty((2, 2 * (held + n)), dtype=np.int64)
-            _copy(taken, longer)
-            taken = longer
         for k in range(n):
-            taken[0, held + k], taken[1, held + k] = queue[k], first + found
-        held += n
-        _copy(plane, planes[found])
+            taken.append((queue[k], first + found))
+        planes[found] = plane
         found += 1
-    return planes[:found], taken[:, :held]
+    return planes[:found], _rows(taken, 2).T
 
 
 @numba.njit(cache=True)
-def _copy(values, into):
-    """Write the columns of an array into another one."""
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            into[i, j] = values[i, j]
+def _rows(found, width):
+    """Tuples of whole numbers as rows of an array."""
+    rows = np.empty((len(found), width), dtype=np.int64)
+    for k in range(len(found)):
+        for j in range(width):
+            rows[k, j] = found[k][j]
+    return rows
 
 
 @numba.njit(cache=True)
@@ -585,10 +578,7 @@ def _planes_around(keys, steps, bounds, planes, cell, room, out):
     n = 0
     for c in room[: _around(keys, steps, cell, np.int64(1), room)]:
         for k in range(bounds[c], bounds[c + 1]):
-            known = False
-            for other in out[:n]:
-                known |= other == planes[k]
-            if not known and n < len(out):
+            if n < len(out) and planes[k] not in out[:n]:
                 out[n] = planes[k]
                 n += 1
     return n
@@ -652,10 +642,7 @@ def _neighbours(grid, bounds, owners):
             for b in near[:k]:
                 if a != b:
                     found.append((cell, a, b))
-    rows = np.empty((len(found), 3), dtype=np.int64)
-    for k, row in enumerate(found):
-        rows[k, 0], rows[k, 1], rows[k, 2] = row
-    return rows
+    return _rows(found, 3)
 
 
 def beside_lines(lines, tolerance, reach):

@@ -14,7 +14,7 @@ from other_street import scan
 from mmqa_lab import lines
 
 DENSE = {"windows, 300 points/m2": (300, True), "no windows, 300": (300, False)}
-DENSE |= {"no windows, 10 points/m2": (10, False), "no windows, 60": (60, False)}
+DENSE |= {f"no windows, {density}": (density, False) for density in (5, 10, 20, 60)}
 
 
 def scene(kind, seed, length):
@@ -33,7 +33,7 @@ def main():
     parser.add_argument("--kinds", nargs="*", default=[*DENSE, "tilted profiler, windows"])
     parser.add_argument("--seeds", type=int, nargs="*", default=[1, 2])
     parser.add_argument("--length", type=float, default=30.0)
-    parser.add_argument("--sizes", type=float, nargs="*", default=[2.0, 1.5])
+    parser.add_argument("--sizes", type=float, nargs="*", default=[None])
     options = parser.parse_args()
     rows = []
     for kind in options.kinds:
