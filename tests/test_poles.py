@@ -131,6 +131,14 @@ def test_what_hangs_has_no_foot(low, found, rng):
     assert len(poles.detect(cloud, method="ours")) == found
 
 
+@pytest.mark.parametrize("method", ["fgi", "itc"])
+def test_published_methods_ask_for_a_foot_only_when_told(method, rng):
+    cloud = scene(post(1.0, 2.0), post(-3.0, 0.0, low=6.0, line=200), rng=rng)
+    assert len(poles.detect(cloud, method=method)) == 2
+    table = poles.detect(cloud, method=method, highest_foot=4.0, explain=True)
+    assert table["rejected_by"].tolist() == ["foot", ""]  # from south to north
+
+
 def test_explain_names_the_test_that_rejected(rng):
     cloud = scene(post(1, 2), post(3, 3, height=0.7, line=200), rng=rng)
     table = poles.detect(cloud, method="fgi", explain=True)
