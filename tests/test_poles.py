@@ -400,6 +400,20 @@ def test_candidates_do_not_depend_on_tiles(rng):
     assert gap.max() < 0.2
 
 
+def test_a_point_just_at_the_reach_has_no_part_in_the_axis():
+    shaft = post(0.5, 0.5)[0] + [0.0, 0.05, 0.0]  # coordinates of centimetres lie on the circle
+    at, axes = np.array([0.5, 0.5]), []
+    for away in (0.5, 0.51, 0.49):
+        rim = np.column_stack([np.full(5, 0.5 + away), np.full(5, 0.5), np.linspace(0.5, 2.5, 5)])
+        found = common.rows(np.vstack([shaft, rim]))
+        out = np.zeros(5)
+        where = found.points, np.ascontiguousarray(found.points[:, 2]), found.start, found.base
+        features.fit_axis(*where, at, 0.5, (0.15, 0.06), 12, 1.0, out)
+        axes.append(out)
+    assert np.array_equal(axes[0], axes[1])
+    assert not np.array_equal(axes[0], axes[2])
+
+
 @pytest.mark.parametrize("degrees", [0, 33, 117])
 def test_a_wall_behind_a_post_is_measured(degrees):
     turn = np.radians(degrees)

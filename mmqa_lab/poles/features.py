@@ -241,11 +241,11 @@ def fit_axis(points, height, start, base, at, reach, scales, iterations, upright
     whose scale shrinks between two, metres; ``upright`` is how many square metres of moment draw
     leans towards 0.
     """
-    near, n, middle = near_axis(points, start, base, at[0], at[1], reach), 0, 0.0
+    near, n, middle = near_axis(points, start, base, at[0], at[1], reach + 1e-9), 0, 0.0
     x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for i in near:
-        if 0.1 < height[i] < BINS * BIN_M:
-            x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
+        x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
+        if 0.1 < h[n] < BINS * BIN_M and math.hypot(x[n] - at[0], y[n] - at[1]) < reach:
             middle += h[n]
             n += 1
     middle /= max(n, 1)
