@@ -131,6 +131,14 @@ def test_what_hangs_has_no_foot(low, found, rng):
     assert len(poles.detect(cloud, method="ours")) == found
 
 
+@pytest.mark.parametrize("method", ["fgi", "itc"])
+def test_published_methods_ask_for_a_foot_only_when_told(method, rng):
+    cloud = scene(post(1.0, 2.0), post(-3.0, 0.0, low=6.0, line=200), rng=rng)
+    assert len(poles.detect(cloud, method=method)) == 2
+    table = poles.detect(cloud, method=method, highest_foot=4.0, explain=True)
+    assert table["rejected_by"].tolist() == ["foot", ""]  # from south to north
+
+
 def test_explain_names_the_test_that_rejected(rng):
     cloud = scene(post(1, 2), post(3, 3, height=0.7, line=200), rng=rng)
     table = poles.detect(cloud, method="fgi", explain=True)
@@ -390,6 +398,20 @@ def test_candidates_do_not_depend_on_tiles(rng):
     found = features.candidates(points, points[:, 2])
     gap = np.hypot(*(spots[:, None] - found[None]).transpose(2, 0, 1)).min(axis=1)
     assert gap.max() < 0.2
+
+
+def test_a_point_just_at_the_reach_has_no_part_in_the_axis():
+    shaft = post(0.5, 0.5)[0] + [0.0, 0.05, 0.0]  # coordinates of centimetres lie on the circle
+    at, axes = np.array([0.5, 0.5]), []
+    for away in (0.5, 0.51, 0.49):
+        rim = np.column_stack([np.full(5, 0.5 + away), np.full(5, 0.5), np.linspace(0.5, 2.5, 5)])
+        found = common.rows(np.vstack([shaft, rim]))
+        out = np.zeros(5)
+        where = found.points, np.ascontiguousarray(found.points[:, 2]), found.start, found.base
+        features.fit_axis(*where, at, 0.5, (0.15, 0.06), 12, 1.0, out)
+        axes.append(out)
+    assert np.array_equal(axes[0], axes[1])
+    assert not np.array_equal(axes[0], axes[2])
 
 
 @pytest.mark.parametrize("degrees", [0, 33, 117])

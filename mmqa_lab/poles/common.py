@@ -486,6 +486,18 @@ def drop_duplicates(rows, distance):
     rows["rejected_by"][kept[gone]] = "duplicate"
 
 
+def drop_hanging(rows, points, highest_foot):
+    """Reject what begins higher above the ground under points (n, 3), metres; none where inf.
+
+    Writes ``foot`` into ``rejected_by``.
+    """
+    kept = np.flatnonzero(rows["rejected_by"] == "")
+    if len(kept) and np.isfinite(highest_foot):
+        feet = np.column_stack([rows[name][kept] for name in ("x_m", "y_m", "z_base_m")])
+        hanging = fit_ground(points).height(feet) > highest_foot
+        rows["rejected_by"][kept[hanging]] = "foot"
+
+
 def moments(points, member, n):
     """Count, centre and covariance of the points of each of ``n`` members."""
     count = np.bincount(member, minlength=n)

@@ -25,23 +25,12 @@ SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
 
 
 def candidates(points, height):
-    """Return plan positions of candidates.
+    """Return plan positions (k, 2) of candidates.
 
-    Parameters
-    ----------
-    points : array, shape (n, 3)
-        Metres from an origin nearby.
-    height : array, shape (n,)
-        Above ground, metres; only 0.1 to 16 m are used.
-
-    Returns
-    -------
-    array, shape (k, 2)
-
-    Notes
-    -----
-    On each scale in ``SCALES`` a candidate is a cell whose count of occupied core bins with an
-    empty ring is a local maximum, at least 3; ties go to the cell with more points.
+    ``points`` (n, 3) are metres from an origin nearby; of their ``height`` (n,) above ground only
+    0.1 to 16 m are used. On each scale in ``SCALES`` a candidate is a cell whose count of occupied
+    core bins with an empty ring is a local maximum, at least 3; ties go to the cell with more
+    points.
     """
     used = (height > 0.1) & (height < BINS * BIN_M)
     points, height = points[used], height[used]
@@ -245,21 +234,24 @@ their occupied height bins."""
 
 
 @njit(cache=True)
-def fit_axis(x, y, h, x0, y0, wide, narrow, iterations, upright):
-    """Robust straight axis (x, y at h = middle, lean x, lean y, middle) near (x0, y0).
+def fit_axis(points, height, start, base, at, reach, scales, iterations, upright, out):
+    """Write a robust straight axis (x, y at h = middle, lean x, lean y, middle) near ``at``.
 
-    Iteratively reweighted least squares with Geman-McClure weights whose scale shrinks from
-    ``wide`` to ``narrow``, metres; ``upright`` is how many square metres of moment draw leans
-    towards 0.
+    Iteratively reweighted least squares of the points within reach, with Geman-McClure weights
+    whose scale shrinks between two, metres; ``upright`` is how many square metres of moment draw
+    leans towards 0.
     """
-    n = len(x)
-    middle = 0.0
-    for k in range(n):
-        middle += h[k]
+    near, n, middle = near_axis(points, start, base, at[0], at[1], reach + 1e-9), 0, 0.0
+    x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+    for i in near:
+        x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
+        if 0.1 < h[n] < BINS * BIN_M and math.hypot(x[n] - at[0], y[n] - at[1]) < reach:
+            middle += h[n]
+            n += 1
     middle /= max(n, 1)
-    ax, ay, lx, ly = x0, y0, 0.0, 0.0
+    ax, ay, lx, ly = at[0], at[1], 0.0, 0.0
     for step in range(iterations):
-        scale = max(wide * 0.85**step, narrow)
+        scale = max(scales[0] * 0.85**step, scales[1])
         w0, w1, w2 = 1e-9, 0.0, 0.0
         sx, sy, tx, ty = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
@@ -278,7 +270,7 @@ def fit_axis(x, y, h, x0, y0, wide, narrow, iterations, upright):
         ax, lx = (w2 * sx - w1 * tx) / det, (w0 * tx - w1 * sx) / det
         ay, ly = (w2 * sy - w1 * ty) / det, (w0 * ty - w1 * sy) / det
         lx, ly = min(max(lx, -MAX_LEAN), MAX_LEAN), min(max(ly, -MAX_LEAN), MAX_LEAN)
-    return ax, ay, lx, ly, middle
+    out[0], out[1], out[2], out[3], out[4] = ax, ay, lx, ly, middle
 
 
 @njit(cache=True)
@@ -331,9 +323,9 @@ def _arc(sectors):
 
 
 @njit(cache=True)
-def _describe(h, dx, dy, across, level, axis, out):
+def _describe(dx, dy, across, level, axis, out):
     """Write the features; ends and radius of the pole-like part go into ``axis``."""
-    n, f = len(h), len(RADII_M)
+    f = len(RADII_M)
     core, shell = np.zeros(BINS), np.zeros(BINS)
     runs, flags, longest = np.zeros((f, 2), np.int64), np.zeros(BINS, np.bool_), 0.0
     for r in range(f):
@@ -369,9 +361,8 @@ def _describe(h, dx, dy, across, level, axis, out):
     top = min(high + 8, BINS)
     out[f + 29], out[f + 30] = _filled(core, high, top) / 8, _filled(shell, high, top) / 8
     out[f + 31] = _filled(shell, 0, low) / max(low, 1)
-    out[f + 35] = _sum(core, 0, BINS) / max(n, 1)
+    out[f + 35] = _sum(core, 0, BINS) / max(len(dx), 1)
     axis[5], axis[6], axis[7] = low * BIN_M, high * BIN_M, radius
-    out[f + 36] = _elongation(h, across, axis)
 
 
 @njit(cache=True)
@@ -394,14 +385,14 @@ def _filled(counts, first, last):
 
 @njit(cache=True)
 def _shape(dx, dy, across, level, low, high, radius, out):
-    """Distances from the axis within the run: mean, spread, median, 90 %, taper; and the wobble.
+    """Distances from the axis within the run: mean, spread, median, 90 %, taper.
 
-    The wobble, at place 6, is the root mean square distance of the bins' centres from the axis.
+    At place 6 the root mean square distance of the bins' centres from the axis, at place 25 the
+    length of the run over twice the median distance.
     """
-    rho, upper, n, above = np.empty(len(across)), np.empty(len(across)), 0, 0
-    sums = np.zeros((BINS, 3))
+    rho, lower, upper = np.empty(len(across)), np.empty(len(across)), np.empty(len(across))
+    sums, n, above = np.zeros((BINS, 3)), 0, 0
     total, half = 0.0, (low + high) / 2
-    lower = np.empty(len(across))
     for k in range(len(across)):
         if low <= level[k] < high and across[k] <= radius:
             rho[n] = across[k]
@@ -421,13 +412,13 @@ def _shape(dx, dy, across, level, low, high, radius, out):
             wobble += (sums[b, 0] / sums[b, 2]) ** 2 + (sums[b, 1] / sums[b, 2]) ** 2
             bins += 1
     out[6] = math.sqrt(wobble / max(bins, 1))
-    for k in range(5):
-        out[k] = 0.0
-    if n < 2:
-        return
-    mean, square = total / n, 0.0
+    mean, square = total / max(n, 1), 0.0
     for k in range(n):
         square += (rho[k] - mean) * (rho[k] - mean)
+    if n:
+        out[25] = min((high - low) * BIN_M / (2 * median(rho, n) + 0.01), 100.0)
+    if n < 2:
+        return
     out[0], out[1] = mean / radius, math.sqrt(square / n) / radius
     out[2], out[3] = ranked(rho, n, n // 2), ranked(rho, n, int(0.9 * (n - 1)))
     if above > 1 and n - above > 1:
@@ -449,7 +440,6 @@ def _beside(dx, dy, across, level, low, high, radius, out):
     run = max(high - low, 1)
     empty, opposite = _arc(sectors[0])
     out[1], out[2], out[8] = empty, opposite, _arc(sectors[3])[1]
-    out[0], out[6], out[7] = 0.0, 0.0, 0.0
     for k in range(SECTORS):
         out[0] += sectors[0, k]
         out[6] += sectors[1, k]
@@ -490,22 +480,13 @@ def _around(dx, dy, across, level, low, high, radius, out):
 
 
 def describe(where, xy, given):
-    """Return features (k, len(NAMES)) and axes (k, 8) of candidates.
+    """Return features (k, len(NAMES)) and axes (k, 8) of candidates at ``xy`` (k, 2).
 
-    Parameters
-    ----------
-    where : tuple of points, height, start, base
-        Of :func:`mmqa_lab.poles.common.rows`; ``height`` (n,) above ground in the same order.
-    xy : array, shape (k, 2)
-        Candidates.
-    given : array, shape (k, 5)
-        Axes that are known: x, y, lean x, lean y, middle; NaN where they are to be fitted.
-
-    Returns
-    -------
-    features, axes
-        ``axes``: x, y, lean x, lean y at height ``middle`` above ground, then that height, lower
-        and upper end of the pole-like part above ground, radius of the core.
+    ``where``: points, height (n,) above ground, start and base, as of
+    :func:`mmqa_lab.poles.common.rows`; ``given`` (k, 5): axes that are known (x, y, lean x, lean y,
+    middle), NaN where they are to be fitted. ``axes``: x, y, lean x, lean y at height ``middle``
+    above ground, then that height, lower and upper end of the pole-like part above ground, radius
+    of the core.
     """
     features, axes = np.zeros((len(xy), len(NAMES))), np.zeros((len(xy), 8))
     in_threads(_candidates, len(xy), *where, xy, given, features, axes)
@@ -516,48 +497,24 @@ def describe(where, xy, given):
 def _candidates(begin, end, points, height, start, base, xy, given, features, axes):
     """Write the features and the axes of the candidates from ``begin`` to ``end``."""
     for c in range(begin, end):
-        near = near_axis(points, start, base, xy[c, 0], xy[c, 1], REACH_M)
-        x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
-        n = 0
-        for i in near:
-            if 0.1 < height[i] < BINS * BIN_M:
-                x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
-                n += 1
-        h, axis = h[:n], axes[c]
+        axis = axes[c]
         for k in range(5):
             axis[k] = given[c, k]
         if math.isnan(axis[0]):
-            u, v, w = np.empty(n), np.empty(n), np.empty(n)
-            close = 0
-            for k in range(n):
-                if math.hypot(x[k] - xy[c, 0], y[k] - xy[c, 1]) < 0.5:
-                    u[close], v[close], w[close] = x[k], y[k], h[k]
-                    close += 1
-            axis[0], axis[1], axis[2], axis[3], axis[4] = fit_axis(
-                u[:close], v[:close], w[:close], xy[c, 0], xy[c, 1], 0.15, 0.06, np.int64(12), 1.0
-            )
-        dx, dy, across = np.empty(n), np.empty(n), np.empty(n)
-        level = np.empty(n, np.int64)
-        for k in range(n):
-            dx[k] = x[k] - axis[0] - axis[2] * (h[k] - axis[4])
-            dy[k] = y[k] - axis[1] - axis[3] * (h[k] - axis[4])
-            across[k] = math.sqrt(dx[k] * dx[k] + dy[k] * dy[k])
-            level[k] = min(max(int(h[k] / BIN_M), 0), BINS - 1)
-        _describe(h, dx, dy, across, level, axis, features[c])
-        _hollow(h, dx, dy, features[c, 43:])
-
-
-@njit(cache=True)
-def _elongation(h, across, axis):
-    """Length of the run over twice the median distance of its points from the axis."""
-    own, n = np.empty(len(h)), 0
-    for k in range(len(h)):
-        if axis[5] <= h[k] < axis[6] and across[k] <= axis[7]:
-            own[n] = across[k]
-            n += 1
-    if n == 0:
-        return 0.0
-    return min((axis[6] - axis[5]) / (2 * median(own, n) + 0.01), 100.0)
+            fit_axis(points, height, start, base, xy[c], 0.5, (0.15, 0.06), 12, 1.0, axis)
+        near, n = near_axis(points, start, base, xy[c, 0], xy[c, 1], REACH_M), 0
+        dx, dy, across = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+        h, level = np.empty(len(near)), np.empty(len(near), np.int64)
+        for i in near:
+            if 0.1 < height[i] < BINS * BIN_M:
+                rise = height[i] - axis[4]
+                dx[n] = points[i, 0] - axis[0] - axis[2] * rise
+                dy[n] = points[i, 1] - axis[1] - axis[3] * rise
+                across[n] = math.sqrt(dx[n] * dx[n] + dy[n] * dy[n])
+                h[n], level[n] = height[i], int(height[i] / BIN_M)
+                n += 1
+        _describe(dx[:n], dy[:n], across[:n], level[:n], axis, features[c])
+        _hollow(h[:n], dx[:n], dy[:n], features[c, 43:])
 
 
 @njit(cache=True)
@@ -607,17 +564,7 @@ def _hollow(h, dx, dy, out):
 
 
 def describe_facades(points, height, axes):
-    """Return the features (k, 4) of candidates.
-
-    Parameters
-    ----------
-    points : array, shape (n, 3)
-        Metres from an origin nearby.
-    height : array, shape (n,)
-        Above ground, metres.
-    axes : array, shape (k, 8)
-        Of :func:`describe`.
-    """
+    """Return the features (k, 4) of candidates from points (n, 3), their height, and axes."""
     found = rows(tall_cells(points, height))
     out = np.zeros((len(axes), len(FACADE_NAMES)))
     xy = np.ascontiguousarray(axes[:, :2])

@@ -71,6 +71,9 @@ class Settings:
         anywhere are one pole.
     mask_elongation : float
         Least ratio of eigenvalues of what lies in the mask, where it is as worded.
+    highest_foot : float
+        Above the ground; what begins higher is refused, metres. The report asks for no foot (cars
+        hide it), so that by default a hanging cylinder passes.
     circle_fit : bool
         Diameters from circles fitted to slices instead of from chords. The report does not say how
         it measures diameters.
@@ -96,6 +99,7 @@ class Settings:
     mask_share: float = 0.85
     as_worded: bool = False
     mask_elongation: float = 4.0
+    highest_foot: float = np.inf
     circle_fit: bool = False
 
 
@@ -345,6 +349,7 @@ def _judged(everything, points, line, member, found, settings, explain):
     middle = low[:, :2] + lean * height[:, None] / 2
     table = common.axis_rows(middle, low[:, 2], lean, height)
     table |= {"score": share, "rejected_by": reason}
+    common.drop_hanging(table, everything, settings.highest_foot)
     fit = common.circle_diameter if settings.circle_fit else common.shaft_diameter
     table["diameter_m"] = _diameters(points, line, member, found, stretch, reason, fit)
     common.drop_duplicates(table, 2 * settings.merge_distance)

@@ -67,6 +67,9 @@ class Settings:
         Of consecutive pole-like slices, metres.
     missing_slices : int
         Empty slices that do not end a stack.
+    highest_foot : float
+        Above the ground; what begins higher is refused, metres. The report removes the ground and
+        asks for no foot, so that by default a hanging component passes.
     crown_width : float
         A component wider than this above its pole-like part is a tree, metres.
     """
@@ -86,6 +89,7 @@ class Settings:
     growth: float = 0.25
     minimum_length: float = 1.0
     missing_slices: int = 1
+    highest_foot: float = np.inf
     crown_width: float = 1.2
 
 
@@ -118,6 +122,7 @@ def detect(points, settings, *, explain=False):
     table = {name: stacks[name] for name in ("x_m", "y_m", "z_base_m", "lean_x", "lean_y")}
     table |= {"height_m": stacks["length"], "diameter_m": stacks["diameter"]}
     table |= {"score": stacks["regularity"], "rejected_by": reason}
+    common.drop_hanging(table, points, settings.highest_foot)
     common.drop_duplicates(table, 2 * settings.shift)
     return common.pole_table(table | {"is_tree": stacks["is_tree"]}, "itc", explain=explain)
 

@@ -27,22 +27,12 @@ from mmqa_lab.scan_pattern import revolutions_from_time
 
 
 def scan_lines(cloud):
-    """Return the scan line of each point and its place along the line, or None.
+    """Return the scan line (n,) of each point of a cloud and its place along the line, or None.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        With ``scan_line`` and ``pulse`` or ``gps_time``; or with ``gps_time``, ``scan_angle`` or
-        both. Where there is a ``head`` or a ``point_source_id`` (one for each drive in LAS), lines
-        of different heads and drives are not neighbours.
+    They are ``scan_line`` and ``pulse`` or ``gps_time``, or come from ``gps_time``, ``scan_angle``
+    or both. Where there is a ``head`` or a ``point_source_id`` (one for each drive in LAS), lines
+    of different heads and drives are not neighbours.
 
-    Returns
-    -------
-    line, place : arrays of int and float, shape (n,)
-        Or None, where the cloud says neither.
-
-    Notes
-    -----
     A column whose values are all equal, as LAS files have it where nothing was recorded, says
     nothing. Without ``scan_line``, a line ends where the scan angle turns back by more than a
     quarter of its range while time runs on: this finds the turns of a full-circle profiler and the
@@ -71,7 +61,7 @@ def scan_lines(cloud):
         place = np.asarray(cloud["gps_time"], dtype=np.float64)
         line = _lines_by_time(place, source)
     else:
-        return None
+        line = None
     if line is None:
         return None
     apart = np.ptp(line) + 10 if len(line) else 0  # lines of other heads are no neighbours
@@ -242,33 +232,18 @@ class Groups(NamedTuple):
 
 
 def line_groups(lines, height_of):
-    """Return the groups of scan lines.
-
-    Parameters
-    ----------
-    lines : Lines
-        Metres from an origin nearby.
-    height_of : callable
-        Heights above ground (m,) of points (m, 3).
-
-    Returns
-    -------
-    Groups
-    """
+    """Return the ``Groups`` of ``Lines``; ``height_of`` gives heights above ground of points."""
     points, line, pulse = lines[:3]
     first, last, free = _cut(points, line, pulse)
     count = last - first + 1
     ends = points[last] - points[first]
     middle = np.add.reduceat(points, first, axis=0) / count[:, None]
-    kept = (count >= 2) & (np.sqrt((ends**2).sum(axis=1)) <= WIDEST_M)
-    kept = np.flatnonzero(kept)
+    kept = np.flatnonzero((count >= 2) & (np.sqrt((ends**2).sum(axis=1)) <= WIDEST_M))
     height = height_of(middle[kept])
     used = (height > 0.1) & (height < GROUPS_TO_M)
-    kept, height = kept[used], height[used]
-    found = rows(middle[kept])
-    kept = kept[found.order]
-    where = (found.points, found.start, found.base, height[found.order])
-    return Groups(*where, np.hypot(*ends[kept, :2].T), count[kept], free[kept])
+    found = rows(middle[kept[used]])
+    kept, height = kept[used][found.order], height[used][found.order]
+    return Groups(*found[:3], height, np.hypot(*ends[kept, :2].T), count[kept], free[kept])
 
 
 @njit(cache=True)
@@ -282,25 +257,14 @@ def _cut(points, line, pulse):
     first, last, free = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     begin, groups = 0, 0
     for k in range(1, n + 1):
-        if gap[k] > GAP_M[0] and gap[k] > min(3 * _third(gap, k), GAP_M[1]):
+        if gap[k] <= GAP_M[0]:
+            continue
+        around = gap[max(k - 4, 0) : k + 5].copy()
+        if gap[k] > min(3 * ranked(around, len(around), min(len(around) - 1, 2)), GAP_M[1]):
             first[groups], last[groups] = begin, k - 1
             free[groups] = (gap[begin] > FREE_M) + (gap[k] > FREE_M)
             begin, groups = k, groups + 1
     return first[:groups], last[:groups], free[:groups]
-
-
-@njit(cache=True)
-def _third(gap, k):
-    """Third smallest of the nine gaps around gap ``k``."""
-    a = b = c = np.inf
-    for i in range(max(k - 4, 0), min(k + 5, len(gap))):
-        if gap[i] < a:
-            a, b, c = gap[i], a, b
-        elif gap[i] < b:
-            b, c = gap[i], b
-        elif gap[i] < c:
-            c = gap[i]
-    return c
 
 
 def stack_candidates(groups):
@@ -362,23 +326,13 @@ def axes_of(middle, start, low, height, xy):
 def _axes(begin, end, middle, start, low, height, xy, out):
     """Write the axes of :func:`axes_of`."""
     for c in range(begin, end):
-        near = near_axis(middle, start, low, xy[c, 0], xy[c, 1], 0.4)
-        x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
-        for k in range(len(near)):
-            x[k], y[k], h[k] = middle[near[k], 0], middle[near[k], 1], height[near[k]]
-        out[c, 0], out[c, 1], out[c, 2], out[c, 3], out[c, 4] = fit_axis(
-            x, y, h, xy[c, 0], xy[c, 1], 0.12, 0.04, np.int64(10), 2.0
-        )
+        fit_axis(middle, height, start, low, xy[c], 0.4, (0.12, 0.04), 10, 2.0, out[c])
 
 
 def describe_stacks(groups, axes):
     """Return the features (k, len(STACK_NAMES)) of the stack at each axis, and its ends (k, 2).
 
-    Parameters
-    ----------
-    groups : Groups
-    axes : array, shape (k, 5 or more)
-        x, y at height ``middle`` above ground, lean x, lean y, middle.
+    ``axes`` (k, 5 or more): x, y at height ``middle`` above ground, lean x, lean y, middle.
     """
     features, ends = np.zeros((len(axes), len(STACK_NAMES))), np.zeros((len(axes), 2))
     in_threads(_stacks, len(axes), *groups, np.ascontiguousarray(axes[:, :5]), features, ends)
@@ -497,13 +451,7 @@ less open side, and share that is stopped at the same depth."""
 def describe_rays(lines, axes, ground):
     """Return the features (k, len(RAY_NAMES)) of the rays at each axis.
 
-    Parameters
-    ----------
-    lines : Lines
-    axes : array, shape (k, 5 or more)
-        x, y at height ``middle`` above ground, lean x, lean y, middle.
-    ground : array, shape (k,)
-        Height of the ground at each.
+    ``axes`` as of :func:`describe_stacks`; ``ground`` (k,): height of the ground at each.
     """
     chosen = beside(lines.points, axes[:, :2], RAYS_REACH_M)
     found = rows(lines.points[chosen])
@@ -585,19 +533,16 @@ def _rays(points, line, pulse, close, view, axis, ground):
         if abs(u[best]) <= NEAREST_M:
             rise = h[best] - axis[4]
             foot = axis[0] + axis[2] * rise, axis[1] + axis[3] * rise
-            middle = pulse[close[best]] - u[best] / slope
-            added = size
-            out, size = _read(
-                points, line, pulse, close[best], middle, slope, foot, view, out, size
-            )
-            for m in range(added, size):
-                out[m, 2] = math.floor(h[best] / BIN_M)
+            middle, level = pulse[close[best]] - u[best] / slope, math.floor(h[best] / BIN_M)
+            there = close[best], middle, slope, foot, view, level
+            out, size = _read(points, line, pulse, there, out, size)
     return out[:size]
 
 
 @njit(cache=True)
-def _read(points, line, pulse, at, middle, slope, foot, view, out, size):
+def _read(points, line, pulse, there, out, size):
     """Append the rays of one line, from point ``at`` to both sides; ``middle`` is at the axis."""
+    at, middle, slope, foot, view, level = there
     for way in (-1, 1):
         i = at if way < 0 else at + 1
         while 0 <= i < len(line) and line[i] == line[at]:
@@ -605,12 +550,9 @@ def _read(points, line, pulse, at, middle, slope, foot, view, out, size):
             if abs(side) > WINDOW_M:
                 break
             if size == len(out):
-                grown = np.empty((2 * size, 3))
-                for k in range(size):
-                    grown[k, 0], grown[k, 1], grown[k, 2] = out[k, 0], out[k, 1], out[k, 2]
-                out = grown
+                out = np.concatenate((out, out))
             dx, dy = points[i, 0] - foot[0], points[i, 1] - foot[1]
-            out[size, 0], out[size, 1] = side, view[0] * dx + view[1] * dy
+            out[size, 0], out[size, 1], out[size, 2] = side, view[0] * dx + view[1] * dy, level
             size += 1
             i += way
     return out, size
@@ -671,9 +613,7 @@ def _judge(rays, out):
             if abs(i - SIDES) <= SHIFTS and rank > best:
                 best, chosen, place = rank, i, j
     side, depth = (chosen - SIDES) * SIDE_M, (place - DEPTHS) * DEEP_M
-    for k in range(len(rays)):
-        which[k] = k
-    bits = _solid(rays, which, side, depth)
+    bits = _solid(rays, np.arange(len(rays)), side, depth)
     flags = np.zeros(BINS, np.bool_)
     for k in range(BINS):
         flags[k] = (bits >> np.uint64(k)) & np.uint64(1)

@@ -79,23 +79,10 @@ class Settings:
 
 
 def detect(points, settings, *, lines=None, explain=False, model=None):
-    """Return the poles of a cloud.
+    """Return the poles of a cloud as :func:`mmqa_lab.poles.detect` does.
 
-    Parameters
-    ----------
-    points : array, shape (n, 3)
-        Metres from an origin nearby.
-    settings : Settings
-    lines : pair of array, shape (n,), optional
-        Scan line and place along it: where known, diameters come from chords.
-    explain : bool
-    model : lightgbm.Booster, optional
-        The one that comes with the package where left out.
-
-    Returns
-    -------
-    DataFrame
-        See :func:`mmqa_lab.poles.detect`.
+    ``points`` (n, 3) are metres from an origin nearby; from ``lines``, scan line and place of each,
+    come chords; ``model`` is a ``lightgbm.Booster``, the package's where left out.
     """
     features, axes, ground = described(points, settings, lines=lines)
     model = read_model() if model is None else model
@@ -145,7 +132,8 @@ def described(points, settings, *, lines=None):
     if lines is not None:
         ordered = on_lines.in_order(points, *lines)
         stacks = on_lines.line_groups(ordered, ground.height)
-        xy, given = _with_stacks(xy, given, stacks)
+        more = on_lines.axes_of(*stacks[:4], on_lines.stack_candidates(stacks))
+        xy, given = np.concatenate([xy, more[:, :2]]), np.concatenate([given, more])
     sorted_thin = common.rows(thin)
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(where, xy, given)
@@ -159,13 +147,6 @@ def described(points, settings, *, lines=None):
         axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
     return np.round(np.column_stack([features, evidence]), 5), axes, level
-
-
-def _with_stacks(xy, given, stacks):
-    """Candidates and known axes, with those of stacked groups."""
-    more = on_lines.stack_candidates(stacks)
-    axes = on_lines.axes_of(*stacks[:4], more)
-    return np.concatenate([xy, axes[:, :2]]), np.concatenate([given, axes])
 
 
 def _measure(points, lines, table, radius):
@@ -286,21 +267,10 @@ that on simulated streets nine in ten intervals contain the true diameter."""
 
 
 def with_attributes(points, found, lines=None):
-    """Return a table of poles with what is measured about each.
+    """Return a table of poles with what is measured about each, of rejected candidates nothing.
 
-    Parameters
-    ----------
-    points : array, shape (n, 3)
-        Metres from an origin nearby.
-    found : DataFrame
-        Of :func:`mmqa_lab.poles.common.pole_table`; of rejected candidates nothing is measured.
-    lines : pair of array, shape (n,), optional
-        Scan line and place along it of each point.
-
-    Returns
-    -------
-    DataFrame
-        With the columns that :func:`mmqa_lab.poles.detect` names.
+    ``points`` (n, 3) and ``lines`` as for :func:`detect`; ``found`` of ``common.pole_table``; the
+    columns are those that :func:`mmqa_lab.poles.detect` names.
     """
     made = found.assign(total_height_m=np.nan, **dict.fromkeys(GIRTH, np.nan), points=0)
     made["class"], made["class_probability"] = "", np.nan
