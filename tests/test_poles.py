@@ -568,6 +568,30 @@ def test_a_hollow_cylinder_is_told_from_a_full_one(rng):
     assert values[1]["hollow_contrast"] < 0.5
 
 
+@pytest.mark.parametrize("radius", [0.06, 0.25, 0.45])
+def test_a_round_shaft_is_told_from_a_body_and_a_strip(radius, rng):
+    turn, h = rng.uniform(0.1 * np.pi, 0.9 * np.pi, 400), rng.uniform(0.2, 1.9, 400)
+    side = np.column_stack([np.cos(turn), -np.sin(turn)])
+    shaft = np.column_stack([radius * side, h])
+    body = np.column_stack([0.25 * side * np.sqrt(1 - ((h - 1) / 1) ** 2)[:, None], h])
+    strip = np.column_stack([rng.uniform(-0.25, 0.25, 400), 0 * h, h])
+    measured = []
+    for points in (shaft, body, strip):
+        found = common.rows(points + rng.normal(0, 0.003, points.shape))
+        height = np.ascontiguousarray(found.points[:, 2])
+        where = (found.points, height, found.start, found.base)
+        axis = np.array([[*found.points[:, :2].mean(axis=0), 0.0, 0.0, 1.0]])
+        row = features.describe_rounds(where, axis)[0]
+        measured.append(dict(zip(features.ROUND_NAMES, row, strict=True)))
+    true, bulging, flat = measured
+    assert true["round_radius_m"] == pytest.approx(radius, abs=0.03)
+    assert true["round_m"] == pytest.approx(2.0)  # bins that are touched
+    assert true["round_share"] > 0.95
+    assert true["round_width"] == pytest.approx(1.0, abs=0.2)
+    assert bulging["round_m"] < 1.75
+    assert flat["round_arc"] < true["round_arc"]
+
+
 def test_a_wall_behind_leaves_is_still_a_plane(rng):
     bare = wall(-4, 4, -3)[0]
     leaves = rng.uniform([-4, -3 + 0.05, 0], [4, -3 + 0.4, 4], (2500, 3))

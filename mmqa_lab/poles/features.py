@@ -563,6 +563,243 @@ def _hollow(h, dx, dy, out):
     out[4] = math.log1p((n + step - 1) // step * step)
 
 
+SHAFT_M = (0.02, 0.55)
+THIN_M = np.array([0.03, 0.05, 0.08, 0.12, 0.18])
+CENTRE_M, SEEN_M = 0.6, 1.0
+CIRCLES, TRIED = 160, 200
+ARCS, SEEN_ARCS = 24, 10
+"""Upright shafts of any width: least and largest radius, radii tried about the axis itself, how far
+from the axis the centre of others and the points may lie. Circles are drawn through three points,
+and of more than 200 points every second, third, ... is tried; of 24 arcs of a circle ten are seen
+from one side."""
+
+ROUND_NAMES = (
+    *("round_radius_m", "round_m", "round_share", "round_arc", "round_even", "round_head"),
+    *("round_points", "round_slender", "round_width", "round_width_spread"),
+)
+"""Of the best circle: its radius; length over which it has points and neither its inside nor what
+lies around it, up to two radii, has many; share on it of the points up to two radii; share of its
+arcs that are seen; spread over height of the mean distance from its centre, by the radius; points
+of the same column up to 0.75 m above that length, by those of one of its bins; log of the points a
+metre; length over diameter; width across the view by the diameter, and its spread over height."""
+
+
+@njit(cache=True)
+def _shell(r):
+    """Distances between which points are on a circle, and up to which they are around it."""
+    band = 0.03 + 0.05 * r
+    return r - band, r + band, max(2 * r, r + 0.15)
+
+
+@njit(cache=True)
+def _arc_of(u, v):
+    """Number of the arc in a direction."""
+    return min(int((math.atan2(v, u) / (2 * np.pi) % 1.0) * ARCS), ARCS - 1)
+
+
+@njit(cache=True)
+def _circle_value(x, y, bit, cx, cy, r):
+    """How good a circle is: bins without points inside, share on it, arc that is seen."""
+    low, high, outer = _shell(r)
+    held, inner, beyond, arc = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
+    on, off = 0, 0
+    for k in range(len(x)):
+        u, v = x[k] - cx, y[k] - cy
+        if u * u + v * v > outer * outer:
+            continue
+        d = math.sqrt(u * u + v * v)
+        if low <= d <= high:
+            held |= bit[k]
+            on += 1
+            arc |= np.uint64(1) << np.uint64(_arc_of(u, v))
+            continue
+        off += 1
+        if d > high:
+            beyond |= bit[k]
+        else:
+            inner |= bit[k]
+    clean = set_bits(held & ~inner) + set_bits(held & ~inner & ~beyond)
+    return clean * (on / (on + off + 1.0)) * (0.3 + min(set_bits(arc), SEEN_ARCS) / SEEN_ARCS)
+
+
+@njit(cache=True)
+def _through(x, y, i, j, k):
+    """Centre and radius of the circle through three points; radius 0 where they lie on a line."""
+    bx, by, cx, cy = x[j] - x[i], y[j] - y[i], x[k] - x[i], y[k] - y[i]
+    d = 2 * (bx * cy - by * cx)
+    if abs(d) < 1e-5:
+        return 0.0, 0.0, 0.0
+    bb, cc = bx * bx + by * by, cx * cx + cy * cy
+    u, v = (cy * bb - by * cc) / d, (bx * cc - cx * bb) / d
+    return x[i] + u, y[i] + v, math.sqrt(u * u + v * v)
+
+
+@njit(cache=True)
+def _fitted(x, y, cx, cy, r):
+    """The circle after four steps of Gauss and Newton, slightly held where it was."""
+    for _ in range(4):
+        xx, xy, x1, yy, y1, n, xe, ye, e1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        reach = 1.5 * (0.03 + 0.05 * r)
+        for k in range(len(x)):
+            u, v = x[k] - cx, y[k] - cy
+            d = math.sqrt(u * u + v * v)
+            e = d - r
+            if abs(e) > reach or d < 1e-6:
+                continue
+            p, q = u / d, v / d
+            xx, xy, x1, yy, y1, n = xx + p * p, xy + p * q, x1 + p, yy + q * q, y1 + q, n + 1.0
+            xe, ye, e1 = xe + p * e, ye + q * e, e1 + e
+        if n < 3:
+            break
+        damp = 0.05 * n
+        xx, yy, n = xx + damp, yy + damp, n + damp
+        a, b, c = yy * n - y1 * y1, xy * n - y1 * x1, xy * y1 - yy * x1
+        det = xx * a - xy * b + x1 * c
+        if abs(det) < 1e-9:
+            break
+        s, t, w = ye * n - y1 * e1, ye * y1 - yy * e1, xy * e1 - ye * x1
+        cx += (xe * a - xy * s + x1 * t) / det
+        cy += (xx * s - xe * b + x1 * w) / det
+        r = min(max(r + (-xx * t - xy * w + xe * c) / det, SHAFT_M[0]), SHAFT_M[1])
+    return cx, cy, r
+
+
+@njit(cache=True)
+def _best_circle(h, x, y):
+    """Centre and radius of the best of the circles tried on the points up to 5 m."""
+    low, n = np.empty(len(h), np.int64), 0
+    for k in range(len(h)):
+        if h[k] < HOLLOW_TOP_M:
+            low[n] = k
+            n += 1
+    step = max(-(-n // TRIED), 1)
+    n = (n + step - 1) // step
+    u, v, bit = np.empty(n), np.empty(n), np.empty(n, np.uint64)
+    for k in range(n):
+        i = low[k * step]
+        u[k], v[k], bit[k] = x[i], y[i], np.uint64(1) << np.uint64(h[i] / BIN_M)
+    best, bx, by, br = -1.0, 0.0, 0.0, THIN_M[0]
+    state = np.uint64(88172645463325252)  # of Marsaglia's xorshift
+    for k in range(len(THIN_M) + (CIRCLES if n >= 3 else 0)):
+        cx, cy, r = 0.0, 0.0, THIN_M[min(k, len(THIN_M) - 1)]
+        if k >= len(THIN_M):
+            state ^= state << np.uint64(13)
+            state ^= state >> np.uint64(7)
+            state ^= state << np.uint64(17)
+            i, j = state % np.uint64(n), (state >> np.uint64(20)) % np.uint64(n)
+            cx, cy, r = _through(u, v, i, j, (state >> np.uint64(40)) % np.uint64(n))
+        if SHAFT_M[0] <= r <= SHAFT_M[1] and cx * cx + cy * cy <= CENTRE_M**2:
+            value = _circle_value(u, v, bit, cx, cy, r)
+            if value > best:
+                best, bx, by, br = value, cx, cy, r
+    cx, cy, r = _fitted(u, v, bx, by, br)
+    return (cx, cy, r) if _circle_value(u, v, bit, cx, cy, r) >= best else (bx, by, br)
+
+
+@njit(cache=True)
+def _round(h, x, y, out):
+    """Write what the shaft with the best circle is like."""
+    cx, cy, r = _best_circle(h, x, y)
+    least, most, outer = _shell(r)
+    d, level, held = np.empty(len(h)), np.empty(len(h), np.int64), np.zeros((4, BINS))
+    for k in range(len(h)):
+        x[k], y[k], level[k] = x[k] - cx, y[k] - cy, int(h[k] / BIN_M)
+        d[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
+        if d[k] <= outer:
+            held[2 if d[k] > most else (1 if d[k] < least else 0), level[k]] += 1
+        if d[k] <= most:
+            held[3, level[k]] += d[k]
+    on, inside, beside = held[0], held[1], held[2]
+    flags, column = np.zeros(BINS, np.bool_), np.zeros(BINS, np.bool_)
+    for b in range(BINS):
+        column[b] = on[b] + inside[b] > 0
+        flags[b] = on[b] > 0 and inside[b] <= CLEAN * on[b] and beside[b] <= CLEAN * on[b]
+    low, high = longest_run(flags, np.int64(1))
+    clean = (high - low) * BIN_M
+    if high == low:
+        low, high = longest_run(column, np.int64(1))
+    own, within, around = _sum(on, low, high), _sum(inside, low, high), _sum(beside, low, high)
+    bins, wide = max(high - low, 1), max(r, 0.05)
+    out[0], out[1], out[2] = r, clean, own / max(own + within + around, 1.0)
+    above = min(high + 3, BINS)
+    head = _sum(on, high, above) + _sum(inside, high, above)
+    out[5] = head / max((own + within) / bins, 1.0)
+    out[6], out[7] = math.log1p(own / (bins * BIN_M)), clean / (2 * r)
+    arc, mean = np.uint64(0), np.empty(BINS)
+    for k in range(len(h)):
+        if low <= level[k] < high and least <= d[k] <= most:
+            arc |= np.uint64(1) << np.uint64(_arc_of(x[k], y[k]))
+    out[3], n = set_bits(arc) / ARCS, 0
+    for b in range(low, high):
+        if on[b] + inside[b] >= 2:
+            mean[n] = held[3, b] / (on[b] + inside[b])
+            n += 1
+    out[4] = _spread_of(mean, n) / wide
+    _across(x, y, d, level, (low, high), most, out[8:])
+    out[8] /= 2 * max(r, 0.03) if out[9] >= 0 else 1.0
+
+
+@njit(cache=True)
+def _spread_of(values, n):
+    """Standard deviation of the first n numbers."""
+    mean, square = _sum(values, 0, n) / max(n, 1), 0.0
+    for k in range(n):
+        square += (values[k] - mean) ** 2
+    return math.sqrt(square / max(n, 1))
+
+
+@njit(cache=True)
+def _across(x, y, d, level, run, reach, out):
+    """Write the median and the relative spread of the width of the bins across the view."""
+    low, high = run
+    u, v = 0.0, 0.0
+    for k in range(len(d)):
+        if low <= level[k] < high and 1e-6 < d[k] <= reach:
+            u, v = u + x[k] / d[k], v + y[k] / d[k]
+    length = max(math.sqrt(u * u + v * v), 1e-9)
+    first, last, count = np.full(BINS, np.inf), np.full(BINS, -np.inf), np.zeros(BINS)
+    for k in range(len(d)):
+        if low <= level[k] < high and d[k] <= reach:
+            side, b = (u * y[k] - v * x[k]) / length, level[k]
+            first[b], last[b], count[b] = min(first[b], side), max(last[b], side), count[b] + 1
+    wide, n = np.empty(BINS), 0
+    for b in range(low, high):
+        if count[b] >= 3:
+            wide[n] = (last[b] - first[b]) * (count[b] + 1) / (count[b] - 1)
+            n += 1
+    out[0], out[1] = -1.0, -1.0
+    if n:
+        out[1] = _spread_of(wide, n) / max(_sum(wide, 0, n) / n, 0.02)
+        out[0] = median(wide, n)
+
+
+def describe_rounds(where, axes):
+    """Return the features (k, len(ROUND_NAMES)) of the round shaft at each axis (k, 5 or more).
+
+    ``where`` as of :func:`describe`.
+    """
+    out = np.zeros((len(axes), len(ROUND_NAMES)))
+    in_threads(_rounds, len(axes), *where, np.ascontiguousarray(axes[:, :5]), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _rounds(begin, end, points, height, start, base, axes, out):
+    """Write the features of the axes from ``begin`` to ``end``."""
+    for c in range(begin, end):
+        ax, ay, lx, ly, at = axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3], axes[c, 4]
+        near, n = near_axis(points, start, base, ax, ay, SEEN_M + 0.3), 0
+        x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+        for i in near:
+            if 0.1 < height[i] < BINS * BIN_M:
+                x[n] = points[i, 0] - ax - lx * (height[i] - at)
+                y[n] = points[i, 1] - ay - ly * (height[i] - at)
+                h[n] = height[i]
+                n += x[n] * x[n] + y[n] * y[n] < SEEN_M**2
+        if n >= 3:
+            _round(h[:n], x[:n], y[:n], out[c])
+
+
 def describe_facades(points, height, axes):
     """Return the features (k, 4) of candidates from points (n, 3), their height, and axes."""
     found = rows(tall_cells(points, height))

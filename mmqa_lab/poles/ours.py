@@ -31,12 +31,14 @@ from mmqa_lab.poles.features import (
     MAX_LEAN,
     NAMES,
     REACH_M,
+    ROUND_NAMES,
     candidates,
     describe,
     describe_facades,
+    describe_rounds,
 )
 
-FEATURES = NAMES + FACADE_NAMES + on_lines.STACK_NAMES + on_lines.RAY_NAMES
+FEATURES = NAMES + FACADE_NAMES + on_lines.STACK_NAMES + on_lines.RAY_NAMES + ROUND_NAMES
 """Of a candidate; those of stacks and rays on scan lines are -1 where there are no lines."""
 
 WIDEST_M = 0.45
@@ -138,6 +140,7 @@ def described(points, settings, *, lines=None):
     where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
     features, axes = describe(where, xy, given)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
+    shafts = describe_rounds(where, axes)
     features = np.column_stack([features, describe_facades(thin, height, axes)])
     evidence = np.full((len(xy), len(on_lines.STACK_NAMES + on_lines.RAY_NAMES)), -1.0)
     if stacks is not None:
@@ -146,7 +149,7 @@ def described(points, settings, *, lines=None):
         longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
         axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(np.column_stack([features, evidence]), 5), axes, level
+    return np.round(np.column_stack([features, evidence, shafts]), 5), axes, level
 
 
 def _measure(points, lines, table, radius):
