@@ -161,5 +161,7 @@ def test_a_pole_along_all_lying_pairs_leaves_their_width_unmeasured(pixel_mm):
     there = chart_image.locate(grey(shot.image), CHART)
     quality = chart_image.evaluate_image(shot.linear, CHART, there)
     assert np.isnan(quality.resolution("v").width_mm)
-    assert "w is not measurable in direction v: line pairs are hidden" in quality.remarks
+    assert any(
+        "not measurable in direction v: line pairs are hid" in one for one in quality.remarks
+    )
     assert abs(shot.steps(CHART, quality.resolution("h").width_mm, "h")) <= 1

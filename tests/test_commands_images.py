@@ -94,7 +94,7 @@ def test_a_wrong_layout_is_doubted(photo, capsys, tmp_path):
     call = ["image", str(folder / "photo.png"), "--chart", str(tmp_path / "other.json")]
     assert main([*call, "--corners", corners, "--json"]) == 0
     remark = json.loads(capsys.readouterr().out)[0]["remark"]
-    assert "not even the coarsest line pairs are resolved in direction h" in remark
+    assert "in direction h: line pairs are hidden or not those of the layout" in remark
 
 
 IMAGE_FAULTS = {

@@ -201,6 +201,7 @@ class ImageQuality(Shown):
             refused = f"not even the coarsest line pairs are resolved in direction {direction}"
             if direction in set(hidden["direction"]):
                 refused = f"w is not measurable in direction {direction}: line pairs are hidden"
+                refused += " or not those of the layout"
             doubts[refused] = bool(np.isnan(self.resolution(direction).width_mm))
         doubts[f"hidden: {', '.join(hidden['name'])}"] = len(hidden) > 0
         # blurred pairs are half white, half black in linear light only

@@ -254,10 +254,9 @@ def study(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             results[names] = lhd(test, model, **choices)
-            moved = match_displaced(test, model, radius=radius).displacement
-            if np.isnan(moved.vector).any():
+            displacements[names] = match_displaced(test, model, radius=radius).displacement
+            if np.isnan(displacements[names].vector).any():
                 warnings.warn("No displacement: too few lines agree on one.", stacklevel=2)
-            displacements[names] = moved
         for said in caught:
             warnings.warn(f"{'-'.join(names)}: {said.message}", stacklevel=2)
     edges = {name: found for name, found in edges.items() if found is not None}

@@ -254,7 +254,8 @@ class _DriftField:
                 known[cell] = self.set(DRIFTS_M[cell[0]], NOISES_M[cell[1]])
             return known[cell]
 
-        here = _nearest(DRIFTS_M, drift), _nearest(NOISES_M, noise)
+        grids = DRIFTS_M / drift, NOISES_M / noise
+        here = tuple(int(np.argmin(np.abs(np.log(grid)))) for grid in grids)
         while True:
             around = [
                 (here[0] + i, here[1] + j) for i, j in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
@@ -361,10 +362,6 @@ def _least_squares(seen):
 def _evenly(n, most=FIELD_PAIRS):
     """Indices of at most so many of n, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))
-
-
-def _nearest(grid, value):
-    return int(np.argmin(np.abs(np.log(grid / value))))
 
 
 class _Search(NamedTuple):
@@ -582,9 +579,8 @@ def _hypotheses(lines, radius, most):
     right = np.einsum("nkd,nk->nd", seen.frame, seen.offset)
     a, b = np.random.default_rng(0).integers(len(lines), size=(2, 8 * most))
     apart = (lines.rows[a] != lines.rows[b]) & (lines.columns[a] != lines.columns[b])
+    apart &= np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
     a, b = a[apart], b[apart]
-    near = np.linalg.norm(seen.place[a] - seen.place[b], axis=1) < NEAR_M
-    a, b = a[near], b[near]
     crossing = np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
     a, b = a[crossing][:most], b[crossing][:most]
     shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]

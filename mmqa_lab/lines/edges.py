@@ -47,7 +47,7 @@ class Edges(Shown):
         n edges, m.
     covariance : array, shape (n, 2, 3, 3)
         Of both ends, square metres: across the edge from the planes, along it from the distances
-        and the noise of the points beside it.
+        and the noise of the points beside it, or from a third plane.
     support : array of int, shape (n, 2)
         Points of either plane beside the edge and clear of the other plane.
     angle : array, shape (n,)

@@ -209,8 +209,7 @@ def usual_size(points):
 def _points_per_cell(start):
     """Points that a cell of a surface has on average, empty cells of the surface included.
 
-    A surface with x points per cell shows x / (1 - exp(-x)) per occupied cell. ``start`` are the
-    bounds of the occupied cells.
+    A surface with x points per cell shows x / (1 - exp(-x)) in those that ``start`` bounds.
     """
     seen = np.median(np.diff(start)[:: max(1, len(start) // 100_000)])
     mean = max(float(np.diff(start).mean()), 1.0 + 1e-9) if seen < 3 else seen
@@ -542,7 +541,7 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
     for s in range(len(seeds)):
         plane, size, n = pieces[s], 0, 0
         for turn in range(PASSES):
-            grown[:] = plane
+            _copy(plane, grown)
             n = _grow(grid, owner, seeds[s], grown, tolerance, turn == 0, mark, desk)
             mark += 1
             if n < least[1] or moments[0] < least[0]:
@@ -551,15 +550,23 @@ def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
             if turn and n <= size:
                 break
             size = n
-            plane[:] = grown
+            _copy(grown, plane)
         if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
             continue
         _own(grid, owner, queue[:n], plane[0], plane[1], tolerance, first + found)
         for k in range(n):
             taken.append((queue[k], first + found))
-        planes[found] = plane
+        _copy(plane, planes[found])
         found += 1
     return planes[:found], _rows(taken, 2).T
+
+
+@numba.njit(cache=True)
+def _copy(values, into):
+    """Write an array into another one; slices take three seconds longer to compile."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
 
 
 @numba.njit(cache=True)
