@@ -309,8 +309,7 @@ def lens_fits(distance, along, values, angle, *, order=1, gap=np.inf):
     few = _spread_out(len(distance), LENS_PIXELS)
     gap = gap[few] if np.ndim(gap) else gap
     pixels = distance[few], along[few], values[few], angle
-    names = (*LENSES, "isogaussian")
-    return [fit_pixels(*pixels, order=order, gap=gap, method=name) for name in names]
+    return [fit_pixels(*pixels, order=order, gap=gap, method=one) for one in (*LENSES, METHODS[0])]
 
 
 def one_lens(edges):

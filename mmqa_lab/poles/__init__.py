@@ -219,9 +219,7 @@ def _within(cloud, trajectory, corridor, usual):
         points = points[inside]
         if len(cloud) and not len(points):
             said = f"No point lies within the corridor of {reach:g} m about the trajectory."
-            warnings.warn(
-                f"{said} It must pass them nearer, or the corridor be wider.", stacklevel=3
-            )
+            warnings.warn(said, stacklevel=3)
     return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
 
 
