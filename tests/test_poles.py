@@ -493,7 +493,8 @@ def test_candidates_without_lines_have_no_stack(street):
     _, cloud, _ = street
     local = cloud.points - np.floor(cloud.points.min(axis=0))
     values, _, _ = ours.described(local, ours.Settings())
-    assert (values[:, len(features.NAMES + features.FACADE_NAMES) :] == -1).all()
+    first = len(features.NAMES + features.FACADE_NAMES)
+    assert (values[:, first : -len(features.ROUND_NAMES)] == -1).all()
 
 
 def fans(depth_of, *, step=0.003, scanner=(3.0, -2.0)):
