@@ -5,16 +5,12 @@ Many candidates, features of the whole surroundings, a learned verdict.
 Works without scan lines: the cloud is thinned, columns that have points over many heights become
 candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
 stands around it (``features``), on scan lines also by how its points stack up and by the rays that
-it stops (``on_lines``), and small decision trees, trained on simulated streets alone, give the
+it stops (``on_lines``), and small decision trees, trained on simulated scenes alone, give the
 probability that it is a pole.
 
-The trees stand in ``model.txt`` in the text format of LightGBM. They were grown on 240 simulated
-streets (393,102 candidates, 50,671 of them poles) by the histogram gradient boosting of
-scikit-learn and written in this format once; ``python -m mmqa_lab.studies.poles_training FOLDER``
-grows new ones on the same streets.
-
-Classes come from small decision trees too, ``classes.txt``, trained on simulated streets alone; the
-same program grows them.
+The trees stand in ``model.txt`` in the text format of LightGBM, those of the classes in
+``classes.txt``. They were grown on 252 simulated streets and yards (452,987 candidates, 78,032 of
+them poles) by ``python -m mmqa_lab.studies.poles_training FOLDER``.
 """
 
 from dataclasses import dataclass
