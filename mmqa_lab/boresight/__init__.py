@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
+from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_choice, check_count, check_points, check_positive
 from mmqa_lab._results import Shown
@@ -185,6 +186,7 @@ def calibrate(
     rounds: int = 2,
     path_std_m: ArrayLike | None = None,
     path_std_deg: ArrayLike | None = None,
+    progress: bool = False,
 ) -> Calibration:
     """Estimate boresight and lever arm of every head from planes and poles seen several times.
 
@@ -225,6 +227,8 @@ def calibrate(
         roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. Where neither is
         given, usual ones do (``USUAL_PATH_STD``), larger by as much as the drives disagree more
         than these explain, and the result says so.
+    progress : bool
+        Show a bar.
 
     Returns
     -------
@@ -273,7 +277,8 @@ def calibrate(
     origin = drives[0][0].points.mean(axis=0).round()
     rng = np.random.default_rng(seed)
     values = np.zeros((len(lever), len(PARAMETERS)))
-    for _ in range(check_count(rounds, "rounds")):
+    turns = range(check_count(rounds, "rounds"))
+    for _ in tqdm(turns, unit="round", disable=not progress):
         chosen, placed, groups = sampled(drives, lever, origin, values, rng)
         features = shared_planes(
             placed, groups, cell=cell, most=patches, roughness=roughness, rng=rng

@@ -317,6 +317,7 @@ def calibrate_(options):
         keep=keep,
         cell=options.cell,
         patches=options.patches,
+        progress=sys.stderr.isatty(),
         path_std_m=path_std[0],
         path_std_deg=path_std[1],
     )

@@ -237,10 +237,12 @@ def fit(*, seed: int, candidates: int, repeats: int) -> tuple[pd.DataFrame, pd.D
     passes : DataFrame
         Of :func:`measure`, with ``fit``.
     """
+    from tqdm.auto import tqdm
+
     judges = {"A": closed_form, "B": partial(simulated, "B", seed), "C": partial(resampled, seed)}
     fresh = seed + 1000 + np.arange(check_count(repeats, "repeats"))
     rows, passes = [], []
-    for system, name, bounds in FITS:
+    for system, name, bounds in tqdm(FITS, unit="fit"):
         target = table_2().query("system == @system")
         count = CLOSED_FORM_CANDIDATES if system == "A" else check_count(candidates, "candidates")
         best, misfit = search(judges[system], bounds, target, seed=seed, candidates=count)
