@@ -54,7 +54,10 @@ def folder(tmp_path_factory):
     )
     shifts = [*np.random.default_rng(1).uniform(0.1, 0.3, 12), 40]  # the last has no partner
     for name, share in (("model", 0), ("course", 1)):
-        ends = [(10 * k, share * y, 0, 10 * k, share * y, 6) for k, y in enumerate(shifts)]
+        ends = [
+            (10 * k, share * y, 0, 10 * k + 6 * (k % 2), share * y, 6 * (1 - k % 2))
+            for k, y in enumerate(shifts)
+        ]
         np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
     turn = np.arange(60) * 2.4
     post = np.stack([5 + 0.05 * np.cos(turn), 5 + 0.05 * np.sin(turn), turn / 48], axis=1)

@@ -256,7 +256,8 @@ def study(
             results[names] = lhd(test, model, **choices)
             displacements[names] = match_displaced(test, model, radius=radius).displacement
             if np.isnan(displacements[names].vector).any():
-                warnings.warn("No displacement: too few lines agree on one.", stacklevel=2)
+                said = "No displacement: too few lines, or lines of one direction, agree on one."
+                warnings.warn(said, stacklevel=2)
         for said in caught:
             warnings.warn(f"{'-'.join(names)}: {said.message}", stacklevel=2)
     edges = {name: found for name, found in edges.items() if found is not None}
