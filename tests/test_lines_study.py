@@ -57,6 +57,16 @@ def test_the_tables_are_those_of_each_comparison(found, scene):
         assert rows["rate_percent"].iloc[1] == pytest.approx(100 * (1 - wrong))
 
 
+def test_a_distance_of_few_pairs_is_said(scene):
+    near = scene.surveys["C1"].segments
+    far = near.moved([0.0, 0.0, 1.5])  # most lines lose their partner, a few find another one
+    with pytest.warns(UserWarning, match=r"The distance is that of \d+% of the length"):
+        found = lines.study({"C1": near}, reference=far)
+    frame = found.to_frame()
+    assert frame["coverage"].min() < 0.5
+    assert frame["olhd_m"].min() < 1.0  # though all lines are 1.5 m off
+
+
 def test_every_pair_has_one_verdict(found, scene):
     verdicts = found.verdicts("C1", "TLS")["verdict"].value_counts()
     truth, pairs = scene.pairs("C1", "TLS"), found.results["C1", "TLS"].test_model.pairs

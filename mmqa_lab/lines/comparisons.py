@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LINE_ENDINGS = (".csv", ".txt", ".geojson", ".json", ".dxf")
+LEAST_COVERAGE = 0.5
+"""Share of the length of the lines that has a partner, below which a distance says little."""
+
 TRUTH_COLUMNS = ["test_set", "model_set", "test_segment", "model_segment"]
 VERDICTS = {
     "right": "#009E73",
@@ -258,6 +261,13 @@ def study(
             if np.isnan(displacements[names].vector).any():
                 said = "No displacement: too few lines, or lines of one direction, agree on one."
                 warnings.warn(said, stacklevel=2)
+            ways = results[names].test_model, results[names].model_test
+            paired = min(way.coverage for way in ways)
+            if paired < LEAST_COVERAGE:
+                said = (
+                    f"The distance is that of {paired:.0%} of the length of the lines; the others"
+                )
+                warnings.warn(f"{said} have no partner within the threshold.", stacklevel=2)
         for said in caught:
             warnings.warn(f"{'-'.join(names)}: {said.message}", stacklevel=2)
     edges = {name: found for name, found in edges.items() if found is not None}
