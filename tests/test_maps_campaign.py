@@ -21,6 +21,7 @@ import pytest
 from mmqa_lab import maps, samples
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
+from mmqa_lab.maps import campaign
 from mmqa_lab.maps.campaign import _started, corner, fitting_tile, read_source
 from mmqa_lab.maps.tile import evaluate_tile
 
@@ -312,6 +313,7 @@ def test_no_scheduler_is_one_sentence(street, tmp_path, monkeypatch):
     import distributed  # noqa: F401 - its settings would be lost with the one below
 
     folder, *_ = street
+    monkeypatch.setattr(campaign, "ANSWERS_S", 2)
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
         pytest.raises(OSError, match=r"Invalid scheduler tcp://127\.0\.0\.1:1\. Must be a run"),

@@ -398,7 +398,7 @@ def _processes(workers):
     with (
         dask.config.set(one),
         LocalCluster(n_workers=workers, threads_per_worker=1, **quiet) as cluster,
-        Client(cluster) as client,
+        Client(cluster, timeout=600) as client,  # it runs, however slowly it starts
     ):
         yield client
 

@@ -45,6 +45,9 @@ COMFORTABLE = 1_500_000
 
 WIDEST_M, NARROWEST_M = 128.0, 4.0
 
+ANSWERS_S = 30
+"""A scheduler that does not answer for so long is not running."""
+
 SPAWN = "distributed.nanny.pre-spawn-environ."
 KEEP_MEMORY = {
     f"{SPAWN}MALLOC_TRIM_THRESHOLD_": 2**30,
@@ -636,12 +639,14 @@ def _started(count, scheduler):
 
     quiet = {"memory_limit": 0, "dashboard_address": ":0", "silence_logs": logging.ERROR}
     with contextlib.ExitStack() as stack:
+        patience_s = ANSWERS_S
         if scheduler is None:
+            patience_s = 600  # it runs, however slowly it starts
             stack.enter_context(dask.config.set(KEEP_MEMORY))
             cluster = LocalCluster(n_workers=count, threads_per_worker=1, **quiet)
             scheduler = stack.enter_context(cluster)
         try:
-            client = stack.enter_context(Client(scheduler, timeout=10))
+            client = stack.enter_context(Client(scheduler, timeout=patience_s))
         except (OSError, ValueError) as error:
             raise OSError(f"Invalid scheduler {scheduler}. Must be a running one.") from error
         yield lambda function, tasks: _there(client, function, tasks)
