@@ -186,9 +186,7 @@ class LHD(Shown):
         larger = max(sides, key=lambda side: side.olhd(self.weight))
         n = len(np.unique(larger.source))
         ends = np.quantile(larger.resampled(self.weight, REPEATS, rng), ENDS)
-        # as wide as Student's t asks for where a bootstrap of few takes the normal's quantile
-        wider = stdtrit(n - 1, ENDS[1]) / ndtri(ENDS[1]) * np.sqrt(n / (n - 1))
-        low, high = self.value + wider * (ends - self.value)
+        low, high = _widened(ends, self.value, n)
         return max(float(low), 0.0), float(high)
 
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
@@ -208,7 +206,8 @@ class LHD(Shown):
         columns = self._parts(side, np.asarray(truth))
         if columns is None:
             columns = np.full((1, len(PARTS)), np.nan)
-        low, high = np.quantile(columns, ENDS, axis=0)
+        n = len(np.unique(side.source))
+        low, high = _widened(np.quantile(columns, ENDS, axis=0), columns[0], n)
         found = {"part": PARTS, "value_m": columns[0], "low_m": low, "high_m": high}
         return pd.DataFrame(found)
 
@@ -343,6 +342,12 @@ def hausdorff(test: Segments, model: Segments, **choices) -> float:
     if not there.size:
         return np.nan
     return float(max(there.min(axis=1).max(), back.min(axis=1).max()))
+
+
+def _widened(ends, value, n):
+    """Ends as wide as Student's t asks for where a bootstrap of n takes the normal's quantile."""
+    wider = stdtrit(n - 1, ENDS[1]) / ndtri(ENDS[1]) * np.sqrt(n / (n - 1)) if n > 1 else np.nan
+    return value + wider * (ends - value)
 
 
 def lhd(
