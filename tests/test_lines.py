@@ -122,9 +122,15 @@ def test_any_overlap_has_no_parallel_distance():
     assert components(test, model, within="overlap").parallel.item() == 0.0
 
 
-ENDS = arrays(np.float64, (6, 2, 3), elements=st.floats(-50, 50, allow_nan=False, width=32)).filter(
-    lambda ends: (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.1).all()
-)
+def lengthened(ends):
+    """Segments, those shorter than 0.1 m made 1 m long."""
+    short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) <= 0.1
+    ends[short, 1] = ends[short, 0] + [1.0, 0.0, 0.0]
+    return ends
+
+
+ENDS = arrays(np.float64, (6, 2, 3), elements=st.floats(-50, 50, allow_nan=False, width=32))
+ENDS = ENDS.map(lengthened)
 
 
 @settings(max_examples=40, deadline=None)
