@@ -11,8 +11,6 @@ from mmqa_lab.planes import fit_circle
 from mmqa_lab.poles import common, features, fgi, itc, on_lines, ours
 from mmqa_lab.simulate import streets
 
-SPACING = 0.02
-
 
 def post(x, y, *, radius=0.05, height=3.0, low=0.0, line=0):
     """Front half of a post: a scan line every 0.1 m of height, points every 1.5 cm."""
