@@ -214,7 +214,8 @@ def write_site(folder, *, systems="ABC", seed=1, images=True):
         for distance in DISTANCES:
             drive = make_drive(distance, seed=seed + 1000 * ord(system))
             place = folder / system / f"drive_{distance:02.0f}m"
-            times = np.arange(drive.reported.time[0], drive.reported.time[-1], 0.05)
+            first, last = drive.reported.time[[0, -1]]
+            times = np.append(np.arange(first, last, 0.05), last)
             write_atomically(place / "trajectory.csv", _table(drive.reported, times))
             _write_control(place, drive, seed)
             cloud = drive_cloud(VEHICLES[system], drive, boards, seed=seed)

@@ -23,8 +23,11 @@ from mmqa_lab.tender.site import doubt, find_drives
 AROUND_M = 0.5
 """Points so far beyond a board's corners are kept with it."""
 
-SPEED_REACH_M = 50.0
-"""So far before and after the board along the path a drive tells how its speed wanders."""
+PATH_REACH_M = 50.0
+"""So far before and after the board a drive tells how its speed and its heights wander."""
+
+DRAWS = 20
+"""Other heights of the path that are tried."""
 
 FIGURES = {
     "density": "density_per_m2",
@@ -142,24 +145,24 @@ def _cloud_rows(drive, site, done):
         about = {"board": board.board, "view": view, "n": quality.n, "offset_mm": offset}
         done.clouds.append((drive, about, quality))
         if view == ALONG:
-            by_speed = _by_speed(drive, part, polygon, quality, done)
-            rows += _cloud_figures(drive, quality, by_speed, part.resolution)
+            by_path = _by_path(drive, part, polygon, quality, done)
+            rows += _cloud_figures(drive, quality, by_path, part.resolution)
             for remark in quality.remarks:
                 done.say(drive.name, f"Board {board.board!r}: {remark}")
     return rows
 
 
-def _cloud_figures(drive, quality, by_speed, step):
-    """A row for each figure that criteria may name; intervals of the pattern and of the speed.
+def _cloud_figures(drive, quality, by_path, step):
+    """A row for each figure that criteria may name; intervals of the pattern and of the path.
 
     Distances are not known better than to half a step of the stored coordinates.
     """
     table = quality.intervals().set_index("figure")
-    reach = by_speed.reindex(table.index, fill_value=0.0)
+    reach = by_path.reindex(table.index, fill_value=0.0)
     least = 500 * np.nan_to_num(step) * table.index.str.fullmatch(r"d\d")
     for end, sign in (("low", -1), ("high", 1)):
         away = np.hypot(table[end] - table["value"], reach)
-        table[end] = table["value"] + sign * np.maximum(away, least)
+        table[end] = np.maximum(table["value"] + sign * np.maximum(away, least), 0)
     place = {"system": drive.system, "distance_m": drive.distance_m, "view": "", "direction": ""}
     place |= doubt(drive, ALONG)
     return [
@@ -168,26 +171,29 @@ def _cloud_figures(drive, quality, by_speed, step):
     ]
 
 
-def _by_speed(drive, cloud, polygon, quality, done):
-    """How far each figure moves with the speed, by 1.96 standard deviations.
+def _by_path(drive, cloud, polygon, quality, done):
+    """How far each figure moves with speed and heights of the path, by 1.96 standard deviations.
 
     The points are shifted along the path to where a slightly faster and slower drive would have
-    laid them, and the larger change counts; what one image pair gives at once stays as it is.
+    laid them, and the larger change counts; then up and down, as lines of each moment are where the
+    path's heights wander otherwise. What one image pair gives at once stays as it is.
     """
-    path = drive.path
+    path, board = drive.path, polygon.mean(axis=0)
     if "gps_time" not in cloud:
-        done.say(drive.name, "The cloud has no times: its intervals are without the speed's part.")
+        done.say(drive.name, "The cloud has no times: its intervals are without the path's part.")
         return pd.Series(dtype=float)
     time = cloud["gps_time"]
     if time.min() < path["time_s"].min() or time.max() > path["time_s"].max():
-        done.say(drive.name, "The cloud's times are not the trajectory's: no part of the speed.")
+        done.say(drive.name, "The cloud's times are not the trajectory's: no part of the path.")
+        return pd.Series(dtype=float)
+    if time.min() == time.max():
         return pd.Series(dtype=float)
     at = np.column_stack([np.interp(time, path["time_s"], path[name]) for name in PLACE])
-    shift = COVERAGE * speed_share(path, polygon.mean(axis=0)) * (at - at.mean(axis=0))
-    here = _values(quality)
-    moved = (cloud.points - shift, cloud.points + shift)
-    away = [(_values(evaluate_cloud(p, polygon=polygon)) - here).abs() for p in moved]
-    return np.fmax(*away)
+    faster = COVERAGE * speed_share(path, board) * (at - at.mean(axis=0))
+    shifts = (faster, -faster, *_risings(path, board, time))
+    moved = [_values(evaluate_cloud(cloud.points + s, polygon=polygon)) for s in shifts]
+    away = pd.DataFrame(moved) - _values(quality)
+    return np.hypot(away.iloc[:2].abs().max(), COVERAGE * np.sqrt((away.iloc[2:] ** 2).mean()))
 
 
 def _values(quality):
@@ -197,13 +203,38 @@ def _values(quality):
 
 def speed_share(path, board):
     """Standard deviation of the speed over lengths of a board (1 m), as a share of its mean."""
+    pace = np.diff(_by_metres(path, board)["time_s"])
+    return float(pace.std(ddof=1) / pace.mean())
+
+
+def _by_metres(path, board):
+    """A path at each metre around a board."""
     places = path[PLACE].to_numpy()
     travel = places[-1] - places[0]
     along = (places - board) @ (travel / np.linalg.norm(travel))
     along = np.maximum.accumulate(along)
-    ends = max(along[0], -SPEED_REACH_M), min(along[-1], SPEED_REACH_M)
-    pace = np.diff(np.interp(np.arange(*ends), along, path["time_s"]))
-    return float(pace.std(ddof=1) / pace.mean())
+    ends = max(along[0], -PATH_REACH_M), min(along[-1], PATH_REACH_M)
+    metres = np.arange(*ends)
+    return {name: np.interp(metres, along, path[name]) for name in ("time_s", PLACE[2])}
+
+
+def _risings(path, board, time):
+    """How far up points of each time lie if the heights of the path wander otherwise, metres.
+
+    Drawn with the spectrum of the height's own steps (surrogate data); their mean, which slope and
+    mounting share with slow errors, strays about its own as the slowest waves do.
+    """
+    time_s, height = _by_metres(path, board).values()
+    waves = np.fft.rfft(np.diff(height))
+    size = np.abs(waves) / np.sqrt(2)
+    size[0] = np.sqrt(2) * size[1:4].mean()
+    rng = np.random.default_rng(0)
+    for _ in range(DRAWS):
+        drawn = size * (rng.standard_normal((2, len(size))).T @ [1, 1j])
+        drawn[0] += waves[0]
+        other = np.cumsum(np.fft.irfft(drawn, len(height) - 1))
+        up = np.interp(time, time_s[1:], other - (height[1:] - height[0]))
+        yield np.outer(up - up.mean(), [0, 0, 1])
 
 
 def _control_rows(drive, site, done):
