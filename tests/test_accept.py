@@ -17,7 +17,7 @@ from mmqa_lab.chart_image.placing import find_markers, map_of_markers
 from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
 from mmqa_lab.simulate import site as simulated
 from mmqa_lab.tender import photographs, published_criteria
-from mmqa_lab.tender.acceptance import accept, speed_share
+from mmqa_lab.tender.acceptance import _risings, accept, speed_share
 from mmqa_lab.tender.site import read_site
 
 CRITERIA = {"test": published_criteria("test")}
@@ -333,6 +333,23 @@ def test_intervals_of_clouds_have_the_part_of_the_speed(done):
     pace = np.array([0.1] * 50 + [0.04] * 49)  # half of it at 10, half at 25 m/s
     found = speed_share(steady, np.array([0.0, 50.0, 0.0]))
     assert found == pytest.approx(pace.std(ddof=1) / pace.mean(), rel=1e-6)
+
+
+def test_other_heights_of_a_path_wander_as_much_and_keep_its_slope():
+    north, board = np.arange(101.0), np.array([0.0, 50.0, 0.0])
+    path = pd.DataFrame({"easting_m": 0.0, "northing_m": north, "time_s": north / 10})
+    times = np.arange(1.0, 10)  # 10 m apart
+    slope = 0.03 * north
+    for up in _risings(path.assign(height_m=slope), board, times):
+        assert up == pytest.approx(0, abs=1e-9)
+    rng, squares = np.random.default_rng(1), []
+    for _ in range(100):
+        walk = np.cumsum(rng.normal(0, 0.001, len(north)))  # 1 mm a metre
+        for up in _risings(path.assign(height_m=slope + walk), board, times):
+            squares += list(np.diff(up[:, 2]) ** 2)
+    # a walk less another has twice the variance of its 10 steps; but one mean of 99 steps is drawn
+    expected = 10 * 0.001**2 * (2 * (1 - 10 / 99) + 10 / 99)
+    assert np.mean(squares) == pytest.approx(expected, rel=0.1)
 
 
 def test_control_points_differ_by_what_the_navigation_is_off(done, bare):
