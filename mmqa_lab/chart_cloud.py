@@ -77,8 +77,9 @@ chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge
 more than twice the assumed error of a click. The paper prints neither size: they are those of
 :func:`mmqa_lab.charts.point_chart`."""
 
-BLOCKS = 4
-"""Blocks along each axis, from which intervals follow."""
+BLOCKS, BLOCKS_OF_STD = 4, 3
+"""Blocks along each axis, from which intervals follow; wider ones for std, which errors of matching
+that reach over 8 cm make too certain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +219,10 @@ class CloudQuality(Shown):
         A grid of 4 x 4 blocks parts the points. sigma_MAD, d1..d4 and the two spacings behind g
         are medians, f and g ratios of two: :func:`mmqa_lab.stats.median_interval` and
         :func:`mmqa_lab.stats.median_ratio_interval`. The density and the variance behind std are
-        means: their standard errors follow from the sums over the blocks, with Student's t. The
-        intervals say what another scan with the same mean pattern would give; the operator's
-        part is :func:`mmqa_lab.repeatability.repeatability`. Those of the density are too
-        wide for regular patterns, whose blocks make up for each other.
+        means: their standard errors follow from the sums over the blocks (3 x 3 for std), with
+        Student's t. The intervals say what another scan with the same mean pattern would give; the
+        operator's part is :func:`mmqa_lab.repeatability.repeatability`. Those of the density are
+        too wide for regular patterns, whose blocks make up for each other.
 
         Examples
         --------
@@ -238,7 +239,7 @@ class CloudQuality(Shown):
         ends = np.multiply(factor, stats.median_interval(off, block))
         rows = [
             ("density", *self._density_interval(), "points/m2"),
-            ("std", self.std_mm, *self._std_interval(block), "mm"),
+            ("std", self.std_mm, *self._std_interval(), "mm"),
             ("sigma_mad", self.sigma_mad_mm, *ends, "mm"),
         ]
         names = ["figure", "value", "low", "high", "unit"]
@@ -340,8 +341,9 @@ class CloudQuality(Shown):
         reach = stats.mean_reach(off, np.arange(len(off))) * len(off) / whole.area
         return density, max(density - reach, 0.0), density + reach
 
-    def _std_interval(self, block):
+    def _std_interval(self):
         """Interval of std, from the sums of squares in the blocks."""
+        block = stats.blocks(self.xy, side=BLOCKS_OF_STD)
         reach = stats.mean_reach((1000 * self.plane.residuals) ** 2, block)
         return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 

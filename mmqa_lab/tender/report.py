@@ -47,7 +47,7 @@ PARAMETERS = {
     "factor of sigma_MAD": f"{CONSISTENT_SCALE:.4f}",
     "density": "of the selected part of the board (section 3.3)",
     "axes of the quadrants": "principal",
-    "a cloud's intervals": "noise and place of the pattern on the board, and by its speed",
+    "a cloud's intervals": "noise and place of the pattern on the board, its speed and heights",
     "least interval of d1 and d4": "half a step of the stored coordinates to either side",
     "fewest points of a board for more than their number": f"{FEWEST_POINTS}",
     "tolerance of a drive's distance (m), our own": "0.5",
@@ -193,7 +193,7 @@ def _lines(done, site):
         "Expected marks follow from the pixels per letter, by thresholds fitted to the marks of "
         "Table 1; no verdict uses them.",
         "Intervals of clouds are for another drive of the system at the same mean speed: they "
-        "contain the pattern's chance on the board and what the speed does as it wanders.",
+        "contain the pattern's chance on the board and how speed and heights of the path wander.",
         "All other figures are measured on the delivered data, after Pfeifer et al. 2021, "
         "doi:10.3390/rs13020237.",
     ]
