@@ -16,7 +16,7 @@ from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED
 from mmqa_lab.chart_image.placing import find_markers, map_of_markers
 from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
 from mmqa_lab.simulate import site as simulated
-from mmqa_lab.tender import photographs, published_criteria
+from mmqa_lab.tender import photographs, published_criteria, report
 from mmqa_lab.tender.acceptance import accept, speed_share
 from mmqa_lab.tender.site import read_site
 
@@ -302,7 +302,10 @@ def test_elements_give_a_photograph_its_mark(tmp_path):
     marks.loc[(marks["juror"] == "two") & (marks["mark"] == "c"), "mark"] = "a"
     found = photographs._jury(photo, marks, note)
     assert found == {"value": "b", "low": 0.0, "high": 1.0}  # raised h by two of three
+    assert report._interval(*found.values()) == "a to b"
     assert (photo.found["because"], photo.found["marks"]) == ("raised h", "abb")
+    photographs._jury(photo, marks[marks["juror"] != "one"], note)
+    assert "Crop 0a: 2 jurors marked one of its elements. Must be 3." in said
     photo.found["crop"] = "0b"
     assert photographs._jury(photo, marks, note) == {}
     assert said[-1] == "Board 'b': the jury did not mark crop 0b."

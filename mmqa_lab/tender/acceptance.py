@@ -96,7 +96,7 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
         rows += image_rows(drive, site, marks, done)
         done.control += _control_rows(drive, site, done)
     if marks is None:
-        done.say("jury", "No marks of a jury: no text is judged. Give them with --marks.")
+        done.say("jury", "No marks of a jury: no text is judged. See mmqa accept --help.")
     elif done.photographs and not any(photo.found["mark"] for photo in done.photographs):
         done.say("jury", "No mark counts for these photographs: are they another delivery's?")
     rows = sorted(_with_gaps(rows, site, done), key=_place)

@@ -40,6 +40,10 @@ NEAR_SHARE = 0.15
 """Share of the distance by which targets alone may misplace a camera."""
 
 
+JURORS = 3
+"""Members of a jury (section 3.2)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Photograph:
     """A board in an image: where, how far, and what was measured."""
@@ -414,6 +418,10 @@ def _jury(photo, marks, done):
     else:
         mark, because = legibility.photo_marks(own.assign(photo=crop)).loc[0, ["mark", "because"]]
     jurors = sorted(own.groupby("juror")["mark"].max())
+    fewest = own.groupby("element")["juror"].nunique().min()
+    if fewest < JURORS:
+        few = f"Crop {crop}: {fewest} jurors marked one of its elements. Must be {JURORS}."
+        done.say(photo.drive.name, few)
     photo.found.update(mark=mark or "", marks="".join(jurors), because=because)
     if mark is None:
         where = f" of {because!r}" if because else ""
