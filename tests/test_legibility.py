@@ -227,14 +227,14 @@ def test_read_texts_counts_letters_and_leaves_symbols_out():
 
 
 def test_a_missing_reader_says_how_to_install_one(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "rapidocr_onnxruntime", None)
+    monkeypatch.setitem(__import__("sys").modules, "rapidocr", None)
     legibility._rapidocr.cache_clear()
-    with pytest.raises(ModuleNotFoundError, match="pip install rapidocr-onnxruntime"):
+    with pytest.raises(ModuleNotFoundError, match="pip install rapidocr onnxruntime"):
         legibility.read_texts([])
 
 
 def test_an_installed_reader_reads_large_texts_and_not_small_ones():
-    pytest.importorskip("rapidocr_onnxruntime")
+    pytest.importorskip("rapidocr")
     legibility._rapidocr.cache_clear()
     marks = {}
     for megapixels in (250, 30):
