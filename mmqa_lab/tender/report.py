@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import laspy
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import scipy
@@ -418,6 +419,7 @@ def _png(figure):
     """A figure as PNG without the program's version."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    plt.close(figure)
     return buffer.getvalue()
 
 
