@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from mmqa_lab._checks import check_columns
 from mmqa_lab.chart_image import evaluate_window, legibility, rules
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
-from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
+from mmqa_lab.chart_image.placing import find_markers, locate
 from mmqa_lab.charts import LinePairs, Marker
 from mmqa_lab.io import read_grey
 from mmqa_lab.io.images import decode, exif_number, image_size, image_tags, read_colours
@@ -232,7 +232,8 @@ def _chosen(drive, images, wanted, camera, done):
         shown = maps.get(board.board, dict.fromkeys(images.index))
         found = _nearest(drive, images, board, distance, shown)
         if found["station"] is None:
-            done.say(drive.name, _nothing_shown(board, found["view"], distance, shown))
+            how = "" if oriented else ", as far as its targets can be found"
+            done.say(drive.name, _nothing_shown(board, found["view"], distance, shown, how))
             continue
         image = images.loc[found["station"]]
         origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
@@ -250,10 +251,10 @@ def _nearest(drive, images, board, distance, shown):
     return rules.choose_images(stations, board.corners, distance=distance, among=among).iloc[0]
 
 
-def _nothing_shown(board, view, distance, shown):
+def _nothing_shown(board, view, distance, shown, how):
     """Why no image counts for a board."""
     if not shown:
-        return f"No image shows the board {board.board!r}."
+        return f"No image shows the board {board.board!r}{how}."
     rule = "from its front" if view == rules.ALONG else f"from {distance:g} m or farther"
     return f"Images that may show the board {board.board!r}: {len(shown)}, none of them {rule}."
 
@@ -297,14 +298,28 @@ def _searched(drive, images, wanted, camera, done):
         except ValueError:  # no board in this image
             continue
         for board, _ in wanted:
-            bent = {"camera": camera, "offset": origin}
-            try:
-                there = map_of_markers(found, board.layout, **bent)
-            except ValueError:  # not in this image
-                continue
-            maps[board.board][index] = there
-            images.loc[index, rules.PLACE] = _camera_place(there, board)
+            there = _located(grey, found, board.layout, camera, origin)
+            if there is not None:
+                maps[board.board][index] = there
+                images.loc[index, rules.PLACE] = _camera_place(there, board)
     return images, maps
+
+
+def _located(grey, found, layout, camera, origin):
+    """The map of a chart around those of its targets that were found; None where it has none."""
+    own = [one for one in layout.of_kind(Marker) if one.identifier in found]
+    if not own:
+        return None
+    seen = np.stack([found[one.identifier] for one in own])
+    reach = layout.width * np.ptp(seen, axis=1).max() / own[0].width
+    first = np.maximum(seen.min(axis=(0, 1)) - reach, 0).astype(int)
+    last = (seen.max(axis=(0, 1)) + reach).astype(int)
+    window = np.ascontiguousarray(grey[first[1] : last[1], first[0] : last[0]])
+    try:
+        there = locate(window, layout, camera=camera, offset=tuple(first + origin))
+    except ValueError:
+        return None
+    return there.within(*-first)
 
 
 def _same_targets(boards):
