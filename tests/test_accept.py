@@ -382,7 +382,7 @@ def test_elements_give_a_photograph_its_mark(tmp_path):
     assert report._interval(*found.values()) == "a to b"
     assert (photo.found["because"], photo.found["marks"]) == ("raised h", "abb")
     photographs._jury(photo, marks[marks["juror"] != "one"], note)
-    assert "Crop 0a: 2 jurors marked one of its elements. Must be 3." in said
+    assert "Crop 0a: an element has 2 of 3 jurors' marks." in said
     photo.found["crop"] = "0b"
     assert photographs._jury(photo, marks, note) == {}
     assert said[-1] == "Board 'b': the jury did not mark crop 0b."

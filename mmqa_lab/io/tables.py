@@ -349,9 +349,10 @@ def read_table(path, name, columns=(), encoding_errors="strict", **choices):
     between columns are read too, then with decimal commas where there are some.
     """
     choices = {"skipinitialspace": True, "encoding_errors": encoding_errors} | choices
-    head, _, rest = check_file(path, name).read_text("utf-8-sig", "replace").partition("\n")
-    if head.count(";") > head.count(","):
-        choices |= {"sep": ";", "decimal": "," if re.search(r"\d,\d", rest) else "."}
+    with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
+        head = file.readline()
+        if head.count(";") > head.count(","):
+            choices |= {"sep": ";", "decimal": "," if re.search(r"\d,\d", file.read()) else "."}
     table = _read_csv(path, name, **choices)
     check_columns(table, columns, f"{name} {path}")
     return table

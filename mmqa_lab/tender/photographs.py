@@ -450,7 +450,7 @@ def _jury(photo, marks, done):
     jurors = sorted(own.groupby("juror")["mark"].max())
     fewest = own.groupby("element")["juror"].nunique().min()
     if fewest < JURORS:
-        few = f"Crop {crop}: {fewest} jurors marked one of its elements. Must be {JURORS}."
+        few = f"Crop {crop}: an element has {fewest} of {JURORS} jurors' marks."
         done.say(photo.drive.name, few)
     photo.found.update(mark=mark or "", marks="".join(jurors), because=because)
     if mark is None:
