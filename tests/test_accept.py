@@ -13,10 +13,11 @@ import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED
-from mmqa_lab.chart_image.placing import find_markers, map_of_markers
+from mmqa_lab.chart_image.placing import find_markers
+from mmqa_lab.charts import Marker
 from mmqa_lab.io import read_cloud, read_trajectory, write_cloud
 from mmqa_lab.simulate import site as simulated
-from mmqa_lab.tender import photographs, published_criteria
+from mmqa_lab.tender import photographs, published_criteria, report
 from mmqa_lab.tender.acceptance import _risings, accept, speed_share
 from mmqa_lab.tender.site import read_site
 
@@ -116,8 +117,10 @@ def test_a_site_without_a_board_is_judged_by_the_others(bare):
     whole = json.loads(file.read_text())
     whole["boards"] = [b for b in whole["boards"] if b["board"] != "point orthogonal"]
     file.write_text(json.dumps(whole))
-    table = judged(bare)[0].verdicts["test"].set_index("criterion")["verdict"]
+    found, said = judged(bare)
+    table = found.verdicts["test"].set_index("criterion")["verdict"]
     assert table["point density"] == "not measured"
+    assert "It has no point chart for the orthogonal view." in said
     whole["boards"] = []
     file.write_text(json.dumps(whole))
     with pytest.raises(ValueError, match="Must have one or more"):
@@ -207,9 +210,13 @@ def test_two_boards_in_one_image_without_orientation_are_told_apart_by_their_tar
     found = find_markers(canvas, list(boards["layout"]))
     position = drive.path.at([time])[0][0]
     for board in boards.itertuples():
-        there = map_of_markers(found, board.layout, camera=vehicle.camera, offset=tuple(low))
+        one = {
+            marker.identifier: found[marker.identifier]
+            for marker in board.layout.of_kind(Marker)[:1]
+        }
+        there = photographs._located(canvas, one, board.layout, vehicle.camera, low)
         place = photographs._camera_place(there, board)
-        assert np.linalg.norm((place - position)[:2]) < 0.3  # targets tell the plan, not the tilt
+        assert np.linalg.norm(place - position) < 0.3  # one target says where the chart is
     cv2.imwrite(str(tmp_path / "both.png"), canvas)
     window = {"first_column": low[0], "first_row": low[1]}
     images = pd.DataFrame([{"file": "both.png", **window}])
@@ -260,13 +267,24 @@ def test_faulty_lists_of_images_are_named(folder, tmp_path):
     table.loc[1, "heading_deg"] = "north"
     table.to_csv(tmp_path / "images.csv", index=False)
     assert photographs._images(here, note).empty
-    assert said[0] == "Image gone.jpg: no such file."
+    assert "gone.jpg: no such file." in str(said[0])
     assert "a number is missing" in said[1]
     table[:0].to_csv(tmp_path / "images.csv", index=False)
     assert photographs._images(here, note).empty
     (tmp_path / "images.csv").write_text("")
     assert photographs._images(here, note).empty
-    assert "no column 'file'" in said[2]
+    assert "Must be rows of columns" in str(said[2])
+    times = table.loc[[1], ["file", "time_s"]]
+    times.to_csv(tmp_path / "images.csv", index=False)
+    here.path = read_trajectory(folder / "A" / "drive_10m" / "trajectory.csv")
+    assert len(photographs._images(here, note)) == 1
+    times.assign(time_s=1e6).to_csv(tmp_path / "images.csv", index=False)
+    assert photographs._images(here, note).empty
+    assert said[3] == "Images with times outside of the path's: 1."
+    image = tmp_path / table.loc[1, "file"]
+    image.write_bytes(image.read_bytes()[:5000])
+    assert photographs._images(here, note).empty
+    assert f"Invalid image {image}" in str(said[4])
 
 
 def test_a_second_drive_at_one_distance_does_not_count(bare):
@@ -276,12 +294,71 @@ def test_a_second_drive_at_one_distance_does_not_count(bare):
     assert "It is 5 m beside the boards, as A/drive_05m is." in said
 
 
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"speed_kmh": "fast"}, "Invalid speed_kmh 'fast'. Must be a number"),
+        ({"distances_m": []}, "boards, distances_m. Must have one or more"),
+        ({"control_points": [[1, 2]]}, "Invalid control_points of shape (1, 2)"),
+        ({"boards": 5}, "Must be a site as JSON"),
+        ({"boards": [{"board": "x", "kind": "point"}]}, "no field 'corners'"),
+        ({"order": [2, 3, 0, 1]}, "must begin lower left, then lower right"),
+        ({"order": [1, 0, 3, 2]}, "The drive passes 5.0 m behind the boards"),
+    ],
+)
+def test_a_wrong_field_of_a_site_gets_one_sentence(bare, capsys, change, sentence):
+    whole = json.loads((bare / "site.json").read_text())
+    order = change.pop("order", range(4))
+    for board in whole["boards"]:
+        board["corners"] = [board["corners"][k] for k in order]
+    (bare / "site.json").write_text(json.dumps(whole | change))
+    assert main(["accept", str(bare)]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_what_a_drive_or_a_list_of_criteria_has_wrong_leaves_the_rest_judged(bare):
+    control, path = (bare / "A" / "drive_05m" / name for name in ("control.csv", "trajectory.csv"))
+    table = pd.read_csv(control)
+    for wrong in (table.assign(point=0), table.assign(easting_m=np.nan)):
+        wrong.to_csv(control, index=False)
+        found, said = judged(bare)
+        assert len(found.control) == 6
+        assert any("Invalid control.csv. Must have point, 1 to 6" in one for one in said)
+    table.to_csv(control, index=False, sep=";", decimal=",")
+    criteria = pd.DataFrame({"criterion": "xyz", "relation": ">=", "threshold": 3}, index=[*"xyz"])
+    criteria["criterion"], criteria["distance_m"] = criteria.index, [5, 7, 5]
+    criteria["quantity"] = ["densty_per_m2", "f", "f"]
+    found = accept(bare, read_site(bare / "site.json"), {"own": criteria})
+    assert len(found.control) == 12
+    said = [row["what"] for row in found.problems if row["where"] == "criteria own"]
+    assert said == ["'x': no figure 'densty_per_m2' at 5 m.", "'y': no figure 'f' at 7 m."]
+    middle = pd.read_csv(path).median()
+    standing = pd.read_csv(path).assign(easting_m=middle.easting_m, northing_m=middle.northing_m)
+    standing.to_csv(path, index=False)
+    found, said = judged(bare)
+    assert [drive.distance_m for drive in found.drives] == [10.0]
+    assert any("0.0 m long. Must be 10 m or more" in one for one in said)
+
+
 def test_marks_of_three_jurors_in_both_forms(folder, tmp_path):
     wide = pd.read_csv(folder / "marks.csv")
     marks = photographs.read_marks(folder / "marks.csv")
     assert len(marks) == 3 * len(wide)
     marks.to_csv(tmp_path / "long.csv", index=False)
     assert photographs.read_marks(tmp_path / "long.csv").equals(marks.reset_index(drop=True))
+    wide.map(lambda cell: f"{cell} ".upper() if cell in "abc" else cell).to_csv(
+        tmp_path / "sheet.csv", index=False, sep=";"
+    )
+    assert photographs.read_marks(tmp_path / "sheet.csv").equals(marks)
+    wide.assign(juror_1="", juror_2="", juror_3="").to_csv(tmp_path / "none.csv", index=False)
+    none, said = photographs.read_marks(tmp_path / "none.csv"), []
+    note = SimpleNamespace(say=lambda _, what: said.append(what))
+    photo = SimpleNamespace(found={"crop": "0a"}, board="b", drive=SimpleNamespace(name="d"))
+    assert photographs._jury(photo, none, note) == {}
+    assert said == ["Board 'b': the jury did not mark crop 0a."]
+    wide[["crop"]].to_csv(tmp_path / "bad.csv", index=False)
+    with pytest.raises(ValueError, match="no jurors"):
+        photographs.read_marks(tmp_path / "bad.csv")
     (tmp_path / "bad.csv").write_text("crop,juror_1\n0a,d\n")
     with pytest.raises(ValueError, match="Invalid mark 'd'"):
         photographs.read_marks(tmp_path / "bad.csv")
@@ -302,7 +379,10 @@ def test_elements_give_a_photograph_its_mark(tmp_path):
     marks.loc[(marks["juror"] == "two") & (marks["mark"] == "c"), "mark"] = "a"
     found = photographs._jury(photo, marks, note)
     assert found == {"value": "b", "low": 0.0, "high": 1.0}  # raised h by two of three
+    assert report._interval(*found.values()) == "a to b"
     assert (photo.found["because"], photo.found["marks"]) == ("raised h", "abb")
+    photographs._jury(photo, marks[marks["juror"] != "one"], note)
+    assert "Crop 0a: an element has 2 of 3 jurors' marks." in said
     photo.found["crop"] = "0b"
     assert photographs._jury(photo, marks, note) == {}
     assert said[-1] == "Board 'b': the jury did not mark crop 0b."

@@ -227,22 +227,22 @@ def test_read_texts_counts_letters_and_leaves_symbols_out():
 
 
 def test_a_missing_reader_says_how_to_install_one(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "rapidocr_onnxruntime", None)
+    monkeypatch.setitem(__import__("sys").modules, "rapidocr", None)
     legibility._rapidocr.cache_clear()
-    with pytest.raises(ModuleNotFoundError, match="pip install rapidocr-onnxruntime"):
+    with pytest.raises(ModuleNotFoundError, match="pip install rapidocr onnxruntime"):
         legibility.read_texts([])
 
 
 def test_an_installed_reader_reads_large_texts_and_not_small_ones():
-    pytest.importorskip("rapidocr_onnxruntime")
+    pytest.importorskip("rapidocr")
     legibility._rapidocr.cache_clear()
     marks = {}
-    for megapixels in (250, 30):
+    for megapixels in (250, 10):  # capitals of 14 and 3 pixels
         layout, taken = photo(megapixels)
         crops = chart_image.text_crops(taken.image, layout, taken.chart_map)
         marks[megapixels] = legibility.read_texts(crops).set_index("element")["mark"]
     assert (marks[250] == "a").mean() > 0.8
-    assert (marks[30] == "c").mean() > 0.8
+    assert (marks[10] == "c").mean() > 0.8
 
 
 def test_colours_fringe_at_the_limit_of_resolution_of_a_mosaic_and_nowhere_else():

@@ -40,7 +40,7 @@ def test_crops_come_in_the_order_given_and_marks_are_on_disk_at_once(form):
 
 def test_buttons_do_what_they_say(form):
     one = form()
-    row = one.box.children[2].children
+    row = one.box.children[1].children
     assert [button.description[:1] for button in row[:3]] == ["a", "b", "c"]
     back = row[3]
     assert back.disabled
@@ -54,7 +54,7 @@ def test_buttons_do_what_they_say(form):
     row[0].click()
     row[0].click()
     assert all(button.disabled for button in row[:3])
-    assert one.box.children[1].value == b""
+    assert one.box.children[2].value == b""
     assert [mark for *_, mark in on_disk(one)] == ["b", "a", "a"]
 
 
@@ -94,14 +94,14 @@ def test_a_failed_write_leaves_the_marks_as_they_were(form, monkeypatch):
 
 def test_picture_is_the_crop_enlarged_without_interpolation(form):
     one = form()
-    shown = cv2.imdecode(np.frombuffer(one.box.children[1].value, np.uint8), cv2.IMREAD_UNCHANGED)
+    shown = cv2.imdecode(np.frombuffer(one.box.children[2].value, np.uint8), cv2.IMREAD_UNCHANGED)
     zoom = widgets.LARGEST_ZOOM
     assert shown.shape == (6 * zoom, 9 * zoom)
     for k in range(1, zoom):
         assert np.array_equal(shown[::zoom, ::zoom], shown[k::zoom, k::zoom])
     assert (np.diff(shown[0, ::zoom].astype(int)) >= 0).all()  # brighter stays brighter
     wide = widgets.JuryForm({"w": np.eye(3, 500)}, juror="first", file=one._file.with_name("w.csv"))
-    assert cv2.imdecode(np.frombuffer(wide.box.children[1].value, np.uint8), 0).shape[1] == 500
+    assert cv2.imdecode(np.frombuffer(wide.box.children[2].value, np.uint8), 0).shape[1] == 500
 
 
 def test_without_a_screen_the_crop_is_shown(form, monkeypatch):
@@ -109,7 +109,7 @@ def test_without_a_screen_the_crop_is_shown(form, monkeypatch):
     monkeypatch.setattr(widgets, "display", shown.append)
     one = form()
     one._ipython_display_()
-    assert shown[0].data == one.box.children[1].value
+    assert shown[0].data == one.box.children[2].value
     monkeypatch.setenv("MMQA_HEADLESS", "")
     one._ipython_display_()
     assert shown[1] is one.box

@@ -218,7 +218,7 @@ def read_texts(
         Of :func:`mmqa_lab.chart_image.text_crops`.
     reader : callable, optional
         Takes an image of one line, shape (rows, columns), 8 bits, and returns its text. By default
-        the recognition of the Python package rapidocr-onnxruntime.
+        the recognition of the Python package rapidocr (3 or newer).
 
     Returns
     -------
@@ -324,18 +324,18 @@ def _to_read(crop):
 
 @lru_cache(maxsize=1)
 def _rapidocr():
-    """A reader of one line by rapidocr-onnxruntime."""
+    """A reader of one line by rapidocr, whose models come with it."""
     try:
-        from rapidocr_onnxruntime import RapidOCR
+        from rapidocr import RapidOCR
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
-            "Invalid reader: none given and rapidocr-onnxruntime is not installed. "
-            "Must be installed with: pip install rapidocr-onnxruntime."
+            "Invalid reader: none given and rapidocr is not installed. "
+            "Must be installed with: pip install rapidocr onnxruntime."
         ) from None
-    engine = RapidOCR()
+    engine = RapidOCR(params={"Global.log_level": "error"})
 
     def read(image):
-        found, _ = engine(np.dstack([image] * 3), use_det=False, use_cls=False)
-        return found[0][0] if found else ""
+        found = engine(np.dstack([image] * 3), use_det=False, use_cls=False)
+        return "".join(found.txts or ())
 
     return read

@@ -125,9 +125,9 @@ def image(options):
     --orientation.
 
     With --legibility the row has the pixels per 40 mm capital and the mark that a jury would give
-    by them, with its range, and where rapidocr-onnxruntime is installed the mark of what it reads
-    of the check list's elements that count and the first element with that mark. They never stand
-    for a jury.
+    by them, with its range, and where rapidocr is installed (pip install rapidocr onnxruntime) the
+    mark of what it reads of the check list's elements that count and the first element with that
+    mark. They never stand for a jury.
 
     Corners are column and row of the printed chart's lower left, lower right, upper right and upper
     left corner. An orientation is a JSON file: position [east, north, height], heading_deg,
@@ -173,7 +173,7 @@ def _legibility(quality):
     """What pixels, and a program where one is installed, say of text of 40 mm."""
     pixels = legibility.TEXT_MM / quality.pixel_size("v")[0]
     found = {"px_per_40mm": pixels, "expected_mark": legibility.expected_text(pixels)}
-    if find_spec("rapidocr_onnxruntime") is None:
+    if find_spec("rapidocr") is None:
         return found
     try:
         texts = legibility.check_list(quality.layout)

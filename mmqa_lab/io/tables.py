@@ -345,10 +345,15 @@ def text_tables(path, chunk):
 def read_table(path, name, columns=(), encoding_errors="strict", **choices):
     """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
 
-    Names must be UTF-8: a letter that cannot be read would make another name of it.
+    Names must be UTF-8: a letter that cannot be read would make another name of it. Semicolons
+    between columns are read too, then with decimal commas where there are some.
     """
     choices = {"skipinitialspace": True, "encoding_errors": encoding_errors} | choices
-    table = _read_csv(check_file(path, name), name, **choices)
+    with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
+        head = file.readline()
+        if head.count(";") > head.count(","):
+            choices |= {"sep": ";", "decimal": "," if re.search(r"\d,\d", file.read()) else "."}
+    table = _read_csv(path, name, **choices)
     check_columns(table, columns, f"{name} {path}")
     return table
 

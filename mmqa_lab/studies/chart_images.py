@@ -398,7 +398,7 @@ def by_program(seen):
 
 def markers():
     """Return the methods that mark a photograph: a program only where one is installed."""
-    installed = find_spec("rapidocr_onnxruntime") is not None
+    installed = find_spec("rapidocr") is not None
     return {"pixels per capital": by_pixels} | ({"program": by_program} if installed else {})
 
 

@@ -16,6 +16,7 @@ from mmqa_lab.chart_image.rules import AHEAD, ALONG, BEHIND, PLACE, board_frame,
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import CLOUD_ENDINGS
 from mmqa_lab.io.clouds import iterate_cloud
+from mmqa_lab.io.tables import read_table, with_numbers
 from mmqa_lab.tender import COVERAGE, qualification, verdicts
 from mmqa_lab.tender.photographs import image_rows
 from mmqa_lab.tender.site import doubt, find_drives
@@ -93,13 +94,14 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
     if not done.drives:
         said = "; ".join(problem["what"] for problem in done.problems)
         raise ValueError(f"Invalid folder {folder}: no drive past the site. {said}".strip())
+    _say_missing_charts(site, done)
     rows = []
     for drive in progress(done.drives):
         rows += _cloud_rows(drive, site, done)
         rows += image_rows(drive, site, marks, done)
         done.control += _control_rows(drive, site, done)
     if marks is None:
-        done.say("jury", "No marks of a jury: no text is judged. Give them with --marks.")
+        done.say("jury", "No marks of a jury: no text is judged. See mmqa accept --help.")
     elif done.photographs and not any(photo.found["mark"] for photo in done.photographs):
         done.say("jury", "No mark counts for these photographs: are they another delivery's?")
     rows = sorted(_with_gaps(rows, site, done), key=_place)
@@ -107,10 +109,32 @@ def accept(folder, site, criteria, *, marks=None, progress=list):
     for name, table in criteria.items():
         found = _doubted(verdicts(table, done.results), done.results)
         done.verdicts[name], done.summaries[name] = found, qualification(found)
+        _say_unknown_figures(name, table, site, done)
         larger = found["quantity"].eq("legibility_60mm") & found["verdict"].eq("not measured")
         for system in found.loc[larger, "system"] if marks is not None else []:
             done.say(system, NO_PROOF)
     return done
+
+
+def _say_missing_charts(site, done):
+    """Say which charts of the paper's site this one lacks."""
+    for kind, views in (("point", (ALONG,)), ("image", VIEWS)):
+        corners = site.boards.loc[site.boards["kind"] == kind, "corners"]
+        there = {board_view(one, done.drives[0].path) for one in corners}
+        for view in views:
+            if view not in there:
+                done.say("site", f"It has no {kind} chart for the {view} view.")
+
+
+def _say_unknown_figures(name, criteria, site, done):
+    """Say which criteria ask for what no drive of this site can show."""
+    for row in criteria.itertuples():
+        quantity = str(row.quantity).replace("60mm", "40mm")  # as legible
+        places = [place for figure, place, *_ in _expected(site) if figure == quantity]
+        distance = getattr(row, "distance_m", np.nan)
+        if not places or (pd.notna(distance) and float(distance) not in places):
+            asked = "" if pd.isna(distance) else f" at {float(distance):g} m"
+            done.say(f"criteria {name}", f"{row.criterion!r}: no figure {row.quantity!r}{asked}.")
 
 
 def _doubted(table, results):
@@ -244,10 +268,12 @@ def _control_rows(drive, site, done):
         return []
     done.files.append(file)
     try:
-        table = pd.read_csv(file)
+        table = with_numbers(read_table(file, "control"), ["point", *PLACE], "control")
         numbers = table["point"].astype(int)
-        away = table[PLACE].to_numpy(dtype=float) - np.array(site.control)[numbers - 1]
-    except (KeyError, ValueError, IndexError):
+        if not numbers.between(1, len(site.control)).all():
+            raise ValueError("no such point")
+        away = table[PLACE].to_numpy() - site.control[numbers - 1]
+    except ValueError:
         needed = f"point, 1 to {len(site.control)}, and {', '.join(PLACE)}"
         done.say(drive.name, f"Invalid control.csv. Must have {needed}, all numbers.")
         return []

@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from mmqa_lab._checks import check_columns
 from mmqa_lab.chart_image import evaluate_window, legibility, rules
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
-from mmqa_lab.chart_image.placing import find_markers, locate, map_of_markers
+from mmqa_lab.chart_image.placing import find_markers, locate
 from mmqa_lab.charts import LinePairs, Marker
 from mmqa_lab.io import read_grey
 from mmqa_lab.io.images import decode, exif_number, image_size, image_tags, read_colours
-from mmqa_lab.io.tables import read_table
+from mmqa_lab.io.tables import first_sentence, read_table
 from mmqa_lab.tender.site import Drive, doubt
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -38,6 +38,10 @@ photographs it was read within 2.3 % of what the same photograph without noise s
 
 NEAR_SHARE = 0.15
 """Share of the distance by which targets alone may misplace a camera."""
+
+
+JURORS = 3
+"""Members of a jury (section 3.2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +67,13 @@ def read_marks(path):
     table = read_table(path, "marks", dtype=str, keep_default_na=False)
     if "crop" in table:
         table = table.drop(columns="shows", errors="ignore")
+        if list(table) == ["crop"]:
+            raise ValueError(f"Invalid marks {path}: no jurors. Must have a column for each.")
         table = table.melt("crop", var_name="juror", value_name="mark")
         table = table.rename(columns={"crop": "element"})
     check_columns(table, ("juror", "element", "mark"), f"marks {path}")
-    table = table[table["mark"].str.strip() != ""]
+    table["mark"] = table["mark"].str.strip().str.lower()
+    table = table[table["mark"] != ""]
     rules.agreement(table)  # refuses other marks, and two of one juror
     for name in table["element"].unique():
         _listed(name)
@@ -158,33 +165,42 @@ def _images(drive, done):
     if not table.is_file():
         if listed:
             done.say(drive.name, "No images.csv: boards are looked for by their coded targets.")
-        return pd.DataFrame({"file": [file.name for file in listed]})
+        return _readable(pd.DataFrame({"file": [file.name for file in listed]}), drive, done)
     done.files.append(table)
     try:
-        images = pd.read_csv(table, encoding_errors="replace")
-    except ValueError:  # empty, or no table
-        images = pd.DataFrame()
-    if "file" not in images:
-        done.say(drive.name, "Invalid images.csv: no column 'file'. Must have one.")
+        images = read_table(table, "list", ("file",), encoding_errors="replace")
+    except ValueError as error:
+        done.say(drive.name, error)
         return pd.DataFrame({"file": []})
     images = _readable(images, drive, done)
     if not set(rules.PLACE) <= set(images) and "time_s" in images:
+        within = images["time_s"].between(*drive.path["time_s"].iloc[[0, -1]])
+        if not within.all():
+            done.say(drive.name, f"Images with times outside of the path's: {(~within).sum()}.")
+        images = images[within].reset_index(drop=True)
         for name in rules.PLACE:
             images[name] = np.interp(images["time_s"], drive.path["time_s"], drive.path[name])
     return images
 
 
 def _readable(images, drive, done):
-    """The images that exist and whose columns are numbers."""
+    """The images that can be opened and whose columns are numbers, with their ``size``."""
     names = [name for name in (*rules.PLACE, *ANGLES, "time_s", *ORIGIN) if name in images]
     images[names] = images[names].apply(pd.to_numeric, errors="coerce")
-    there = np.array([(drive.folder / str(f)).is_file() for f in images["file"]], dtype=bool)
-    known = images[names].notna().all(axis=1).to_numpy()
-    for file in images.loc[~there, "file"]:
-        done.say(drive.name, f"Image {file}: no such file.")
+    images["size"] = [_size(drive, str(file), done) for file in images["file"]]
+    known = images[names].notna().all(axis=1)
     for file in images.loc[~known, "file"]:
         done.say(drive.name, f"Image {file}: a number is missing in images.csv. Must have all.")
-    return images[there & known].reset_index(drop=True)
+    return images[known & images["size"].notna()].reset_index(drop=True)
+
+
+def _size(drive, file, done):
+    """Columns and rows of an image; None where it cannot be opened."""
+    try:
+        return image_size(drive.folder / file)
+    except (ValueError, OSError) as error:
+        done.say(f"{drive.name}/{file}", error)
+        return None
 
 
 def _camera(drive, done):
@@ -198,7 +214,8 @@ def _camera(drive, done):
         gamma = fields.pop("gamma", "srgb")
         return (FrameCamera if "focal_px" in fields else PanoramaCamera)(**fields), gamma
     except (ValueError, TypeError, AttributeError) as error:
-        done.say(drive.name, f"Invalid camera.json: {error}")
+        reason = first_sentence(error)
+        done.say(drive.name, f"Invalid camera.json: {reason}. Must describe the camera.")
         return None, "srgb"
 
 
@@ -215,7 +232,8 @@ def _chosen(drive, images, wanted, camera, done):
         shown = maps.get(board.board, dict.fromkeys(images.index))
         found = _nearest(drive, images, board, distance, shown)
         if found["station"] is None:
-            done.say(drive.name, _nothing_shown(board, found["view"], distance, shown))
+            how = "" if oriented else ", as far as its targets can be found"
+            done.say(drive.name, _nothing_shown(board, found["view"], distance, shown, how))
             continue
         image = images.loc[found["station"]]
         origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
@@ -233,10 +251,10 @@ def _nearest(drive, images, board, distance, shown):
     return rules.choose_images(stations, board.corners, distance=distance, among=among).iloc[0]
 
 
-def _nothing_shown(board, view, distance, shown):
+def _nothing_shown(board, view, distance, shown, how):
     """Why no image counts for a board."""
     if not shown:
-        return f"No image shows the board {board.board!r}."
+        return f"No image shows the board {board.board!r}{how}."
     rule = "from its front" if view == rules.ALONG else f"from {distance:g} m or farther"
     return f"Images that may show the board {board.board!r}: {len(shown)}, none of them {rule}."
 
@@ -248,12 +266,11 @@ def _predicted(images, board, camera, drive):
         try:
             pose = Pose.of_angles(image[rules.PLACE].to_numpy(float), *image[ANGLES])
             there = ChartMap.from_orientation(camera, pose, board.corners, board.layout)
-            size = image_size(drive.folder / image["file"])
-        except (ValueError, OSError):  # behind the camera, or no image: the others count
+        except ValueError:  # behind the camera
             continue
         there = there.within(image.get("first_column", 0), image.get("first_row", 0))
         pixels = there.outline(board.layout.corners())
-        if ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all():
+        if ((pixels > -0.5) & (pixels < np.array(image["size"]) - 0.5)).all():
             maps[index] = there
     return maps
 
@@ -273,19 +290,36 @@ def _searched(drive, images, wanted, camera, done):
         origin = tuple(int(image.get(name, 0)) for name in ORIGIN)
         try:
             grey = read_grey(drive.folder / image["file"])
-            found = find_markers(grey, [board.layout for board, _ in wanted])
         except (ValueError, OSError) as error:
             done.say(f"{drive.name}/{image['file']}", error)
             continue
+        try:
+            found = find_markers(grey, [board.layout for board, _ in wanted])
+        except ValueError:  # no board in this image
+            continue
         for board, _ in wanted:
-            bent = {"camera": camera, "offset": origin}
-            try:
-                there = map_of_markers(found, board.layout, **bent)
-            except ValueError:  # not in this image
-                continue
-            maps[board.board][index] = there
-            images.loc[index, rules.PLACE] = _camera_place(there, board)
+            there = _located(grey, found, board.layout, camera, origin)
+            if there is not None:
+                maps[board.board][index] = there
+                images.loc[index, rules.PLACE] = _camera_place(there, board)
     return images, maps
+
+
+def _located(grey, found, layout, camera, origin):
+    """The map of a chart around those of its targets that were found; None where it has none."""
+    own = [one for one in layout.of_kind(Marker) if one.identifier in found]
+    if not own:
+        return None
+    seen = np.stack([found[one.identifier] for one in own])
+    reach = layout.width * np.ptp(seen, axis=1).max() / own[0].width
+    first = np.maximum(seen.min(axis=(0, 1)) - reach, 0).astype(int)
+    last = (seen.max(axis=(0, 1)) + reach).astype(int)
+    window = np.ascontiguousarray(grey[first[1] : last[1], first[0] : last[0]])
+    try:
+        there = locate(window, layout, camera=camera, offset=tuple(first + origin))
+    except ValueError:
+        return None
+    return there.within(*-first)
 
 
 def _same_targets(boards):
@@ -403,7 +437,7 @@ def _jury(photo, marks, done):
     crop = photo.found["crop"]
     listed = [_listed(name) for name in marks["element"]]
     own = marks.assign(element=[element for _, element in listed])
-    own = own[[name == crop for name, _ in listed]]
+    own = own[np.array([name == crop for name, _ in listed], dtype=bool)]
     own = own[own["element"].isin(["", *legibility.JUDGED])]
     if own.empty:
         done.say(photo.drive.name, f"Board {photo.board!r}: the jury did not mark crop {crop}.")
@@ -414,6 +448,10 @@ def _jury(photo, marks, done):
     else:
         mark, because = legibility.photo_marks(own.assign(photo=crop)).loc[0, ["mark", "because"]]
     jurors = sorted(own.groupby("juror")["mark"].max())
+    fewest = own.groupby("element")["juror"].nunique().min()
+    if fewest < JURORS:
+        few = f"Crop {crop}: an element has {fewest} of {JURORS} jurors' marks."
+        done.say(photo.drive.name, few)
     photo.found.update(mark=mark or "", marks="".join(jurors), because=because)
     if mark is None:
         where = f" of {because!r}" if because else ""

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import laspy
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import scipy
@@ -20,7 +21,7 @@ from mmqa_lab import __version__, plots
 from mmqa_lab.bench._tables import split_unit
 from mmqa_lab.chart_cloud import CHART_MARGINS_M
 from mmqa_lab.chart_image.legibility import CHECK_LIST, JUDGED, check_list, expected_text
-from mmqa_lab.chart_image.rules import ALONG, text_crops
+from mmqa_lab.chart_image.rules import ALONG, MARKS, text_crops
 from mmqa_lab.io import write_atomically
 from mmqa_lab.io.images import encode
 from mmqa_lab.planes import CONSISTENT_SCALE
@@ -190,6 +191,8 @@ def _lines(done, site):
         "the 95 % interval, or where the drive was against the rules and may have caused it.",
         "Direction h: the lying bar of 600 mm, pairs of standing bars; v: the two standing bars of "
         "800 mm, pairs of lying bars.",
+        "Marks: a every letter, b the text, c not legible; of each element that of most jurors, of "
+        "a photograph that of its worst element of 40 mm; its interval is that of the jurors.",
         "Expected marks follow from the pixels per letter, by thresholds fitted to the marks of "
         "Table 1; no verdict uses them.",
         "Intervals of clouds are for another drive of the system at the same mean speed: they "
@@ -234,9 +237,8 @@ def _overview(done):
 
 def _verdict_table(table):
     """Verdicts with margin and interval as texts."""
-    ends = zip(table["low"], table["high"], strict=True)
     shown = table.assign(
-        interval=["" if a == b or pd.isna(a) else f"{_short(a)} to {_short(b)}" for a, b in ends],
+        interval=[*map(_interval, table["value"], table["low"], table["high"])],
         asked=table["relation"] + " " + table["threshold"].map(_plain),
         unit=table["quantity"].map(_unit),
         value=table["value"].map(_plain),
@@ -244,6 +246,16 @@ def _verdict_table(table):
         distance_m=table["distance_m"].map(_plain),
     )
     return shown[list(COLUMNS)].rename(columns=COLUMNS)
+
+
+def _interval(value, low, high):
+    """The ends of an interval as a text, those of marks as marks; empty where there is none."""
+    if low == high or pd.isna(low):
+        return ""
+    if np.isinf(high):
+        return f"> {_short(low)}"
+    ends = [MARKS[int(end)] if isinstance(value, str) else _short(end) for end in (low, high)]
+    return " to ".join(ends)
 
 
 def _unit(quantity):
@@ -407,6 +419,7 @@ def _png(figure):
     """A figure as PNG without the program's version."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    plt.close(figure)
     return buffer.getvalue()
 
 

@@ -11,14 +11,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_crs, check_file, check_positive
+from mmqa_lab._checks import check_crs, check_file, check_points, check_positive
 from mmqa_lab.chart_image import read_layout
 from mmqa_lab.chart_image.geometry import four_corners
 from mmqa_lab.chart_image.rules import ALONG, PLACE, board_frame, board_view, check_drive
 from mmqa_lab.io import read_trajectory
+from mmqa_lab.io.tables import first_sentence
 
 NEAR_SITE_M = 100.0
 """A drive that stays farther away from all boards belongs to another site."""
+
+SHORTEST_M = 10.0
+"""A path that passes a pair of boards and tells its speed."""
 
 RULES = {"oblique_distance_m": 10.0, "speed_kmh": 40.0}
 """Of section 4.1, where the site's file does not say otherwise."""
@@ -33,7 +37,7 @@ class Site:
     oblique_m: float
     speed_kmh: float
     crs: object
-    control: tuple
+    control: np.ndarray
     files: tuple
     note: str
 
@@ -63,16 +67,21 @@ def read_site(path):
         whole = json.loads(path.read_text(encoding="utf-8"))
         rows = [_board(board, path) for board in whole["boards"]]
         distances = [check_positive(d, "distance", unit="m") for d in whole["distances_m"]]
-        control = tuple(np.array(place, dtype=float) for place in whole.get("control_points", []))
-        rules = [float(whole.get(name, usual)) for name, usual in RULES.items()]
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"Invalid site {path}: {error}. Must have all fields.") from None
+        control = np.array(whole.get("control_points") or np.empty((0, 3)))
+        check_points(control, name="control_points", minimum=0)
+        rules = [check_positive(whole.get(name, usual), name) for name, usual in RULES.items()]
+        crs = check_crs(whole["crs"]) if whole.get("crs") else None
+    except KeyError as error:
+        raise ValueError(f"Invalid site {path}: no field {error}. Must have one.") from None
+    except (ValueError, TypeError, AttributeError) as error:
+        reason = first_sentence(error)
+        raise ValueError(f"Invalid site {path}: {reason}. Must be a site as JSON.") from None
     boards = pd.DataFrame(rows)
-    if boards.empty or boards["board"].duplicated().any():
+    if boards.empty or boards["board"].duplicated().any() or not distances:
         raise ValueError(
-            f"Invalid site {path}: boards. Must have one or more, each with its own name."
+            f"Invalid site {path}: boards, distances_m. Must have one or more, and boards each "
+            "its own name."
         )
-    crs = check_crs(whole["crs"]) if whole.get("crs") else None
     layouts = [path.parent / one["layout"] for one in whole["boards"] if "layout" in one]
     files = (path, *(file for file in layouts if file.is_file()))
     note = str(whole.get("note", ""))
@@ -126,14 +135,19 @@ def _board(board, path):
     source = board.get("layout", "grey")
     file = path.parent / source
     layout = read_layout(file if file.is_file() else source) if kind == "image" else None
-    corners = four_corners(board["corners"], columns=3)
-    return {"board": str(board["board"]), "kind": kind, "corners": corners, "layout": layout}
+    name, corners = str(board["board"]), four_corners(np.array(board["corners"], float), columns=3)
+    if corners[:2, 2].sum() >= corners[2:, 2].sum():
+        raise ValueError(f"corners of {name!r}: must begin lower left, then lower right")
+    return {"board": name, "kind": kind, "corners": corners, "layout": layout}
 
 
 def _drive(system, name, file, site, done):
     """A drive whose distance, speed and attitude are compared with the rules."""
     path = read_trajectory(file)
     done.files.append(file)
+    length = np.linalg.norm(np.ptp(path[PLACE], axis=0))
+    if length < SHORTEST_M:
+        raise ValueError(f"The drive is {length:.1f} m long. Must be {SHORTEST_M:g} m or more.")
     along = _along(site, path)
     middle, right, normal = board_frame(along)
     away = path[PLACE].to_numpy() - middle
@@ -144,6 +158,8 @@ def _drive(system, name, file, site, done):
         )
     # where it passes the board
     beside = float((away @ normal)[np.argmin(np.abs(away @ right))])
+    if beside < 0:
+        raise ValueError(f"The drive passes {-beside:.1f} m behind the boards. Must pass in front.")
     distance = min(site.distances_m, key=lambda one: abs(one - beside))
     checks = check_drive(path, along, distance=distance, speed_kmh=site.speed_kmh)
     for row in checks[~checks["passed"]].itertuples():

@@ -7,7 +7,7 @@ their starting values, and forms a picture, because widgets would show nothing t
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +20,9 @@ from IPython.display import Image, Markdown, display
 from mmqa_lab._checks import check_choice
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_image.rules import MARKS, check_marks
-from mmqa_lab.io import write_atomically
-from mmqa_lab.io.images import encode
+from mmqa_lab.io import read_grey, write_atomically
+from mmqa_lab.io.images import decode, encode
+from mmqa_lab.io.tables import read_table
 from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.selection import pick_plane, select_polygon
 
@@ -162,8 +163,9 @@ class JuryForm:
 
     Parameters
     ----------
-    crops : dict of str to array, shape (rows, columns)
-        Linear light by name of the element, such as ``"photo 3, text_1"``.
+    crops : dict of str to array, shape (rows, columns), or path
+        Linear light by name of the element, such as ``"photo 3, text_1"``; or the folder of a
+        report of ``mmqa accept``, whose crops are shown in the order of its ``jury.csv``.
     juror : str
         Who marks.
     file : path
@@ -180,6 +182,8 @@ class JuryForm:
     ------
     ValueError
         If a name in ``order`` is no crop or repeats, or the file has no marks.
+    FileNotFoundError
+        If a folder has no ``jury.csv``, or lacks a crop.
 
     Examples
     --------
@@ -193,13 +197,13 @@ class JuryForm:
 
     def __init__(
         self,
-        crops: Sequence[Any],
+        crops: Mapping[str, Any] | str | os.PathLike,
         *,
         juror: str,
         file: str | os.PathLike,
         order: Sequence[str] | None = None,
     ):
-        self._crops = dict(crops)
+        self._crops = dict(crops if isinstance(crops, Mapping) else _crops_of(Path(crops)))
         self._order = list(self._crops if order is None else order)
         for name in self._order:
             check_choice(name, "crop in order", tuple(self._crops))
@@ -218,7 +222,7 @@ class JuryForm:
         self._back = ipywidgets.Button(description="back", icon="arrow-left")
         self._back.on_click(lambda _: self.back())
         row = ipywidgets.HBox([*self._buttons.values(), self._back])
-        self.box = ipywidgets.VBox([self._line, self._picture, row])
+        self.box = ipywidgets.VBox([self._line, row, self._picture])  # buttons stay in place
         self._show()
 
     @property
@@ -274,6 +278,13 @@ class JuryForm:
         else:
             self._line.value = f"{self._juror}: {place + 1} of {total}"
             self._picture.value = _png(self._crops[element])
+
+
+def _crops_of(report):
+    """The crops that an acceptance asks its jury about, in the order of the check list."""
+    names = read_table(report / "jury.csv", "crops", dtype=str)["crop"]
+    files = {name: report / "crops" / f"{name}.png" for name in names}
+    return {name: decode(read_grey(file) / 255, "srgb") for name, file in files.items()}
 
 
 def _png(crop):

@@ -1,13 +1,16 @@
 """How good the image measurements are, against known truth: run it, it prints.
 
-python tests/benchmarks/images.py [photographs] [pairs] [steps] [edges] [sizes] [panorama] [real]
-    [--full]
+python tests/benchmarks/images.py [photographs] [pairs] [steps] [edges] [sizes] [panorama] [drive]
+    [real] [--full]
 
 A few cases of each kind, or with --full as many as the stated figures rest on.
 """
 
 import argparse
+import multiprocessing
+import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
@@ -26,7 +29,7 @@ from mmqa_lab import bench, chart_image, charts, io, mtf, samples
 from mmqa_lab.chart_image import reading
 from mmqa_lab.chart_image.placing import align
 from mmqa_lab.chart_image.reading import SMALLEST_GAP, SMALLEST_PAIR_PX
-from mmqa_lab.simulate import cameras
+from mmqa_lab.simulate import cameras, site
 
 CAMERA_CHAINS = {
     "plain": {},
@@ -363,6 +366,73 @@ def _panorama(megapixels, distance):
             print(f"{name}: {wall:.1f} s ({cpu:.1f} s of CPU), peak {peak:.2f} GB, {size:.3f} mm")
 
 
+def drive():
+    """An acceptance of two drives of 27 whole panoramas of 250 megapixels with 10 million points.
+
+    All panoramas share a background; the boards of system B are put into those that are to show
+    them.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        # a process begins with the peak of the one that starts it
+        writer = multiprocessing.get_context("spawn").Process(target=_write_drives, args=(folder,))
+        writer.start()
+        writer.join()
+        began = time.perf_counter()
+        judge = subprocess.Popen([sys.executable, "-m", "mmqa_lab", "accept", folder])
+        used = os.wait4(judge.pid, 0)[2]
+        print(
+            f"{time.perf_counter() - began:.0f} s, processor time {used.ru_utime:.0f} s, "
+            f"peak {used.ru_maxrss / 1e6:.2f} GB"
+        )
+
+
+def _write_drives(folder):
+    """System B's delivery with whole panoramas at every station, and clouds of a whole street."""
+    import cv2
+
+    folder = Path(folder)
+    site.write_site(folder, systems="B", seed=1)
+    boards = site.site_boards()
+    camera, rng = site.VEHICLES["B"].camera, np.random.default_rng(1)
+    coarse = cv2.GaussianBlur(rng.random((camera.height // 8, camera.width // 8, 3)), (0, 0), 2)
+    coarse = np.uint8(255 * (coarse - coarse.min()) / np.ptp(coarse))
+    empty = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(folder / "empty.jpg"), empty)
+    for distance in site.DISTANCES:
+        place = folder / "B" / f"drive_{distance:02.0f}m"
+        drive = site.make_drive(distance, seed=1 + 1000 * ord("B"))
+        shots = site.photographed(drive, boards).groupby("station")["board"].agg(list)
+        drive.stations.assign(file=[f"{k}.jpg" for k in drive.stations.index]).to_csv(
+            place / "images.csv", index=False
+        )
+        for file in place.glob("image_*.jpg"):
+            file.unlink()
+        for k, station in drive.stations.iterrows():
+            if k not in shots:
+                (place / f"{k}.jpg").hardlink_to(folder / "empty.jpg")
+                continue
+            whole = empty.copy()
+            for board in boards[boards["board"].isin(shots[k])].itertuples():
+                photo = site.take_photo(site.VEHICLES["B"], drive, station["time_s"], board, seed=k)
+                (column, row), (rows, columns) = photo.origin, photo.image.shape[:2]
+                whole[row : row + rows, column : column + columns] = photo.image
+            cv2.imwrite(str(place / f"{k}.jpg"), whole)
+        _widen(place / "cloud.laz", drive, rng)
+    (folder / "empty.jpg").unlink()
+
+
+def _widen(file, drive, rng, points=10_000_000):
+    """Add the points of a street to a cloud of boards."""
+    cloud = io.read_cloud(file)
+    time_s = np.sort(rng.uniform(*drive.reported.time[[0, -1]], points))
+    north = np.interp(time_s, drive.path.time, drive.path.position[:, 1])
+    east, north = rng.uniform(-30, 20, points) - 10, north - site.ORIGIN[1]
+    street = site.ORIGIN + np.column_stack([east, north, rng.normal(0, 0.02, points)])
+    columns = {"gps_time": time_s, "intensity": np.zeros(points)}
+    street = type(cloud)(street, columns, crs=cloud.crs)
+    io.write_cloud(file, type(cloud).concatenate([street, cloud]), scale=0.0001)
+
+
 def real():
     """Real line pairs made coarser, reversed by motion, and real edges against published tools."""
     found = RealPairs()
@@ -395,6 +465,7 @@ def main():
         "edges": edges,
         "sizes": sizes,
         "panorama": panorama,
+        "drive": drive,
         "real": real,
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
