@@ -175,22 +175,8 @@ CELL_M = 0.2
 HALF = 5
 """Slabs are looked for in plan cells of 0.2 m, within 1 m of the axis."""
 
-HOLLOW_RADII_M = np.array([0.04, 0.07, 0.10, 0.14, 0.18, 0.23])
-HOLLOW_STEP_M = 0.04
-HOLLOW_STEPS = 5
-BAND_M = 0.025
-HOLLOW_REACH_M = 0.7
-HOLLOW_TOP_M = 5.0
-HOLLOW_POINTS = 300
-"""Cylinders that are tried: radii, shifts of the axis, thickness of the surface; points within
-0.7 m and 5 m above the ground, of more than 300 every second, third, ..."""
-
-RING_M = 0.005
-RINGS = 96
-HOLLOW_RINGS = np.round(
-    np.stack([HOLLOW_RADII_M - BAND_M, HOLLOW_RADII_M + BAND_M, HOLLOW_RADII_M + SHELL_M], axis=1)
-    / RING_M
-).astype(np.int64)
+CROWD_M, SHAFT_TOP_M = 0.7, 5.0
+"""Points so near to the axis, and so high, are a crowd; shafts are fitted to points so high."""
 
 MAX_LEAN = 0.27
 """Largest lean that an axis may take, m/m (15 degrees)."""
@@ -204,15 +190,15 @@ NAMES = (
     *("beside_050", "beside_100", "beside_200", "sectors_100", "sectors_200", "opposite_200"),
     *("flatness", "off_line_m", "above_core", "above_shell", "below_shell"),
     *("slab_above", "slab_below", "highest_200_m", "inner_count_share", "elongation"),
-    *("hollow_bins", "hollow_share", "hollow_radius_m", "hollow_contrast", "crowd"),
+    *("below_core", "crowd"),
 )
 """What the columns of :func:`describe` mean; ``across`` is the distance from the axis.
 
 ``beside_R``: share of the run's height bins with points between the last radius and R cm;
 ``flatness``: how much what stands beside lies on a line in plan; ``off_line_m``: how far the axis
 stands from that line; ``slab``: share of the plan around occupied right above or below the run;
-``hollow``: of the cylinder near the axis with the most height bins that have points on its surface
-and none inside, up to 5 m above the ground; ``crowd``: log of the points around it.
+``below_core``: share of the height bins between the ground and the run with points in the core;
+``crowd``: log of the points around the axis, up to 5 m above the ground.
 """
 
 
@@ -362,6 +348,10 @@ def _describe(dx, dy, across, level, axis, out):
     out[f + 29], out[f + 30] = _filled(core, high, top) / 8, _filled(shell, high, top) / 8
     out[f + 31] = _filled(shell, 0, low) / max(low, 1)
     out[f + 35] = _sum(core, 0, BINS) / max(len(dx), 1)
+    out[f + 37], crowd = _filled(core, 0, low) / max(low, 1), 0
+    for k in range(len(dx)):
+        crowd += level[k] * BIN_M < SHAFT_TOP_M and math.hypot(dx[k], dy[k]) < CROWD_M
+    out[f + 38] = math.log1p(crowd)
     axis[5], axis[6], axis[7] = low * BIN_M, high * BIN_M, radius
 
 
@@ -504,63 +494,16 @@ def _candidates(begin, end, points, height, start, base, xy, given, features, ax
             fit_axis(points, height, start, base, xy[c], 0.5, (0.15, 0.06), 12, 1.0, axis)
         near, n = near_axis(points, start, base, xy[c, 0], xy[c, 1], REACH_M), 0
         dx, dy, across = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
-        h, level = np.empty(len(near)), np.empty(len(near), np.int64)
+        level = np.empty(len(near), np.int64)
         for i in near:
             if 0.1 < height[i] < BINS * BIN_M:
                 rise = height[i] - axis[4]
                 dx[n] = points[i, 0] - axis[0] - axis[2] * rise
                 dy[n] = points[i, 1] - axis[1] - axis[3] * rise
                 across[n] = math.sqrt(dx[n] * dx[n] + dy[n] * dy[n])
-                h[n], level[n] = height[i], int(height[i] / BIN_M)
+                level[n] = int(height[i] / BIN_M)
                 n += 1
         _describe(dx[:n], dy[:n], across[:n], level[:n], axis, features[c])
-        _hollow(h[:n], dx[:n], dy[:n], features[c, 43:])
-
-
-@njit(cache=True)
-def _hollow(h, dx, dy, out):
-    """Write how well a hollow cylinder near the axis explains the points: 5 numbers.
-
-    Distances from each tried axis fall into rings of 5 mm, of which all radii are made.
-    """
-    inside, bit, n = np.empty(len(h), np.int64), np.empty(len(h), np.uint64), 0
-    for k in range(len(h)):
-        bit[k] = np.uint64(1) << np.uint64(h[k] / BIN_M)
-        if h[k] < HOLLOW_TOP_M and dx[k] * dx[k] + dy[k] * dy[k] < HOLLOW_REACH_M**2:
-            inside[n] = k
-            n += 1
-    step, best, best_r = max(n // HOLLOW_POINTS, 1), -1.0, 0
-    count, held = np.empty(RINGS, np.int64), np.empty(RINGS, np.uint64)
-    for i in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
-        for j in range(-HOLLOW_STEPS, HOLLOW_STEPS + 1):
-            for ring in range(RINGS):
-                count[ring], held[ring] = 0, 0
-            for m in range(0, n, step):
-                k = inside[m]
-                u, v = dx[k] - i * HOLLOW_STEP_M, dy[k] - j * HOLLOW_STEP_M
-                ring = int(math.sqrt(u * u + v * v) / RING_M)
-                if ring < RINGS:
-                    count[ring] += 1
-                    held[ring] |= bit[k]
-            for r in range(len(HOLLOW_RINGS)):
-                first, last, end = HOLLOW_RINGS[r, 0], HOLLOW_RINGS[r, 1], HOLLOW_RINGS[r, 2]
-                on, within, beside = 0, 0, 0
-                band, inner = np.uint64(0), np.uint64(0)
-                for m in range(first):
-                    within += count[m]
-                    inner |= held[m]
-                for m in range(first, last):
-                    on += count[m]
-                    band |= held[m]
-                for m in range(last, end):
-                    beside += count[m]
-                clean = set_bits(band & ~inner)
-                value = clean + on / (on + within + beside + 1.0)
-                if value > best or (value == best and r < best_r):
-                    best, best_r = value, r
-                    out[0], out[1], out[2] = clean, on / max(on + within, 1), HOLLOW_RADII_M[r]
-                    out[3] = on / max(on + within + beside, 1)
-    out[4] = math.log1p((n + step - 1) // step * step)
 
 
 SHAFT_M = (0.02, 0.55)
@@ -669,7 +612,7 @@ def _best_circle(h, x, y):
     """Centre and radius of the best of the circles tried on the points up to 5 m."""
     low, n = np.empty(len(h), np.int64), 0
     for k in range(len(h)):
-        if h[k] < HOLLOW_TOP_M:
+        if h[k] < SHAFT_TOP_M:
             low[n] = k
             n += 1
     step = max(-(-n // TRIED), 1)

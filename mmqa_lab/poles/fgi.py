@@ -19,7 +19,6 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from mmqa_lab.poles import common
-from mmqa_lab.poles.on_lines import pulse_numbers
 
 BIN_M = 0.1
 """Resolution along the axis at which the mask counts points."""
@@ -112,7 +111,7 @@ def detect(points, settings, *, lines, explain=False):
         Metres from an origin nearby.
     settings : Settings
     lines : pair of array, shape (n,)
-        Scan line, and place along it (pulses or times).
+        Scan line, and number of the pulse along it.
     explain : bool
         Return all candidates with the test that rejected them.
 
@@ -122,8 +121,8 @@ def detect(points, settings, *, lines, explain=False):
         See :func:`mmqa_lab.poles.detect`.
     """
     order = np.lexsort(lines[::-1])
-    points, line, place = points[order], lines[0][order], lines[1][order]
-    group, groups = segment_lines(points, line, pulse_numbers(line, place), settings)
+    points, line, pulse = points[order], lines[0][order], lines[1][order]
+    group, groups = segment_lines(points, line, pulse, settings)
     cluster = np.append(_clusters(groups, settings), -1)
     member = cluster[group]  # -1, no group, takes the last: no cluster
     member = _merged(points, member, settings)

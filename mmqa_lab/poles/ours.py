@@ -3,10 +3,10 @@
 Many candidates, features of the whole surroundings, a learned verdict.
 
 Works without scan lines: the cloud is thinned, columns that have points over many heights become
-candidates (``candidates``), each is described by its emptiness over height and azimuth and by what
-stands around it (``features``), on scan lines also by how its points stack up and by the rays that
-it stops (``on_lines``), and small decision trees, trained on simulated scenes alone, give the
-probability that it is a pole.
+candidates (``candidates``), each is described by its emptiness over height and azimuth, by what
+stands around it and by the round shaft that explains it best (``features``), and small decision
+trees, trained on simulated scenes alone, give the probability that it is a pole. Scan lines, where
+there are any, give diameters.
 
 The trees stand in ``model.txt`` in the text format of LightGBM, those of the classes in
 ``classes.txt``. They were grown on 252 simulated streets and yards (452,987 candidates, 78,032 of
@@ -20,7 +20,7 @@ from importlib import resources
 import numpy as np
 from scipy.special import stdtrit
 
-from mmqa_lab.poles import common, on_lines
+from mmqa_lab.poles import common
 from mmqa_lab.poles.features import (
     BIN_M,
     FACADE_NAMES,
@@ -34,8 +34,8 @@ from mmqa_lab.poles.features import (
     describe_rounds,
 )
 
-FEATURES = NAMES + FACADE_NAMES + on_lines.STACK_NAMES + on_lines.RAY_NAMES + ROUND_NAMES
-"""Of a candidate; those of stacks and rays on scan lines are -1 where there are no lines."""
+FEATURES = NAMES + FACADE_NAMES + ROUND_NAMES
+"""Of a candidate."""
 
 WIDEST_M = 0.45
 """Radius about the axis in which scan lines are looked at for their chords, and longest chord."""
@@ -43,6 +43,10 @@ WIDEST_M = 0.45
 WITHIN_M, STEPS, LEAST_SLICES = 0.15, 8, 4
 """An accepted axis is straightened: a line through the middles of slices of 0.25 m, four or more,
 of the points within 0.15 m of it, or within the core where that is wider, eight times over."""
+
+BELOW = 1 / 3
+"""What begins high above ground does not hang where points lie on its axis in so many of the height
+bins below it: the rest is hidden or a gap between scan lines."""
 
 GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
@@ -61,7 +65,10 @@ class Settings:
         Points are thinned to one a cube of that size, metres: what makes a dense scanner look like
         a sparse one.
     minimum_length : float
-        Of the pole-like part, metres.
+        Of the column of points, metres.
+    minimum_points : float
+        What stands free over less than that length needs so many points, after thinning, where it
+        does: foliage and facades that a sparse scanner hits here and there have fewer.
     highest_foot : float
         Above the ground; what begins higher hangs, metres. Lower than 4 m it would refuse poles
         whose foot hides behind cars and hedges: 2 of 59 on the streets of the study at 3 m.
@@ -72,6 +79,7 @@ class Settings:
     threshold: float = 0.4
     voxel: float = 0.03
     minimum_length: float = 1.0
+    minimum_points: float = 8.0
     highest_foot: float = 4.0
     apart: float = 0.6
 
@@ -79,10 +87,10 @@ class Settings:
 def detect(points, settings, *, lines=None, explain=False, model=None):
     """Return the poles of a cloud as :func:`mmqa_lab.poles.detect` does.
 
-    ``points`` (n, 3) are metres from an origin nearby; from ``lines``, scan line and place of each,
+    ``points`` (n, 3) are metres from an origin nearby; from ``lines``, scan line and pulse of each,
     come chords; ``model`` is a ``lightgbm.Booster``, the package's where left out.
     """
-    features, axes, ground = described(points, settings, lines=lines)
+    features, axes, ground = described(points, settings)
     model = read_model() if model is None else model
     probability = model.predict(features) if len(features) else np.empty(0)
     where = (features, axes, ground)
@@ -101,12 +109,14 @@ def read_model(name="model.txt"):
 def judged(points, where, probability, settings, *, lines=None, explain=False):
     """Return the table of candidates with given probabilities; ``where`` is from ``described``."""
     features, axes, ground = where
-    column, top = (features[:, NAMES.index(name)] for name in ("column_m", "column_high_m"))
+    names = "column_m", "column_high_m", "below_core", "run_m", "run_points"
+    column, top, below, run, seen = (features[:, NAMES.index(name)] for name in names)
     reason = common.first_reason(
         len(axes),
         probability=probability < settings.threshold,
         length=column < settings.minimum_length,
-        foot=np.minimum(top - column, axes[:, 5]) > settings.highest_foot,
+        points=(run < settings.minimum_length) & (seen < np.log1p(settings.minimum_points)),
+        foot=(np.minimum(top - column, axes[:, 5]) > settings.highest_foot) & (below < BELOW),
     )
     low, high = axes[:, 5], axes[:, 6]
     middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]
@@ -117,7 +127,7 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     return common.pole_table(table, "ours", explain=explain)
 
 
-def described(points, settings, *, lines=None):
+def described(points, settings):
     """Return features (k, len(FEATURES)), axes (k, 8) and ground heights (k,) of all candidates."""
     if not len(points):
         return np.empty((0, len(FEATURES))), np.empty((0, 8)), np.empty(0)
@@ -125,27 +135,13 @@ def described(points, settings, *, lines=None):
     ground = common.fit_ground(thin)
     height = ground.height(thin)
     xy = candidates(thin, height)
-    given = np.full((len(xy), 5), np.nan)
-    ordered = stacks = None
-    if lines is not None:
-        ordered = on_lines.in_order(points, *lines)
-        stacks = on_lines.line_groups(ordered, ground.height)
-        more = on_lines.axes_of(*stacks[:4], on_lines.stack_candidates(stacks))
-        xy, given = np.concatenate([xy, more[:, :2]]), np.concatenate([given, more])
-    sorted_thin = common.rows(thin)
-    where = (sorted_thin.points, height[sorted_thin.order], sorted_thin.start, sorted_thin.base)
-    features, axes = describe(where, xy, given)
+    found = common.rows(thin)
+    where = (found.points, height[found.order], found.start, found.base)
+    features, axes = describe(where, xy, np.full((len(xy), 5), np.nan))
+    parts = features, describe_facades(thin, height, axes), describe_rounds(where, axes)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
-    shafts = describe_rounds(where, axes)
-    features = np.column_stack([features, describe_facades(thin, height, axes)])
-    evidence = np.full((len(xy), len(on_lines.STACK_NAMES + on_lines.RAY_NAMES)), -1.0)
-    if stacks is not None:
-        beside, ends = on_lines.describe_stacks(stacks, axes)
-        evidence = np.column_stack([beside, on_lines.describe_rays(ordered, axes, level)])
-        longer = ends[:, 1] - ends[:, 0] > axes[:, 6] - axes[:, 5]
-        axes[longer, 5:7] = ends[longer]
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
-    return np.round(np.column_stack([features, evidence, shafts]), 5), axes, level
+    return np.round(np.column_stack(parts), 5), axes, level
 
 
 def _measure(points, lines, table, radius):
@@ -199,7 +195,7 @@ def _straightened(xy, rise, axis, within):
     return axis
 
 
-def chord_points(points, off, line, place):
+def chord_points(points, off, line, pulse):
     """Points of the group nearest to the axis on each scan line, and their lines.
 
     A group counts where the pulses right before and after it hit nothing nearby: what stands in
@@ -207,7 +203,7 @@ def chord_points(points, off, line, place):
     """
     if not len(points):
         return np.empty(0, np.int64), line
-    order = np.lexsort([place, line])
+    order = np.lexsort([pulse, line])
     gap = np.linalg.norm(np.diff(points[order], axis=0), axis=1) > GROUP_GAP_M
     broken = np.concatenate([[False], gap | (np.diff(line[order]) != 0)])
     group = np.cumsum(broken)
@@ -221,17 +217,17 @@ def chord_points(points, off, line, place):
     last = first + count - 1
     chord = np.linalg.norm(off[order[first]] - off[order[last]], axis=1)
     nearest = nearest[(away[nearest] <= WIDEST_M / 2) & (chord[nearest] <= WIDEST_M)]
-    nearest = nearest[~_touched(line[order], place[order], first, last)[nearest]]
+    nearest = nearest[~_touched(line[order], pulse[order], first, last)[nearest]]
     which = order[np.isin(group, nearest)]
     return which, line[which]
 
 
-def _touched(line, place, first, last):
+def _touched(line, pulse, first, last):
     """Whether a pulse right before or after each group of a sorted line hits something nearby."""
     before, after = np.maximum(first - 1, 0), np.minimum(last + 1, len(line) - 1)
-    left = (first > 0) & (line[before] == line[first]) & (place[first] - place[before] <= 2)
+    left = (first > 0) & (line[before] == line[first]) & (pulse[first] - pulse[before] <= 2)
     right = (last < len(line) - 1) & (line[after] == line[last])
-    return left | (right & (place[after] - place[last] <= 2))
+    return left | (right & (pulse[after] - pulse[last] <= 2))
 
 
 # What a user asks of each pole, measured alike for the poles of every method, from the points

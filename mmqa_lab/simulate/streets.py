@@ -49,8 +49,8 @@ class Plan:
         Least and largest radius of trunks at the foot.
     trunk_lean_deg : float
         Standard deviation of their lean in each of two directions.
-    crown_height_m : tuple of 2
-        Least and largest height of crowns.
+    crown_height_m, crown_radius_m : tuple of 2
+        Least and largest height and radius of crowns.
     crown_density : float
         Of crowns; 1 is 0.8 leaves a metre of way.
     cars_per_100m, pedestrians_per_100m, billboards_per_100m, hedges_per_100m : float
@@ -81,6 +81,7 @@ class Plan:
     trunk_radius_m: tuple = (0.06, 0.2)
     trunk_lean_deg: float = 2.5
     crown_height_m: tuple = (2.5, 5.0)
+    crown_radius_m: tuple = (1.0, 2.4)
     crown_density: float = 1.0
     cars_per_100m: float = 4.0
     pedestrians_per_100m: float = 0.6
@@ -373,7 +374,10 @@ def _sign(rng, at, side, plan):
 def _tree(rng, at, side, plan):
     """A tree: trunk and crown, low or with branches as often as the plan says."""
     radius, taper = rng.uniform(*plan.trunk_radius_m), rng.uniform(0.6, 0.9)
-    crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(*plan.crown_height_m)
+    crown_radius, crown_height = (
+        rng.uniform(*plan.crown_radius_m),
+        rng.uniform(*plan.crown_height_m),
+    )
     base = rng.uniform(0.7, 1.5) if rng.random() < plan.low_crown_share else rng.uniform(2.0, 3.5)
     height = base + 0.5 * crown_height
     trunk, truth = _shaft(rng, at, "tree", radius, radius * taper, height, plan.trunk_lean_deg)

@@ -19,7 +19,6 @@ import pandas as pd
 from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
 from mmqa_lab.poles.features import NAMES
-from mmqa_lab.poles.on_lines import scan_lines
 from mmqa_lab.simulate import streets, surfaces
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
@@ -42,15 +41,18 @@ SPINNING["beams-64"] = _spinning(np.linspace(-24.0, 6.0, 64), 900)
 
 _STREET, _YARD = ("street", "roamer", 100.0, (5, 14)), ("yard", "roamer", 64.0, (5, 14))
 _PUSH_BROOM = ("street", "push-broom", 90.0, (3, 9))
-_SPARSE = ("yard", "hdl-32e", 40.0, (6, 14))
+_PUSHED, _SPARSE = ("yard", "push-broom", 64.0, (3, 9)), ("yard", "hdl-32e", 40.0, (6, 14))
 SETUPS = (
     *(_STREET, _YARD, _PUSH_BROOM, _SPARSE, ("street", "hdl-32e", 20.0, (6, 14)), _STREET, _YARD),
-    *(("street", "vq-450", 36.0, (8, 14)), ("yard", "push-broom", 64.0, (3, 9)), _STREET),
-    *(("yard", "beams-16", 40.0, (6, 14)), ("street", "beams-64", 14.0, (6, 14)), _STREET),
+    *(("street", "vq-450", 36.0, (8, 14)), _PUSHED, _PUSH_BROOM),
+    *(("yard", "beams-16", 40.0, (6, 14)), ("street", "beams-64", 14.0, (6, 14)), _PUSHED),
     *(("yard", "vq-450", 32.0, (8, 14)), ("street", "dense-profiler", 30.0, (8, 14)), _SPARSE),
     *(("street", "beams-16", 24.0, (6, 14)), _PUSH_BROOM),
 )
 """Street or yard, scanner, length (m) and range of speeds (m/s), by turns."""
+
+CROWNED, BENT = 0.25, 0.2
+"""Shares of the shafts of a yard under a crown, and with a knee."""
 
 SHARES = (1.0, 0.5, 0.5)
 YARD_SHARE = 0.7
@@ -86,7 +88,8 @@ def random_plan(rng):
     """Return a street plan drawn at random between few and many of everything."""
     setback, thinnest = rng.uniform(7, 20), rng.uniform(1, 10)
     drawn = {name: rng.uniform(*ends) for name, ends in NOTES["poles_training"]["plan"].items()}
-    least = {"thicket_height_m": 2.0, "trunk_radius_m": 0.05, "crown_height_m": 2.5}
+    least = {"thicket_height_m": 2.0, "trunk_radius_m": 0.05}
+    least |= {"crown_height_m": 2.5, "crown_radius_m": 1.0}
     drawn |= {name: (low, drawn[name]) for name, low in least.items()}
     drawn["setback_m"] = setback, setback + drawn["setback_m"]
     drawn["thicket_density"] = thinnest, thinnest + drawn["thicket_density"]
@@ -106,10 +109,27 @@ def yard(rng, length):
         height = np.exp(rng.uniform(np.log(1.1), np.log(12)))
         radius = np.exp(rng.uniform(np.log(0.02), np.log(0.5)))
         top, lean = radius * rng.choice([1.0, rng.uniform(0.6, 1)]), rng.choice([0, 1, 5])
-        post, truth = streets._shaft(rng, at, "other", radius, top, height, lean)
+        kind = "tree" if rng.random() < CROWNED else "other"
+        post, truth = streets._shaft(rng, at, kind, radius, top, height, lean)
         rows.append(truth | {"surface": len(things)})
-        things.append(post)
+        things.append(_bent(rng, truth, kind) if rng.random() < BENT else post)
+        if kind == "tree":
+            size = rng.uniform([1.0, 1.0, 0.7], [3.5, 3.5, 3.0])
+            middle, seed = at + [0, 0, height + 0.7 * size[2]], int(rng.integers(2**31))
+            things.append(streets._crown(middle, size, rng.uniform(0.3, 2.0), seed))
     return streets.Street(Scene(things), pd.DataFrame(rows), length, streets.PLANS["quiet"])
+
+
+def _bent(rng, truth, kind):
+    """A shaft with a knee, up to 4 % of its height beside the straight one."""
+    middle = np.array([truth["x_m"], truth["y_m"], truth["z_base_m"] + truth["height_m"] / 2])
+    way = truth["height_m"] / 2 * np.array([truth["lean_x"], truth["lean_y"], 1.0])
+    knee = middle + [*rng.uniform(-0.03, 0.03, 2) * truth["height_m"], 0.0]
+    low, high = truth["diameter_base_m"] / 2, truth["diameter_top_m"] / 2
+    half = (low + high) / 2
+    lower = surfaces.cylinder(middle - way, knee, low, top_radius=half)
+    upper = surfaces.cylinder(knee, middle + way, half, top_radius=high)
+    return surfaces.group([lower, upper], label=kind)
 
 
 def _pillar(rng, at):
@@ -132,6 +152,25 @@ def _strip(rng, at):
     along = wide * np.array([np.cos(turn), np.sin(turn), 0])
     foot = at + [0, 0, rng.choice([0.0, rng.uniform(0.8, 5)])]
     return [surfaces.rectangle(foot, along, (0, 0, rng.uniform(1, 6)))]
+
+
+def _front(rng, at):
+    """What is seen of a house front between other things: strips of it in a line."""
+    turn, foot = rng.uniform(0, np.pi), at + [6 * np.sign(at[0]), 0, 0]
+    along = np.array([np.cos(turn), np.sin(turn), 0])
+    strips = []
+    for place in np.cumsum(rng.uniform(0.4, 2.5, rng.integers(2, 6))):
+        low, wide, rise = rng.choice([0.0, 1.0, 3.0]), rng.uniform(0.08, 0.6), rng.uniform(1.5, 6)
+        left = foot + place * along + [0, 0, low]
+        strips.append(surfaces.rectangle(left, wide * along, (0, 0, rise)))
+    return strips
+
+
+def _bus(rng, at):
+    """A van, truck or bus, across the way now and then."""
+    size = rng.uniform([1.9, 4.5, 1.8], [2.6, 12.0, 3.0])
+    turn = rng.choice([0.0, 0.0, 90.0]) + rng.normal(0, 4)
+    return [surfaces.box(at + [np.sign(at[0]), 0, 0.35], tuple(size), heading=turn)]
 
 
 def _bush(rng, at):
@@ -176,7 +215,8 @@ def _coat(rng, at):
     return [surfaces.group(parts, label="pedestrian")]
 
 
-YARD = (_pillar, _cabinet, _strip, _bush, _person, _car, _porch, _person, _person, _coat, _coat)
+YARD = (_pillar, _cabinet, _strip, _front, _bush, _bush, _person, _car, _bus, _porch)
+YARD += (_person, _person, _coat, _coat)
 
 
 def example(number, *, seed=FIRST_SEED, stretch=1.0):
@@ -295,8 +335,8 @@ def lessons(numbers, folder, *, progress=True, **choices):
     -------
     dict of array
         ``features`` (k, features); of each candidate ``label`` of :func:`labels`, ``kind``, the row
-        of ``ours.CLASSES`` of the nearest target, ``group``, a number for each view with or without
-        its scan lines, and ``share``, the weight of such a view.
+        of ``ours.CLASSES`` of the nearest target, ``group``, a number for each view, and ``share``,
+        the weight of such a view.
     """
     from tqdm.auto import tqdm
 
@@ -313,20 +353,18 @@ def lessons(numbers, folder, *, progress=True, **choices):
 
 
 def _lesson(number, **choices):
-    """Arrays of one example; the whole view comes with its scan lines and without."""
+    """Arrays of one example."""
     parts, yard_share = [], YARD_SHARE if SETUPS[number % len(SETUPS)][0] == "yard" else 1.0
     for view, cloud, targets in example(number, **choices):
-        origin, lines = np.floor(cloud.points.min(axis=0)), scan_lines(cloud)
-        for known in (None, lines) if view == 0 or (number + view) % 2 else (lines,):
-            where = ours.described(cloud.points - origin, ours.Settings(), lines=known)
-            features, axes, _ = where
-            axes[:, :2] += origin[:2]
-            label, nearest = labels(axes, targets)
-            group = np.full(len(label), number * 8 + view * 2 + (known is not None))
-            made = {"features": features.astype(np.float32), "label": label, "group": group}
-            made |= {"kind": kinds(targets)[nearest], "share": 0.0 * label}
-            made["share"] += SHARES[view] * yard_share
-            parts.append({name: column[label >= 0] for name, column in made.items()})
+        origin = np.floor(cloud.points.min(axis=0))
+        features, axes, _ = ours.described(cloud.points - origin, ours.Settings())
+        axes[:, :2] += origin[:2]
+        label, nearest = labels(axes, targets)
+        group = np.full(len(label), number * len(SHARES) + view)
+        made = {"features": features.astype(np.float32), "label": label, "group": group}
+        made |= {"kind": kinds(targets)[nearest], "share": 0.0 * label}
+        made["share"] += SHARES[view] * yard_share
+        parts.append({name: column[label >= 0] for name, column in made.items()})
     return _together(parts)
 
 
@@ -335,7 +373,7 @@ def _together(parts):
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def fit(features, label, group, share=1.0, *, rounds=300, leaves=31, rate=0.05):
+def fit(features, label, group, share=1.0, *, rounds=600, leaves=20, rate=0.1):
     """Return trees grown by gradient boosting of the log loss.
 
     Parameters
@@ -370,7 +408,7 @@ def kinds(targets):
     """
     name, height = targets["class"].to_numpy(), targets["height_m"].to_numpy()
     width = targets["diameter_base_m"].to_numpy()
-    street = np.isin(name, ("lamp", "sign", "tree")).any()
+    street = np.isin(name, ("lamp", "sign")).any()
     signal = street & (height >= 2) & (height < 4.5)
     utility = (height >= 4.5) & ((width >= 0.2) | (not street)) & (width <= 0.45)
     low = (height < 4.5) & (width <= 0.45)
