@@ -137,6 +137,28 @@ def test_what_is_seen_in_pieces_has_a_foot(rng):
     assert len(poles.detect(cloud, method="ours")) == 1
 
 
+def test_poles_and_their_diameters_need_no_column_but_time(street, detected):
+    _, cloud, _ = street
+    alone = poles.detect(Cloud(cloud.points, {"gps_time": cloud["gps_time"]}), method="ours")
+    whole = detected("ours")
+    assert np.array_equal(alone[["x_m", "y_m", "score"]], whole[["x_m", "y_m", "score"]])
+    both = alone["diameter_m"].notna() & whole["diameter_m"].notna()
+    assert both.sum() >= 0.9 * whole["diameter_m"].notna().sum() > 1
+    assert (alone["diameter_m"] - whole["diameter_m"])[both].abs().max() < 0.01
+
+
+def test_few_points_that_stand_free_over_less_than_a_metre_are_no_pole():
+    names = [*features.NAMES, *features.FACADE_NAMES, *features.ROUND_NAMES]
+    row = dict.fromkeys(names, 0.0) | {"column_m": 2.0, "column_high_m": 2.0}
+    kept = []
+    for run, points in ((1.0, 3), (0.75, 7), (0.75, 8)):
+        made = row | {"run_m": run, "run_points": np.log1p(points)}
+        axes = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.25, 0.25 + run, 0.1]])
+        where = np.array([list(made.values())]), axes, np.zeros(1)
+        kept.append(len(ours.judged(np.empty((0, 3)), where, np.ones(1), ours.Settings())))
+    assert kept == [1, 0, 1]
+
+
 @pytest.mark.parametrize("method", ["fgi", "itc"])
 def test_published_methods_ask_for_a_foot_only_when_told(method, rng):
     cloud = scene(post(1.0, 2.0), post(-3.0, 0.0, low=6.0, line=200), rng=rng)

@@ -308,7 +308,8 @@ def test_examples_are_kept_and_teach_again(tmp_path):
     for name, same in again.items():
         assert np.array_equal(first[name], same)
     assert set(first["label"]) == {0, 1}
-    assert len(np.unique(first["group"])) >= 4  # views, the whole one with and without lines
+    assert first["group"].tolist() == sorted(first["group"])
+    assert set(first["group"]) == {3, 4, 5}  # the three views of example 1
     taught = first["features"], first["label"], first["kind"]
     assert training.fit_classes(*taught, rounds=2).num_model_per_iteration() == 5
 
@@ -393,7 +394,7 @@ def test_real_references(real):
     assert (targets["height_m"] >= 1).all()
     assert 120 < len(targets) < 220
     score = poles.score(poles.detect(whole), truth)
-    assert score.f1 == pytest.approx(0.81, abs=0.01)  # as the README says
+    assert score.f1 == pytest.approx(0.85, abs=0.01)  # as the README says
 
 
 def written(folder, cloud, truth):
