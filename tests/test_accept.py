@@ -229,6 +229,15 @@ def test_two_boards_in_one_image_without_orientation_are_told_apart_by_their_tar
     assert [one["found"]["view"] for one in chosen] == ["forward", "forward"]
     away = np.linalg.norm(boards.iloc[0]["corners"].mean(axis=0) - position)
     assert chosen[0]["found"]["distance_m"] == pytest.approx(away, rel=0.03)
+    tall = np.full((vehicle.camera.height, canvas.shape[1]), 128, np.uint8)  # from zenith to nadir
+    tall[low[1] :][: canvas.shape[0]] = canvas
+    cv2.imwrite(str(tmp_path / "tall.png"), tall)
+    images = images.assign(file="tall.png", first_row=0)
+    again = photographs._chosen(here, images, wanted, vehicle.camera, note)
+    for one, whole, board in zip(chosen, again, boards.itertuples(), strict=True):
+        pixels = [choice["map"].outline(board.layout.corners()) for choice in (one, whole)]
+        assert np.allclose(pixels[1] - pixels[0], [0, low[1]], atol=0.05)
+        assert whole["found"]["distance_m"] == pytest.approx(one["found"]["distance_m"], abs=0.02)
     same = [SimpleNamespace(board=name, layout=boards.iloc[0]["layout"]) for name in ("a", "b")]
     assert "Boards 'a' and 'b' have the same targets" in photographs._same_targets(same)
     assert not said

@@ -293,16 +293,28 @@ def _searched(drive, images, wanted, camera, done):
         except (ValueError, OSError) as error:
             done.say(f"{drive.name}/{image['file']}", error)
             continue
+        grey, top = _level(grey, camera, origin[1])
         try:
             found = find_markers(grey, [board.layout for board, _ in wanted])
         except ValueError:  # no board in this image
             continue
         for board, _ in wanted:
-            there = _located(grey, found, board.layout, camera, origin)
+            there = _located(grey, found, board.layout, camera, (origin[0], origin[1] + top))
             if there is not None:
-                maps[board.board][index] = there
+                there = maps[board.board][index] = there.within(0, -top)
                 images.loc[index, rules.PLACE] = _camera_place(there, board)
     return images, maps
+
+
+def _level(grey, camera, first):
+    """The rows of a panorama within 45 degrees of the horizon, where boards are, and their first.
+
+    ``first``: the row of the panorama at which the image begins.
+    """
+    if not isinstance(camera, PanoramaCamera):
+        return grey, 0
+    top, end = np.clip(np.array([1, 3]) * camera.height // 4 - first, 0, len(grey))
+    return grey[top:end], int(top)
 
 
 def _located(grey, found, layout, camera, origin):
