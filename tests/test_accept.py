@@ -236,7 +236,7 @@ def test_two_boards_in_one_image_without_orientation_are_told_apart_by_their_tar
     again = photographs._chosen(here, images, wanted, vehicle.camera, note)
     for one, whole, board in zip(chosen, again, boards.itertuples(), strict=True):
         pixels = [choice["map"].outline(board.layout.corners()) for choice in (one, whole)]
-        assert np.allclose(pixels[1] - pixels[0], [0, low[1]], atol=0.05)
+        assert np.allclose(pixels[1] - pixels[0], [0, low[1]], atol=0.2)
         assert whole["found"]["distance_m"] == pytest.approx(one["found"]["distance_m"], abs=0.02)
     same = [SimpleNamespace(board=name, layout=boards.iloc[0]["layout"]) for name in ("a", "b")]
     assert "Boards 'a' and 'b' have the same targets" in photographs._same_targets(same)
