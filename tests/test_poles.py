@@ -151,12 +151,13 @@ def test_few_points_that_stand_free_over_less_than_a_metre_are_no_pole():
     names = [*features.NAMES, *features.FACADE_NAMES, *features.ROUND_NAMES]
     row = dict.fromkeys(names, 0.0) | {"column_m": 2.0, "column_high_m": 2.0}
     kept = []
-    for run, points in ((1.0, 3), (0.75, 7), (0.75, 8)):
+    for run, points, sure in ((1.0, 3, 0.8), (0.75, 7, 0.8), (0.75, 7, 0.95), (0.75, 8, 0.8)):
         made = row | {"run_m": run, "run_points": np.log1p(points)}
         axes = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.25, 0.25 + run, 0.1]])
         where = np.array([list(made.values())]), axes, np.zeros(1)
-        kept.append(len(ours.judged(np.empty((0, 3)), where, np.ones(1), ours.Settings())))
-    assert kept == [1, 0, 1]
+        found = ours.judged(np.empty((0, 3)), where, np.array([sure]), ours.Settings())
+        kept.append(len(found))
+    assert kept == [1, 0, 1, 1]
 
 
 @pytest.mark.parametrize("method", ["fgi", "itc"])

@@ -48,6 +48,9 @@ BELOW = 1 / 3
 """What begins high above ground does not hang where points lie on its axis in so many of the height
 bins below it: the rest is hidden or a gap between scan lines."""
 
+SURE = 0.9
+"""Few points are enough for what is a pole with this probability."""
+
 GROUP_GAP_M = 0.10
 """Two consecutive points of a line farther apart belong to two things."""
 
@@ -68,7 +71,8 @@ class Settings:
         Of the column of points, metres.
     minimum_points : float
         What stands free over less than that length needs so many points, after thinning, where it
-        does: foliage and facades that a sparse scanner hits here and there have fewer.
+        does, or a probability of 0.9: foliage and facades that a sparse scanner hits here and there
+        have fewer.
     highest_foot : float
         Above the ground; what begins higher hangs, metres. Lower than 4 m it would refuse poles
         whose foot hides behind cars and hedges: 2 of 59 on the streets of the study at 3 m.
@@ -115,7 +119,9 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
         len(axes),
         probability=probability < settings.threshold,
         length=column < settings.minimum_length,
-        points=(run < settings.minimum_length) & (seen < np.log1p(settings.minimum_points)),
+        points=(run < settings.minimum_length)
+        & (seen < np.log1p(settings.minimum_points))
+        & (probability < SURE),
         foot=(np.minimum(top - column, axes[:, 5]) > settings.highest_foot) & (below < BELOW),
     )
     low, high = axes[:, 5], axes[:, 6]
