@@ -444,7 +444,7 @@ def test_a_point_just_at_the_reach_has_no_part_in_the_axis():
         found = common.rows(np.vstack([shaft, rim]))
         out = np.zeros(5)
         where = found.points, np.ascontiguousarray(found.points[:, 2]), found.start, found.base
-        features.fit_axis(*where, at, 0.5, (0.15, 0.06), 12, 1.0, out)
+        features.fit_axis(*where, at, out)
         axes.append(out)
     assert np.array_equal(axes[0], axes[1])
     assert not np.array_equal(axes[0], axes[2])

@@ -220,24 +220,24 @@ their occupied height bins."""
 
 
 @njit(cache=True)
-def fit_axis(points, height, start, base, at, reach, scales, iterations, upright, out):
+def fit_axis(points, height, start, base, at, out):
     """Write a robust straight axis (x, y at h = middle, lean x, lean y, middle) near ``at``.
 
-    Iteratively reweighted least squares of the points within reach, with Geman-McClure weights
-    whose scale shrinks between two, metres; ``upright`` is how many square metres of moment draw
-    leans towards 0.
+    Twelve steps of iteratively reweighted least squares of the points within 0.5 m, with
+    Geman-McClure weights whose scale shrinks from 0.15 to 0.06 m; a moment of 1 m2 draws leans
+    towards 0.
     """
-    near, n, middle = near_axis(points, start, base, at[0], at[1], reach + 1e-9), 0, 0.0
+    near, n, middle = near_axis(points, start, base, at[0], at[1], 0.5 + 1e-9), 0, 0.0
     x, y, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for i in near:
         x[n], y[n], h[n] = points[i, 0], points[i, 1], height[i]
-        if 0.1 < h[n] < BINS * BIN_M and math.hypot(x[n] - at[0], y[n] - at[1]) < reach:
+        if 0.1 < h[n] < BINS * BIN_M and math.hypot(x[n] - at[0], y[n] - at[1]) < 0.5:
             middle += h[n]
             n += 1
     middle /= max(n, 1)
     ax, ay, lx, ly = at[0], at[1], 0.0, 0.0
-    for step in range(iterations):
-        scale = max(scales[0] * 0.85**step, scales[1])
+    for step in range(12):
+        scale = max(0.15 * 0.85**step, 0.06)
         w0, w1, w2 = 1e-9, 0.0, 0.0
         sx, sy, tx, ty = 0.0, 0.0, 0.0, 0.0
         for k in range(n):
@@ -251,7 +251,7 @@ def fit_axis(points, height, start, base, at, reach, scales, iterations, upright
             sy += w * y[k]
             tx += w * x[k] * u
             ty += w * y[k] * u
-        w2 += upright
+        w2 += 1.0
         det = w0 * w2 - w1 * w1
         ax, lx = (w2 * sx - w1 * tx) / det, (w0 * tx - w1 * sx) / det
         ay, ly = (w2 * sy - w1 * ty) / det, (w0 * ty - w1 * sy) / det
@@ -260,13 +260,13 @@ def fit_axis(points, height, start, base, at, reach, scales, iterations, upright
 
 
 @njit(cache=True)
-def longest_run(flags, gap):
-    """First and last + 1 of the longest run of set flags, gaps up to ``gap`` bins allowed."""
+def longest_run(flags):
+    """First and last + 1 of the longest run of set flags, gaps of one bin allowed."""
     best_low, best_high = 0, 0
     low, last = -1, -1
     for k in range(len(flags)):
         if flags[k]:
-            if low < 0 or k - last > gap + 1:
+            if low < 0 or k - last > 2:
                 low = k
             last = k
             if last + 1 - low > best_high - best_low:
@@ -318,7 +318,7 @@ def _describe(dx, dy, across, level, axis, out):
         _profile(across, level, RADII_M[r], core, shell)
         for k in range(BINS):
             flags[k] = core[k] > 0 and shell[k] <= CLEAN * core[k]
-        runs[r, 0], runs[r, 1] = longest_run(flags, np.int64(1))
+        runs[r, 0], runs[r, 1] = longest_run(flags)
         out[r] = (runs[r, 1] - runs[r, 0]) * BIN_M
         longest = max(longest, out[r])
     r = 0
@@ -328,7 +328,7 @@ def _describe(dx, dy, across, level, axis, out):
     _profile(across, level, radius, core, shell)
     for k in range(BINS):
         flags[k] = core[k] > 0
-    first, last = longest_run(flags, np.int64(1))
+    first, last = longest_run(flags)
     if high == low:
         low, high = first, last
     run = max(high - low, 1)
@@ -491,7 +491,7 @@ def _candidates(begin, end, points, height, start, base, xy, given, features, ax
         for k in range(5):
             axis[k] = given[c, k]
         if math.isnan(axis[0]):
-            fit_axis(points, height, start, base, xy[c], 0.5, (0.15, 0.06), 12, 1.0, axis)
+            fit_axis(points, height, start, base, xy[c], axis)
         near, n = near_axis(points, start, base, xy[c, 0], xy[c, 1], REACH_M), 0
         dx, dy, across = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
         level = np.empty(len(near), np.int64)
@@ -657,10 +657,10 @@ def _round(h, x, y, out):
     for b in range(BINS):
         column[b] = on[b] + inside[b] > 0
         flags[b] = on[b] > 0 and inside[b] <= CLEAN * on[b] and beside[b] <= CLEAN * on[b]
-    low, high = longest_run(flags, np.int64(1))
+    low, high = longest_run(flags)
     clean = (high - low) * BIN_M
     if high == low:
-        low, high = longest_run(column, np.int64(1))
+        low, high = longest_run(column)
     own, within, around = _sum(on, low, high), _sum(inside, low, high), _sum(beside, low, high)
     bins, wide = max(high - low, 1), max(r, 0.05)
     out[0], out[1], out[2] = r, clean, own / max(own + within + around, 1.0)
