@@ -1,5 +1,6 @@
 """The three detectors: hand-made scenes, a simulated street, invariance, speed of growth, input."""
 
+import itertools
 from functools import cache
 
 import numpy as np
@@ -129,6 +130,14 @@ def test_what_hangs_has_no_foot(low, found, rng):
     assert len(poles.detect(cloud, method="ours")) == found
 
 
+def test_a_foot_may_stand_where_the_ground_is_hidden(rng):
+    points = scene(post(1.0, 2.0, low=4.5), rng=rng).points
+    beneath = np.hypot(points[:, 0] - 1.0, points[:, 1] - 2.0) < 1.0
+    hidden = points[~(beneath & (points[:, 2] < 1.0))]
+    assert len(poles.detect(points, method="ours")) == 0
+    assert len(poles.detect(hidden, method="ours")) == 1
+
+
 def test_what_is_seen_in_pieces_has_a_foot(rng):
     whole = post(1.0, 2.0, height=8.0)
     rise = whole[0][:, 2]
@@ -148,7 +157,7 @@ def test_poles_and_their_diameters_need_no_column_but_time(street, detected):
 
 
 def test_few_points_that_stand_free_over_less_than_a_metre_are_no_pole():
-    names = [*features.NAMES, *features.FACADE_NAMES, *features.ROUND_NAMES]
+    names = [*features.NAMES, *features.AROUND_NAMES, *features.ROUND_NAMES]
     row = dict.fromkeys(names, 0.0) | {"column_m": 2.0, "column_high_m": 2.0}
     kept = []
     for run, points, sure in ((1.0, 3, 0.8), (0.75, 7, 0.8), (0.75, 7, 0.95), (0.75, 8, 0.8)):
@@ -450,43 +459,22 @@ def test_a_point_just_at_the_reach_has_no_part_in_the_axis():
     assert not np.array_equal(axes[0], axes[2])
 
 
-@pytest.mark.parametrize("degrees", [0, 33, 117])
-def test_a_wall_behind_a_post_is_measured(degrees):
-    turn = np.radians(degrees)
-    cloud = scene(post(0, 0, radius=0.05), wall(-3, 3, 0.9))
-    c, s = np.cos(turn), np.sin(turn)
-    points = cloud.points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    values, found, _ = ours.described(points, ours.Settings())
-    nearest = np.argmin(np.hypot(found[:, 0], found[:, 1]))
-    measured = dict(zip(ours.FEATURES, values[nearest], strict=True))
-    # the strip is 0.4 m wide, cells are 0.2 m
-    assert measured["facade_off_m"] == pytest.approx(0.9, abs=0.15)
-    assert measured["facade_m"] == pytest.approx(6, abs=0.5)  # a turned wall leaves steps empty
-    assert measured["facade_share"] > 0.8  # a turned wall touches cells beside the strip
-    assert measured["facade_bins"] == pytest.approx(16, abs=1)
-    bare = ours.described(scene(post(0, 0)).points, ours.Settings())[0]
-    assert (bare[:, ours.FEATURES.index("facade_m")] == 0).all()
-
-
-def test_the_strip_of_a_facade_is_the_longest_of_all(rng):
-    # brute force over a thousand directions, every shift
-    cells = rng.integers(-12, 13, (60, 2)) * features.CELL_M
-    cells[:15] = np.stack([np.arange(15) * 0.2 - 1.4, np.full(15, 1.2)], axis=1)
-    bins = np.full(60, 12.0)
-    away = np.hypot(*cells.T)
-    u, v = cells[(away > features.OWN_M) & (away < features.WALL_REACH_M)].T
-    out = np.zeros(4)
-    features._strip(u, v, bins[: len(u)], out)
-    best = 0
-    for turn in np.linspace(0, np.pi, 1000, endpoint=False):
-        c, s = np.cos(turn), np.sin(turn)
-        along = np.floor((u * c + v * s + features.WALL_REACH_M) / features.CELL_M)
-        across = u * s - v * c
-        for low in across:
-            inside = (across >= low) & (across <= low + features.STRIP_M)
-            best = max(best, features.CELL_M * len(np.unique(along[inside])))
-    # strips are tried every 5 degrees and 0.2 m: at the row's, by construction, the row is found
-    assert 15 * 0.2 - 1e-9 <= out[0] <= best + 1e-9
+def test_what_stands_around_an_axis_is_counted_in_cells_and_arcs(rng):
+    points = rng.uniform([-7, -7, -1], [7, 7, 18], (3000, 3))
+    axis = np.array([[0.33, -0.71, 0.0, 0.0, 1.0]])
+    row = features.describe_around(points, points[:, 2], axis)[0]
+    cell = 0.2 * (np.floor(points[:, :2] / 0.2) + 0.5) - axis[0, :2]
+    away, turn = np.hypot(*cell.T), np.degrees(np.arctan2(cell[:, 1], cell[:, 0])) % 360
+    measured = dict(zip(features.AROUND_NAMES, row, strict=True))
+    rings, bands = [0.6, 1.5, 3, 5], [0.1, 1, 2.5, 5, 9, 16]
+    for ring, (near, far) in enumerate(itertools.pairwise(rings)):
+        for band, (low, high) in enumerate(itertools.pairwise(bands)):
+            there = (away >= near) & (away < far) & (points[:, 2] > low) & (points[:, 2] < high)
+            places, arcs = np.unique(cell[there].round(3), axis=0), np.unique(turn[there] // 15)
+            name = f"band{band}_ring{ring}"
+            assert measured[f"cells_{name}"] == pytest.approx(np.log1p(len(places)))
+            assert measured[f"arcs_{name}"] == pytest.approx(len(arcs) / 24)
+    assert not features.describe_around(points[:0], points[:0, 2], axis).any()
 
 
 @pytest.mark.parametrize("radius", [0.06, 0.25, 0.45])

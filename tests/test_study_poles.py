@@ -394,7 +394,7 @@ def test_real_references(real):
     assert (targets["height_m"] >= 1).all()
     assert 120 < len(targets) < 220
     score = poles.score(poles.detect(whole), truth)
-    assert score.f1 == pytest.approx(0.84, abs=0.01)  # as the README says
+    assert score.f1 == pytest.approx(0.83, abs=0.01)  # as the README says
 
 
 def written(folder, cloud, truth):

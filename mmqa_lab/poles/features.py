@@ -202,21 +202,18 @@ stands from that line; ``slab``: share of the plan around occupied right above o
 """
 
 
-TALL_BINS = 10
-WALL_REACH_M = 4.0
-OWN_M = 0.3
-"""A column, a pipe or the side of a bay is as slender as a pole but stands at a wall, which windows
-and balconies leave in pieces. Of a wall count plan cells with points over 2.5 m of height, within
-4 m of the axis, without the pole's own."""
+RINGS_M = np.array([0.6, 1.5, 3.0, 5.0])
+BANDS_M = np.array([0.1, 1.0, 2.5, 5.0, 9.0, 16.0])
+"""Of what stands around: distances from the axis and heights above the ground. Walls, crowns, cars
+and fences fill other bands and rings than a pole among them."""
 
-TURNS = 36
-STRIP_M = 0.4
-"""Directions in which walls are looked for, and the depth of one in plan."""
-
-FACADE_NAMES = ("facade_m", "facade_off_m", "facade_share", "facade_bins")
-"""Of the straight strip in plan with the most tall cells along it: its length that they
-cover, how far the axis stands from it, its share of the tall cells around, and the mean number of
-their occupied height bins."""
+AROUND_NAMES = tuple(
+    f"{what}_band{band}_ring{ring}"
+    for band in range(len(BANDS_M) - 1)
+    for ring in range(len(RINGS_M) - 1)
+    for what in ("arcs", "cells")
+)
+"""Share of the 24 arcs of a ring with points in a band of heights, and log of its plan cells."""
 
 
 @njit(cache=True)
@@ -743,66 +740,34 @@ def _rounds(begin, end, points, height, start, base, axes, out):
             _round(h[:n], x[:n], y[:n], out[c])
 
 
-def describe_facades(points, height, axes):
-    """Return the features (k, 4) of candidates from points (n, 3), their height, and axes."""
-    found = rows(tall_cells(points, height))
-    out = np.zeros((len(axes), len(FACADE_NAMES)))
-    xy = np.ascontiguousarray(axes[:, :2])
-    in_threads(_facades, len(xy), found.points, found.start, found.base, xy, out)
+def describe_around(points, height, axes):
+    """Return the features (k, len(AROUND_NAMES)) of axes from points (n, 3) and their height."""
+    out = np.zeros((len(axes), len(AROUND_NAMES)))
+    used = (height > BANDS_M[0]) & (height < BANDS_M[-1])
+    if used.any():
+        band = np.searchsorted(BANDS_M, height[used], side="right") - 1
+        scaled = np.column_stack([points[used, :2] / CELL_M, band])
+        place = sort_into_cells(scaled, 1.0).places
+        found = rows(np.column_stack([(place[:, :2] + 0.5) * CELL_M, place[:, 2]]))
+        cells = found.points, found.start, found.base
+        in_threads(_around_axes, len(axes), *cells, axes[:, :2].copy(), out)
     return out
 
 
-def tall_cells(points, height):
-    """Return centre and number of occupied height bins, (m, 3), of the tall cells in plan.
-
-    Examples
-    --------
-    >>> height = np.arange(0.2, 4, 0.1)
-    >>> wall = np.stack([0 * height, 0 * height, height], axis=1)
-    >>> tall_cells(wall, height).tolist()
-    [[0.1, 0.1, 16.0]]
-    """
-    used = (height > 0.1) & (height < BINS * BIN_M)
-    if not used.any():
-        return np.empty((0, 3))
-    scaled = np.column_stack([points[used, :2] / CELL_M, height[used] / BIN_M])
-    place, bins = np.unique(sort_into_cells(scaled, 1.0).places[:, :2], axis=0, return_counts=True)
-    tall = bins >= TALL_BINS
-    return np.column_stack([(place[tall] + 0.5) * CELL_M, bins[tall]])
-
-
 @njit(cache=True, nogil=True)
-def _facades(begin, end, cells, start, base, xy, out):
-    """Write the features of the candidates from ``begin`` to ``end``."""
+def _around_axes(begin, end, cells, start, base, xy, out):
+    """Write the features of the axes from ``begin`` to ``end``; cells have x, y and their band."""
+    bands, rings = len(BANDS_M) - 1, len(RINGS_M) - 1
     for c in range(begin, end):
-        near = near_axis(cells, start, base, xy[c, 0], xy[c, 1], WALL_REACH_M)
-        u, v, bins, n = np.empty(len(near)), np.empty(len(near)), np.empty(len(near)), 0
-        for k in near:
-            u[n], v[n], bins[n] = cells[k, 0] - xy[c, 0], cells[k, 1] - xy[c, 1], cells[k, 2]
-            n += math.hypot(u[n], v[n]) > OWN_M
-        _strip(u[:n], v[:n], bins[:n], out[c])
-
-
-@njit(cache=True)
-def _strip(u, v, bins, out):
-    """Write length, distance, share and mean bins of the strip that is covered the farthest."""
-    half = STRIP_M / 2
-    steps = int(2 * WALL_REACH_M / half) + 2
-    out[0], out[1], out[2], out[3] = 0.0, WALL_REACH_M, 0.0, 0.0
-    held = np.zeros(steps, np.uint64)  # a bit for each cell's length along the strip
-    count, total = np.zeros(steps), np.zeros(steps)
-    for turn in range(TURNS):
-        c, s = math.cos(np.pi * turn / TURNS), math.sin(np.pi * turn / TURNS)
-        for k in range(steps):
-            held[k], count[k], total[k] = 0, 0, 0
-        for k in range(len(u)):
-            step = int((u[k] * s - v[k] * c + WALL_REACH_M) / half)
-            held[step] |= np.uint64(1) << np.uint64((u[k] * c + v[k] * s + WALL_REACH_M) / CELL_M)
-            count[step] += 1
-            total[step] += bins[k]
-        for k in range(steps - 1):
-            length = CELL_M * set_bits(held[k] | held[k + 1])
-            if length > out[0]:
-                n = count[k] + count[k + 1]
-                out[0], out[1] = length, abs((k + 1) * half - WALL_REACH_M)
-                out[2], out[3] = n / len(u), (total[k] + total[k + 1]) / n
+        arcs = np.zeros((bands, rings), np.uint64)
+        count = np.zeros((bands, rings))
+        for k in near_axis(cells, start, base, xy[c, 0], xy[c, 1], RINGS_M[-1]):
+            u, v, band = cells[k, 0] - xy[c, 0], cells[k, 1] - xy[c, 1], int(cells[k, 2])
+            ring = np.searchsorted(RINGS_M, math.hypot(u, v), side="right") - 1
+            if 0 <= ring < rings:
+                arcs[band, ring] |= np.uint64(1) << np.uint64(_arc_of(u, v))
+                count[band, ring] += 1
+        for i in range(bands * rings):
+            band, ring = divmod(i, rings)
+            out[c, 2 * i] = set_bits(arcs[band, ring]) / ARCS
+            out[c, 2 * i + 1] = math.log1p(count[band, ring])

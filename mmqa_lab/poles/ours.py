@@ -9,7 +9,7 @@ trees, trained on simulated scenes alone, give the probability that it is a pole
 there are any, give diameters.
 
 The trees stand in ``model.txt`` in the text format of LightGBM, those of the classes in
-``classes.txt``. They were grown on 252 simulated streets and yards (220,237 candidates, 38,533 of
+``classes.txt``. They were grown on 504 simulated streets and yards (528,074 candidates, 78,146 of
 them poles) by ``python -m mmqa_lab.studies.poles_training FOLDER``.
 """
 
@@ -22,19 +22,19 @@ from scipy.special import stdtrit
 
 from mmqa_lab.poles import common
 from mmqa_lab.poles.features import (
+    AROUND_NAMES,
     BIN_M,
-    FACADE_NAMES,
     MAX_LEAN,
     NAMES,
     REACH_M,
     ROUND_NAMES,
     candidates,
     describe,
-    describe_facades,
+    describe_around,
     describe_rounds,
 )
 
-FEATURES = NAMES + FACADE_NAMES + ROUND_NAMES
+FEATURES = NAMES + AROUND_NAMES + ROUND_NAMES
 """Of a candidate."""
 
 WIDEST_M = 0.45
@@ -47,6 +47,10 @@ of the points within 0.15 m of it, or within the core where that is wider, eight
 BELOW = 1 / 3
 """What begins high above ground does not hang where points lie on its axis in so many of the height
 bins below it: the rest is hidden or a gap between scan lines."""
+
+FOOT_M, GROUND_M = 0.6, 0.3
+"""Nor does it hang where no point within 0.6 m of the axis is within 0.3 m of the ground: what
+hides the ground may hide a foot."""
 
 SURE = 0.9
 """Few points are enough for what is a pole with this probability."""
@@ -74,8 +78,9 @@ class Settings:
         does, or a probability of 0.9: foliage and facades that a sparse scanner hits here and there
         have fewer.
     highest_foot : float
-        Above the ground; what begins higher hangs, metres. Lower than 4 m it would refuse poles
-        whose foot hides behind cars and hedges: 2 of 59 on the streets of the study at 3 m.
+        Above the ground that is seen; what begins higher hangs, metres. Lower than 4 m it would
+        refuse poles whose foot hides behind cars and hedges: 2 of 59 on the streets of the study
+        at 3 m.
     apart : float
         Two poles are at least that far apart, metres.
     """
@@ -115,6 +120,9 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     features, axes, ground = where
     names = "column_m", "column_high_m", "below_core", "run_m", "run_points"
     column, top, below, run, seen = (features[:, NAMES.index(name)] for name in names)
+    high = np.minimum(top - column, axes[:, 5]) > settings.highest_foot
+    hangs = high & (below < BELOW) & (probability >= settings.threshold)
+    hangs[hangs] = _ground_seen(points, axes[hangs], ground[hangs])
     reason = common.first_reason(
         len(axes),
         probability=probability < settings.threshold,
@@ -122,7 +130,7 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
         points=(run < settings.minimum_length)
         & (seen < np.log1p(settings.minimum_points))
         & (probability < SURE),
-        foot=(np.minimum(top - column, axes[:, 5]) > settings.highest_foot) & (below < BELOW),
+        foot=hangs,
     )
     low, high = axes[:, 5], axes[:, 6]
     middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]
@@ -131,6 +139,17 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     common.drop_duplicates(table, settings.apart)
     _measure(points, lines, table, axes[:, 7])
     return common.pole_table(table, "ours", explain=explain)
+
+
+def _ground_seen(points, axes, ground):
+    """Whether the points (n, 3) show the ground, heights (k,), at the foot of axes (k, 8)."""
+    feet = axes[:, :2] - axes[:, 2:4] * axes[:, 4:5]
+    found = common.rows(points[common.beside(points, feet, FOOT_M)])
+    seen = np.zeros(len(feet), dtype=bool)
+    for k, (x, y) in enumerate(feet):
+        near = common.near_axis(found.points, found.start, found.base, x, y, FOOT_M)
+        seen[k] = (np.abs(found.points[near, 2] - ground[k]) < GROUND_M).any()
+    return seen
 
 
 def described(points, settings):
@@ -144,7 +163,7 @@ def described(points, settings):
     found = common.rows(thin)
     where = (found.points, height[found.order], found.start, found.base)
     features, axes = describe(where, xy, np.full((len(xy), 5), np.nan))
-    parts = features, describe_facades(thin, height, axes), describe_rounds(where, axes)
+    parts = features, describe_around(thin, height, axes), describe_rounds(where, axes)
     level = -ground.height(np.column_stack([axes[:, :2], np.zeros(len(axes))]))
     # rounded, so that a sum in another order of the points falls on the same side of a threshold
     return np.round(np.column_stack(parts), 5), axes, level

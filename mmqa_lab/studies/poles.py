@@ -505,7 +505,7 @@ def leave_one_block_out(whole, references, blocks=10):
     probability = np.empty(len(axes))
     for number in range(blocks):
         other = (block != number) & (label >= 0)
-        model = fit(features[other], label[other], block[other], rounds=100)
+        model = fit(features[other], label[other], block[other], rounds=300)
         probability[block == number] = model.predict(features[block == number])
     found = ours.judged(local, where, probability, settings)
     return found.assign(x_m=found["x_m"] + origin[0], y_m=found["y_m"] + origin[1])

@@ -24,7 +24,7 @@ from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.studies import NOTES
 
-EXAMPLES = 252
+EXAMPLES = 504
 FIRST_SEED = 9_500_000
 """Seeds of training streets start here; tests and studies use smaller ones."""
 
@@ -65,8 +65,6 @@ RISING = ("round_m", "round_share", "round_points", "round_slender")
 """Features with which the probability of a pole does not fall: how long a shaft is, its points."""
 
 TREES = {
-    "min_data_in_leaf": 20,
-    "lambda_l2": 1.0,
     # at each split: on another kind of street a single feature may mislead
     "feature_fraction_bynode": 0.3,
     "deterministic": True,
@@ -235,10 +233,12 @@ def example(number, *, seed=FIRST_SEED, stretch=1.0):
         made = yard(rng, stretch * length)
     else:
         plan = random_plan(rng)
-        made = _peopled(rng, streets.street(plan, length=stretch * length, seed=seed + number))
+        made = _filled(rng, streets.street(plan, length=stretch * length, seed=seed + number))
     beam = rng.choice(BEAMS_MRAD.get(name, (0.0,)))
     scanner = (streets.SCANNERS | SPINNING)[name]
     scanner = replace(scanner, exit_diameter_m=0.0, divergence_mrad=beam)
+    if name == "push-broom":
+        scanner = replace(scanner, max_range_m=rng.uniform(30, 80))
     cloud = streets.drive(made, scanner, seed=seed + number, speed=rng.uniform(*speeds))
     whole = _worn(rng, cloud)
     views = whole, _cropped(rng, made, whole), _thinner(rng, name, whole)
@@ -252,13 +252,26 @@ def example(number, *, seed=FIRST_SEED, stretch=1.0):
     ]
 
 
-def _peopled(rng, made):
-    """A street with some persons in coats along it."""
-    people = []
-    for _ in range(rng.poisson(rng.uniform(0, 5) * made.length_m / 48)):
+def _filled(rng, made):
+    """A street with some persons in coats, and with groves: foliage whose trunks nobody sees."""
+    things, share = [], made.length_m / 48
+    for _ in range(rng.poisson(rng.uniform(0, 5) * share)):
         across, along = rng.choice([-1, 1]) * rng.uniform(3.5, 10), rng.uniform(0, made.length_m)
-        people += _coat(rng, streets._place(made.plan, across, along))
-    return replace(made, scene=Scene([*made.scene.surfaces, *people]))
+        things += _coat(rng, streets._place(made.plan, across, along))
+    for _ in range(rng.poisson(rng.uniform(0, 8) * share)):
+        across, along = rng.choice([-1, 1]) * rng.uniform(8, 40), rng.uniform(0, made.length_m)
+        things += _grove(rng, streets._place(made.plan, across, along))
+    return replace(made, scene=Scene([*made.scene.surfaces, *things]))
+
+
+def _grove(rng, at):
+    """Crowns and bushes that run into each other, up to 17 m high."""
+    parts, tall = [], rng.uniform(2, 12)
+    for _ in range(rng.integers(2, 6)):
+        size = rng.uniform([0.7, 0.7, 0.7], [3.0, 3.0, 3.0])
+        middle = at + [*rng.normal(0, 2.5, 2), size[2] * 0.8 + rng.uniform(0, tall)]
+        parts.append(streets._crown(middle, size, rng.uniform(0.4, 2.5), int(rng.integers(2**31))))
+    return parts
 
 
 def _worn(rng, cloud):
@@ -373,7 +386,7 @@ def _together(parts):
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def fit(features, label, group, share=1.0, *, rounds=600, leaves=20, rate=0.1):
+def fit(features, label, group, share=1.0, *, rounds=800, leaves=20, rate=0.1):
     """Return trees grown by gradient boosting of the log loss.
 
     Parameters
@@ -394,7 +407,7 @@ def fit(features, label, group, share=1.0, *, rounds=600, leaves=20, rate=0.1):
     weight = np.sqrt(np.median(size) / size) * share
     data = lightgbm.Dataset(features, label, weight=weight, feature_name=list(ours.FEATURES))
     choices = TREES | {"objective": "binary", "num_leaves": leaves, "learning_rate": rate}
-    choices |= {"min_data_in_leaf": 30}
+    choices |= {"min_data_in_leaf": 200, "lambda_l2": 50.0}
     choices["monotone_constraints"] = [int(name in RISING) for name in ours.FEATURES]
     return lightgbm.train(choices, data, num_boost_round=rounds)
 
@@ -428,6 +441,8 @@ def fit_classes(features, label, kind, *, rounds=40):
         "objective": "multiclass",
         "num_class": len(ours.CLASSES),
         "num_leaves": 8,
+        "min_data_in_leaf": 20,
+        "lambda_l2": 1.0,
         "learning_rate": 0.08,
         "feature_fraction_bynode": 0.4,
     }

@@ -31,6 +31,8 @@ LENGTH_M = 60.0
 GREEN = (("balconies", 8211), ("green", 8212), ("balconies", 8213), ("green", 8214))
 SEEDS = {
     "own": range(8201, 8207),
+    "dense": range(8201, 8204),
+    "shafts": range(8201, 8206),
     "tilted profiler": range(321, 329),
     "clutter": range(331, 337),
     "32 beams": range(341, 345),
@@ -41,9 +43,9 @@ OTHERS = {"lamp": 0, "sign": 1, "tree": 2}
 BEAMS = streets.replace(PRESETS["hdl-32e"], lever_arm_m=(0.0, 0.0, 2.2))
 
 
-def own(plan, seed, length):
+def own(plan, seed, length, scanner="roamer"):
     """A street of the generator of the training."""
-    cloud, truth = study.scene(plan=plan, seed=seed, length=length)
+    cloud, truth = study.scene(plan=plan, seed=seed, length=length, scanner=scanner)
     targets = truth["targets"]
     return cloud, targets.assign(kind=np.array(CLASSES)[kinds(targets)]), truth["path"]
 
@@ -93,8 +95,12 @@ def rated(count):
             yield f"the same, {kind}", *damaged(kind, cloud, truth), path
     for plan, seed in GREEN[:count]:
         yield "own generator, balconies and green", *own(plan, seed, 40.0)
+    for seed in SEEDS["dense"][:count]:
+        cloud, truth, path = own("table-4-1", seed, 40.0, "dense-profiler")
+        yield "976 kHz, 5 % of the points", *damaged("5 % of the points", cloud, truth), path
     for name, scanner in (("profiler", "roamer"), ("32 beams", BEAMS)):
-        yield f"64 bare shafts, {name}", *study.bare_shafts(scanner, seed=8201), None
+        for seed in SEEDS["shafts"][:count]:
+            yield f"64 bare shafts, {name}", *study.bare_shafts(scanner, seed=seed), None
     for row in ("tilted profiler", "clutter", "32 beams"):
         scanner, more = ("tilted profiler", 8) if row == "clutter" else (row, 0)
         for seed in SEEDS[row][:count]:
