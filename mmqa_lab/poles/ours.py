@@ -119,8 +119,9 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
     features, axes, ground = where
     names = "column_m", "column_high_m", "below_core", "run_m", "run_points"
     column, top, below, run, seen = (features[:, NAMES.index(name)] for name in names)
-    high = np.minimum(top - column, axes[:, 5]) > settings.highest_foot
-    hangs = high & (below < BELOW) & (probability >= settings.threshold)
+    low, high = axes[:, 5], axes[:, 6]
+    hangs = np.minimum(top - column, low) > settings.highest_foot
+    hangs &= (below < BELOW) & (probability >= settings.threshold)
     hangs[hangs] = _ground_seen(points, axes[hangs], ground[hangs])
     reason = common.first_reason(
         len(axes),
@@ -131,7 +132,6 @@ def judged(points, where, probability, settings, *, lines=None, explain=False):
         & (probability < SURE),
         foot=hangs,
     )
-    low, high = axes[:, 5], axes[:, 6]
     middle = axes[:, :2] + axes[:, 2:4] * ((low + high) / 2 - axes[:, 4])[:, None]
     table = common.axis_rows(middle, ground + low, axes[:, 2:4], high - low)
     table |= {"score": probability, "rejected_by": reason}
