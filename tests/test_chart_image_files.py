@@ -1,6 +1,5 @@
 """Images from files: what is read, what is cut, and photographs that show no chart at all."""
 
-import json
 from pathlib import Path
 
 import cv2
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from mmqa_lab import chart_image, charts, io, mtf, samples
-from mmqa_lab.chart_image import read_layout
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -29,29 +27,12 @@ def panorama(tmp_path_factory):
     return file, view
 
 
-def orientation_file(folder, **changes):
-    """The orientation of the panorama above as JSON."""
-    east = 3 * np.tan(np.radians(20))
-    whole = {
-        "position": [east, -3.0, 0.0],
-        "heading_deg": -20.0 + 10.0,
-        "pitch_deg": 0.0,
-        "roll_deg": 0.0,
-        "camera": {"width": 4000},
-        "corners": [[-0.5, 0, -0.5], [0.5, 0, -0.5], [0.5, 0, 0.5], [-0.5, 0, 0.5]],
-    }
-    file = folder / "orientation.json"
-    file.write_text(json.dumps(whole | changes))
-    return file
-
-
-def test_targets_corners_and_orientation_find_the_same_chart(panorama, tmp_path):
+def test_targets_and_corners_find_the_same_chart(panorama):
     file, view = panorama
     corners = view.pixels(CHART.corners())
     ways = (
         {"camera": "panorama"},
         {"camera": "panorama", "corners": corners + 0.6},
-        {"orientation": orientation_file(tmp_path)},
     )
     rows = []
     for way in ways:
@@ -133,37 +114,6 @@ def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
     noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:-400])
     with pytest.raises(ValueError, match="cut short"):
         io.read_grey(noted)
-
-
-def test_layouts_come_by_name_or_from_files(tmp_path):
-    own = charts.imaging_chart(widths_h=(30, 24), widths_v=(12,))
-    file = tmp_path / "own.json"
-    file.write_text(own.to_json())
-    assert read_layout(file) == own
-    assert read_layout("grey") == CHART
-    file.write_text("{}")
-    with pytest.raises(ValueError, match="Must be JSON with all fields"):
-        read_layout(file)
-    with pytest.raises(FileNotFoundError, match="or be one of grey, black"):
-        read_layout("green")
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"position": None}, "position"),
-        ({"position": [0, 0]}, "position"),
-        ({"heading_deg": "north"}, "heading_deg"),
-        ({"camera": {"focal_px": 9}}, "Must have all fields"),
-        ({"camera": {"width": 4000, "colour": 1}}, "Must have all fields"),
-        ({"corners": [[0, 0, 0]]}, "Must be 4"),
-        ({"corners": [[0, 0, 0], [9, 0, 0], [9, 0, 9], [0, 0, 9]]}, "Must be a chart of 1000"),
-    ],
-)
-def test_orientations_with_faults_are_named(panorama, tmp_path, changes, sentence):
-    file = orientation_file(tmp_path, **changes)
-    with pytest.raises((ValueError, TypeError), match=sentence):
-        chart_image.evaluate_file(panorama[0], CHART, orientation=file)
 
 
 def test_charts_beyond_the_image_are_refused(panorama, tmp_path):

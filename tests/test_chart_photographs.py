@@ -59,7 +59,7 @@ def test_the_camera_blurs_as_its_lens_says(lens, width):
     ("name", "pixel_mm"),
     [
         *(("base", 11.0), ("oblique 50", 8.0), ("shadow 75, two", 8.0), ("pole on bar", 8.0)),
-        *(("soiled", 8.0), ("bent, oblique", 5.4), ("lens corner", 8.0), ("street", 8.0)),
+        *(("soiled", 8.0), ("street", 8.0)),
         *(("noise 10", 8.0), ("pole lying", 4.0)),
     ],
 )
@@ -143,16 +143,6 @@ def test_texts_of_a_turned_photograph_are_upright(turns):
         rows, columns = (min(pair) for pair in np.stack([upright.image.shape, other.image.shape]).T)
         pair = [crop.image[:rows, :columns].ravel() for crop in (upright, other)]
         assert np.corrcoef(*pair)[0, 1] > 0.97
-
-
-def test_an_edge_with_much_ground_tells_the_lens_of_one_with_little():
-    # 2 px of ground beside the lying bar leave a Gaussian, 15 % off, as likely as diffraction
-    shot = shoot(CHART, 8.0, seed=2, cutoff=0.65, mono=True, jpeg=98, noise=0.005, margin=0.15)
-    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()) + 0.5)
-    quality = chart_image.evaluate_image(shot.linear, CHART, there)
-    found, sigma = quality.mtf50("v")
-    assert found == pytest.approx(true_mtf50(shot.scene), rel=0.04)
-    assert abs(found - true_mtf50(shot.scene)) < 2 * sigma
 
 
 @pytest.mark.parametrize("pixel_mm", [2.7, 4.0])

@@ -12,12 +12,25 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.simulate import cameras
 
 
+def own_chart(widths):
+    """The printed bars and targets with line pairs of other widths, in rows and columns."""
+    kept = [e for e in charts.imaging_chart().elements if e.name.startswith(("bar_", "marker_"))]
+    x, y, pairs = 220.0, 200.0, []
+    for direction, ladder in widths.items():
+        for width in ladder:
+            name = f"pairs_{direction}_{width}"
+            pairs.append(charts.LinePairs(name, x, y, width, direction, repeats=4, length=80))
+            y += 100 if direction == "h" else 4 * width + 20
+        x, y = x + 200, 200.0
+    return charts.Layout("own", 1000.0, 1000.0, (*kept, *pairs))
+
+
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory):
     """A photograph of a redesigned chart, its layout, and the chart's corners in the image."""
     folder = tmp_path_factory.mktemp("photo")
-    layout = charts.imaging_chart(widths_h=(40, 30, 24), widths_v=(30, 24, 20), texts=())
-    (folder / "own.json").write_text(layout.to_json())
+    layout = own_chart({"h": (40, 30, 24), "v": (30, 24, 20)})
+    (folder / "own.csv").write_text(layout.to_csv())
     camera = cameras.FrameCamera(600, 500, focal_px=1200.0)
     view = cameras.chart_view(camera, distance=5, layout=layout, heading_deg=10)
     sensor = cameras.Sensor(noise=0.01, gamma="srgb", bits=8)
@@ -43,11 +56,11 @@ def failed(capsys, arguments):
 
 def test_image_prints_the_same_figures_however_it_finds_the_chart(photo, capsys, tmp_path):
     folder, corners = photo
-    call = ["image", str(folder / "photo.png"), "--chart", str(folder / "own.json"), "--json"]
+    call = ["image", str(folder / "photo.png"), "--chart", str(folder / "own.csv"), "--json"]
     outputs = ["--csv", str(tmp_path / "o.csv"), "--figure", str(tmp_path / "f.png")]
     rows = []
     for more in (
-        ["--legibility"],
+        [],
         ["--corners", corners, "--patterns", str(tmp_path / "p.csv"), *outputs],
     ):
         assert main([*call, *more]) == 0
@@ -68,7 +81,7 @@ def test_image_prints_the_same_figures_however_it_finds_the_chart(photo, capsys,
 def test_image_prints_a_table_for_people(photo, capsys):
     folder, corners = photo
     file = str(folder / "photo.png")
-    assert main(["image", file, "--chart", str(folder / "own.json"), "--corners", corners]) == 0
+    assert main(["image", file, "--chart", str(folder / "own.csv"), "--corners", corners]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["figure", file]
     assert any(line.split()[:2] == ["w_h_mm", "24"] for line in lines)
@@ -78,7 +91,7 @@ def test_images_that_cannot_be_read_have_their_row(photo, capsys, tmp_path):
     folder, _ = photo
     (tmp_path / "words.png").write_text("no image")
     files = [str(tmp_path / "none.png"), str(folder / "photo.png"), str(tmp_path / "words.png")]
-    assert main(["image", *files, "--chart", str(folder / "own.json"), "--json"]) == 0
+    assert main(["image", *files, "--chart", str(folder / "own.csv"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["file"] for row in rows] == [files[1], files[0], files[2]]
     assert rows[0]["w_h_mm"] == 24
@@ -89,19 +102,20 @@ def test_images_that_cannot_be_read_have_their_row(photo, capsys, tmp_path):
 
 def test_a_wrong_layout_is_doubted(photo, capsys, tmp_path):
     folder, corners = photo
-    other = charts.imaging_chart(widths_h=(33, 27, 21), widths_v=(26, 22), texts=())
-    (tmp_path / "other.json").write_text(other.to_json())
-    call = ["image", str(folder / "photo.png"), "--chart", str(tmp_path / "other.json")]
+    other = own_chart({"h": (33, 27, 21), "v": (26, 22)})
+    (tmp_path / "other.csv").write_text(other.to_csv())
+    call = ["image", str(folder / "photo.png"), "--chart", str(tmp_path / "other.csv")]
     assert main([*call, "--corners", corners, "--json"]) == 0
     remark = json.loads(capsys.readouterr().out)[0]["remark"]
-    assert "in direction h: line pairs are hidden or not those of the layout" in remark
+    assert "line pairs are hidden or not those of the layout" in remark
 
 
 IMAGE_FAULTS = {
     "no file": (["none.png"], "no such file"),
-    "no image": (["own.json", "--chart", "own.json"], "Must be JPEG, PNG or TIFF"),
+    "no image": (["own.csv", "--chart", "own.csv"], "Must be JPEG, PNG or TIFF"),
     "other chart": (["photo.png", "--corners", "0,9; 9,9; 9,0; 0,0"], "Must be"),
-    "no chart file": (["photo.png", "--chart", "none.json"], "no such file"),
+    "no chart file": (["photo.png", "--chart", "none.csv"], "No such file"),
+    "no chart": (["photo.png", "--chart", "photo.png"], "Must be grey, black, revised or a .csv"),
     "three corners": (["photo.png", "--corners", "1,9; 9,9; 9,1"], "Must be 4"),
     "words": (["photo.png", "--corners", "a,b; c"], "Must be four times x,y"),
     "turned corners": (
@@ -109,8 +123,6 @@ IMAGE_FAULTS = {
         "Must be four corners in order",
     ),
     "no panorama": (["photo.png", "--panorama"], "Must be 2 : 1"),
-    "orientation": (["photo.png", "--orientation", "none.json"], "no such file"),
-    "faulty orientation": (["photo.png", "--orientation", "own.json"], "Must have all fields"),
     "figure": (["photo.png", "--figure", "f.docx"], "Must be one of .pdf, .svg, .png"),
 }
 
@@ -127,50 +139,29 @@ def test_image_says_what_is_wrong_and_writes_nothing(photo, capsys, monkeypatch,
     assert sorted(photo[0].iterdir()) == before
 
 
-@pytest.mark.parametrize("ending", ["pdf", "svg", "json"])
+@pytest.mark.parametrize("ending", ["pdf", "svg", "csv"])
 def test_chart_writes_what_its_ending_says(capsys, tmp_path, ending):
-    out = tmp_path / f"chart.{ending}"
-    assert main(["chart", "--out", str(out), "--bar", "black", "--widths-v", "20,10"]) == 0
-    assert "imaging chart, black bar" in capsys.readouterr().out
-    layout = charts.imaging_chart(horizontal_bar="black", widths_v=(20, 10))
-    writer = {
-        "pdf": charts.Layout.to_pdf,
-        "svg": charts.Layout.to_svg,
-        "json": lambda one: one.to_json().encode(),
-    }[ending]
-    assert out.read_bytes() == writer(layout)
+    file = tmp_path / f"chart.{ending}"
+    assert main(["chart", "--chart", "black", "--out", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["chart"] == "imaging chart, black bar"
+    layout = charts.read_layout("black")
+    written = {"pdf": layout.to_pdf, "svg": layout.to_svg, "csv": lambda: layout.to_csv().encode()}
+    assert file.read_bytes() == written[ending]()
 
 
-def test_chart_options_reach_the_layout(capsys, tmp_path):
-    file = tmp_path / "l.json"
-    call = ["chart", "--out", str(tmp_path / "c.svg"), "--layout", str(file)]
-    assert main([*call, "--points", "--seed", "4"]) == 0
-    assert charts.Layout.from_json(file.read_text()) == charts.point_chart(seed=4)
-    assert main([*call, "--no-targets"]) == 0
-    assert charts.Layout.from_json(file.read_text()) == charts.imaging_chart(dictionary=None)
-    assert main([*call, "--revised", "--no-texts"]) == 0
-    revised = charts.imaging_chart(revised=True, texts=False)
-    assert charts.Layout.from_json(file.read_text()) == revised
-    assert main([*call, "--first-target", "8"]) == 0
-    assert charts.Layout.from_json(file.read_text())["marker_3"].identifier == 11
+def test_an_edited_table_is_a_chart_of_ones_own(capsys, tmp_path):
+    table = charts.imaging_chart().to_csv().replace("pairs_h_40,212", "pairs_h_40,222")
+    (tmp_path / "own.csv").write_text(table)
+    call = ["chart", "--chart", str(tmp_path / "own.csv"), "--out", str(tmp_path / "again.csv")]
+    assert main(call) == 0
+    assert (tmp_path / "again.csv").read_text() == table
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--out", "c.docx"], "Must be one of .pdf, .svg, .json"),
-        (["--out", "c.pdf", "--layout", "c.txt"], "Must be one of .json"),
-        (["--out", "c.svg", "--tiles", "a3"], "Must be .pdf"),
-        (["--out", "c.json", "--crop-marks"], "Must be .pdf"),
-        (["--out", "c.pdf", "--widths-h", "10,20"], "Must decrease"),
-        (["--out", "c.pdf", "--widths-h", "ten"], "Must be numbers between commas"),
-        (["--out", "c.pdf", "--widths-h", "nan"], "Invalid widths_h"),
-        (["--out", "c.pdf", "--widths-v", "-3"], "Invalid widths_v -3"),
-        (["--out", "c.pdf", "--widths-h", "100"], "Must fit on the chart"),
-        (["--out", "c.pdf", "--first-target", "48"], "Must be below 50"),
-        (["--out", "c.pdf", "--first-target", "-1"], "Invalid marker -1"),
-        (["--out", "c.pdf", "--points", "--bar", "black"], "Must be --seed alone"),
-        (["--out", "c.pdf", "--seed", "3"], "Must go with --points"),
+        (["--out", "c.txt"], "Must be one of .pdf, .svg, .csv"),
+        (["--out", "c.pdf", "--chart", "blue"], "Must be grey, black, revised or a .csv file"),
         (["--out", "c.pdf", "--points", "--seed", "-1"], "Invalid seed -1"),
     ],
 )

@@ -74,7 +74,7 @@ def test_marks_are_checked(change, sentence):
 @functools.cache
 def photo(megapixels):
     """A chart of bars and texts at 10 m."""
-    layout = charts.imaging_chart(widths_h=(2.0,), widths_v=(2.0,))
+    layout = charts.imaging_chart()
     view = cameras.chart_view(
         cameras.PanoramaCamera.of_megapixels(megapixels), distance=10, layout=layout
     )
@@ -104,70 +104,6 @@ def test_crops_over_the_edge_are_left_out():
     cut = taken.image[:75]
     left = {c.name for c in chart_image.text_crops(cut, layout, taken.chart_map)}
     assert left < names
-
-
-def test_check_list_has_the_order_of_the_paper():
-    texts = {text.name: text for text in legibility.check_list(charts.imaging_chart(revised=True))}
-    order = list(texts)
-    hard = ["Mo.-Fr.", "(werkt). v.", "raised h", "raised minutes", "double l"]
-    words = ["double l, other font", "long word", "long word, other font"]
-    assert order[:8] == hard + words
-    later = ["reduced contrast", "text of 50 mm", "symbol of the block"]
-    assert [name for name in order if name in later] == later
-    assert {texts[name].cap for name in legibility.JUDGED if "symbol" not in name} == {40}
-    # section 4.2: line, word in two fonts, block with a symbol, vertical block with two
-    assert [name for name in legibility.JUDGED if "symbol" in name] == order[-3:]
-    assert not {"reduced contrast", "white on red", "text of 45 mm"} & set(legibility.JUDGED)
-    with pytest.raises(ValueError, match="Must be one of"):
-        legibility.check_list(charts.imaging_chart(texts=False))
-
-
-def test_crops_of_the_check_list_show_its_letters():
-    layout, taken = photo(250)
-    crops = chart_image.text_crops(
-        taken.image, layout, taken.chart_map, texts=legibility.check_list(layout)
-    )
-    assert [crop.name for crop in crops] == [what for what, *_ in legibility.CHECK_LIST]
-    double, word = (next(c for c in crops if c.name == name) for name in ("double l", "long word"))
-    assert double.image.shape[1] < 0.35 * word.image.shape[1]
-    middle = double.image[len(double.image) // 2] < 0.3
-    starts = np.flatnonzero(np.diff(middle.astype(int)) == 1)
-    assert len(starts) >= 2  # both letters
-
-
-def marks_of(photo, **worse):
-    """A jury's marks of one photograph: a but for some elements."""
-    return pd.DataFrame(
-        [
-            (photo, juror, name, worse.get(name.replace(" ", "_"), "aaa")[juror])
-            for juror in range(3)
-            for name, *_ in legibility.CHECK_LIST
-        ],
-        columns=["photo", "juror", "element", "mark"],
-    )
-
-
-def test_a_photograph_is_as_legible_as_its_worst_element_of_40_mm():
-    marks = [
-        marks_of("all"),
-        marks_of("one juror", double_l="aab"),
-        marks_of("letters", double_l="bbb", raised_h="ccb", long_word="ccc"),
-        marks_of("contrast", reduced_contrast="ccc", white_on_red="ccc"),
-        marks_of("tie", long_word="abc"),
-    ]
-    marks.append(marks_of("left out").query("element != 'raised h'"))
-    found = legibility.photo_marks(pd.concat(marks)).set_index("photo")
-    expected = {"all": "a", "one juror": "a", "letters": "c", "contrast": "a"}
-    assert found["mark"].to_dict() == expected | {"tie": None, "left out": None}
-    because = found["because"].to_dict()
-    assert [because[name] for name in ("letters", "tie", "left out")] == [
-        "raised h",  # earlier in the list than the long word
-        "long word",
-        "raised h",
-    ]
-    assert found.loc["all", "unanimous"] == 1
-    with pytest.raises(ValueError, match="no column 'photo'"):
-        legibility.photo_marks(marks[0].drop(columns="photo"))
 
 
 def judged():
@@ -208,45 +144,8 @@ def test_marks_are_open_between_the_photographs_that_were_judged():
     assert found["worst"].tolist() == ["c", "c", "b", "a"]
 
 
-def test_read_texts_counts_letters_and_leaves_symbols_out():
-    names = ["long word", "raised minutes", "symbol of the block"]
-    texts = [t for t in legibility.check_list(charts.imaging_chart()) if t.name in names]
-    crops = [legibility.Crop(t.name, t.text, np.eye(20), 10.0) for t in texts]
-    sizes = []
-
-    def reader(image):
-        sizes.append((image.shape, image.dtype))
-        return "MuIlsamm elfzge" if len(sizes) == 2 else "30"
-
-    found = legibility.read_texts(crops, reader=reader).set_index("element")
-    assert sizes == [((80, 80), np.uint8)] * 2  # capitals of 10 px enlarged to 40 px
-    assert found.loc["raised minutes", ["errors", "mark"]].tolist() == [0.0, "a"]
-    assert found.loc["long word", "errors"] == pytest.approx(1 / 14)
-    assert found.loc["long word", "mark"] == "b"
-    assert "symbol of the block" not in found.index
-
-
-def test_a_missing_reader_says_how_to_install_one(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "rapidocr", None)
-    legibility._rapidocr.cache_clear()
-    with pytest.raises(ModuleNotFoundError, match="pip install rapidocr onnxruntime"):
-        legibility.read_texts([])
-
-
-def test_an_installed_reader_reads_large_texts_and_not_small_ones():
-    pytest.importorskip("rapidocr")
-    legibility._rapidocr.cache_clear()
-    marks = {}
-    for megapixels in (250, 10):  # capitals of 14 and 3 pixels
-        layout, taken = photo(megapixels)
-        crops = chart_image.text_crops(taken.image, layout, taken.chart_map)
-        marks[megapixels] = legibility.read_texts(crops).set_index("element")["mark"]
-    assert (marks[250] == "a").mean() > 0.8
-    assert (marks[10] == "c").mean() > 0.8
-
-
 def test_colours_fringe_at_the_limit_of_resolution_of_a_mosaic_and_nowhere_else():
-    layout = charts.imaging_chart(texts=False)
+    layout = charts.imaging_chart()
     camera = cameras.PanoramaCamera.of_megapixels(30)  # 8 mm at 10 m
     view = cameras.chart_view(camera, distance=10, layout=layout)
     sensor = cameras.Sensor(noise=0.0, bayer=True)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rendered import centre_contrast
 from scipy.optimize import brentq
 
-from mmqa_lab import bench, chart_image, charts, published
+from mmqa_lab import bench, chart_image, published
 from mmqa_lab.published import ledger
 from mmqa_lab.studies import chart_images as images
 
@@ -301,9 +301,3 @@ def test_each_check_can_fail(whole):
         parts = [change.get(k, part) for k, part in enumerate(whole)]
         check = next(one for one in images.checks(*parts) if words in one.statement)
         assert not check.passed, words
-
-
-def test_finer_steps_from_a_coarser_begin_fit_on_the_chart():
-    ladder = (50.0, 42.0, 35.0, 30.0, 25.0, 21.0, 17.5, 15.0, 12.5, 10.5, 9.0, 7.5, 6.2)
-    chart = charts.imaging_chart(widths_h=ladder, widths_v=ladder, texts=())
-    assert len(chart.of_kind(charts.LinePairs)) == 26

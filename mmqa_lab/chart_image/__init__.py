@@ -1,4 +1,4 @@
-"""The imaging chart in photographs: pixel size, resolved line pairs, MTF and legibility.
+"""The imaging chart in photographs: pixel size, resolved line pairs, legibility.
 
 ::
 
@@ -7,11 +7,11 @@
     layout = charts.imaging_chart()
     there = chart_image.locate(image, layout)          # or locate(None, layout, corners=corners)
     quality = chart_image.evaluate_image(image, layout, there)
-    quality.to_frame(), quality.pairs, quality.edges
+    quality.to_frame(), quality.pairs
 
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
-files, :func:`mmqa_lab.io.read_grey` their grey values. The check list of a jury, the mark of a
-photograph and what stands in for a jury are in :mod:`mmqa_lab.chart_image.legibility`.
+files, :func:`mmqa_lab.io.read_grey` their grey values. What stands in for a jury is in
+:mod:`mmqa_lab.chart_image.legibility`.
 
 Only the chart's window is evaluated, so that panoramas of 250 megapixels cost little more than
 their decoding: a byte per pixel while the file is read, then the window alone.
@@ -19,21 +19,18 @@ their decoding: a byte per pixel while the file is read, then the window alone.
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_file
+from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image import reading
-from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera
 from mmqa_lab.chart_image.placing import align, locate
 from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
@@ -44,7 +41,7 @@ from mmqa_lab.chart_image.rules import (
     quality_index,
     text_crops,
 )
-from mmqa_lab.charts import Layout, imaging_chart
+from mmqa_lab.charts import Layout
 from mmqa_lab.io.images import GAMMAS, decode, read_grey
 
 if TYPE_CHECKING:
@@ -52,7 +49,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ChartMap",
-    "FrameCamera",
     "ImageQuality",
     "PanoramaCamera",
     "agreement",
@@ -69,13 +65,6 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-LAYOUTS = {
-    "grey": {},
-    "black": {"horizontal_bar": "black"},
-    "revised": {"revised": True},
-}
-"""Names of the imaging charts: as built, with its lying bar black, and as the authors advise."""
-
 MARGIN_PX, MARGIN_SHARE = 16, 0.05
 """Around the chart's outline in its window, at least and as share of its size."""
 
@@ -86,11 +75,6 @@ LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
 
 LARGEST_TONE_ERROR = 0.12
 """Of the mean of blurred line pairs: a display's curve taken for linear light shifts it by 0.2."""
-
-MODEL_SHARE = 0.009
-"""Share of MTF50 that the fitted profiles err by. From photographs by the tests' own camera with
-Gaussian, defocused and diffracting lenses: the tails of the last reach from the next elements into
-the plain ground. What lenses differ that fit alike is added."""
 
 OUTLINES = {True: "C5", False: "C1"}
 """Colours of resolved and refused patterns."""
@@ -134,11 +118,6 @@ class ImageQuality(Shown):
     layout: Layout
     origin: tuple = (0, 0)
 
-    @cached_property
-    def edges(self) -> pd.DataFrame:
-        """Table of :func:`mmqa_lab.chart_image.reading.bar_edges`, fitted when first asked for."""
-        return reading.bar_edges(self.tones, self.layout, self.chart_map)
-
     @property
     def residual_px(self) -> float:
         """Root mean square by which the bars end off their places, pixels."""
@@ -160,18 +139,6 @@ class ImageQuality(Shown):
         """Return the finest resolved line pairs in direction h or v."""
         return resolution(self.pairs, direction)
 
-    def mtf50(self, direction: str) -> tuple[float, float]:
-        """Return MTF50 in direction h or v and its standard deviation, cycles per pixel."""
-        rows = self.edges[self.edges["direction"] == direction].dropna(subset=["mtf50_sigma"])
-        if rows.empty:
-            return np.nan, np.nan
-        weights = 1 / np.maximum(rows["mtf50_sigma"], 1e-6) ** 2
-        mean = float((weights * rows["mtf50"]).sum() / weights.sum())
-        # edges that differ by more than their deviations widen the interval
-        differ = (weights * (rows["mtf50"] - mean) ** 2).sum() / max(len(rows) - 1, 1)
-        sigma = np.sqrt(max(differ, 1) / weights.sum())
-        return mean, float(np.hypot(sigma, MODEL_SHARE * mean))
-
     def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units; NaN where not measurable."""
         row = {"located_by": self.chart_map.source, "residual_px": self.residual_px}
@@ -184,13 +151,9 @@ class ImageQuality(Shown):
             row[f"w_{direction}_mm"] = found.width_mm
             row[f"w_{direction}_next_mm"] = found.next_mm
             row[f"limit_{direction}_mm"] = found.limit_mm
-            mtf50, mtf50_sigma = self.mtf50(direction)
-            row[f"mtf50_{direction}_per_px"] = mtf50
-            row[f"mtf50_{direction}_sigma_per_px"] = mtf50_sigma
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
-        remarks = [*self.remarks, *sorted(set(self.edges["remark"]) - {""})]
-        return pd.DataFrame([row | {"remark": "; ".join(remarks)}])
+        return pd.DataFrame([row | {"remark": "; ".join(self.remarks)}])
 
     @property
     def remarks(self) -> list[str]:
@@ -247,7 +210,7 @@ class ImageQuality(Shown):
 def evaluate_image(
     image: ArrayLike, layout: Layout, chart_map: ChartMap, *, aligned: bool = True
 ) -> ImageQuality:
-    """Measure pixel size, resolved line pairs and MTF in one image of a chart.
+    """Measure pixel size and resolved line pairs in one image of a chart.
 
     Parameters
     ----------
@@ -295,7 +258,6 @@ def evaluate_file(
     layout: Layout,
     *,
     corners: ArrayLike | None = None,
-    orientation: str | os.PathLike | None = None,
     camera: str = "plain",
     gamma: str = "srgb",
 ) -> ImageQuality:
@@ -306,14 +268,8 @@ def evaluate_file(
     path : path
     layout : Layout
     corners : array_like, shape (4, 2), optional
-        Column and row of the chart's corners from the lower left counterclockwise.
-    orientation : path, optional
-        JSON with ``position`` [east, north, height] in metres; ``heading_deg`` (clockwise from
-        north), ``pitch_deg`` (up) and ``roll_deg`` (to the right) of the view; ``corners``, four
-        [east, north, height] from the chart's lower left counterclockwise; ``camera``, with
-        ``width`` alone for a panorama, else ``width``, ``height``, ``focal_px`` and, optionally,
-        ``principal`` and ``distortion``. Without it and without corners, the coded targets are
-        looked for.
+        Column and row of the chart's corners from the lower left counterclockwise; without them
+        the chart is looked for by its coded targets and long bars.
     camera : {"plain", "panorama"}
         Whether straight lines stay straight, or the image is a whole equirectangular panorama.
     gamma : {"srgb", "linear"}
@@ -331,7 +287,7 @@ def evaluate_file(
     --------
     >>> import tempfile
     >>> import cv2
-    >>> from mmqa_lab.charts import reflectance
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> tones = np.pad(255 * reflectance(layout, cell=4)[::-1], 20, constant_values=128)
     >>> square = [[19.5, 269.5], [269.5, 269.5], [269.5, 19.5], [19.5, 19.5]]
@@ -350,10 +306,7 @@ def evaluate_file(
         if columns != 2 * rows:
             raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
         bends = PanoramaCamera(columns)
-    if orientation is not None:
-        there = ChartMap.from_orientation(*read_orientation(orientation), layout)
-    else:
-        there = locate(grey, layout, corners=corners, camera=bends)
+    there = locate(grey, layout, corners=corners, camera=bends)
     return evaluate_window(grey, layout, there, gamma=gamma)
 
 
@@ -363,54 +316,6 @@ def evaluate_window(grey, layout, there, *, gamma):
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)
     return replace(evaluate_image(values, layout, there.within(*origin)), origin=origin)
-
-
-def read_layout(source):
-    """Return the layout of a chart by its name or from a JSON file that ``mmqa chart`` wrote.
-
-    Parameters
-    ----------
-    source : str or path
-        ``grey`` or ``black``: the imaging chart with its lying bar in that tone; ``revised``: the
-        one that the authors advise; else a file.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    FileNotFoundError
-        If it is no such name and no file.
-    ValueError
-        If the file describes no layout.
-
-    Examples
-    --------
-    >>> read_layout("black").name
-    'imaging chart, black bar'
-    """
-    if str(source) in LAYOUTS:
-        return imaging_chart(**LAYOUTS[str(source)])
-    path = Path(source)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"Invalid chart {source}: no such file. Must exist, or be one of {', '.join(LAYOUTS)}."
-        )
-    return Layout.from_json(path.read_text(encoding="utf-8"))
-
-
-def read_orientation(path):
-    """Camera, pose and corners (4, 3) of a chart from a JSON file."""
-    path = check_file(path, "orientation")
-    try:
-        whole = json.loads(path.read_text(encoding="utf-8"))
-        angles = [whole[f"{name}_deg"] for name in ("heading", "pitch", "roll")]
-        pose = Pose.of_angles(whole["position"], *angles)
-        kind = FrameCamera if "focal_px" in whole["camera"] else PanoramaCamera
-        return kind(**whole["camera"]), pose, np.array(whole["corners"], dtype=float)
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"Invalid orientation {path}: {error}. Must have all fields.") from None
 
 
 def _window(chart_map, layout, shape):

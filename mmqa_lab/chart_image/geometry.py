@@ -2,7 +2,8 @@
 
 Pixels are (column, row), the centre of the first one at (0, 0). The camera looks along its z axis,
 x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends rays into
-pixels. So a frame camera is a homography and its distortion, a panorama exactly spherical.
+pixels. Without a camera the map is a homography; a panorama is exactly
+spherical.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ STEP_MM = 0.5
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A central perspective with Brown's distortion.
+    """A central perspective without distortion, its principal point in the middle of the image.
 
     Parameters
     ----------
@@ -31,15 +32,6 @@ class FrameCamera:
         Pixels.
     focal_px : float
         Principal distance in pixels.
-    principal : (float, float), optional
-        Principal point, column and row; the middle of the image when not given.
-    distortion : sequence of float
-        k1, k2, p1, p2 and k3 as OpenCV defines them.
-
-    Raises
-    ------
-    ValueError
-        If a size or the principal distance is not above zero, or the distortion has not five terms.
 
     Examples
     --------
@@ -51,44 +43,25 @@ class FrameCamera:
     width: int
     height: int
     focal_px: float
-    principal: tuple = None
-    distortion: tuple = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self):
         check_count(self.width, "width")
         check_count(self.height, "height")
         check_positive(self.focal_px, "focal_px", unit="pixels")
-        if len(self.distortion) != 5:
-            raise ValueError(f"Invalid distortion {self.distortion}. Must be k1, k2, p1, p2, k3.")
 
     @property
-    def _interior(self):
-        """The camera matrix."""
-        middle = ((self.width - 1) / 2, (self.height - 1) / 2)
-        column, row = middle if self.principal is None else self.principal
-        return np.array([[self.focal_px, 0, column], [0, self.focal_px, row], [0, 0, 1.0]])
+    def _middle(self):
+        return np.array([self.width - 1, self.height - 1]) / 2
 
     def pixels(self, rays: ArrayLike) -> np.ndarray:
         """Return the pixels of rays, shape (n, 2); NaN for rays from behind."""
         rays = np.asarray(rays, dtype=float)
         ahead = np.where(rays[:, 2:] > 0, rays, np.nan)
-        flat = ahead[:, :2] / ahead[:, 2:]
-        if not any(self.distortion):
-            return flat * self.focal_px + self._interior[:2, 2]
-        points = np.column_stack([flat, np.ones(len(flat))])
-        zero, distortion = np.zeros(3), np.array(self.distortion)
-        return cv2.projectPoints(points, zero, zero, self._interior, distortion)[0][:, 0]
+        return ahead[:, :2] / ahead[:, 2:] * self.focal_px + self._middle
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Return the directions of pixels, shape (n, 3), z = 1."""
-        pixels = np.ascontiguousarray(pixels, dtype=float)
-        if any(self.distortion):
-            stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-            flat = cv2.undistortPoints(
-                pixels[:, None], self._interior, np.array(self.distortion), criteria=stop
-            )[:, 0]
-        else:
-            flat = (pixels - self._interior[:2, 2]) / self.focal_px
+        flat = (np.asarray(pixels, dtype=float) - self._middle) / self.focal_px
         return np.column_stack([flat, np.ones(len(flat))])
 
 
@@ -234,9 +207,6 @@ class ChartMap:
         Column and row that count as (0, 0), for a window of an image.
     source : str
         What the map was made from.
-    bend : array, shape (10, 2), optional
-        Of a chart that is not plane or a lens that distorts: what :func:`powers` of places are
-        multiplied with before the matrix, mm.
     remark : str
         What was noticed on the way to the map.
 
@@ -256,7 +226,6 @@ class ChartMap:
     camera: object = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
-    bend: np.ndarray | None = None
     remark: str = ""
 
     @classmethod
@@ -341,8 +310,6 @@ class ChartMap:
 
     def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
-        if self.bend is not None:
-            xy = xy + powers(xy) @ self.bend
         rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
         if self.camera is None:
             return rays[:, :2] / rays[:, 2:] - self.offset
@@ -356,12 +323,7 @@ class ChartMap:
         else:
             rays = self.camera.rays(pixels)
         places = rays @ np.linalg.inv(self.matrix).T
-        flat = places[:, :2] / places[:, 2:]
-        places = flat
-        # the bend changes slowly from place to place: each step leaves some tenth of the error
-        for _ in range(0 if self.bend is None else 8):
-            places = flat - powers(places) @ self.bend
-        return places
+        return places[:, :2] / places[:, 2:]
 
     def outline(self, corners: ArrayLike) -> np.ndarray:
         """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
@@ -387,13 +349,6 @@ class ChartMap:
     def pixel_sizes_mm(self, xy: ArrayLike) -> np.ndarray:
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
         return 1 / np.linalg.norm(self.scale(xy), axis=2)
-
-
-def powers(xy):
-    """Products of the powers of x and y up to the third, in half metres from (500, 500) mm."""
-    x, y = (np.asarray(xy, dtype=float).T - 500) / 500
-    both = [x**k * y ** (total - k) for total in range(4) for k in range(total, -1, -1)]
-    return np.stack(both, axis=1)
 
 
 def _same_orientation(homography, xy):

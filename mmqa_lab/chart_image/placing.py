@@ -1,12 +1,11 @@
 """Where a chart is in an image: coded targets, long bars, and then all that is printed.
 
-Targets and bars say where a chart may be. Blocks of the printed chart then say where it is: each
-block has light and shadow of its own, and its shift counts as much as its pixels agree with the
-print. So neither a shadow's edge nor a pole drags the map, and a bent board shows.
+Targets and bars say where a chart may be. Print and photograph, compared without their local light,
+then say where it is.
 """
 
 from dataclasses import replace
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -14,10 +13,8 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab.chart_image.geometry import (
     ChartMap,
-    FrameCamera,
     PanoramaCamera,
     four_corners,
-    powers,
 )
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 from mmqa_lab.io.images import check_image
@@ -70,26 +67,22 @@ SMALLEST_CHART_PX = 50
 GLANCE_CELLS = 80
 """Along a side of the chart, to compare a first guess with the image."""
 
-STEPS = ((60, 6), (160, 8), (800, 12))
-"""Pixels along a side, in the image made smaller, and blocks: from coarse to fine."""
-
 LARGEST_DIFFERENCE = 0.15
 """Share of the printed blocks that may differ before a remark says so."""
 
-LARGEST_MOVE, LARGEST_STEP = 0.06, 0.25
-"""Share of the chart's side by which the alignment may move a corner, and in one step."""
+LARGEST_MOVE = 0.06
+"""Share of the chart's side by which the alignment may move a corner."""
 
-EDGE_SPREADS = 2.5
-"""Closer to the chart's edge, in point spreads, pixels see what is beyond."""
+TYPICAL_SIGMA_PX = 0.6
+"""Point spread of the print, pixel included, in the alignment."""
 
-TYPICAL_SIGMA_PX, WIDER_SPREADS_PX = 0.6, (1.2, 2.0, 3.0)
-"""Point spread of the print, pixel included, in the alignment, and those of blurred images."""
+FINEST, BLOCKS = 800, 12
+"""Cells along a side at most, and blocks whose agreement is asked for."""
 
-SMALLEST_MISFIT = 0.03
-"""Share of black to white that a block differs from the print at least."""
+LIGHT_MM, SPREADS = 60.0, 3.0
+"""Reach of local means and spreads; values beyond so many spreads count as that many."""
 
-BEND_GAIN, SMALLEST_BEND_PX = 14.0, 0.5
-"""So many times more than chance must a bend explain, and so far reach, to be taken for real."""
+STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
 
 def locate(
@@ -97,7 +90,7 @@ def locate(
     layout: Layout,
     *,
     corners: ArrayLike | None = None,
-    camera: FrameCamera | PanoramaCamera | None = None,
+    camera: PanoramaCamera | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> ChartMap:
     """Find a chart by its coded targets and long bars, or at its corners.
@@ -115,7 +108,7 @@ def locate(
         Column and row of the lower left, lower right, upper right and upper left corner of the
         printed chart. Without them the layout must have targets,
         :class:`mmqa_lab.charts.Marker`.
-    camera : FrameCamera or PanoramaCamera, optional
+    camera : PanoramaCamera, optional
         What bends rays into pixels, for distorted images and panoramas.
     offset : (float, float)
         Column and row of the whole image where this window begins.
@@ -215,11 +208,8 @@ def _stretched(image):
 def align(image, layout, chart_map):
     """Improve a map by the whole printed chart.
 
-    In the chart's frame, the image is compared with the print block by block. Each block has its
-    own contrast, brightness and gradient of light, and gives a shift with its covariance (Lucas
-    and Kanade). A homography is fitted to all shifts so that blocks which disagree, behind a pole
-    or across a shadow's edge, count little; it is repeated on finer cells. What is left is a bent
-    board or the lens: a cubic displacement is added if it explains clearly more than chance. Fine
+    In the chart's frame, photograph and print are each divided by their local mean and spread;
+    OpenCV's enhanced correlation finds the homography between them, on finer and finer cells. Fine
     line pairs are left out.
 
     Parameters
@@ -233,8 +223,6 @@ def align(image, layout, chart_map):
     Returns
     -------
     ChartMap
-        Without residuals: :func:`mmqa_lab.chart_image.pixel_sizes` measures how far the ends of
-        the long bars lie from where it puts them.
 
     Raises
     ------
@@ -244,7 +232,7 @@ def align(image, layout, chart_map):
 
     References
     ----------
-    Baker and Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
+    Evangelidis and Psarakis 2008, doi:10.1109/TPAMI.2008.113.
 
     Examples
     --------
@@ -261,24 +249,20 @@ def align(image, layout, chart_map):
     """
     image = check_image(image)
     start = chart_map
-    for along, blocks in STEPS:
-        comparison = _Comparison(image, layout, chart_map, along, blocks)
-        chart_map = comparison.fitted(chart_map)
-    correlation = comparison.correlation(chart_map)
-    for spread_px in WIDER_SPREADS_PX:
-        wider = _Comparison(image, layout, chart_map, along, blocks, spread_px)
-        if not wider.correlation(chart_map) > correlation + 0.01:
-            break
-        comparison, chart_map = wider, wider.fitted(chart_map)
-        correlation = comparison.correlation(chart_map)
+    finest = min(int(layout.width / np.median(start.pixel_sizes_mm(layout.corners()))), FINEST)
+    for along in sorted({min(60, finest), min(160, finest), max(finest, 12)}):
+        chart_map, correlation, each = _compared(image, layout, chart_map, along)
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
             f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, and not mirrored?"
         )
-    chart_map = comparison.bent(chart_map)
-    remark = comparison.differences(chart_map)
-    remark = "; ".join(one for one in (start.remark, remark) if one)
+    strange = (each < SMALLEST_CORRELATION * np.median(each)).mean()
+    remarks = [start.remark] if start.remark else []
+    if strange > LARGEST_DIFFERENCE:
+        remarks.append(
+            f"{strange:.0%} of the print differ from the layout: hidden, or another chart"
+        )
     moved = _apart(chart_map, start, layout).max()
     pixel_mm = float(np.median(start.pixel_sizes_mm(layout.corners())))
     limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
@@ -287,166 +271,60 @@ def align(image, layout, chart_map):
             f"Invalid place of the chart: a corner lies {moved:.1f} px away. Must be given to "
             f"{limit:.1f} px."
         )
-    return replace(chart_map, source=f"{start.source}, aligned", remark=remark)
+    return replace(chart_map, source=f"{start.source}, aligned", remark="; ".join(remarks))
 
 
-class _Comparison:
-    """The pixels of an image of a chart, in blocks, beside the print that they should show."""
+def _compared(image, layout, chart_map, along):
+    """A map after OpenCV's enhanced correlation, the correlation, and its part in each block.
 
-    def __init__(self, image, layout, chart_map, along, blocks, spread_px=TYPICAL_SIGMA_PX):
-        self.layout, self.side, self.blocks = layout, layout.width / blocks, blocks
-        outline = chart_map.outline(layout.corners())
-        wide = np.ptp(outline, axis=0) / 8 + 2
-        first = np.maximum(outline.min(axis=0) - wide, 0).astype(int)
-        last = np.maximum(outline.max(axis=0) + wide, 3).astype(int)
-        window = image[first[1] : last[1], first[0] : last[0]].astype(np.float32)
-        sizes = chart_map.pixel_sizes_mm(layout.corners())
-        self.pixel_mm = max(float(np.median(sizes)), layout.width / along)
-        size = [
-            max(round(side * np.median(sizes) / self.pixel_mm), 3) for side in window.shape[::-1]
-        ]
-        self.values = cv2.resize(window, size, interpolation=cv2.INTER_AREA).ravel()
-        columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
-        grid = np.column_stack([columns.ravel(), rows.ravel()])
-        self.pixels = grid * np.divide(window.shape[::-1], size) - 0.5 + first
-        self.edge = EDGE_SPREADS * spread_px * self.pixel_mm
-        self.cell = max(self.pixel_mm / 3, layout.width / 2400)
-        printed = reflectance(layout, cell=self.cell).astype(np.float32)
-        printed = cv2.GaussianBlur(printed, (0, 0), spread_px * self.pixel_mm / self.cell)
-        slopes = [part / self.cell for part in np.gradient(printed)[::-1]]
-        trusted = _trusted(layout, self.pixel_mm, self.cell, printed.shape)
-        self.print = cv2.merge([printed, *slopes, trusted])
-
-    def _normal(self, chart_map):
-        """Normal equations of all blocks: matrix, right side, squares, pixels."""
-        places = chart_map.chart(self.pixels)
-        limit, edge = np.array([self.layout.width, self.layout.height]), self.edge
-        inside = ((places >= edge) & (places <= limit - edge)).all(axis=1)
-        places, values = places[inside], self.values[inside]
-        sought = (places / self.cell - 0.5).astype(np.float32)
-        # remap addresses at most 32,767 rows at once
-        parts = np.array_split(sought, len(sought) // 30_000 + 1)
-        print_ = [cv2.remap(self.print, part[:, None], None, cv2.INTER_LINEAR) for part in parts]
-        tone, slope_x, slope_y, weight = np.concatenate(print_)[:, 0].T.astype(float)
-        block = np.minimum(places // self.side, self.blocks - 1).astype(int)
-        light = (places / self.side - block - 0.5).T
-        block = block @ [1, self.blocks]
-        terms = [tone, np.ones_like(tone), *light, slope_x, slope_y, values]
-        count = self.blocks * int(np.ceil(limit[1] / self.side))
-
-        def total(one, other):
-            return np.bincount(block, weights=weight * one * other, minlength=count)[:count]
-
-        squares = np.empty((count, 7, 7))
-        for i, j in combinations_with_replacement(range(7), 2):
-            squares[:, i, j] = squares[:, j, i] = total(terms[i], terms[j])
-        matrix = squares[:, :6, :6] + 1e-6 * np.eye(6)
-        return matrix, squares[:, :6, 6], squares[:, 6, 6], squares[:, 1, 1]
-
-    def correlation(self, chart_map):
-        """Of print and image, light and its gradient apart: mean of the blocks by their print."""
-        each, weight = self._each(chart_map)
-        return float((weight * each).sum() / max(weight.sum(), 1e-12))
-
-    def differences(self, chart_map):
-        """A remark where many blocks with much print do not show it."""
-        each, weight = self._each(chart_map)
-        each = each[weight > 0.5 * weight.max()]
-        share = (each < SMALLEST_CORRELATION * np.median(each)).mean()
-        if share <= LARGEST_DIFFERENCE:
-            return ""
-        return f"{share:.0%} of the print differ from the layout: hidden, or another chart"
-
-    def _each(self, chart_map):
-        """Correlation of each block and the strength of its print."""
-        matrix, right, squares, _ = self._normal(chart_map)
-        light = slice(1, 4)
-        across = np.linalg.solve(matrix[:, light, light], matrix[:, light, :1])[..., 0]
-        other = np.linalg.solve(matrix[:, light, light], right[:, light, None])[..., 0]
-        both = right[:, 0] - (across * right[:, light]).sum(axis=1)
-        printed = matrix[:, 0, 0] - (across * matrix[:, light, 0]).sum(axis=1)
-        seen = squares - (other * right[:, light]).sum(axis=1)
-        each = both / np.sqrt(np.maximum(printed * seen, 1e-12))
-        return each, np.sqrt(np.maximum(printed, 0))
-
-    def shifts(self, chart_map):
-        """Shift of each block's print in the image, mm, (b, 2), and its information (b, 2, 2)."""
-        matrix, right, squares, count = self._normal(chart_map)
-        fit = np.linalg.solve(matrix, right[..., None])[..., 0]
-        gain = fit[:, 0]
-        spread = np.maximum(squares - (fit * right).sum(axis=1), 0) / np.maximum(count - 6, 1)
-        spread += (SMALLEST_MISFIT * gain) ** 2 + 1e-12
-        light, slope = slice(0, 4), slice(4, 6)
-        cross = np.linalg.solve(matrix[:, light, light], matrix[:, light, slope])
-        free = matrix[:, slope, slope] - matrix[:, slope, light] @ cross
-        used = (gain > 0) & (count > (self.side / self.pixel_mm) ** 2 / 4)
-        information = np.where(used, gain**2 / spread, 0)[:, None, None] * free
-        shift = fit[:, slope] / np.where(used, gain, 1)[:, None]
-        return np.clip(shift, -self.side / 4, self.side / 4), information
-
-    def _middles(self):
-        """The middles of the blocks, mm."""
-        rows = int(np.ceil(self.layout.height / self.side))
-        row, column = np.indices((rows, self.blocks)) + 0.5
-        return np.column_stack([column.ravel(), row.ravel()]) * self.side
-
-    def fitted(self, chart_map):
-        """The map after the homography that the shifts ask for, a few times."""
-        middles = self._middles()
-        centre = middles.mean(axis=0)
-        u, v = ((middles - centre) / self.side).T
-        one, none = np.ones_like(u), np.zeros_like(u)
-        rows = [[one, u, v, none, none, none, u * u, u * v]]
-        rows += [[none, none, none, one, u, v, u * v, v * v]]
-        design = np.array(rows).transpose(2, 0, 1)
-        to_units = np.diag([1 / self.side, 1 / self.side, 1])
-        to_units[:2, 2] = -centre / self.side
-        for _ in range(8):
-            h = _robust(design, *self.shifts(chart_map))[0] / self.side
-            change = np.array([[h[1], h[2], h[0]], [h[4], h[5], h[3]], [-h[6], -h[7], 0]])
-            change = np.linalg.inv(to_units) @ (np.eye(3) + change) @ to_units
-            better = chart_map.corrected(np.linalg.inv(change))
-            moved = _apart(better, chart_map, self.layout)
-            if not (moved < LARGEST_STEP * self.layout.width / self.pixel_mm).all():
-                break
-            chart_map = better
-            if moved.max() < 0.02:
-                break
-        return chart_map
-
-    def bent(self, chart_map):
-        """The map with a cubic displacement where the shifts show one beyond chance."""
-        terms = powers(self._middles())
-        design = np.zeros((len(terms), 2, 2, terms.shape[1]))
-        design[:, 0, 0], design[:, 1, 1] = terms, terms
-        design = design.reshape(len(terms), 2, -1)
-        for _ in range(3):
-            bend, gain = _robust(design, *self.shifts(chart_map))
-            bend = bend.reshape(2, -1).T
-            far = np.abs(terms @ bend).max() / self.pixel_mm
-            if chart_map.bend is None and (gain < BEND_GAIN or far < SMALLEST_BEND_PX):
-                break
-            before = 0 if chart_map.bend is None else chart_map.bend
-            chart_map = replace(chart_map, bend=before - bend)
-        return chart_map
+    Photograph and print lie in the chart's frame, ``along`` cells a side, each divided by its own
+    local mean and spread, so that light and shadow do not count.
+    """
+    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
+    cell = layout.width / along
+    columns, rows = along, int(np.ceil(layout.height / cell))
+    printed = reflectance(layout, cell=cell)[:rows]
+    blur = np.hypot(TYPICAL_SIGMA_PX * pixel_mm / cell, 0.5)
+    y, x = (np.indices((rows, columns)) + 0.5) * cell
+    pixels = chart_map.pixels(np.column_stack([x.ravel(), y.ravel()])).astype(np.float32)
+    pixels = pixels.reshape(rows, columns, 2)
+    soft = max(cell / pixel_mm / 2.5, 0.3)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), soft)
+    seen = cv2.remap(smooth, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    inside = ((pixels >= 0) & (pixels <= np.array(image.shape[::-1]) - 1)).all(axis=2)
+    reach = LIGHT_MM / cell
+    printed = _standardised(cv2.GaussianBlur(printed, (0, 0), blur), reach)
+    seen = _standardised(seen, reach)
+    trusted = (_trusted(layout, pixel_mm, cell, printed.shape) * inside).astype(np.uint8)
+    try:
+        _, warp = cv2.findTransformECC(
+            printed, seen, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
+        )
+    except cv2.error:  # nothing in common
+        warp = np.eye(3)
+    size = {"dsize": (columns, rows), "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
+    moved = cv2.warpPerspective(seen, warp, **size)
+    to_mm = np.array([[cell, 0, cell / 2], [0, cell, cell / 2], [0, 0, 1]])
+    better = chart_map.corrected(to_mm @ warp @ np.linalg.inv(to_mm))
+    product = np.clip(moved, -SPREADS, SPREADS) * np.clip(printed, -SPREADS, SPREADS) * trusted
+    weight = np.clip(printed, -SPREADS, SPREADS) ** 2 * trusted
+    other = np.clip(moved, -SPREADS, SPREADS) ** 2 * trusted
+    correlation = product.sum() / max(np.sqrt(weight.sum() * other.sum()), 1e-12)
+    each = _in_blocks(product) / np.maximum(np.sqrt(_in_blocks(weight) * _in_blocks(other)), 1e-12)
+    return better, float(correlation), each[_in_blocks(weight) > 0.5 * _in_blocks(weight).max()]
 
 
-def _robust(design, shifts, information):
-    """Parameters that fit most of the shifts, and what they explain beyond chance per parameter."""
-    weight, seen = np.ones(len(shifts)), information.any(axis=(1, 2))
-    for _ in range(8):
-        weighted = design.swapaxes(1, 2) @ (weight[:, None, None] * information)
-        matrix = (weighted @ design).sum(axis=0)
-        right = (weighted @ shifts[..., None]).sum(axis=0)[:, 0]
-        found = np.linalg.solve(matrix + 1e-3 * np.eye(len(matrix)), right)
-        left = shifts - design @ found
-        misfit = np.einsum("bi,bij,bj->b", left, information, left)
-        typical = np.median(misfit[seen]) / 1.4 if seen.any() else 1.0
-        weight = 1 / (1 + misfit / (4 * max(typical, 1e-12)))
-    before = np.einsum("b,bi,bij,bj->", weight, shifts, information, shifts)
-    after = (weight * misfit).sum()
-    free = max(2 * seen.sum() - len(found), 1)
-    return found, float((before - after) / len(found) / max(after / free, 1e-12))
+def _standardised(tones, reach):
+    """Tones less their local mean, in local spreads."""
+    mean = cv2.GaussianBlur(tones, (0, 0), reach)
+    spread = np.sqrt(np.maximum(cv2.GaussianBlur((tones - mean) ** 2, (0, 0), reach), 0))
+    return (tones - mean) / np.maximum(spread, 0.1 * spread.max() + 1e-12)
+
+
+def _in_blocks(values):
+    """Sums over blocks of a chart, shape (BLOCKS, BLOCKS)."""
+    rows, columns = (np.linspace(0, n, BLOCKS + 1).astype(int)[:-1] for n in values.shape)
+    return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
 
 
 def _apart(one, other, layout):
@@ -517,16 +395,15 @@ def _guesses(grey, layout, bars):
     scored = sorted((one for one in scored if one[0] > PROMISING), key=lambda one: -one[0])
     found = []
     for _, there in scored[:MOST_GUESSES]:
-        for along, blocks in STEPS[:2]:
+        for along in (60, 160):
             outline = there.outline(layout.corners())
             if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
                 break
-            comparison = _Comparison(grey, layout, there, along, blocks)
-            there = comparison.fitted(there)
+            there, correlation, _ = _compared(grey, layout, there, along)
         else:
             wide = np.ptp(there.pixels(layout.corners()), axis=0)
             if wide.prod() > SMALLEST_CHART_PX**2:
-                found.append((comparison.correlation(there), there))
+                found.append((correlation, there))
     return [one for one in found if one[0] > LIKELY]
 
 

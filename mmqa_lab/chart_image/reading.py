@@ -19,7 +19,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 from mmqa_lab.io.images import check_image
-from mmqa_lab.mtf.edges import lens_fits, one_lens, spread_edge
+from mmqa_lab.mtf.edges import spread_edge
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
 """A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
@@ -536,42 +536,6 @@ def pixel_sizes(tones, layout, chart_map):
     return table
 
 
-def bar_edges(levels, layout, chart_map):
-    """Measure the MTF across the long bars.
-
-    Parameters
-    ----------
-    levels : Tones
-    layout : Layout
-    chart_map : ChartMap
-
-    Returns
-    -------
-    DataFrame
-        A row per edge of a wide bar, or per narrow bar: ``name``, ``direction`` (h: across
-        standing bars), and the fields of :class:`mmqa_lab.mtf.edges.EdgeResponse`; NaN and a
-        ``remark`` where the edge could not be measured.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> edges = bar_edges(find_tones(image, layout, there), layout, there)
-    >>> sorted(set(edges["name"])), sorted(set(edges["direction"]))
-    (['bar_horizontal', 'bar_left', 'bar_right'], ['h', 'v'])
-    """
-    edges = [
-        one for bar in _long_bars(layout) for one in _bar_edges(levels, layout, bar, chart_map)
-    ]
-    # one lens took the photograph: an edge with plain ground tells it for those with little
-    found = iter(one_lens([fits for _, fits in edges if fits]))
-    rows = [(vars(next(found)) if fits else {}) | row for row, fits in edges]
-    return pd.DataFrame(rows, columns=EDGE_COLUMNS)
-
-
 def _printed(layout, chart_map, shape):
     """Per pixel: whether it lies on the chart, the tone it would see there, and how many pixels
     deep it lies in white and in black."""
@@ -889,55 +853,3 @@ def _lanes(end, residuals, slope, offset):
         for one in inside
         if (weight := (slope[lane == one] ** 2).sum()) > 0
     }
-
-
-def _bar_edges(levels, layout, bar, chart_map):
-    """Rows and fits of one bar: of its two edges, or of both at once."""
-    axis = 0 if bar.width < bar.height else 1
-    middle = np.array([[bar.x + bar.width / 2, bar.y + bar.height / 2]])
-    width_px = min(bar.width, bar.height) / chart_map.pixel_sizes_mm(middle)[0, axis]
-    for side in (0, 1) if width_px >= SINGLE_EDGE_PX else (None,):
-        name = bar.name if side is None else f"{bar.name}, {('low', 'high')[side]} edge"
-        row, fits = {"name": name, "direction": "hv"[axis]}, None
-        try:
-            width, margin = np.inf, NEIGHBOUR_PX
-            while NEIGHBOUR_WIDTHS * width > 1.05 * margin:
-                margin = max(margin, NEIGHBOUR_WIDTHS * width if fits else 0)
-                fits = _across(levels, layout, bar, chart_map, (axis, side, margin))
-                width = one_lens([fits])[0].width_px
-        except ValueError as error:
-            row, fits = row | {"n": 0, "remark": str(error)}, None
-        yield row, fits
-
-
-def _across(levels, layout, bar, chart_map, where):
-    """Fits of the pixels along one edge of a bar, or along both, clear of the neighbours."""
-    axis, side, margin = where
-    corners = bar.corners()
-    low, size = corners[0], corners[2] - corners[0]
-    pixel_mm = chart_map.pixel_sizes_mm(corners).max(axis=0)
-    clear = layout.clearance(bar, (0.0, 0.0))[axis] / pixel_mm[axis] - margin
-    clear = np.minimum(clear, EDGE_REACH_PX)
-    outer = clear.min() if side is None else clear[side]
-    if outer < SHORTEST_REACH_PX:
-        raise ValueError(f"Invalid edge: {outer:.1f} px of plain ground. Must be 2 px or more.")
-    places, values, pixels = levels.near(chart_map, corners, 2 * EDGE_REACH_PX)
-    places, end = places - low, 3 * pixel_mm[1 - axis]
-    # depth grows from the edge towards the bar's inside
-    edge, inward = (size[axis], -1.0) if side else (0.0, 1.0)
-    depth = inward * (places[:, axis] - edge) / pixel_mm[axis]
-    width_px = size[axis] / pixel_mm[axis]
-    inner = width_px + outer if side is None else min(EDGE_REACH_PX, width_px / 2)
-    used = (places[:, 1 - axis] > end) & (places[:, 1 - axis] < size[1 - axis] - end)
-    used &= (depth > -outer) & (depth < inner)
-    feet, opposite = places[used], places[used]
-    feet[:, axis], opposite[:, axis] = edge, size[axis] - edge
-    start, tangent = chart_map.pixels(feet + low), chart_map.scale(feet + low)[:, 1 - axis]
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    normal = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    gap = ((chart_map.pixels(opposite + low) - start) * normal).sum(axis=1)
-    distance = ((pixels[used] - start) * normal).sum(axis=1) * np.sign(gap)
-    angle = float(np.arctan2(*np.sort(np.abs(normal.mean(axis=0)))))
-    along = 2 * feet[:, 1 - axis] / size[1 - axis] - 1
-    gap = np.abs(gap) if side is None else np.inf
-    return lens_fits(distance, along, 1 - values[used], angle, order=2, gap=gap)

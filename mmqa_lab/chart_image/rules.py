@@ -12,10 +12,8 @@ pairs stand in for them; they have columns of their own and are never merged wit
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -207,13 +205,6 @@ def chart_site(*, height: float = 1.5) -> pd.DataFrame:
             corners = middle + [-aside - up, aside - up, aside + up, up - aside]
             rows.append((f"{kind} {view}", kind, view, corners))
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
-
-
-def blind_name(path, board):
-    """Return a name for the crop of a board in an image file that tells a juror nothing."""
-    digest = hashlib.sha256(Path(path).read_bytes())
-    digest.update(board.encode())
-    return digest.hexdigest()[:8]
 
 
 def choose_images(
@@ -468,12 +459,6 @@ def _places(stations):
     if len(stations) < 2:
         raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
     return stations[PLACE].to_numpy(dtype=float)
-
-
-def board_view(corners, stations):
-    """Return how a straight drive sees a board: orthogonal, forward or backward."""
-    _, right, normal = board_frame(corners)
-    return _view(right, normal, _places(stations))
 
 
 def _view(right, normal, places):

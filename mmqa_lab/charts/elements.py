@@ -6,12 +6,12 @@ tones by the curve of sRGB, as screens and printers expect it.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
-import json
 import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from io import BytesIO
+from io import BytesIO, StringIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,13 +29,6 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 POINTS_PER_MM = 72 / 25.4
 
-PAPERS_MM = {"a3": (297.0, 420.0), "a4": (210.0, 297.0)}
-
-MARK_GAP_MM, MARK_MM, HAIR_MM, PRINTER_MM = 4.0, 6.0, 0.25, 4.0
-"""Crop marks: distance from the corner, length, width; and what printers leave white."""
-
-BLEED_MM = 3.0
-"""A tile is printed so far beyond its edges."""
 
 STYLE = {
     "figure.constrained_layout.use": False,
@@ -308,14 +301,6 @@ class Text(_Element):
         place = Affine2D().scale(self.stretch * self.cap, self.cap).translate(self.x, self.y)
         return place.transform_path(_letters(self.text, self.font))
 
-    def part(self, letters: str) -> Text:
-        """Return some of the letters, where they first occur, as a text of their own."""
-        before, found, _ = self.text.partition(letters)
-        if not found:
-            raise ValueError(f"Invalid letters {letters!r}. Must occur in {self.text!r}.")
-        offset = self._reach(before + letters) - self._reach(letters)
-        return dataclasses.replace(self, x=self.x + offset, text=letters)
-
     def _reach(self, text):
         """Right end of a text in this font, mm from its start."""
         vertices = _letters(text, self.font).vertices
@@ -323,6 +308,13 @@ class Text(_Element):
 
 
 KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
+
+COLUMNS = (
+    *("kind", "name", "x", "y", "width", "height", "size", "pair", "direction", "repeats"),
+    *("length", "text", "cap", "font", "stretch", "dictionary", "identifier", "count", "bits"),
+    *("tone", "ground"),
+)
+"""Of a table of elements."""
 
 
 @dataclass(frozen=True)
@@ -340,17 +332,15 @@ class Layout(_Element):
     Raises
     ------
     ValueError
-        If two elements share a name, one reaches over the chart's edge, or JSON lacks a field.
+        If two elements share a name, or one reaches over the chart's edge.
 
     Examples
     --------
     >>> chart = Layout("two bars", 100, 50, (Bar("a", 10, 10, 5, 30), Bar("b", 60, 10, 5, 30)))
-    >>> chart["b"].x, Layout.from_json(chart.to_json()) == chart
+    >>> chart["b"].x, layout_of(chart.to_csv(), name="two bars", width=100, height=50) == chart
     (60, True)
     >>> chart.to_pdf()[:5], b'<g id="a">' in chart.to_svg()
     (b'%PDF-', True)
-    >>> chart.to_pdf(tiles="a4")[:5]
-    b'%PDF-'
     """
 
     name: str
@@ -403,90 +393,102 @@ class Layout(_Element):
                     clear[k, side] = min(clear[k, side], apart[k])
         return clear
 
-    def to_pdf(self, *, crop_marks: bool = False, tiles: str | None = None) -> bytes:
-        """Return the chart as a PDF at true size; letters are outlines.
-
-        With crop marks the page is larger than the chart. Tiles (``"a3"``, ``"a4"``) make a page
-        for each part of the chart, with crop marks and 3 mm beyond the cut.
-        """
-        from matplotlib.backends.backend_pdf import PdfPages
-
-        size = np.array([self.width, self.height])
-        sheet = size + 2 * (MARK_GAP_MM + MARK_MM + PRINTER_MM) * crop_marks
-        pages = [(np.zeros(2), size, sheet, "")] if tiles is None else list(self._tiles(tiles))
-        stream, metadata = BytesIO(), {"CreationDate": None, "Title": self.name}
-        with _style(), PdfPages(stream, metadata=metadata) as file:
-            for low, part, sheet, note in pages:
-                marks = _marks(low, low + part, note) if (sheet > part).all() else []
-                file.savefig(self._page(low, part, sheet, marks))
-        return stream.getvalue()
+    def to_pdf(self) -> bytes:
+        """Return the chart as a PDF of one page at true size; letters are outlines."""
+        return self._drawn("pdf", {"CreationDate": None, "Title": self.name})
 
     def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
-        stream, size = BytesIO(), np.array([self.width, self.height])
-        with _style():
-            page = self._page(np.zeros(2), size, size, [])
-            page.savefig(stream, format="svg", metadata={"Date": None, "Title": self.name})
+        return self._drawn("svg", {"Date": None, "Title": self.name})
+
+    def to_csv(self) -> str:
+        """Return the table of elements as CSV, which :func:`read_layout` reads back unchanged."""
+        rows = []
+        for element in self.elements:
+            fields = {"kind": type(element).__name__, **dataclasses.asdict(element)}
+            rows.append({name: _cell(value) for name, value in fields.items()})
+        stream = StringIO()
+        table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
         return stream.getvalue()
 
-    def to_json(self) -> str:
-        """Return the layout as JSON text, which :meth:`from_json` reads back unchanged."""
-        elements = [
-            {"kind": type(element).__name__, **dataclasses.asdict(element)}
-            for element in self.elements
-        ]
-        whole = {"name": self.name, "width": self.width, "height": self.height}
-        return json.dumps({**whole, "elements": elements}, indent=1)
-
-    @classmethod
-    def from_json(cls, text: str) -> Layout:
-        """Return the layout that JSON text describes; ValueError if it describes none."""
-        try:
-            whole = json.loads(text)
-            elements = []
-            for fields in whole["elements"]:
-                kind = KINDS[check_choice(fields.pop("kind"), "kind", tuple(KINDS))]
-                colours = {k: tuple(v) for k, v in fields.items() if isinstance(v, list)}
-                elements.append(kind(**fields | colours))
-            return cls(whole["name"], whole["width"], whole["height"], tuple(elements))
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-            raise ValueError(
-                f"Invalid chart layout: {error}. Must be JSON with all fields."
-            ) from None
-
-    def _tiles(self, paper):
-        """Lower left corner, size, sheet and note of each part that fits on a paper, from above."""
-        paper = np.array(PAPERS_MM[check_choice(paper, "tiles", tuple(PAPERS_MM))])
-        size = np.array([self.width, self.height])
-        room = 2 * (MARK_GAP_MM + MARK_MM + PRINTER_MM)
-        sheet = min(paper, paper[::-1], key=lambda one: np.ceil(size / (one - room)).prod())
-        count = np.ceil(size / (sheet - room)).astype(int)
-        for row in range(count[1]):
-            for column in range(count[0]):
-                low = np.array([column, count[1] - 1 - row]) * size / count
-                place = f"row {row + 1} of {count[1]}, column {column + 1} of {count[0]}"
-                yield low, size / count, sheet, f"{self.name}, {place}"
-
-    def _page(self, low, part, sheet, marks):
-        """A part of the chart in the middle of a sheet, and marks around it."""
+    def _drawn(self, form, metadata):
+        """The chart in a file format, at true size."""
+        import matplotlib as mpl
         from matplotlib.figure import Figure
-        from matplotlib.patches import PathPatch, Rectangle
+        from matplotlib.patches import PathPatch
         from matplotlib.transforms import Affine2D
 
-        page = Figure(figsize=sheet * POINTS_PER_MM / 72, frameon=False, dpi=72)
-        place = Affine2D().translate(*((sheet - part) / 2 - low)).scale(POINTS_PER_MM)
-        grown = low - BLEED_MM, low + part + BLEED_MM
-        window = Rectangle(grown[0], *(grown[1] - grown[0]), transform=place)
-        for element in (*self.elements, *marks):
+        size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
+        page, place = Figure(figsize=size, frameon=False, dpi=72), Affine2D().scale(POINTS_PER_MM)
+        for element in self.elements:
             for tone, outline in _shapes(element).items():
-                box = outline.get_extents()
-                if element not in marks and ((box.max < grown[0]) | (box.min > grown[1])).any():
-                    continue
                 look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
-                drawn = page.add_artist(PathPatch(outline, transform=place, **look))
-                if marks and element not in marks:
-                    drawn.set_clip_path(window)
-        return page
+                page.add_artist(PathPatch(outline, transform=place, **look))
+        stream = BytesIO()
+        with mpl.rc_context(STYLE):
+            page.savefig(stream, format=form, metadata=metadata)
+        return stream.getvalue()
+
+
+def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1000.0) -> Layout:
+    """Return the layout that a table of elements describes.
+
+    Parameters
+    ----------
+    table : str
+        CSV text with a row for each element: its ``kind`` and its fields, lengths in mm; colours
+        are three numbers with spaces between. What a kind does not have is empty.
+    name : str
+        Of the chart.
+    width, height : float
+        Size of the chart, mm.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    ValueError
+        If a kind is unknown, or a field of it is missing or no number.
+
+    Examples
+    --------
+    >>> table = "kind,name,x,y,width,height\\nBar,a,10,10,5,30\\n"
+    >>> layout_of(table, name="one bar", width=100, height=50)["a"].height
+    30.0
+    """
+    elements = []
+    for row in csv.DictReader(StringIO(table)):
+        kind = KINDS[check_choice(row.get("kind"), "kind", tuple(KINDS))]
+        try:
+            given = {field: text for field, text in row.items() if text and field != "kind"}
+            elements.append(kind(**{field: _value(field, text) for field, text in given.items()}))
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"Invalid element {row.get('name')!r} of a chart: {error}. Must have the fields "
+                f"of {kind.__name__}."
+            ) from None
+    return Layout(name, width, height, tuple(elements))
+
+
+def _cell(value):
+    """A field as it stands in a table."""
+    if isinstance(value, tuple):
+        return " ".join(f"{share:g}" for share in value)
+    return f"{value:.10g}" if isinstance(value, float) else value
+
+
+def _value(field, text):
+    """A field from what stands in a table."""
+    if field in ("name", "direction", "text", "font", "dictionary", "bits"):
+        return text
+    if field in ("repeats", "identifier", "count"):
+        return int(text)
+    numbers = tuple(float(part) for part in text.split())
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
@@ -553,28 +555,6 @@ def _ink(tone):
     """The colour of a tone in a file: a grey stays a grey."""
     coded = encode(np.array(tone, dtype=float), "srgb")
     return tuple(coded) if coded.ndim else str(float(coded))
-
-
-def _style():
-    """What fixes the size of a page."""
-    import matplotlib as mpl
-
-    return mpl.rc_context(STYLE)
-
-
-def _marks(low, high, note):
-    """Crop marks off the corners of a rectangle; below it 100 mm to measure and a note."""
-    thick, marks = HAIR_MM / 2, []
-    for x, left in ((low[0], -1), (high[0], 1)):
-        for y, down in ((low[1], -1), (high[1], 1)):
-            beside = x + left * MARK_GAP_MM + min(left, 0) * MARK_MM
-            beyond = y + down * MARK_GAP_MM + min(down, 0) * MARK_MM
-            marks.append(Bar("crop mark", beside, y - thick, MARK_MM, HAIR_MM))
-            marks.append(Bar("crop mark", x - thick, beyond, HAIR_MM, MARK_MM))
-    base = low[1] - MARK_GAP_MM - MARK_MM
-    marks.append(Bar("100 mm", low[0] + MARK_GAP_MM, base, 100.0, 1.0))
-    text = f"100 mm. {note}"
-    return [*marks, Text("note", low[0] + MARK_GAP_MM, base + 2.0, text, 2.0)]
 
 
 def _check_element(element):

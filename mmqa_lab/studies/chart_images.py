@@ -6,7 +6,6 @@ by rendering, the search for point spreads, the photographs of the bench and the
 
 from dataclasses import replace
 from functools import lru_cache
-from importlib.util import find_spec
 
 import numpy as np
 import pandas as pd
@@ -31,7 +30,9 @@ QUICK, TOLD = SMALL["chart_images"], NOTES["chart_images"]
 ROW = ["system", "distance_m", "view"]
 """What names a row of Table 1."""
 
-LADDERS_MM = {"h": charts.WIDTHS_H_MM, "v": charts.WIDTHS_V_MM}
+PAIRS = charts.imaging_chart().of_kind(charts.LinePairs)
+
+LADDERS_MM = {d: sorted((p.pair for p in PAIRS if p.direction == d), reverse=True) for d in "hv"}
 """Widths on the chart, of the standing and of the lying bars."""
 
 FITTED_PX = 0.8
@@ -386,20 +387,6 @@ def by_pixels(seen):
     """Mark a photograph by the pixels of capitals of 40 mm."""
     pixel_mm = seen.pixel_size("v")[0]
     return legibility.expected_marks(legibility.TEXT_MM / pixel_mm)["mark"].item()
-
-
-def by_program(seen):
-    """Mark a photograph by the letters of the lines of 40 mm that a program does not read."""
-    crops = chart_image.text_crops(seen.image, seen.layout, seen.chart_map)
-    crops = [crop for crop in crops if not crop.name.startswith(legibility.NOT_JUDGED)]
-    lines = legibility.read_texts(crops)
-    return legibility.mark_of_errors(np.average(lines["errors"], weights=lines["text"].str.len()))
-
-
-def markers():
-    """Return the methods that mark a photograph: a program only where one is installed."""
-    installed = find_spec("rapidocr") is not None
-    return {"pixels per capital": by_pixels} | ({"program": by_program} if installed else {})
 
 
 RULES = {"every gap": every_gap, "contrast alone": contrast_alone}

@@ -20,9 +20,8 @@ from IPython.display import Image, Markdown, display
 from mmqa_lab._checks import check_choice
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_image.rules import MARKS, check_marks
-from mmqa_lab.io import read_grey, write_atomically
-from mmqa_lab.io.images import decode, encode
-from mmqa_lab.io.tables import read_table
+from mmqa_lab.io import write_atomically
+from mmqa_lab.io.images import encode
 from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.selection import pick_plane, select_polygon
 
@@ -163,9 +162,8 @@ class JuryForm:
 
     Parameters
     ----------
-    crops : dict of str to array, shape (rows, columns), or path
-        Linear light by name of the element, such as ``"photo 3, text_1"``; or the folder of a
-        report of ``mmqa accept``, whose crops are shown in the order of its ``jury.csv``.
+    crops : dict of str to array, shape (rows, columns)
+        Linear light by name of the element, such as ``"photo 3, text_1"``.
     juror : str
         Who marks.
     file : path
@@ -182,8 +180,6 @@ class JuryForm:
     ------
     ValueError
         If a name in ``order`` is no crop or repeats, or the file has no marks.
-    FileNotFoundError
-        If a folder has no ``jury.csv``, or lacks a crop.
 
     Examples
     --------
@@ -197,13 +193,13 @@ class JuryForm:
 
     def __init__(
         self,
-        crops: Mapping[str, Any] | str | os.PathLike,
+        crops: Mapping[str, Any],
         *,
         juror: str,
         file: str | os.PathLike,
         order: Sequence[str] | None = None,
     ):
-        self._crops = dict(crops if isinstance(crops, Mapping) else _crops_of(Path(crops)))
+        self._crops = dict(crops)
         self._order = list(self._crops if order is None else order)
         for name in self._order:
             check_choice(name, "crop in order", tuple(self._crops))
@@ -278,13 +274,6 @@ class JuryForm:
         else:
             self._line.value = f"{self._juror}: {place + 1} of {total}"
             self._picture.value = _png(self._crops[element])
-
-
-def _crops_of(report):
-    """The crops that an acceptance asks its jury about, in the order of the check list."""
-    names = read_table(report / "jury.csv", "crops", dtype=str)["crop"]
-    files = {name: report / "crops" / f"{name}.png" for name in names}
-    return {name: decode(read_grey(file) / 255, "srgb") for name, file in files.items()}
 
 
 def _png(crop):
