@@ -182,12 +182,13 @@ def displaced(seed, comparison, matched, turn_deg):
     """
     scene, names = canyon(5000 + seed), comparison.split("-")
     (test, model), pairs = (scene.surveys[name].segments for name in names), scene.pairs(*names)
-    turn, places = np.radians((-1) ** seed * turn_deg), test.midpoints[np.nonzero(pairs)[0]]
+    turn = np.radians((-1) ** seed * turn_deg)
+    places = lines.midpoints(test)[np.nonzero(pairs)[0]]
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     shift = CENTRE_M - rotation @ CENTRE_M
     moves = scene.displacements(*names) + places @ (rotation.T - np.eye(3)) + shift
-    test = test.transformed(rotation, shift)
+    test = test @ rotation.T + shift
     if matched:
         found = lines.match_displaced(test, model).displacement
     else:
@@ -235,7 +236,7 @@ def edge_of_walls(seed, angle_deg, density, noise):
     found = lines.extract_edges(points, tolerance=max(0.05, 3.5 * noise))
     if len(found) != 1:
         raise ValueError(f"{len(found)} edges")
-    ends, covariance = found.segments.ends[0], found.covariance[0]
+    ends, covariance = found.segments[0], found.covariance[0]
     figures = {}
     for k, height in enumerate((0.0, 3.0)):
         end = int(np.abs(ends[:, 2] - height).argmin())

@@ -34,7 +34,7 @@ def test_edges_of_cluttered_facades_are_found_and_true(clutter):
     """The smallest faces with edges of 1 m are bonnets and dormers; no setting is given."""
     street, points = clutter
     found = lines.extract_edges(points)
-    figures, _, _ = score(found.segments.ends, street.faces, points, 0.01)
+    figures, _, _ = score(found.segments, street.faces, points, 0.01)
     assert figures["visible"] > 25
     assert figures["recall"] >= 0.85
     assert figures["true_length"] >= 0.95
@@ -48,7 +48,7 @@ def test_small_faces_of_a_thin_cloud_have_edges():
         street = street_of_facades(seed, length=12.0, windows=False)
         points = covered(street, 10, 0.01, np.random.default_rng(seed))
         for choices, into in (({}, found), ({"minimum": 30}, few)):
-            ends = lines.extract_edges(points, **choices).segments.ends
+            ends = lines.extract_edges(points, **choices).segments
             figures, _, _ = score(ends, street.faces, points, 0.01)
             into.append([figures["recall"], figures["true_length"]])
     recall, true_length = np.mean(found, axis=0)
@@ -60,6 +60,6 @@ def test_small_faces_of_a_thin_cloud_have_edges():
 def test_what_ends_before_a_line_has_no_edge_there(clutter):
     """Cars stand 0.3 m above the road: their sides meet it nowhere."""
     _, points = clutter
-    ends = lines.extract_edges(points).segments.ends
+    ends = lines.extract_edges(points).segments
     level = np.abs(ends[:, :, 2]).max(axis=1) < 0.05
     assert not (level & (np.abs(ends[:, :, 0]).max(axis=1) < 3.3)).any()

@@ -1,14 +1,10 @@
-"""Planes in clouds, the edges between them, and outlines of boards."""
-
-import json
+"""Planes in clouds and the edges between them."""
 
 import numpy as np
 import pytest
 
-from mmqa_lab.__main__ import main
-from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import read_cloud, write_cloud
-from mmqa_lab.lines import extract_edges, fit_outline, lhd
+from mmqa_lab import lines
+from mmqa_lab.lines import extract_edges, lhd
 from mmqa_lab.planes import detect_planes
 from mmqa_lab.planes.detection import usual_size
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges, canyon_faces
@@ -31,8 +27,8 @@ TRUE_ROOM = np.array(
 
 def in_order(edges):
     """Edges of a room in the order of its axes, each from the origin."""
-    ends = edges.segments.ends
-    order = np.abs(edges.segments.directions).argmax(axis=1).argsort()
+    ends = edges.segments
+    order = np.abs(lines.directions(edges.segments)).argmax(axis=1).argsort()
     ends = ends[order]
     away = np.linalg.norm(ends[:, 0], axis=1) > np.linalg.norm(ends[:, 1], axis=1)
     ends[away] = ends[away, ::-1]
@@ -54,13 +50,13 @@ def test_a_room_has_three_planes_and_three_edges(rng):
     np.testing.assert_allclose(ends, TRUE_ROOM, atol=0.15)
     np.testing.assert_allclose(edges.angle, 90, atol=0.3)
     frame = edges.to_frame()
-    assert frame["length_m"].tolist() == edges.segments.lengths.tolist()
+    assert frame["length_m"].tolist() == lines.lengths(edges.segments).tolist()
 
 
 def test_equal_clouds_give_equal_edges(rng):
     points = room(rng)
     first, again = extract_edges(points), extract_edges(points)
-    np.testing.assert_array_equal(first.segments.ends, again.segments.ends)
+    np.testing.assert_array_equal(first.segments, again.segments)
 
 
 def test_turned_and_far_from_the_origin(rng):
@@ -69,7 +65,7 @@ def test_turned_and_far_from_the_origin(rng):
     shift = np.array([651_234.5, 6_862_345.7, 35.0])
     here, _ = in_order(extract_edges(points))
     found = extract_edges(points @ turn.T + shift)
-    back = (found.segments.ends - shift) @ turn
+    back = (found.segments - shift) @ turn
     back = back[np.abs(back[:, 1] - back[:, 0]).argmax(axis=1).argsort()]
     away = np.linalg.norm(back[:, 0], axis=1) > np.linalg.norm(back[:, 1], axis=1)
     back[away] = back[away, ::-1]
@@ -107,15 +103,15 @@ def test_profiles_dense_along_and_sparse_across(rng):
     points = np.concatenate([wall, road])
     edges = extract_edges(points + rng.normal(0, 0.005, points.shape), tolerance=0.03)
     assert len(edges) == 1
-    assert np.abs(edges.segments.ends[0][:, 1:]).max() < 0.003
-    assert edges.segments.lengths[0] == pytest.approx(7.8, abs=0.3)
+    assert np.abs(edges.segments[0][:, 1:]).max() < 0.003
+    assert lines.lengths(edges.segments)[0] == pytest.approx(7.8, abs=0.3)
 
 
 def test_a_gap_parts_an_edge_and_an_angle_is_asked_for(rng):
     points = room(rng)
     kept = points[(points[:, 0] < 2) | (points[:, 0] > 4.5)]
     edges = extract_edges(kept)
-    along = np.abs(edges.segments.directions[:, 0]) > 0.9
+    along = np.abs(lines.directions(edges.segments)[:, 0]) > 0.9
     assert along.sum() == 2
     slope = points[:3000] * [1, 1, 0] + points[:3000, 1:2] * [0, 0, 0.2]
     flat = np.concatenate([points[:3000] * [1, -1, 0], slope])
@@ -149,8 +145,8 @@ def test_bad_settings_are_refused(rng, choices, said):
 def test_canyon_points_lie_on_their_displaced_faces():
     scene = canyon(2)
     cloud = canyon_cloud(scene, "C1", density=0.5, noise=0.0, seed=1)
-    faces = canyon_faces(scene)
-    corner, along, up = (np.stack(faces[name].to_numpy()) for name in ("corner", "along", "up"))
+    corner, along, up = canyon_faces(scene)[0].swapaxes(0, 1)
+    along, up = along - corner, up - corner
     face, street = cloud["face"], cloud["street"]
     moved = scene.surveys["C1"].positioning.at(cloud.points, street)
     local = cloud.points - moved - corner[face]
@@ -181,7 +177,7 @@ def boxes(side, density=10, noise=0.01):
 def test_edges_survive_the_size_of_the_cloud(side):
     """4,800 to 77,000 square metres of wall; a fixed sample of points lost nearly all at 30,000."""
     edges = extract_edges(boxes(side))
-    upright = edges.segments.lengths[np.abs(edges.segments.directions[:, 2]) > 0.99]
+    upright = lines.lengths(edges.segments)[np.abs(lines.directions(edges.segments)[:, 2]) > 0.99]
     assert len(upright) >= 4 * side**2
     assert upright.sum() == pytest.approx(4 * side**2 * 15, rel=0.03)
 
@@ -201,7 +197,7 @@ def test_an_edge_is_no_longer_than_its_wall(rng, density, noise):
     """Ground near the wall's plane is nearer to it than to its own: it supports no edge."""
     edges = extract_edges(wall_on_ground(rng, density, noise))
     # the ends are known to the distance of points in a strip of 1 m beside the edge
-    assert edges.segments.lengths == pytest.approx([4.0], abs=0.1 + 5 / density)
+    assert lines.lengths(edges.segments) == pytest.approx([4.0], abs=0.1 + 5 / density)
 
 
 @pytest.mark.parametrize(("density", "noise"), [(12, 0.005), (50, 0.02), (400, 0.01)])
@@ -220,7 +216,7 @@ def test_stated_uncertainty_covers_the_errors(density, noise):
                 @ np.linalg.solve(covariance[np.ix_(other, other)], ends[axis, 0, other])
             )
             length = TRUE_ROOM[axis, 1, axis]
-            from_origin = np.abs(edges.segments.ends[order[axis], :, axis]).argsort()
+            from_origin = np.abs(edges.segments[order[axis], :, axis]).argsort()
             sigma = edges.sigma_along[order[axis]][from_origin]
             along += list(np.abs(ends[axis, :, axis] - [0, length]) / sigma)
     # 75 edges: two standard errors are 5 %
@@ -261,80 +257,3 @@ def test_the_default_size_and_fewest_points_do_not_depend_on_the_size_of_the_clo
     """More than 100,000 cells are sampled: their points were once counted by twos and more."""
     points = rng.uniform(0, 1, (480_000, 3)) * [300, 160, 0]
     assert usual_size(points) == pytest.approx(usual_size(points[points[:, 0] < 30]), rel=0.03)
-
-
-def board(rng, *, turn, lines=14, step=0.006, noise=0.003):
-    """A 0.85 m x 0.61 m board, turned in its plane, as level scan lines see it."""
-    z, y = np.meshgrid(np.linspace(-0.6, 0.6, lines), np.arange(-0.7, 0.7, step), indexing="ij")
-    line = np.repeat(np.arange(lines), y.shape[1])
-    y, z = y.ravel() + rng.uniform(0, step), z.ravel()
-    c, s = np.cos(turn), np.sin(turn)
-    inside = (np.abs(c * y + s * z) < 0.425) & (np.abs(c * z - s * y) < 0.305)
-    points = np.stack([3 + 0.28 * y, 0.96 * y, z], axis=1)  # 0.28, 0.96: a unit vector
-    return (points + rng.normal(0, noise, points.shape))[inside], line[inside]
-
-
-@pytest.mark.parametrize("turn", [0.6, 0.8, 1.2])
-def test_outline_of_a_board(rng, turn):
-    points, line = board(rng, turn=turn)
-    found = fit_outline(points, lines=line)
-    # line ends are known to half a spacing, 3 mm; 10 and more of them on each side
-    np.testing.assert_allclose(found.size, [0.85, 0.61], atol=0.006)
-    lengths = found.segments.lengths
-    assert np.sort(lengths)[::2] == pytest.approx(np.sort(found.size), abs=1e-9)
-    far = fit_outline(points + [651_234.5, 6_862_345.7, 0], lines=line)
-    np.testing.assert_allclose(far.size, found.size, atol=1e-5)
-
-
-def test_outline_from_the_hull_and_refusals(rng):
-    points, line = board(rng, turn=0.8, lines=120)
-    np.testing.assert_allclose(fit_outline(points).size, [0.85, 0.61], atol=0.015)
-    with pytest.raises(ValueError, match="Invalid lines of shape"):
-        fit_outline(points, lines=line[:-1])
-    with pytest.raises(ValueError, match="Invalid outline of 2 points"):
-        fit_outline(points, lines=np.zeros(len(points)))
-
-
-def test_command_extracts_edges_of_clouds(tmp_path, capsys, rng):
-    points = room(rng)
-    files = [tmp_path / "test.laz", tmp_path / "model.laz"]
-    write_cloud(files[0], Cloud(points + [0.05, 0, 0]))
-    write_cloud(files[1], Cloud(points))
-    arguments = ["lhd", *map(str, files), "--json", "--edges", str(tmp_path / "edges")]
-    assert main(arguments) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert (printed["p"], printed["q"]) == (3, 3)
-    np.testing.assert_allclose(printed["displacement_m"], [0.05, 0, 0], atol=0.02)
-    assert (tmp_path / "edges" / "test_edges.csv").is_file()
-    write_cloud(files[0], Cloud(rng.normal(0, 2, (3000, 3))))
-    assert main(arguments) == 2
-    assert "no edges between planes" in capsys.readouterr().err
-
-
-@pytest.mark.real
-def test_real_boards_have_their_size(real):
-    for name in ("vlp16_pose08", "vlp16_pose24", "os64_pose04"):
-        cloud = read_cloud(real(f"boards/{name}.laz"))
-        size = fit_outline(cloud.points, lines=cloud["ring"]).size
-        # half the beam's footprint at 3 m is 1 cm on each side
-        np.testing.assert_allclose(size, [0.85, 0.61], atol=0.02)
-
-
-@pytest.mark.real
-def test_real_sweeps_show_their_pose(real):
-    pose = np.loadtxt(real("hdl32e_pair/a_to_b.txt"))
-    clouds = [read_cloud(real(f"hdl32e_pair/sweep_{name}.laz")) for name in "ab"]
-    test, model = (extract_edges(c, tolerance=0.06, size=3.0).segments for c in clouds)
-    # before the pose is applied the shift at the edges is its translation and its turn of 0.6
-    # degrees about a scanner some metres away
-    found = lhd(test, model, matcher="displaced").displacement.vector
-    np.testing.assert_allclose(found, pose[:3, 3], atol=0.1)
-    moved = model.transformed(pose[:3, :3], pose[:3, 3])
-    left = lhd(test, moved, matcher="displaced").displacement.vector
-    assert np.linalg.norm(left) < 0.06
-
-
-def test_edges_and_their_segments_are_taken_alike(rng):
-    found = extract_edges(room(rng))
-    assert np.asarray(found).shape == (3, 2, 3)
-    assert lhd(found, found.segments).value == 0

@@ -1,6 +1,5 @@
 """Correspondence, scores, the Hausdorff distance and the displaced matcher."""
 
-import json
 import warnings
 
 import numpy as np
@@ -9,10 +8,9 @@ from scipy.optimize import linear_sum_assignment
 
 from mmqa_lab import lines
 from mmqa_lab.__main__ import main
-from mmqa_lab.io import read_segments, write_segments
-from mmqa_lab.lines import Segments, correspond, lhd, match_displaced, pairing_scores
-from mmqa_lab.lines.segments import LinePairs
-from mmqa_lab.simulate.canyon import COMPARISONS, Conditions, canyon
+from mmqa_lab.io import write_segments
+from mmqa_lab.lines import correspond, lhd, match_displaced, pairing_scores
+from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
 
 @pytest.fixture(scope="module")
@@ -57,24 +55,9 @@ def test_fragments_take_both_pieces_but_not_a_neighbour():
     choices = {"test": pieces, "model": model}
     assert correspond(d, 1.0, matcher="fragments", **choices)[:, 0].tolist() == [True, True, False]
     assert correspond(d, 1.0, matcher="mutual").sum() == 1
-    flipped = Segments(np.array(pieces)[:, ::-1])
+    flipped = np.array(pieces)[:, ::-1]
     again = correspond(d, 1.0, matcher="fragments", test=flipped, model=model)
     assert again[:, 0].tolist() == [True, True, False]
-
-
-def test_correspond_refuses():
-    with pytest.raises(ValueError, match="Must be one of all, nearest"):
-        correspond([[1.0]], 1.0, matcher="best")
-    with pytest.raises(ValueError, match="Must have test and model"):
-        correspond([[1.0]], 1.0, matcher="fragments")
-    with pytest.raises(ValueError, match=r"Must be \(1, 2\)"):
-        correspond(
-            [[1.0]],
-            1.0,
-            matcher="fragments",
-            test=[[0, 0, 0, 1, 0, 0]],
-            model=[[0, 0, 0, 1, 0, 0], [0, 0, 1, 1, 0, 1]],
-        )
 
 
 def test_scores_by_hand():
@@ -86,21 +69,6 @@ def test_scores_by_hand():
     assert np.isnan(nothing.precision)
     assert nothing.detection_rate == nothing.null_rate == 0.75
     assert nothing.f1 == 0
-    with pytest.raises(TypeError, match="Must be Boolean"):
-        pairing_scores([[1]], [[True]])
-    with pytest.raises(ValueError, match="Invalid pairs of shape"):
-        pairing_scores([[True]], [[True, False]])
-
-
-@pytest.mark.filterwarnings("ignore:Only")
-def test_norms_of_the_oriented_distance():
-    test = [[[0, 1, 0], [10, 1, 0]], [[0, 3, 0], [10, 3, 0]]]
-    model = [[[0, 0, 0], [10, 0, 0]], [[0, 5, 0], [5, 5, 0]], [[0, 50, 0], [85, 50, 0]]]
-    pairs = np.array([[True, False, False], [True, True, False]])
-    total = 10 * 1 + 10 * 3 + 5 * np.hypot(2, 0)
-    for norm, lengths in (("pairs", 25), ("matched", 15), ("all", 100)):
-        found = lhd(test, model, pairs=pairs, norm=norm).test_model
-        assert found.olhd(10) == pytest.approx(total / lengths)
 
 
 @pytest.mark.filterwarnings("ignore:Only")
@@ -120,7 +88,7 @@ def test_lhd_is_the_larger_of_both_directions_by_hand(scene):
     for a, b in ((test, model), (model, test)):
         d = lines.components(a, b).distance(10)
         pairs = d <= lines.peak_threshold(d.min(axis=1)).delta
-        weights = np.broadcast_to(b.lengths, d.shape)
+        weights = np.broadcast_to(lines.lengths(b), d.shape)
         values.append((weights * d)[pairs].sum() / weights[pairs].sum())
     assert found.value == pytest.approx(max(values))
     directions = found.test_model.olhd(10), found.model_test.olhd(10)
@@ -151,7 +119,7 @@ def test_bootstrap_interval_holds_the_value(scene):
 @pytest.mark.parametrize("matcher", ["all", "displaced"])
 def test_far_from_the_origin_nothing_changes(scene, matcher):
     test, model = two(scene)
-    far = [one.moved([651_234.5, 6_862_345.7, 35.0]) for one in (test, model)]
+    far = [one + [651_234.5, 6_862_345.7, 35.0] for one in (test, model)]
     here, there = lhd(test, model, matcher=matcher), lhd(*far, matcher=matcher)
     np.testing.assert_array_equal(here.test_model.pairs, there.test_model.pairs)
     assert here.value == pytest.approx(there.value, abs=1e-8)
@@ -162,9 +130,8 @@ def test_far_from_the_origin_nothing_changes(scene, matcher):
 def test_displacement_of_exact_pairs_is_exact(scene):
     model = scene.edges
     for vector in ([0.3, -0.2, 0.1], [2.0, 1.0, -0.5]):
-        found = lines.fit_displacement(model.moved(vector), model, np.eye(len(model), dtype=bool))
-        # the prior of 1 m about the least-squares start pulls by less than a thousandth
-        np.testing.assert_allclose(found.vector, vector, atol=1e-3)
+        found = lines.fit_displacement(model + vector, model, np.eye(len(model), dtype=bool))
+        np.testing.assert_allclose(found.vector, vector, atol=1e-6)
         assert found.n == len(model)
 
 
@@ -182,11 +149,9 @@ def test_stated_covariance_covers_independent_noise():
     model = canyon(2).edges
     inside = []
     for _ in range(60):
-        noise = rng.normal(0, 0.05, (len(model), 3))
+        noise = rng.normal(0, 0.05, (len(model), 1, 3))
         drift = np.array([0.4, -0.3, 0.2])
-        found = lines.fit_displacement(
-            model.moved(noise + drift), model, np.eye(len(model), dtype=bool)
-        )
+        found = lines.fit_displacement(model + noise + drift, model, np.eye(len(model), dtype=bool))
         error = found.vector - drift
         inside.append(error @ np.linalg.solve(found.covariance, error) < 7.81)
     assert np.mean(inside) >= 0.9
@@ -196,7 +161,7 @@ def test_stated_covariance_covers_independent_noise():
 def test_the_displaced_matcher_beats_the_published_one(kind):
     gains = []
     for seed in (101, 102, 103):
-        scene = canyon(seed, conditions=Conditions(bias_m=(2.0, 2.0)))
+        scene = canyon(seed, displacement_m=2.0)
         for names in COMPARISONS[kind]:
             truth = scene.pairs(*names)
             test, model = two(scene, names)
@@ -206,15 +171,6 @@ def test_the_displaced_matcher_beats_the_published_one(kind):
             gains.append(pairing_scores(ours, truth).f1 - pairing_scores(literal, truth).f1)
     # 0.15 in both kinds over hundreds of scenes
     assert np.mean(gains) > 0.05
-
-
-def test_gaps_between_ends_do_not_depend_on_their_order():
-    model, test = [[[0, 0, 0], [0, 0, 9]]], [[[0.5, 0, 7], [0.5, 0, 1]]]
-    for a, b in ((test, model), (np.flip(test, 1), model), (test, np.flip(model, 1))):
-        pairs = LinePairs(Segments(a), Segments(b), [0], [0])
-        assert sorted(pairs.end_gaps(np.zeros(3))[0]) == pytest.approx([1, 2])
-        # a test line that was moved up by half a metre began at 0.5 m
-        assert sorted(pairs.end_gaps(np.array([0, 0, 0.5]))[0]) == pytest.approx([0.5, 2.5])
 
 
 def test_of_two_neighbours_the_one_with_the_same_ends_is_paired(rng):
@@ -235,7 +191,7 @@ def test_of_two_neighbours_the_one_with_the_same_ends_is_paired(rng):
 
 
 def test_the_displaced_matcher_knows_the_displacement():
-    scene = canyon(101, conditions=Conditions(bias_m=(3.0, 3.0), drift_m=0.0))
+    scene = canyon(101, displacement_m=3.0)
     found = match_displaced(*two(scene))
     true = scene.displacements("C1", "TLS").mean(axis=0)
     assert np.linalg.norm(found.displacement.vector - true) < 0.1
@@ -246,12 +202,12 @@ def test_a_displacement_beyond_the_radius_is_found_or_unknown(scene):
     here = match_displaced(test, model)
     away = np.array([6.0, -5.0, 1.0])
     with pytest.warns(UserWarning, match="beyond the radius of 3 m"):
-        found = match_displaced(test.moved(away), model, radius=3.0)
+        found = match_displaced(test + away, model, radius=3.0)
     np.testing.assert_array_equal(found.pairs, here.pairs)
     np.testing.assert_allclose(
         found.displacement.vector - away, here.displacement.vector, atol=0.02
     )
-    lost = match_displaced(test.moved([30.0, 25.0, 0]), model, radius=3.0)
+    lost = match_displaced(test + [30.0, 25.0, 0], model, radius=3.0)
     assert np.isnan(lost.displacement.vector).all()
     assert not lost.pairs.any()
 
@@ -261,12 +217,12 @@ def test_a_turn_about_the_vertical_is_estimated(scene, degrees):
     test, model = two(scene)
     turn = np.radians(degrees)
     rotation = [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
-    centre = test.midpoints.mean(axis=0)
-    turned = test.transformed(rotation, centre - rotation @ centre)
+    centre = lines.midpoints(test).mean(axis=0)
+    turned = (test - centre) @ np.transpose(rotation) + centre
     before, after = (match_displaced(one, model) for one in (test, turned))
     assert after.pairs.sum() >= 0.9 * before.pairs.sum()
     change = after.displacement.turn_deg - before.displacement.turn_deg
-    # the prior of 0.4 degrees and other pairs at the ends of the streets
+    # other pairs at the ends of the streets
     assert change == pytest.approx(degrees, abs=0.06)
     assert 0.01 < after.displacement.turn_sigma_deg < 0.2
 
@@ -287,7 +243,7 @@ def test_the_parts_of_a_distance_add_up_and_are_known(scene):
     model = scene.edges
     still = lhd(model, model, pairs=np.eye(len(model), dtype=bool)).split()
     assert still["value_m"].abs().max() < 1e-3
-    moved = lhd(model.moved([0.4, 0.3, 0]), model, pairs=np.eye(len(model), dtype=bool))
+    moved = lhd(model + [0.4, 0.3, 0], model, pairs=np.eye(len(model), dtype=bool))
     parts = moved.split().set_index("part")
     assert parts.loc["displacement", "value_m"] == pytest.approx(moved.perpendicular_only, abs=0.01)
     assert parts["value_m"].iloc[:-1].sum() == pytest.approx(moved.value)
@@ -300,51 +256,33 @@ def test_the_parts_of_a_distance_add_up_and_are_known(scene):
 def test_unrelated_lines_have_no_common_displacement(rng):
     first = rng.uniform(0, 60, (2, 15, 3))
     direction = rng.normal(size=(2, 15, 3))
-    test, model = (
-        Segments(np.stack([a, a + 3 * b], axis=1)) for a, b in zip(first, direction, strict=True)
-    )
+    test, model = (np.stack([a, a + 3 * b], axis=1) for a, b in zip(first, direction, strict=True))
     found = match_displaced(test, model)
     assert found.pairs.sum() < 5
     with pytest.raises(ValueError, match="Invalid radius 0"):
         match_displaced(test, model, radius=0)
 
 
-def test_the_displaced_matcher_gives_way(rng):
-    scene = canyon(101, conditions=Conditions(drift_m=3.0))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        found = lhd(*two(scene, ("C1", "C3")), matcher="displaced", radius=0.3)
-    assert any("matcher 'fragments' is used" in str(warning.message) for warning in caught)
-    assert (found.asked, found.matcher) == ("displaced", "fragments")
+UPRIGHT = [[[0, 0, 0], [0, 0, 9]]]
 
 
-@pytest.mark.parametrize("sets", [([], [[0, 0, 0, 0, 0, 9]]), ([[0, 0, 0, 0, 0, 9]], []), ([], [])])
+@pytest.mark.parametrize("sets", [([], UPRIGHT), (UPRIGHT, []), ([], [])])
 @pytest.mark.parametrize("matcher", ["all", "fragments", "displaced"])
 def test_empty_sets_are_not_measurable(sets, matcher):
     with pytest.warns(UserWarning, match="nothing to measure"):
         found = lhd(*sets, matcher=matcher)
     assert np.isnan(found.value)
     assert np.isnan(found.interval()).all()
-    plain = found.to_dict()
-    assert np.isnan(plain["lhd_m"])
-    assert plain["pairs_test_model"] == []
 
 
 def test_doubtful_values_are_warned_of():
-    one = [[0, 0, 0, 0, 0, 9], [0, 0, 9, 8, 0, 9]]
+    one = [*UPRIGHT, [[0, 0, 9], [8, 0, 9]]]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        lhd([*one, one[0]], one)
+        lhd(one, one)
     said = " ".join(str(warning.message) for warning in caught)
-    assert "Some test segments repeat" in said
     assert "Only" in said
     assert "No jump" in said
-
-
-def test_sets_in_different_frames_are_refused():
-    one = Segments([[0, 0, 0, 0, 0, 9], [0, 0, 9, 8, 0, 9]])
-    with pytest.raises(ValueError, match=r"Invalid sets \d+ m apart.*one coordinate system"):
-        lhd(one, one.moved([651_000, 6_862_000, 0]))
 
 
 def test_canyon_counts_are_those_of_the_paper():
@@ -364,110 +302,6 @@ def test_canyon_counts_are_those_of_the_paper():
         assert found == pytest.approx(paper, rel=0.3)
 
 
-def test_canyon_displacements_are_those_of_noiseless_segments():
-    quiet = Conditions(angle_noise_deg=0.0, splits=0.0, truncations=0.0, clutter=0.0)
-    scene = canyon(4, conditions=quiet)
-    survey = scene.surveys["C1"]
-    lines = scene.edges.select(survey.edge)
-    offset = survey.segments.midpoints - lines.midpoints - survey.displacement
-    across = offset - (offset * lines.directions).sum(axis=1, keepdims=True) * lines.directions
-    # position noise 4 cm per axis, and what 0.02 m / length turns
-    assert np.abs(across).max() < 0.25
-    assert np.sqrt((across**2).sum(axis=1).mean()) == pytest.approx(0.04 * np.sqrt(2), rel=0.3)
-    again = canyon(4, conditions=quiet)
-    np.testing.assert_array_equal(
-        again.surveys["C2"].segments.ends, scene.surveys["C2"].segments.ends
-    )
-
-
-@pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"twins": 1.2}, "Invalid twins 1.2"),
-        ({"drift_m": -0.1}, "Invalid drift_m -0.1"),
-        ({"bias_m": (2.0, 1.0)}, "Invalid bias_m 1.0"),
-    ],
-)
-def test_bad_conditions_are_refused(choices, said):
-    with pytest.raises(ValueError, match=said):
-        Conditions(**choices)
-
-
-def test_segment_files_come_back_to_the_bit(tmp_path, scene):
-    one = scene.surveys["C1"].segments.moved([651_234.56, 6_862_345.67, 0])
-    write_segments(tmp_path / "edges.csv", one)
-    np.testing.assert_array_equal(read_segments(tmp_path / "edges.csv").ends, one.ends)
-    plain = tmp_path / "plain.txt"
-    plain.write_text("# x1 y1 z1 x2 y2 z2\n0 0 0; 0 0 9; 7\n\n1,1,1,2,2,2  # a roof\n")
-    assert read_segments(plain).ends.tolist() == [[[0, 0, 0], [0, 0, 9]], [[1, 1, 1], [2, 2, 2]]]
-    plain.write_text("x1,y1,z1,x2,y2,z2\n")
-    assert len(read_segments(plain)) == 0
-    plain.write_text("id,Z1,x1,y1,kind,x2,y2,z2\n7,3,1,2,eave,4,5,6\n")
-    assert read_segments(plain).ends.tolist() == [[[1, 2, 3], [4, 5, 6]]]
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("0,0,0,1,0,0\n1,2,3,4,5\n", "in line 2"),
-        ("0,0,0,1,0,0\nx1,y1,z1,x2,y2,z2\n", "in line 2"),
-        ("x1,y1,z1,x2,y2,z2\n0,0,0,nan,0,0\n", "in line 2.*six finite numbers"),
-        ("id,xa,ya,za,xb,yb,zb\n1,0,0,0,1,1,1\n", "Must have x1, y1, z1, x2, y2, z2"),
-        ("1,,0,0,0,1,1,1\n", "in line 1"),
-        ("1,1,1,2,2,2\n\n3,3,3,3,3,3\n", "no length in line 3"),
-    ],
-)
-def test_bad_segment_files_name_the_line(tmp_path, text, said):
-    (tmp_path / "bad.csv").write_text(text)
-    with pytest.raises(ValueError, match=said):
-        read_segments(tmp_path / "bad.csv")
-
-
-def test_missing_and_binary_segment_files(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no such file"):
-        read_segments(tmp_path / "none.csv")
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x9c" * 20)
-    with pytest.raises(ValueError, match="no text"):
-        read_segments(tmp_path / "binary.csv")
-
-
-KEYS = {
-    *("weight", "sensitivity_m", "matcher", "p", "q", "lhd_m"),
-    *("olhd_test_model_m", "olhd_model_test_m"),
-    *("threshold_test_model_m", "threshold_model_test_m"),
-    *("pairs_test_model", "pairs_model_test", "perpendicular_only_m"),
-    *("displacement_m", "displacement_covariance_m2", "coverage_test", "coverage_model"),
-}
-
-
-@pytest.mark.parametrize("matcher", ["all", "nearest", "hungarian", "fragments", "displaced"])
-def test_command_prints_json(tmp_path, capsys, scene, matcher):
-    files = [tmp_path / f"{name}.csv" for name in ("C1", "TLS")]
-    for file, one in zip(files, two(scene), strict=True):
-        write_segments(file, one)
-    arguments = ["lhd", *map(str, files), "--json", "--matcher", matcher]
-    assert main(arguments) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert set(printed) >= KEYS
-    expected = lhd(*two(scene), matcher=matcher)
-    assert printed["lhd_m"] == pytest.approx(expected.value)
-    assert printed["pairs_model_test"] == np.argwhere(expected.model_test.pairs).tolist()
-    assert np.shape(printed["displacement_covariance_m2"]) == (3, 3)
-    assert printed["matcher"] == matcher
-
-
-def test_command_prints_a_table_and_one_sentence_on_bad_input(tmp_path, capsys, scene):
-    files = [str(tmp_path / f"{name}.csv") for name in ("C1", "TLS")]
-    for file, one in zip(files, two(scene), strict=True):
-        write_segments(file, one)
-    assert main(["lhd", *files, "--weight", "3"]) == 0
-    assert "perpendicular_only_m" in capsys.readouterr().out
-    assert main(["lhd", *files, "--weight", "-3"]) == 2
-    assert capsys.readouterr().err.strip() == "mmqa lhd: Invalid weight -3.0. Must be >= 0."
-    assert main(["lhd", files[0], str(tmp_path / "none.csv")]) == 2
-    assert "no such file" in capsys.readouterr().err
-
-
 def test_no_warning_where_nothing_is_doubtful(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -482,8 +316,8 @@ def test_known_pairs_take_the_place_of_threshold_and_matcher(scene):
     rows, columns = np.nonzero(truth)
     there, back = lines.distance_matrix(test, model), lines.distance_matrix(model, test)
     expected = max(
-        np.average(there[rows, columns], weights=model.lengths[columns]),
-        np.average(back[columns, rows], weights=test.lengths[rows]),
+        np.average(there[rows, columns], weights=lines.lengths(model)[columns]),
+        np.average(back[columns, rows], weights=lines.lengths(test)[rows]),
     )
     assert found.value == pytest.approx(expected)
     assert found.matcher == "given"
@@ -499,7 +333,7 @@ def test_range_denominator_and_threshold_are_choices(scene):
         fixed = lhd(test, model, threshold=lambda nearest: 0.9)
     one = plain.test_model
     assert whole.test_model.olhd(10) == pytest.approx(
-        one.olhd(10) * one.length.sum() / model.lengths.sum()
+        one.olhd(10) * one.length.sum() / lines.lengths(model).sum()
     )
     assert fixed.test_model.threshold.delta == 0.9
     near = lines.distance_matrix(test, model) <= 0.9
@@ -523,3 +357,46 @@ def test_plain_hausdorff_is_the_largest_nearest_distance(rng):
 def test_the_peak_to_the_letter(choices, delta):
     nearest = [0.31, 0.33, 0.36, 0.40, 0.41, 0.47, 0.52, 0.55, 3.2, 4.1, 7.7]
     assert lines.peak_threshold(nearest, **choices).delta == pytest.approx(delta)
+
+
+def test_the_table_of_several_sets_is_that_of_each_comparison(scene):
+    """Both ways, the reference always the model; with the truth the errors of the pairs."""
+    sets = {name: survey.segments for name, survey in scene.surveys.items()}
+    truth = {names: scene.pairs(*names) for pairs in COMPARISONS.values() for names in pairs}
+    table = lines.compare(sets, reference="TLS", truth=truth)
+    assert len(table) == 12
+    rows = table.set_index("direction")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = lhd(sets["C2"], sets["TLS"])
+    assert rows.loc["C2 to TLS", "olhd_m"] == found.test_model.olhd(10)
+    assert rows.loc["TLS to C2", "olhd_m"] == found.model_test.olhd(10)
+    errors = pairing_scores(found.model_test.pairs, truth["C2", "TLS"])
+    assert rows.loc["TLS to C2", "false_positive"] == errors.fp
+    assert (table["lhd"] == "*").sum() == 6
+    true = scene.displacements("C1", "TLS").mean(axis=0)
+    vector = rows.loc["C1 to TLS", [f"displacement_{axis}_m" for axis in "xyz"]]
+    assert np.linalg.norm(vector.to_numpy(float) - true) < 0.15
+
+
+def test_sets_that_cannot_be_compared_are_refused(scene):
+    one = scene.surveys["C1"].segments
+    for sets, said in (
+        ({"a": one}, "two or more"),
+        ({"a": one, "b": []}, "empty b"),
+        ({"a": one, "b": one + [500.0, 0, 0]}, "nearest segments are .* m apart"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            lines.compare(sets)
+
+
+def test_command_compares_files(tmp_path, capsys, scene):
+    files = [str(tmp_path / f"{name}.csv") for name in ("C1", "C3", "TLS")]
+    for file, name in zip(files, ("C1", "C3", "TLS"), strict=True):
+        write_segments(file, scene.surveys[name].segments)
+    assert main(["lhd", *files[:2], "--reference", files[2]]) == 0
+    printed = capsys.readouterr().out
+    assert "C1 to TLS" in printed
+    assert "absolute" in printed
+    assert main(["lhd", *files[:2], "--weight", "-3"]) == 2
+    assert capsys.readouterr().err.strip() == "mmqa lhd: Invalid weight -3.0. Must be >= 0."

@@ -59,7 +59,6 @@ CALLS = {
     "turned_f": (TILTED, lambda p: spacing.turned_f(p, angles=[0, 20])),
     "detect_planes": (SCENE, planes.detect_planes),
     "extract_edges": (SCENE, lines.extract_edges),
-    "fit_outline": (TILTED, lines.fit_outline),
     "measure_pattern": (FLOOR, lambda p: scan_pattern.measure_pattern(p, scan_line=LINES)),
     "fit_scan_planes": (
         SCENE,

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from shapely import MultiPolygon, Polygon
 
-    from mmqa_lab.lines import Segments
 
 
 def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:
@@ -509,7 +508,7 @@ def _no_place(rows):
 SEGMENT_COLUMNS = ("x1", "y1", "z1", "x2", "y2", "z2")
 
 
-def read_segments(path: str | os.PathLike) -> Segments:
+def read_segments(path: str | os.PathLike) -> np.ndarray:
     """Read line segments from a CSV or text file, GeoJSON or DXF.
 
     Parameters
@@ -524,8 +523,8 @@ def read_segments(path: str | os.PathLike) -> Segments:
 
     Returns
     -------
-    Segments
-        Named after the file; none for a file with a header alone.
+    array, shape (n, 2, 3)
+        Metres; none for a file with a header alone.
 
     Raises
     ------
@@ -540,17 +539,17 @@ def read_segments(path: str | os.PathLike) -> Segments:
     >>> import tempfile
     >>> file = Path(tempfile.mkdtemp()) / "edges.csv"
     >>> _ = file.write_text("x1,y1,z1,x2,y2,z2\\n0,0,0,0,0,12\\n0,0,12,9,0,12\\n")
-    >>> read_segments(file).lengths.tolist()
-    [12.0, 9.0]
+    >>> read_segments(file).tolist()
+    [[[0.0, 0.0, 0.0], [0.0, 0.0, 12.0]], [[0.0, 0.0, 12.0], [9.0, 0.0, 12.0]]]
     """
-    from mmqa_lab.lines import Segments
+    from mmqa_lab.lines.segments import check_segments
 
     path = check_file(path, "segments")
     if path.suffix.lower() in SEGMENT_READERS:
         pieces = [
             pair for chain in SEGMENT_READERS[path.suffix.lower()](path) for pair in pairwise(chain)
         ]
-        return Segments(np.array(pieces, dtype=np.float64).reshape(-1, 2, 3), name=path.stem)
+        return check_segments(np.array(pieces, dtype=np.float64).reshape(-1, 2, 3))
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -564,17 +563,17 @@ def read_segments(path: str | os.PathLike) -> Segments:
     if all(_number(word) is None for word in rows[first]):
         places = _places(path, rows.pop(first))
     ends = [_ends(path, number, row, places) for number, row in rows.items()]
-    return Segments(np.array(ends).reshape(-1, 2, 3), name=path.stem)
+    return check_segments(np.array(ends).reshape(-1, 2, 3))
 
 
-def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> None:
+def write_segments(path: str | os.PathLike, segments: ArrayLike) -> None:
     """Write line segments as CSV with a header, to the last bit, whole or not at all.
 
     Parameters
     ----------
     path : path
         An existing file is replaced.
-    segments : Segments or array_like
+    segments : array_like, shape (n, 2, 3)
 
     Raises
     ------
@@ -586,13 +585,13 @@ def write_segments(path: str | os.PathLike, segments: Segments | ArrayLike) -> N
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_segments(f"{folder}/edges.csv", [[[0, 0, 0], [0, 0, 2.5]]])
-    ...     read_segments(f"{folder}/edges.csv").lengths.tolist()
-    [2.5]
+    ...     read_segments(f"{folder}/edges.csv").tolist()
+    [[[0.0, 0.0, 0.0], [0.0, 0.0, 2.5]]]
     """
     from mmqa_lab.lines.segments import check_segments
 
     frame = pd.DataFrame(
-        check_segments(segments).ends.reshape(-1, 6), columns=list(SEGMENT_COLUMNS)
+        check_segments(segments).reshape(-1, 6), columns=list(SEGMENT_COLUMNS)
     )
     write_atomically(path, frame)
 

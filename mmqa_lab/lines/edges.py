@@ -1,24 +1,17 @@
-"""Edges of clouds, where adjacent planes meet or a board ends, with their uncertainty."""
+"""Edges of clouds, where adjacent planes meet, with their uncertainty."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
-from scipy.spatial import ConvexHull
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.lines.segments import Segments
+from mmqa_lab.lines.segments import directions, lengths
 from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours, usual_size
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
@@ -43,8 +36,8 @@ class Edges(Shown):
 
     Parameters
     ----------
-    segments : Segments
-        n edges, m.
+    segments : array, shape (n, 2, 3)
+        Edges, m.
     covariance : array, shape (n, 2, 3, 3)
         Of both ends, square metres: across the edge from the planes, along it from the distances
         and the noise of the points beside it, or from a third plane.
@@ -56,7 +49,7 @@ class Edges(Shown):
         Numbers of the two patches.
     """
 
-    segments: Segments
+    segments: np.ndarray
     covariance: np.ndarray
     support: np.ndarray
     angle: np.ndarray
@@ -66,12 +59,12 @@ class Edges(Shown):
         return len(self.segments)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        return np.array(self.segments.ends, dtype=dtype, copy=copy)
+        return np.array(self.segments, dtype=dtype, copy=copy)
 
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        axes = self.segments.directions
+        axes = directions(self.segments)
         rest = np.eye(3) - axes[:, :, None] * axes[:, None]
         across = rest[:, None] @ self.covariance @ rest[:, None]
         return np.sqrt(np.linalg.eigvalsh(across)[..., -1])
@@ -79,21 +72,19 @@ class Edges(Shown):
     @property
     def sigma_along(self) -> np.ndarray:
         """Standard deviation of each end along the edge, (n, 2), m."""
-        axes = self.segments.directions
+        axes = directions(self.segments)
         return np.sqrt(np.einsum("nd,nkde,ne->nk", axes, self.covariance, axes))
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row per edge: ends, length, angle, support, standard deviations."""
-        frame = self.segments.to_frame()
+        ends = [f"{axis}{end}_m" for end in (1, 2) for axis in "xyz"]
+        frame = pd.DataFrame(self.segments.reshape(-1, 6), columns=ends)
+        frame["length_m"] = lengths(self.segments)
         frame["angle_deg"] = self.angle
         frame[["n_first", "n_second"]] = self.support
         frame[["sigma_first_mm", "sigma_second_mm"]] = 1000 * self.sigma
         frame[["sigma_along_first_mm", "sigma_along_second_mm"]] = 1000 * self.sigma_along
         return frame
-
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Draw the edges from above."""
-        return self.segments.plot(ax=ax)
 
 
 def extract_edges(
@@ -150,7 +141,7 @@ def extract_edges(
     >>> rng = np.random.default_rng(0)
     >>> flat = rng.uniform(0, 5, (4000, 3))
     >>> edges = extract_edges(np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]]))
-    >>> len(edges), edges.segments.lengths.round(1).tolist()
+    >>> len(edges), np.ptp(edges.segments, axis=1).max(axis=1).round(1).tolist()
     (1, [5.0])
     """
     angle = check_number(angle, "angle", low=0, high=90, unit="degrees")
@@ -167,7 +158,7 @@ def extract_edges(
                     rows.append(lines.edge(line, low, high, counts))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 5
     return Edges(
-        segments=Segments(np.array(columns[0]).reshape(-1, 2, 3)),
+        segments=np.array(columns[0]).reshape(-1, 2, 3),
         covariance=np.array(columns[1]).reshape(-1, 2, 3, 3),
         support=np.array(columns[2], dtype=int).reshape(-1, 2),
         angle=np.array(columns[3], dtype=float),
@@ -308,116 +299,3 @@ def _ends(side, first, last, cell):
 def _beyond(n, one):
     """What one gap out of ``one`` exceeds, in means known from n gaps."""
     return n * (one ** (1 / n) - 1)
-
-
-@dataclass(frozen=True, eq=False)
-class Outline(Shown):
-    """A rectangle fitted to the outline of a planar set of points.
-
-    Parameters
-    ----------
-    corners : array, shape (4, 3)
-        In order around the rectangle, m.
-    size : array, shape (2,)
-        The longer and the shorter side, m.
-    """
-
-    corners: np.ndarray
-    size: np.ndarray
-
-    _metres = ("size",)
-
-    @property
-    def segments(self) -> Segments:
-        """The four edges, in the order of the corners."""
-        return Segments(np.stack([self.corners, np.roll(self.corners, -1, axis=0)], axis=1))
-
-
-def fit_outline(points: ArrayLike, *, lines: ArrayLike | None = None) -> Outline:
-    """Fit a rectangle to the outline of a board.
-
-    The points are projected on their plane. The outline points are the ends of the scan lines,
-    moved out by half of the line's point spacing (the edge lies anywhere within one spacing
-    beyond the last point), or the convex hull when no lines are known. The rectangle with the least
-    robust distances (soft L1 of 1 cm) from them is sought from eight turned starts.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 3)
-        A board and nothing else, m.
-    lines : array_like, shape (n,), optional
-        Scan line (ring) of each point.
-
-    Returns
-    -------
-    Outline
-
-    Raises
-    ------
-    ValueError
-        If fewer than eight outline points remain, or ``lines`` has another length.
-
-    Notes
-    -----
-    Points that a beam split by the edge returned lie beyond it; the size then comes out too large
-    by part of the footprint.
-
-    Examples
-    --------
-    >>> z, y = np.mgrid[-1:1:0.1, -1:1:0.005].reshape(2, -1)
-    >>> board = (np.abs(0.8 * y + 0.6 * z) < 0.4) & (np.abs(0.8 * z - 0.6 * y) < 0.3)
-    >>> y, z = y[board], z[board]
-    >>> fit_outline(np.stack([0 * y, y, z], axis=1), lines=z).size.round(2).tolist()
-    [0.8, 0.6]
-    """
-    points = check_points(points, minimum=8)
-    plane = fit_plane(points, robust=True)
-    flat = plane.project(points)
-    outline = flat[ConvexHull(flat).vertices] if lines is None else _line_ends(flat, lines)
-    if len(outline) < 8:
-        raise ValueError(f"Invalid outline of {len(outline)} points. Must have 8 or more.")
-    fits = [_fitted(outline, turn) for turn in np.radians(np.arange(0, 90, 11.25))]
-    best = min(fits, key=lambda fit: fit.cost)
-    x, y, turn, length, width = best.x
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners = [x, y] + signs * [length / 2, width / 2] @ axes
-    size = np.sort([length, width])[::-1]
-    return Outline(corners=plane.centre + corners @ plane.axes, size=size)
-
-
-def _line_ends(flat, lines):
-    """Both ends of each scan line with four points or more, half a spacing further out."""
-    lines = np.asarray(lines)
-    if lines.shape != (len(flat),):
-        raise ValueError(f"Invalid lines of shape {lines.shape}. Must be ({len(flat)},).")
-    ends = []
-    for line in np.unique(lines):
-        members = flat[lines == line]
-        if len(members) < 4:
-            continue
-        centred = members - members.mean(axis=0)
-        direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-        along = centred @ direction
-        step = np.median(np.diff(np.sort(along))) / 2 * direction
-        ends += [members[along.argmin()] - step, members[along.argmax()] + step]
-    return np.array(ends).reshape(-1, 2)
-
-
-def _fitted(outline, turn):
-    """Least squares from a rectangle turned by ``turn`` about the outline's middle."""
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    turned = outline @ axes.T
-    low, high = turned.min(axis=0), turned.max(axis=0)
-    middle = (low + high) / 2 @ axes
-    start = [*middle, turn, *(high - low)]
-    return least_squares(_distances, start, args=(outline,), loss="soft_l1", f_scale=0.01)
-
-
-def _distances(rectangle, outline):
-    """Signed distances of points from a rectangle's outline, outside positive, m."""
-    x, y, turn, length, width = rectangle
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    local = np.abs((outline - [x, y]) @ axes.T) - np.abs([length, width]) / 2
-    outside = np.linalg.norm(np.maximum(local, 0), axis=1)
-    return np.where((local > 0).any(axis=1), outside, local.max(axis=1))

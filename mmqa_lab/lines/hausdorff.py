@@ -3,56 +3,59 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import ndtri, stdtrit
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.displacement import (
     Displacement,
-    across_pairs,
+    Pairs,
     fit_displacement,
     match_displaced,
 )
 from mmqa_lab.lines.segments import (
     MATCHERS,
     Components,
-    Segments,
     Threshold,
     check_segments,
     components,
     correspond,
     distance_matrix,
+    lengths,
+    midpoints,
+    pairing_scores,
     peak_threshold,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import ArrayLike
 
-NORMS = ("pairs", "matched", "all")
 APART_M = 100.0
 """Sets whose nearest segments are farther apart than this are in different frames."""
 
 KINDS = ["one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple"]
-PARTS = ("displacement", "position", "direction", "ends", "false pairs", "all")
+PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
 """What a distance is made of, and their sum."""
 
-REPEATS, ENDS = 1000, ((1 - 0.95) / 2, (1 + 0.95) / 2)
-"""Of the bootstrap of the distance, and half as many of its parts; quantiles of 95 %."""
+REPEATS, ENDS = 1000, (0.025, 0.975)
+"""Of the bootstrap, and the quantiles of its 95 % interval."""
 
 FEW_PAIRS = 5
-AGREED_SHARE, WEAK_EVIDENCE = 0.6, 3.5
+AGREED_SHARE = 0.6
 """The displaced matcher gives way when it finds less than this share of the pairs that the
-fragments matcher finds, and its own pairs are no likelier than this (log per pair)."""
+fragments matcher finds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ class Directed:
     Parameters
     ----------
     threshold : Threshold
-        Its delta is NaN for the displaced matcher, which has none.
+        Its delta is NaN where a matcher has none.
     pairs : array of bool, shape (p, q)
         Test segments in rows, model segments in columns, in either direction.
     parts : Components
@@ -99,16 +102,22 @@ class Directed:
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
         return self._mean(self.parts.perpendicular)
 
-    def resampled(self, weight, repeats, rng):
-        """Bootstrap values of :meth:`olhd`, source segments drawn with their pairs, (repeats,)."""
-        _, cluster = np.unique(self.source, return_inverse=True)
-        sums = np.bincount(cluster, self.length * self.parts.distance(weight))
-        lengths = np.bincount(cluster, self.length)
-        draws = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), size=repeats)
-        return (draws @ sums) / (draws @ lengths) * (lengths.sum() / self.total)
-
     def _mean(self, values):
         return float(self.length @ values / self.total) if self.n else np.nan
+
+    def draws(self, repeats, rng):
+        """Bootstrap weights of the pairs, source segments drawn with their pairs: (repeats, k)."""
+        _, cluster = np.unique(self.source, return_inverse=True)
+        n = cluster.max() + 1
+        return rng.multinomial(n, np.full(n, 1 / n), size=repeats)[:, cluster] * self.length
+
+    def widened(self, ends, value):
+        """Ends of a bootstrap as wide as Student's t asks for, where it takes the normal's."""
+        n = len(np.unique(self.source))
+        if n < 2:
+            return np.full_like(ends, np.nan)
+        wider = student.ppf(ENDS[1], n - 1) / normal.ppf(ENDS[1]) * np.sqrt(n / (n - 1))
+        return value + wider * (ends - value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,21 +126,14 @@ class LHD(Shown):
 
     Parameters
     ----------
-    weight, sensitivity : float
-        W and the peak sensitivity, m.
-    matcher : str
-        The matcher that made the pairs.
+    weight : float
+        W.
+    matcher, asked : str
+        The matcher that made the pairs, and the one asked for: the displaced one may give way.
     test_model, model_test : Directed
         Both directions.
-    test, model : Segments
-        The sets.
-    asked : str
-        The matcher that was asked for; differs when the displaced matcher gave way.
-
-    Raises
-    ------
-    ValueError
-        If a weight is negative.
+    test, model : array, shapes (p, 2, 3) and (q, 2, 3)
+        The sets, m.
 
     Examples
     --------
@@ -144,13 +146,12 @@ class LHD(Shown):
     """
 
     weight: float
-    sensitivity: float
     matcher: str
+    asked: str
     test_model: Directed
     model_test: Directed
-    test: Segments
-    model: Segments
-    asked: str
+    test: np.ndarray
+    model: np.ndarray
 
     @cached_property
     def displacement(self) -> Displacement:
@@ -172,74 +173,68 @@ class LHD(Shown):
         both = self.test_model.perpendicular_only, self.model_test.perpendicular_only
         return float(np.fmax(*both))
 
-    def interval(self, *, seed: int = 0) -> tuple[float, float]:
-        """95 % bootstrap interval of the value for fixed pairs and threshold: (low, high), m.
+    @property
+    def _larger(self):
+        """The direction whose distance is the value."""
+        return max((self.test_model, self.model_test), key=lambda side: side.olhd(self.weight))
 
-        Says how far the value depends on the segments that happened to be found, not whether the
-        pairs are right. NaN below two sources in each direction.
+    def interval(self, *, seed: int = 0) -> tuple[float, float]:
+        """95 % confidence interval of the value for fixed pairs and threshold: (low, high), m.
+
+        By bootstrap of the source segments. Says how far the value depends on the segments that
+        happened to be found, not whether the pairs are right. NaN below two sources a direction.
         """
         rng = np.random.default_rng(check_count(seed, "seed", low=0))
         sides = self.test_model, self.model_test
-        if any(len(np.unique(side.source)) < 2 for side in sides):
+        if min(len(np.unique(side.source)) for side in sides) < 2:
             return np.nan, np.nan
-        # both weigh the same pairs: drawn apart, the larger of the two would rise
-        larger = max(sides, key=lambda side: side.olhd(self.weight))
-        n = len(np.unique(larger.source))
-        ends = np.quantile(larger.resampled(self.weight, REPEATS, rng), ENDS)
-        low, high = _widened(ends, self.value, n)
-        return max(float(low), 0.0), float(high)
+        side = self._larger
+        # its own denominator, whatever the norm
+        weights = side.draws(REPEATS, rng)
+        values = weights @ side.parts.distance(self.weight) / weights.sum(axis=1)
+        ends = np.quantile(values, ENDS) * side.length.sum() / side.total
+        low, high = side.widened(ends, self.value)
+        return float(np.maximum(low, 0)), float(high)
 
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
 
         The parts of the larger direction add up to its distance. *displacement*: mean of what the
-        displacement field moves the rightly paired lines across themselves. *position* and
-        *direction*: what their perpendicular distance exceeds that by, and what the angle adds,
-        both of the extraction of edges. *ends*: what the parallel distance adds. *false pairs*:
-        what the pairs do that are none of ``truth`` (bool, (p, q); by default the pairs that agree
-        on one displacement, of :func:`match_displaced`). 95 % intervals by bootstrap of the source
-        segments, with the covariance of the displacement. NaN where it is unknown.
+        displacement and turn of the set move the rightly paired lines across themselves. *position*
+        and *direction*: what their perpendicular distance exceeds that by, and what the angle adds,
+        both of the extraction of edges and of drift. *ends*: what the parallel distance adds.
+        *false pairs*: what the pairs do that are none of ``truth`` (bool, (p, q); by default the
+        pairs that agree on one displacement, of :func:`match_displaced`). 95 % confidence intervals
+        by bootstrap of the source segments, with the covariance of the displacement. NaN where
+        unknown.
         """
         truth = match_displaced(self.test, self.model).pairs if truth is None else truth
-        first = self.test_model.olhd(self.weight) == self.value
-        side = self.test_model if first else self.model_test
-        columns = self._parts(side, np.asarray(truth))
-        if columns is None:
-            columns = np.full((1, len(PARTS)), np.nan)
-        n = len(np.unique(side.source))
-        low, high = _widened(np.quantile(columns, ENDS, axis=0), columns[0], n)
-        found = {"part": PARTS, "value_m": columns[0], "low_m": low, "high_m": high}
-        return pd.DataFrame(found)
-
-    def _parts(self, side, truth):
-        """The parts in columns: measured in the first row, then resampled ones."""
+        side, truth = self._larger, np.asarray(truth)
+        right = truth[np.nonzero(side.pairs)]
+        pairs = Pairs(self.test, self.model, *np.nonzero(side.pairs))
+        moved = fit_displacement(self.test, self.model, side.pairs & truth)
+        found = pd.DataFrame({"part": PARTS, "value_m": np.nan, "low_m": np.nan, "high_m": np.nan})
+        if not np.isfinite(moved.vector).all():
+            return found
         rng, repeats = np.random.default_rng(0), REPEATS // 2
-        rows, columns = np.nonzero(side.pairs)
-        right = truth[rows, columns]
-        moved = across_pairs(self.test, self.model, side.pairs & truth)
-        if moved is None:
-            return None
-        at, frame, covariance = moved
-        across = np.linalg.cholesky(covariance) @ rng.normal(size=(3, repeats + 1))
-        across[:, 0] = 0
-        steps = np.zeros((3, len(rows)))
-        steps[0] = side.parts.perpendicular
-        steps[1] = np.hypot(steps[0], np.sqrt(self.weight) * side.parts.angle)
-        steps[2] = np.hypot(steps[1], side.parts.parallel)
-        _, cluster = np.unique(side.source, return_inverse=True)
-        n = cluster.max() + 1
-        found = []
-        for k in range(repeats + 1):
-            draws = rng.multinomial(n, np.full(n, 1 / n)) if k else np.ones(n)
-            weights = draws[cluster] * side.length
-            if not weights @ right:
-                continue
-            moves = np.linalg.norm(np.einsum("nkd,nd->nk", frame, at + across[:, k]), axis=1)
-            means = [np.average(moves, weights=weights[right])]
-            means += [np.average(step[right], weights=weights[right]) for step in steps]
-            means.append(np.average(steps[2], weights=weights))
-            found.append([means[0], *np.diff(means), means[-1]])
-        return np.array(found)
+        weights = np.concatenate([side.length[None], side.draws(repeats, rng)])
+        weights = weights[(weights * right).any(axis=1)]
+        shift = rng.multivariate_normal(np.zeros(3), moved.covariance, len(weights), method="eigh")
+        shift[0] = 0  # the first row is the measurement, the others are drawn
+        across = np.einsum("nkd,nd->nk", pairs.frame, moved.at(pairs.place))
+        moves = np.linalg.norm(across + np.einsum("nkd,rd->rnk", pairs.frame, shift), axis=2)
+        sums = side.parts.perpendicular**2
+        steps = [moves, np.sqrt(sums)]
+        for part in (np.sqrt(self.weight) * side.parts.angle, side.parts.parallel):
+            sums = sums + part**2
+            steps.append(np.sqrt(sums))
+        means = [(weights * right * step).sum(axis=1) / (weights @ right) for step in steps]
+        means.append(weights @ steps[-1] / weights.sum(axis=1))
+        columns = np.column_stack([means[0], np.diff(means, axis=0).T, means[-1]])
+        ends = [np.quantile(columns, end, axis=0) for end in ENDS]
+        found["value_m"] = columns[0]
+        found["low_m"], found["high_m"] = (side.widened(end, columns[0]) for end in ends)
+        return found
 
     def kinds(self) -> pd.Series:
         """Return how many segments have which correspondence (section 2.3): Series of int.
@@ -259,63 +254,58 @@ class LHD(Shown):
         return pd.Series(np.bincount(kind, minlength=len(KINDS)), index=KINDS, name="groups")
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row per direction: segments, pairs, threshold, distances, coverage."""
+        """Return one row per direction: segments, pairs, threshold, distances, coverage.
+
+        ``lhd`` marks the larger distance of both directions, as the paper's asterisk does.
+        """
         both = [self.test_model, self.model_test]
+        distances = [side.olhd(self.weight) for side in both]
         return pd.DataFrame(
             {
                 "direction": ["test to model", "model to test"],
-                "pairs": [part.n for part in both],
-                "threshold_m": [part.threshold.delta for part in both],
-                "olhd_m": [part.olhd(self.weight) for part in both],
-                "olhd_w0_m": [part.olhd(0) for part in both],
-                "perpendicular_m": [part.perpendicular_only for part in both],
-                "coverage": [part.coverage for part in both],
+                "p": len(self.test),
+                "q": len(self.model),
+                "pairs": [side.n for side in both],
+                "olhd_m": distances,
+                "lhd": ["*" if value == self.value else "" for value in distances],
+                "perpendicular_m": [side.perpendicular_only for side in both],
+                "threshold_m": [side.threshold.delta for side in both],
+                "coverage": [side.coverage for side in both],
             }
         )
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Draw both sets from above and a line between the midpoints of each pair."""
-        ax = self.model.plot(ax=ax, color="0.75", lw=3, solid_capstyle="round")
-        self.test.plot(ax=ax)
-        for row, column in np.argwhere(self.test_model.pairs):
-            link = self.test.midpoints[row], self.model.midpoints[column]
-            ax.plot(*np.array(link)[:, :2].T, color="tab:red", lw=0.7)
+        """Draw both sets from above; pairs in colour, upright lines as dots."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        rows, columns = np.nonzero(self.test_model.pairs)
+        for name, segments, paired, look in (
+            ("model", self.model, columns, {"color": "0.75", "lw": 3}),
+            ("test", self.test, rows, {"color": "black", "lw": 1}),
+        ):
+            ax.plot(*_from_above(segments), marker=".", ms=3, label=name, **look)
+            if name == "test":
+                look = {"color": plots.COLOURS["vermilion"], "lw": 1.5}
+                ax.plot(*_from_above(segments[paired]), marker=".", ms=4, label="paired", **look)
+        ax.set(xlabel="easting (m)", ylabel="northing (m)", aspect="equal")
+        ax.legend()
         return ax
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``mmqa lhd --json`` prints."""
-        directions = {"test_model": self.test_model, "model_test": self.model_test}
-        values = {
-            "weight": self.weight,
-            "sensitivity_m": self.sensitivity,
-            "matcher": self.asked,
-            "matcher_used": self.matcher,
-            "p": len(self.test),
-            "q": len(self.model),
-            "lhd_m": self.value,
-            "threshold_fallback": [part.threshold.fallback for part in directions.values()],
-            "lhd_w0_m": self.at_weight(0),
-            "perpendicular_only_m": self.perpendicular_only,
-            "displacement_m": self.displacement.vector.tolist(),
-            "displacement_covariance_m2": self.displacement.covariance.tolist(),
-            "turn_deg": self.displacement.turn_deg,
-            "turn_sigma_deg": self.displacement.turn_sigma_deg,
-        }
-        for name, part in directions.items():
-            values[f"olhd_{name}_m"] = part.olhd(self.weight)
-            values[f"threshold_{name}_m"] = part.threshold.delta
-            values[f"pairs_{name}"] = np.argwhere(part.pairs).tolist()
-            values[f"coverage_{name.split('_')[0]}"] = part.coverage
-        return values
+
+def _from_above(segments):
+    """x and y of segments in one line each, with gaps between them."""
+    gaps = np.full((len(segments), 1, 2), np.nan)
+    return np.concatenate([segments[..., :2], gaps], axis=1).reshape(-1, 2).T
 
 
-def hausdorff(test: Segments, model: Segments, **choices) -> float:
+def hausdorff(test: ArrayLike, model: ArrayLike, **choices) -> float:
     """Plain Hausdorff distance of two segment sets: the largest of all nearest distances.
 
     Parameters
     ----------
-    test, model : Segments or array_like
-        p and q segments, m.
+    test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
+        Segments, m.
     **choices
         Of :func:`mmqa_lab.lines.distance_matrix`: ``weight``, ``rotate``, ``within``.
 
@@ -338,21 +328,15 @@ def hausdorff(test: Segments, model: Segments, **choices) -> float:
     >>> hausdorff([[[0, 0.5, 0], [9, 0.5, 0]]], model)
     4.5
     """
-    there, back = distance_matrix(test, model, **choices), distance_matrix(model, test, **choices)
-    if not there.size:
+    matrices = distance_matrix(test, model, **choices), distance_matrix(model, test, **choices)
+    if not matrices[0].size:
         return np.nan
-    return float(max(there.min(axis=1).max(), back.min(axis=1).max()))
-
-
-def _widened(ends, value, n):
-    """Ends as wide as Student's t asks for where a bootstrap of n takes the normal's quantile."""
-    wider = stdtrit(n - 1, ENDS[1]) / ndtri(ENDS[1]) * np.sqrt(n / (n - 1)) if n > 1 else np.nan
-    return value + wider * (ends - value)
+    return float(max(matrix.min(axis=1).max() for matrix in matrices))
 
 
 def lhd(
-    test: Segments,
-    model: Segments,
+    test: ArrayLike,
+    model: ArrayLike,
     *,
     weight: float = 10.0,
     sensitivity: float = 0.5,
@@ -361,7 +345,7 @@ def lhd(
     within: str = "containment",
     norm: str = "pairs",
     threshold: Callable | None = None,
-    pairs: np.ndarray | None = None,
+    pairs: ArrayLike | None = None,
     radius: float = 4.0,
 ) -> LHD:
     """Line-segment Hausdorff distance between a test and a model set.
@@ -372,8 +356,8 @@ def lhd(
 
     Parameters
     ----------
-    test, model : Segments or array_like
-        p and q segments, m.
+    test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
+        Segments, m.
     weight : float
         W of the angle, >= 0.
     sensitivity : float
@@ -383,9 +367,9 @@ def lhd(
         (:func:`match_displaced`); where it finds too little it gives way to ``fragments``.
     rotate, within
         As in :func:`components`.
-    norm : {"pairs", "matched", "all"}
+    norm : {"pairs", "all"}
         What the weighted sum of equation 7 is divided by: the lengths of all pairs (a mean; agrees
-        with the published numbers), of each matched target once, or of all targets (as printed).
+        with the published numbers), or of all targets (as printed).
     threshold : callable, optional
         Takes the nearest distances of one direction and returns a :class:`Threshold`, or its
         delta; by default :func:`peak_threshold` with ``sensitivity``.
@@ -407,8 +391,8 @@ def lhd(
     Warns
     -----
     UserWarning
-        If a set is empty, a threshold is a fallback, fewer than five pairs remain, segments
-        repeat, or the displaced matcher gave way.
+        If a set is empty, a threshold is a fallback, fewer than five pairs remain, or the displaced
+        matcher gave way.
 
     Notes
     -----
@@ -422,11 +406,10 @@ def lhd(
 
     Examples
     --------
-    >>> from mmqa_lab.lines import Segments
     >>> both = [[[0, 0, 0], [9, 0, 0]], [[0, 0, 0], [0, 0, 6]], [[9, 0, 0], [9, 0, 7]],
     ...         [[9, 0, 7], [9, 8, 7]], [[0, 0, 6], [0, 8, 6]]]
-    >>> model = Segments([*both, [[0, 20, 0], [0, 20, 6]]])
-    >>> test = Segments([*both, [[9, 40, 0], [9, 40, 7]]]).moved([0.3, 0, 0.1])
+    >>> model = [*both, [[0, 20, 0], [0, 20, 6]]]
+    >>> test = np.array([*both, [[9, 40, 0], [9, 40, 7]]]) + [0.3, 0, 0.1]
     >>> result = lhd(test, model)
     >>> round(result.value, 3), result.test_model.n
     (0.316, 5)
@@ -434,32 +417,43 @@ def lhd(
     [0.3, 0.0, 0.1]
     """
     weight = check_number(weight, "weight", low=0)
-    sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
     check_choice(matcher, "matcher", (*MATCHERS, "displaced"))
-    check_choice(norm, "norm", NORMS)
-    threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
-    sets = check_segments(test, name="test"), check_segments(model, name="model")
+    check_choice(norm, "norm", ("pairs", "all"))
+    sets = check_segments(test, "test"), check_segments(model, "model")
     orders = sets, sets[::-1]
     parts = [components(*order, rotate=rotate, within=within) for order in orders]
     distances = [part.distance(weight) for part in parts]
+    threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
     thresholds = [_threshold(threshold, values) for values in distances]
-    _refuse_apart(thresholds[0], *sets)
-    if pairs is not None:
-        pairs, used = np.asarray(pairs), "given"
-        matcher, both = used, (pairs, pairs.T)
+    if thresholds[0].nearest.min(initial=np.inf) > APART_M and distances[0].size:
+        raise ValueError(
+            f"Invalid sets {thresholds[0].nearest[0]:.0f} m apart. "
+            f"Must have segments within {APART_M:.0f} m of each other, in one coordinate system."
+        )
+    used = matcher if pairs is None else "given"
+    if used == "displaced":
+        pairs = match_displaced(*sets, radius=radius).pairs
+        fragments = _matched("fragments", orders, distances, thresholds)
+        if pairs.sum() < AGREED_SHARE * fragments[0].sum():
+            used, pairs = "fragments", None
+    if pairs is None:
+        both = _matched(used, orders, distances, thresholds)
+    else:
+        pairs = np.asarray(pairs)
         if pairs.dtype != bool or pairs.shape != distances[0].shape:
             raise ValueError(
                 f"Invalid pairs of type {pairs.dtype} and shape {pairs.shape}. "
                 f"Must be Boolean of shape {distances[0].shape}."
             )
-    else:
-        used, both = _pairs(matcher, orders, distances, thresholds, radius)
-    if used in ("displaced", "given"):
+        both = pairs, pairs.T
         thresholds = [Threshold(np.nan, False, threshold.nearest) for threshold in thresholds]
-    forward = _directed(thresholds[0], both[0], parts[0], sets, norm)
-    backward = _directed(thresholds[1], both[1].T, parts[1], sets[::-1], norm, turned=True)
-    result = LHD(weight, sensitivity, used, forward, backward, *sets, matcher)
-    _warn(result, *sets)
+    sides = [
+        _directed(*values, norm)
+        for values in zip(thresholds, both, parts, orders, (False, True), strict=True)
+    ]
+    result = LHD(weight, used, matcher if used != "given" else used, *sides, *sets)
+    for doubt in doubts(result):
+        warnings.warn(doubt, stacklevel=2)
     return result
 
 
@@ -472,80 +466,149 @@ def _threshold(threshold, distances):
     return Threshold(float(found), False, np.sort(nearest))
 
 
-def _pairs(matcher, orders, distances, thresholds, radius):
-    """The matcher used and the pairs of both directions, each (source, target)."""
-    if matcher == "displaced":
-        match = match_displaced(*orders[0], radius=radius)
-        others = _pairs("fragments", orders, distances, thresholds, radius)
-        few = match.pairs.sum() < AGREED_SHARE * others[1][0].sum()
-        if few and not match.evidence > WEAK_EVIDENCE:
-            return others
-        return matcher, [match.pairs, match.pairs.T]
-    both = [
+def _matched(matcher, orders, distances, thresholds):
+    """The pairs of both directions, each (source, target)."""
+    return [
         correspond(values, threshold.delta, matcher=matcher, test=a, model=b)
         for values, threshold, (a, b) in zip(distances, thresholds, orders, strict=True)
     ]
-    return matcher, both
 
 
-def _directed(threshold, pairs, parts, order, norm, turned=False):
-    """One direction; ``pairs`` are (test, model), turned where the model is the source."""
-    source, target = order
-    here = np.nonzero(pairs)[:: -1 if turned else 1]
-    matched = np.unique(here[0])
-    whole = source.lengths.sum()
-    totals = {
-        "pairs": target.lengths[here[1]].sum(),
-        "matched": target.lengths[np.unique(here[1])].sum(),
-        "all": target.lengths.sum(),
-    }
+def _directed(threshold, pairs, parts, order, turned, norm):
+    """One direction; ``pairs`` and ``parts`` are (source, target), turned if the model is that."""
+    cells = np.nonzero(pairs.T if turned else pairs)[:: -1 if turned else 1]
+    source, target = (lengths(segments) for segments in order)
+    length = target[cells[1]]
     return Directed(
         threshold=threshold,
-        pairs=pairs,
-        parts=Components(*(part[here] for part in vars(parts).values())),
-        length=target.lengths[here[1]],
-        source=here[0],
-        coverage=float(source.lengths[matched].sum() / whole) if whole else np.nan,
-        total=float(totals[norm]),
+        pairs=pairs.T if turned else pairs,
+        parts=parts.select(cells),
+        length=length,
+        source=cells[0],
+        coverage=float(source[np.unique(cells[0])].sum() / source.sum()) if len(source) else np.nan,
+        total=float(length.sum() if norm == "pairs" else target.sum()),
     )
 
 
-def _refuse_apart(threshold, test, model):
-    """Raise when the sets do not meet anywhere."""
-    if not len(threshold.nearest) or threshold.nearest[0] <= APART_M:
-        return
-    boxes = " and ".join(f"{name} {_box(s)}" for name, s in (("test", test), ("model", model)))
-    raise ValueError(
-        f"Invalid sets {threshold.nearest[0]:.0f} m apart: {boxes}. "
-        f"Must have segments within {APART_M:.0f} m of each other, in one coordinate system."
-    )
-
-
-def _box(segments):
-    """The bounding box in words, m."""
-    low, high = segments.ends.min(axis=(0, 1)), segments.ends.max(axis=(0, 1))
-    return f"{low.round(1).tolist()} to {high.round(1).tolist()}"
-
-
-def _warn(result, test, model):
-    """Say what makes the value doubtful."""
-    said = []
-    for name, segments in (("test", test), ("model", model)):
-        if not len(segments):
-            said.append(f"No {name} segments: nothing to measure.")
-        elif len(np.unique(np.sort(segments.ends, axis=1), axis=0)) < len(segments):
-            said.append(f"Some {name} segments repeat and count twice.")
-    if len(test) and len(model):
-        directions = {"test to model": result.test_model, "model to test": result.model_test}
-        for name, direction in directions.items():
-            if direction.threshold.fallback:
-                said.append(
-                    f"No jump in the nearest distances from {name}: the largest, "
-                    f"{direction.threshold.delta:.3g} m, is the threshold."
-                )
-            if direction.n < FEW_PAIRS:
-                said.append(f"Only {direction.n} pairs from {name}: a value of chance.")
+def doubts(result: LHD) -> list[str]:
+    """Return sentences on what makes a distance doubtful."""
+    said = [
+        f"No {name} segments: nothing to measure."
+        for name, segments in (("test", result.test), ("model", result.model))
+        if not len(segments)
+    ]
+    if said:
+        return said
+    sides = {"test to model": result.test_model, "model to test": result.model_test}
+    for name, side in sides.items():
+        if side.threshold.fallback:
+            said.append(
+                f"No jump in the nearest distances from {name}: the largest, "
+                f"{side.threshold.delta:.3g} m, is the threshold."
+            )
+        if side.n < FEW_PAIRS:
+            said.append(f"Only {side.n} pairs from {name}: a value of chance.")
     if result.matcher != result.asked:
         said.append(f"Too few pairs agree on one displacement: matcher {result.matcher!r} is used.")
-    for sentence in said:
-        warnings.warn(sentence, stacklevel=3)
+    return said
+
+
+def compare(
+    sets: Mapping[str, ArrayLike],
+    *,
+    reference: str | None = None,
+    truth: Mapping[tuple[str, str], ArrayLike] | None = None,
+    radius: float = 4.0,
+    **choices,
+) -> pd.DataFrame:
+    """Compare several sets of segments with each other, both ways, as the paper's tables do.
+
+    Parameters
+    ----------
+    sets : dict of str to array_like, shape (n, 2, 3)
+        Segments by name, two sets or more, m.
+    reference : str, optional
+        The set that the others are measured against: it is always the model.
+    truth : dict of (str, str) to array_like of bool, shape (p, q), optional
+        True pairs by test and model set.
+    radius : float
+        Largest displacement that is sought, m.
+    **choices
+        Of :func:`lhd`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each comparison and direction: ``kind`` (repeatability, absolute), ``comparison``,
+        the columns of :meth:`LHD.to_frame`, the 95 % confidence interval of the larger distance,
+        the displacement (m) with its standard deviations and ``displaced_pairs`` that agree on it,
+        the errors of the pairs where the truth is known, and ``remarks``.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two sets, one is empty, or two have no segments within the radius.
+
+    References
+    ----------
+    Poreba & Goulette 2013 (hal-00846334), Tables 1 and 2.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate.canyon import canyon
+    >>> scene = canyon(1)
+    >>> sets = {name: scene.surveys[name].segments for name in ("TLS", "C1", "C3")}
+    >>> table = compare(sets, reference="TLS", truth={("C1", "C3"): scene.pairs("C1", "C3")})
+    >>> table["direction"].tolist()[:3]
+    ['C1 to C3', 'C3 to C1', 'C1 to TLS']
+    """
+    sets = {name: check_segments(segments, name) for name, segments in sets.items()}
+    empty = [name for name, segments in sets.items() if not len(segments)]
+    if len(sets) < 2 or empty:
+        raise ValueError(
+            f"Invalid sets {', '.join(sets)}: {len(sets)}, empty {', '.join(empty) or 'none'}. "
+            "Must be two or more with segments."
+        )
+    names = [name for name in sets if name != reference]
+    pairs = [*combinations(names, 2)]
+    if reference is not None:
+        check_choice(reference, "reference", sets)
+        pairs += [(name, reference) for name in names]
+    tables = []
+    for pair in pairs:
+        test, model = (sets[name] for name in pair)
+        nearest = distance_matrix(test, model, weight=0, within="overlap").min()
+        if nearest > radius:
+            raise ValueError(
+                f"Invalid {' and '.join(pair)}: the nearest segments are {nearest:.1f} m apart. "
+                f"Must be within {radius:g} m of each other, in one coordinate system."
+            )
+        table = _compared(pair, test, model, (truth or {}).get(pair), radius, choices)
+        tables.append(table.assign(kind="absolute" if reference in pair else "repeatability"))
+    table = pd.concat(tables, ignore_index=True)
+    return table[["kind", "comparison", *table.columns.drop(["kind", "comparison"])]]
+
+
+def _compared(names, test, model, truth, radius, choices):
+    """The two rows of a comparison."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = lhd(test, model, radius=radius, **choices)
+        moved = match_displaced(test, model, radius=radius).displacement
+    table = found.to_frame().assign(comparison="-".join(names))
+    table["direction"] = " to ".join(names), " to ".join(names[::-1])
+    table["lhd_low_m"], table["lhd_high_m"] = found.interval()
+    for k, axis in enumerate("xyz"):
+        table[f"displacement_{axis}_m"] = moved.vector[k]
+        table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
+    table["displaced_pairs"], said = moved.n, doubts(found)
+    if truth is not None:
+        sides = found.test_model, found.model_test
+        scores = [pairing_scores(side.pairs, truth) for side in sides]
+        table["false_negative"] = [one.fn for one in scores]
+        table["false_positive"] = [one.fp for one in scores]
+        table["rate_percent"] = [100 * one.detection_rate for one in scores]
+        table["f1"] = [one.f1 for one in scores]
+    if not np.isfinite(moved.vector).all():
+        said.append("No displacement: too few lines, or lines of one direction, agree on one.")
+    return table.assign(remarks=" ".join(said))

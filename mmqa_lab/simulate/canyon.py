@@ -14,7 +14,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.lines import Segments
+from mmqa_lab.lines import lengths
 from mmqa_lab.simulate.trajectories import gauss_markov
 
 COMPARISONS = {
@@ -48,68 +48,25 @@ YAW_DEG = 0.05
 POSITION_NOISE_M = {"C1": 0.04, "C2": 0.04, "C3": 0.04, "TLS": 0.03}
 ANGLE_FROM_POSITION_M = 0.02
 
+SHARED_BIAS_M = (0.62, 0.82)
+"""Range of the length of the displacement that all courses share (GNSS)."""
+
+OWN_BIAS_M, COURSE2_M = 0.09, 0.45
+"""Length of each course's own displacement, and what Course 2 has beyond the others along the
+shared one: the paper finds the worst repeatability with it and names poor GNSS as the cause."""
+
+DRIFT_M, END_NOISE_M = 0.08, 0.22
+"""Standard deviations of each course's drift per street and axis, and of ends along their edge."""
+
+TWINS, SPLITS, TRUNCATIONS, CLUTTER, JAMBS = 0.15, 0.12, 0.35, 0.08, 0.2
+"""Share of edges with a parallel neighbour (reveals, kerbs, cornices); shares of segments found in
+two pieces, cut short, and without any counterpart; mean number of window jambs per building."""
+
 EAVE_M = 0.6
 """Width of the soffit under each eave; a facade meets it along a level edge."""
 
 GABLE_M = 3.0
 """Depth of the wall that closes a row of houses at either end."""
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """What happens to the edges on their way into a survey.
-
-    Parameters
-    ----------
-    bias_m : tuple of two floats
-        Range of the length of the displacement that all courses share (GNSS), m.
-    own_m : float
-        Length of each course's own displacement, in a direction of its own, m.
-    course2_m : float
-        What Course 2 has beyond the others along the shared displacement, m: the paper finds the
-        worst repeatability in comparisons with it and names poor GNSS as the cause.
-    drift_m : float
-        Standard deviation of each course's drift per street and axis, m: a Gauss-Markov process
-        along the street of 60 m correlation length.
-    angle_noise_deg : float
-        Standard deviation of the courses' edge directions, degrees; the static scanner has a
-        quarter of it.
-    end_noise_m : float
-        Standard deviation of the ends along their edge, m.
-    twins : float
-        Share of edges with a parallel neighbour at 0.3-1.1 m: reveals, kerbs, cornices.
-    splits, truncations, clutter : float
-        Shares of segments found in two pieces, cut short, and without any counterpart.
-    jambs : float
-        Mean number of window jambs per building.
-
-    Raises
-    ------
-    ValueError
-        If a share is not within 0..1, a size is negative, or the range of the bias is reversed.
-    """
-
-    bias_m: tuple = (0.62, 0.82)
-    own_m: float = 0.09
-    course2_m: float = 0.45
-    drift_m: float = 0.08
-    angle_noise_deg: float = 0.08
-    end_noise_m: float = 0.22
-    twins: float = 0.15
-    splits: float = 0.12
-    truncations: float = 0.35
-    clutter: float = 0.08
-    jambs: float = 0.2
-
-    def __post_init__(self):
-        for name in ("twins", "splits", "truncations", "clutter"):
-            check_number(getattr(self, name), name, low=0, high=1)
-        sizes = ("own_m", "course2_m", "drift_m", "end_noise_m", "angle_noise_deg", "jambs")
-        for name in sizes:
-            check_number(getattr(self, name), name, low=0)
-        low, high = self.bias_m
-        check_number(low, "bias_m", low=0, unit="m")
-        check_number(high, "bias_m", low=low, unit="m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +105,8 @@ class Survey:
 
     Parameters
     ----------
-    segments : Segments
-        n segments, m.
+    segments : array, shape (n, 2, 3)
+        Metres.
     edge : array of int, shape (n,)
         The true edge of each; -1 for clutter.
     interval : array, shape (n, 2)
@@ -159,7 +116,7 @@ class Survey:
     positioning : Positioning
     """
 
-    segments: Segments
+    segments: np.ndarray
     edge: np.ndarray
     interval: np.ndarray
     displacement: np.ndarray
@@ -174,20 +131,18 @@ class Canyon:
     ----------
     buildings : DataFrame
         ``street``, ``side`` (-1, 1), ``start_m``, ``width_m``, ``setback_m``, ``height_m``.
-    edges : Segments
-        The true edges.
+    edges : array, shape (m, 2, 3)
+        The true edges, m.
     street : array of int
         The street of each edge.
     surveys : dict of str to Survey
         ``C1``, ``C2``, ``C3``, ``TLS``.
-    conditions : Conditions
     """
 
     buildings: pd.DataFrame
-    edges: Segments
+    edges: np.ndarray
     street: np.ndarray
     surveys: dict = field(repr=False)
-    conditions: Conditions = Conditions()
 
     def pairs(self, test, model):
         """True pairs of two surveys, bool (p, q): pieces of one edge that overlap by 20 %."""
@@ -209,7 +164,7 @@ class Canyon:
         return self.surveys[check_choice(name, "survey", SURVEYS)]
 
 
-def canyon(seed, *, conditions=None):
+def canyon(seed, *, displacement_m=None, angle_noise_deg=0.08):
     """Simulate the canyon and its four surveys.
 
     A scene is 130 m x 120 m with facades 9-22 m wide and 12-21 m high along streets of 14, 9 and
@@ -220,18 +175,26 @@ def canyon(seed, *, conditions=None):
     ----------
     seed : int
         Equal seeds give equal scenes.
-    conditions : Conditions, optional
+    displacement_m : float, optional
+        Length of the displacement that all courses share, m; by default 0.62 to 0.82 m.
+    angle_noise_deg : float
+        Standard deviation of the courses' edge directions, degrees; the static scanner has a
+        quarter of it.
 
     Returns
     -------
     Canyon
 
+    Raises
+    ------
+    ValueError
+        If a displacement or noise is negative.
+
     Notes
     -----
     The shares of edges, splits and clutter are assumptions of this simulator, set so that the
     numbers of segments and true pairs agree with the paper. The lengths of the displacements,
-    drift, and noise of directions and ends (the defaults of :class:`Conditions`) were fitted to
-    the distances and errors of four rows, C1-C2, C1-C3, C1-TLS and C2-TLS; C2-C3, C3-TLS and the
+    drift, and noise of directions and ends were fitted to the distances and errors of four rows, C1-C2, C1-C3, C1-TLS and C2-TLS; C2-C3, C3-TLS and the
     second extraction of C1-C3 were held out. Directions with 0.3 degrees of noise or more fit the
     printed distances clearly worse. The canyon has the extent of the test site and is no
     reconstruction of it.
@@ -246,20 +209,23 @@ def canyon(seed, *, conditions=None):
     >>> sorted(scene.surveys), scene.pairs("C1", "C3").sum() > scene.pairs("C1", "C2").sum()
     (['C1', 'C2', 'C3', 'TLS'], np.True_)
     """
-    conditions = conditions or Conditions()
+    angle_noise_deg = check_number(angle_noise_deg, "angle_noise_deg", low=0)
+    shared = SHARED_BIAS_M
+    if displacement_m is not None:
+        shared = (check_number(displacement_m, "displacement_m", low=0, unit="m"),) * 2
     rng = np.random.default_rng(seed)
     buildings = _buildings(rng)
-    ends, street = _edges(buildings, conditions, rng)
+    ends, street = _edges(buildings, rng)
     seen = _seen(len(ends), rng)
     surveys = {}
-    for name, positioning in _positionings(conditions, rng).items():
+    for name, positioning in _positionings(shared, rng).items():
         rows = np.flatnonzero(seen[name])
-        surveys[name] = _survey(name, ends, street, rows, positioning, conditions, rng)
-    return Canyon(buildings, Segments(ends), street, surveys, conditions)
+        surveys[name] = _survey(name, ends, street, rows, positioning, angle_noise_deg, rng)
+    return Canyon(buildings, ends, street, surveys)
 
 
 def canyon_faces(scene):
-    """The plane faces of a canyon.
+    """The plane faces of a canyon: fronts, pavements, eaves, and walls between houses.
 
     Parameters
     ----------
@@ -267,20 +233,19 @@ def canyon_faces(scene):
 
     Returns
     -------
-    DataFrame
-        ``kind`` (front, pavement, eave, side), ``street``, ``corner``, ``along``, ``up``: a corner
-        and both sides of each rectangle as arrays (3,), m.
+    faces : array, shape (m, 3, 3)
+        A corner of each rectangle and the ends of both its sides from there, m.
+    street : array of int, shape (m,)
     """
     rows = []
-    for _, row in scene.buildings.groupby(["street", "side"]):
+    for (street, _), row in scene.buildings.groupby(["street", "side"]):
         houses = list(row.itertuples())
-        for house in houses:
-            rows += _house_faces(house)
-        rows += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
-    kinds, streets, places = zip(*rows, strict=True)
-    corner, along, up = _located(np.array(streets), np.array(places)).swapaxes(0, 1)
-    sides = {"corner": list(corner), "along": list(along - corner), "up": list(up - corner)}
-    return pd.DataFrame({"kind": kinds, "street": streets} | sides)
+        places = [face for house in houses for face in _house_faces(house)]
+        places += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
+        rows += [(street, place) for place in places]
+    streets, places = zip(*rows, strict=True)
+    streets = np.array(streets)
+    return _located(streets, np.array(places)), streets
 
 
 def canyon_edges(scene):
@@ -288,13 +253,13 @@ def canyon_edges(scene):
 
     Returns
     -------
-    Segments
-        In the order of the buildings, four each: foot, eave, corner at the start, corner at the
-        end.
+    array, shape (n, 2, 3)
+        Metres; in the order of the buildings, four each: foot, eave, corner at the start, corner at
+        the end.
     """
     lines = np.array([_outline(house) for house in scene.buildings.itertuples()])
     streets = np.repeat(scene.buildings["street"].to_numpy(), lines.shape[1])
-    return Segments(_located(streets, lines.reshape(-1, 2, 3)), name="canyon")
+    return _located(streets, lines.reshape(-1, 2, 3))
 
 
 def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
@@ -336,13 +301,13 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     density = check_positive(density, "density", unit="per m2")
     noise = check_number(noise, "noise", low=0, unit="m")
     rng = np.random.default_rng(check_count(seed, "seed", low=0))
-    faces = canyon_faces(scene)
-    corner, along, up = (np.stack(faces[name].to_numpy()) for name in ("corner", "along", "up"))
+    faces, streets = canyon_faces(scene)
+    corner, along, up = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
     area = np.linalg.norm(np.cross(along, up), axis=1)
     face = np.repeat(np.arange(len(faces)), rng.poisson(density * area))
     a, b = rng.random((2, len(face), 1))
     points = corner[face] + a * along[face] + b * up[face]
-    street = faces["street"].to_numpy()[face]
+    street = streets[face]
     points += scene.surveys[survey].positioning.at(points, street)
     points += rng.normal(0, noise, points.shape)
     return Cloud(points, {"face": face, "street": street}, f"canyon {survey}")
@@ -363,16 +328,16 @@ def _buildings(rng):
     return pd.DataFrame(rows, columns=columns)
 
 
-def _edges(buildings, conditions, rng):
+def _edges(buildings, rng):
     """End points (n, 2, 3) of the true edges and the street of each."""
-    lines = [_building_edges(house, conditions, rng) for house in buildings.itertuples()]
+    lines = [_building_edges(house, rng) for house in buildings.itertuples()]
     streets = np.repeat(buildings["street"].to_numpy(), [len(one) for one in lines])
     ends = _located(streets, np.array(list(chain(*lines))))
-    twin = rng.random(len(ends)) < conditions.twins
+    twin = rng.random(len(ends)) < TWINS
     return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
 
 
-def _building_edges(house, conditions, rng):
+def _building_edges(house, rng):
     """The edges of a facade that a detector can find, as ``_outline`` gives them."""
     left, right, top, offset = _extent(house)
     level = rng.uniform(3.5, 4.5)
@@ -380,7 +345,7 @@ def _building_edges(house, conditions, rng):
     candidates = [foot, eave, ((left, offset, level), (right, offset, level)), *corners]
     pairs = zip(candidates, EDGE_SHARES, strict=True)
     lines = [line for line, share in pairs if rng.random() < share]
-    for _ in range(rng.poisson(conditions.jambs)):
+    for _ in range(rng.poisson(JAMBS)):
         station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
         head = sill + rng.uniform(1.5, 2.5)
         lines.append(((station, offset, sill), (station, offset, head)))
@@ -431,16 +396,16 @@ def _seen(n, rng):
     return seen | {name: rng.random(n) < share * prominence for name, share in SEEN.items()}
 
 
-def _positionings(conditions, rng):
+def _positionings(shared_m, rng):
     """The positioning error of each course; the static scanner has none."""
     nodes = int(STREETS["length_m"].max() / DRIFT_STEP_M) + 2
-    length, towards = rng.uniform(*conditions.bias_m), _unit_vector(rng)
+    length, towards = rng.uniform(*shared_m), _unit_vector(rng)
     errors = {}
     for name in ("C1", "C2", "C3"):
-        shared = length + (conditions.course2_m if name == "C2" else 0.0)
-        own = conditions.own_m * _unit_vector(rng)
+        shared = length + (COURSE2_M if name == "C2" else 0.0)
+        own = OWN_BIAS_M * _unit_vector(rng)
         shape = len(STREETS), nodes, 3
-        drift = conditions.drift_m * gauss_markov(shape, DRIFT_STEP_M, DRIFT_LENGTH_M, rng, axis=1)
+        drift = DRIFT_M * gauss_markov(shape, DRIFT_STEP_M, DRIFT_LENGTH_M, rng, axis=1)
         turned = np.radians(rng.normal(0, YAW_DEG))
         errors[name] = Positioning(shared * towards + own, drift, turned)
     still = np.zeros((len(STREETS), nodes, 3))
@@ -452,39 +417,37 @@ def _unit_vector(rng):
     return vector / np.linalg.norm(vector)
 
 
-def _survey(name, ends, street, rows, positioning, conditions, rng):
+def _survey(name, ends, street, rows, positioning, angle_noise_deg, rng):
     """What a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
-    vectors = ends[:, 1] - ends[:, 0]
-    lengths = np.linalg.norm(vectors, axis=1)
-    pieces = [(row, *cut) for row in rows for cut in _pieces(lengths[row], conditions, rng)]
+    vectors, sizes = ends[:, 1] - ends[:, 0], lengths(ends)
+    pieces = [(row, *cut) for row in rows for cut in _pieces(sizes[row], rng)]
     edge = np.array([piece[0] for piece in pieces], dtype=int)
     interval = np.array([piece[1:] for piece in pieces], dtype=float).reshape(-1, 2)
-    share = (interval / lengths[edge, None])[..., None]
+    share = (interval / sizes[edge, None])[..., None]
     found = ends[edge, :1] + share * vectors[edge, None]
-    found = np.concatenate([found, _clutter(rng.binomial(len(edge), conditions.clutter), rng)])
+    found = np.concatenate([found, _clutter(rng.binomial(len(edge), CLUTTER), rng)])
     strays = len(found) - len(edge)
     streets = np.concatenate([street[edge], rng.integers(len(STREETS), size=strays)])
     displacement = positioning.at(found.mean(axis=1), streets)
-    angle = conditions.angle_noise_deg * (0.25 if name == "TLS" else 1.0)
-    noises = angle, POSITION_NOISE_M[name], conditions.end_noise_m
+    angle = angle_noise_deg * (0.25 if name == "TLS" else 1.0)
+    noises = angle, POSITION_NOISE_M[name], END_NOISE_M
     found = _noisy(found, *noises, rng) + displacement[:, None]
     flip = rng.random(len(found)) < 0.5
     found[flip] = found[flip, ::-1]
     order = rng.permutation(len(found))
     edge = np.concatenate([edge, np.full(strays, -1)])
     interval = np.concatenate([interval, np.full((strays, 2), np.nan)])
-    segments = Segments(found[order], name=name)
-    return Survey(segments, edge[order], interval[order], displacement[order], positioning)
+    return Survey(found[order], edge[order], interval[order], displacement[order], positioning)
 
 
-def _pieces(length, conditions, rng):
+def _pieces(length, rng):
     """Intervals along an edge that a survey finds: whole, cut short, or in two."""
     low, high = 0.0, length
-    if rng.random() < conditions.truncations:
+    if rng.random() < TRUNCATIONS:
         size = length * rng.uniform(0.4, 0.9)
         low = rng.uniform(0, length - size)
         high = low + size
-    if rng.random() >= conditions.splits or high - low < 3:
+    if rng.random() >= SPLITS or high - low < 3:
         return [(low, high)]
     middle = low + (high - low) * rng.uniform(0.3, 0.7)
     gap = rng.uniform(0.1, 0.5)
@@ -505,28 +468,27 @@ def _clutter(n, rng):
 def _noisy(ends, angle_deg, position, end, rng):
     """Segments with their ends moved along, directions turned and places shifted at random."""
     vectors = ends[:, 1] - ends[:, 0]
-    lengths = np.linalg.norm(vectors, axis=1)
-    unit = vectors / lengths[:, None]
-    sigma = np.hypot(np.radians(angle_deg), ANGLE_FROM_POSITION_M / lengths)
+    sizes = lengths(ends)
+    unit = vectors / sizes[:, None]
+    sigma = np.hypot(np.radians(angle_deg), ANGLE_FROM_POSITION_M / sizes)
     tilt = rng.normal(size=unit.shape)
     tilt -= (tilt * unit).sum(axis=1, keepdims=True) * unit
     turned = unit + tilt * (sigma / np.sqrt(2))[:, None]
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    half = lengths[:, None] / 2 + rng.normal(0, end, (len(ends), 2)) * [-1, 1]
+    half = sizes[:, None] / 2 + rng.normal(0, end, (len(ends), 2)) * [-1, 1]
     half = np.maximum(half, 0.25)
     middle = ends.mean(axis=1) + rng.normal(0, position, unit.shape)
     return np.stack([middle - half[:, :1] * turned, middle + half[:, 1:] * turned], axis=1)
 
 
 def _house_faces(house):
-    """Front, pavement and eave of a house: kind, street, a corner and the ends of both sides."""
+    """Front, pavement and eave of a house: a corner and the ends of both sides each."""
     left, right, top, offset = _extent(house)
     eave = offset - house.side * EAVE_M
     front = (left, offset, 0), (right, offset, 0), (left, offset, top)
     pavement = (left, 0, 0), (right, 0, 0), (left, offset, 0)
     soffit = (left, offset, top), (right, offset, top), (left, eave, top)
-    faces = {"front": front, "pavement": pavement, "eave": soffit}
-    return [(kind, house.street, face) for kind, face in faces.items()]
+    return [front, pavement, soffit]
 
 
 def _side_face(a, b):
@@ -536,7 +498,7 @@ def _side_face(a, b):
         left, right, top, near = _extent(house)
         station, far = left if a is None else right, near + house.side * GABLE_M
     else:
-        house, station = b, b.start_m
+        station = b.start_m
         near, far = sorted((_extent(one)[3] for one in (a, b)), key=abs)
         top = a.height_m if near == _extent(a)[3] else b.height_m
-    return "side", house.street, ((station, near, 0), (station, far, 0), (station, near, top))
+    return (station, near, 0), (station, far, 0), (station, near, top)

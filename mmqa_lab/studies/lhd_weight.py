@@ -6,16 +6,12 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
-from mmqa_lab import bench, io, lines, plots, samples
-from mmqa_lab.lines.segments import otsu_threshold
+from mmqa_lab import lines
+from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import ledger, table
-from mmqa_lab.simulate.canyon import COMPARISONS, Canyon, Conditions, canyon, canyon_edges
-from mmqa_lab.studies import SMALL, stated
-
-QUICK = SMALL["lhd_weight"]
+from mmqa_lab.simulate.canyon import COMPARISONS, canyon, canyon_edges
 
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
 """Test and model survey of each comparison, in the order of Tables 1 and 2."""
@@ -25,23 +21,13 @@ FITTED = ("C1-C2", "C1-C3", "C1-TLS", "C2-TLS")
 
 The numbers of segments and true pairs were set for all rows."""
 
-IDENTITY = (
-    "From the printed counts, 100 (1 - (FN + FP) / (p q)): the identity is checked, not the counts."
-)
-
-BOARD_M = np.array([0.85, 0.61])
-"""The board's sides (acfr/cam_lidar_calibration)."""
-
-CORNERS = "boards/corners.csv"
-SWEEPS = ("hdl32e_pair/sweep_a.laz", "hdl32e_pair/sweep_b.laz", "hdl32e_pair/a_to_b.txt")
-
 
 @dataclass(frozen=True, eq=False)
 class Sets:
-    """What a method is given: ``test`` and ``model``, both Segments."""
+    """What a method is given: ``test`` (p, 2, 3) and ``model`` (q, 2, 3), segments in metres."""
 
-    test: lines.Segments
-    model: lines.Segments
+    test: np.ndarray
+    model: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +42,9 @@ class Truth:
     def mean(self, vectors):
         """Mean length of vectors (k, 3) weighted as the LHD is, m."""
         rows, columns = np.nonzero(self.pairs)
-        lengths = np.linalg.norm(vectors, axis=1)
-        weights = self.sets.model.lengths[columns], self.sets.test.lengths[rows]
-        return max(float(np.average(lengths, weights=weight)) for weight in weights)
+        sizes = np.linalg.norm(vectors, axis=1)
+        weights = lines.lengths(self.sets.model)[columns], lines.lengths(self.sets.test)[rows]
+        return max(float(np.average(sizes, weights=weight)) for weight in weights)
 
     @property
     def across(self):
@@ -67,9 +53,7 @@ class Truth:
         return self.displacements - along * self.axes
 
 
-@lru_cache(maxsize=256)
-def _scene(seed, conditions) -> Canyon:
-    return canyon(seed, conditions=conditions)
+_canyon = lru_cache(maxsize=256)(canyon)
 
 
 def scene(comparison="C1-TLS", *, seed, **conditions):
@@ -81,21 +65,17 @@ def scene(comparison="C1-TLS", *, seed, **conditions):
         One of ``COURSES``.
     seed : int
     **conditions
-        Of :class:`~mmqa_lab.simulate.canyon.Conditions`, or ``displacement_m``, the length of
-        the displacement that all courses share.
+        Of :func:`~mmqa_lab.simulate.canyon.canyon`.
 
     Returns
     -------
     tuple of Sets and Truth
     """
-    if "displacement_m" in conditions:
-        conditions["bias_m"] = (conditions.pop("displacement_m"),) * 2
-    found = _scene(seed, Conditions(**conditions))
-    test, model = (found.surveys[name] for name in COURSES[comparison])
-    sets = Sets(test.segments, model.segments)
-    pairs = found.pairs(*COURSES[comparison])
-    axes = found.edges.directions[test.edge[np.nonzero(pairs)[0]]]
-    return sets, Truth(sets, pairs, found.displacements(*COURSES[comparison]), axes)
+    found, names = _canyon(seed, **conditions), COURSES[comparison]
+    test, model = (found.surveys[name] for name in names)
+    sets, pairs = Sets(test.segments, model.segments), found.pairs(*names)
+    axes = lines.directions(found.edges)[test.edge[np.nonzero(pairs)[0]]]
+    return sets, Truth(sets, pairs, found.displacements(*names), axes)
 
 
 def measured(sets, **choices):
@@ -151,14 +131,48 @@ def score_directions(result, truth):
     return figures
 
 
+def score_vector(result, truth):
+    """What :func:`score` has, the error of the displacement, and whether its ellipsoid covers."""
+    found = result.displacement
+    error = found.vector - truth.displacements.mean(axis=0)
+    inside = np.nan
+    if np.isfinite(error).all():
+        square = error @ np.linalg.solve(found.covariance, error)
+        inside = float(square <= chi2.ppf(0.95, 3))
+    figures = {"vector_error_m": np.linalg.norm(error), "inside": inside}
+    return score(result, truth) | figures
+
+
+def otsu_threshold(nearest):
+    """Where logarithms of distances split with the largest variance between both classes.
+
+    Otsu 1979, doi:10.1109/TSMC.1979.4310076, on the sample instead of a histogram.
+
+    Examples
+    --------
+    >>> otsu_threshold([0.1, 0.2, 0.15, 0.18, 5.0, 6.0, 7.0])
+    0.2
+    """
+    nearest = np.sort(nearest)
+    if len(nearest) < 2:
+        return nearest.max(initial=np.nan)
+    logs = np.log(np.maximum(nearest, 1e-6))
+    below, count = np.cumsum(logs)[:-1], np.arange(1, len(logs))
+    between = (logs.mean() * count - below) ** 2 / (count * (len(logs) - count))
+    return float(nearest[np.argmax(between)])
+
+
+def _threshold(**choices):
+    """The published method with another reading of the threshold's rule."""
+    return partial(measured, threshold=partial(lines.peak_threshold, **choices))
+
+
 METHODS = {
     "published": measured,
     "plain Hausdorff": lambda sets: lines.hausdorff(sets.test, sets.model),
-    "peak's value": partial(measured, threshold=partial(lines.peak_threshold, at="value")),
-    "differences sorted again": partial(
-        measured, threshold=partial(lines.peak_threshold, sort_again=True)
-    ),
-    "first differences": partial(measured, threshold=partial(lines.peak_threshold, order=1)),
+    "peak's value": _threshold(at="value"),
+    "differences sorted again": _threshold(sort_again=True),
+    "first differences": _threshold(order=1),
     "sensitivity 0.1 m": partial(measured, sensitivity=0.1),
     "sensitivity 2 m": partial(measured, sensitivity=2.0),
     "Otsu's threshold": partial(measured, threshold=otsu_threshold),
@@ -172,35 +186,28 @@ METHODS = {
 """The published method, its other readings, and others: functions of :class:`Sets`."""
 
 
-def comparison(quick=False):
-    """Compare methods on all comparisons of simulated canyons.
+def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURSES), **conditions):
+    """Define the study's bench: methods on comparisons of simulated canyons.
+
+    Parameters
+    ----------
+    methods : dict, optional
+        Functions of :class:`Sets`, which return an ``LHD``, true pairs or a number; by default
+        ``METHODS``.
+    seeds : iterable of int
+    scored : callable
+        :func:`score`, :func:`score_directions` or :func:`score_vector`.
+    comparison : tuple of str
+        Of ``COURSES``.
+    **conditions : tuple
+        Values of the conditions of :func:`scene`.
 
     Returns
     -------
     Comparison
-        Every method is a function of :class:`Sets` and returns an ``LHD``, true pairs or a number.
     """
-    seeds = QUICK["seeds"] if quick else range(30)
-    return bench.Comparison(
-        bench.grid(comparison=tuple(COURSES)),
-        dict(METHODS),
-        scene,
-        score,
-        seeds=seeds,
-        tables=lambda results: {"f1": bench.summary(results, "f1")},
-        figures=lambda results: {"f1": draw_methods(results)},
-    )
-
-
-def draw_methods(results, figure="f1"):
-    """Draw a figure of all methods with its intervals."""
-    found = bench.summary(results, figure)[::-1]
-    mean, low, high = found.columns[1:4]
-    drawing, ax = plots.subplots(height_mm=75)
-    ax.hlines(found["method"], found[low], found[high], color=plots.COLOURS["grey"])
-    ax.plot(found[mean], found["method"], "o", color=plots.COLOURS["blue"])
-    ax.set(xlabel=f"{figure.replace('f1', 'F1')}, mean (simulated)")
-    return drawing
+    cases = grid(comparison=comparison, **conditions)
+    return Comparison(cases, dict(methods or METHODS), scene, scored, seeds=seeds)
 
 
 def published_rows():
@@ -259,7 +266,7 @@ def replicas(results):
     return pd.DataFrame(rows)
 
 
-def ledger_entries(results):
+def ledger_table(results):
     """What the study says of each printed result of the source.
 
     Parameters
@@ -269,36 +276,38 @@ def ledger_entries(results):
 
     Returns
     -------
-    list of dict
+    DataFrame
+        As :mod:`mmqa_lab.published.ledger` documents.
     """
-    entries, known = [], set()
-    for row, printed in zip(
-        replicas(results).itertuples(), published_rows().itertuples(), strict=True
-    ):
+    entries, printed = {}, published_rows()
+    for row, one in zip(replicas(results).itertuples(), printed.itertuples(), strict=True):
         scenes = results.sel({"method": "published", "comparison": row.name})
         cell = f"{row.comparison} {row.side}"
-        rate = printed.rate_from_counts_percent
-        place = ("poreba2013", row.table, f"{cell} detection rate")
-        agrees = abs(rate - printed.detection_rate_percent) <= 0.005 + 1e-9
-        note = IDENTITY if agrees else f"{IDENTITY} The printed rate would take twelve errors."
-        entries.append(ledger.entry(*place, rate, kind="predicted", note=note))
-        for ending, label in (
-            ("olhd_m", "olhd"),
-            ("false_negative", "false negative"),
-            ("false_positive", "false positive"),
-        ):
+        for ending in ("olhd_m", "false_negative", "false_positive"):
+            name = f"{cell} {ending.removesuffix('_m').replace('_', ' ')}"
             values = scenes[f"{row.side}_{ending}"].values
-            entries.append(_of_scenes(row.table, f"{cell} {label}", values, row.kind))
-        for name in ("p", "q", "pairs"):
+            entries[row.table, name] = _of_scenes(values, row.kind)
+        entries[row.table, f"{cell} detection rate"] = _identity(one)
+        if "second" in row.comparison:  # the scenes imitate the first extraction of edges
+            continue
+        for name in ("p", "q", "pairs"):  # these were set to those of all rows
             whose = "TLS" if row.table == "table_2" and name == "q" else row.comparison
-            # the scenes imitate the first extraction of edges, not the second
-            if f"{whose} {name}" not in known and "second" not in whose:
-                known.add(f"{whose} {name}")
-                # the canyon's numbers of segments and pairs were set to those of all rows
-                entries.append(
-                    _of_scenes(row.table, f"{whose} {name}", scenes[name].values, "fitted")
-                )
-    return entries + _of_text(results.sel({"method": "published"}))
+            values = scenes[name].values
+            entries.setdefault((row.table, f"{whose} {name}"), _of_scenes(values, "fitted"))
+    entries |= _of_text(results.sel({"method": "published"}))
+    rows = [
+        ledger.entry("poreba2013", name, cell, **ours) for (name, cell), ours in entries.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def _identity(printed):
+    """An entry for a rate that follows from the printed counts."""
+    rate = printed.rate_from_counts_percent
+    note = "From the printed counts, 100 (1 - (FN + FP) / (p q)): not the counts are checked."
+    if abs(rate - printed.detection_rate_percent) > 0.005 + 1e-9:
+        note += " The printed rate would take twelve errors."
+    return {"value": rate, "kind": "predicted", "note": note}
 
 
 def _of_text(results):
@@ -306,21 +315,21 @@ def _of_text(results):
     lhd = np.fmax(results["left_olhd_m"], results["right_olhd_m"])
     wrong = results["left_false_negative"] + results["left_false_positive"]
     rate = 100 * (1 - wrong / (results["p"] * results["q"])).mean("comparison")
-    near = lhd.sel(comparison="C1-C3")
+    near = _of_scenes(lhd.sel(comparison="C1-C3").values, "fitted")
     far = lhd.sel(comparison=["C1-TLS", "C3-TLS"]).mean("comparison")
+    far = _of_scenes(far.values, "fitted")
     values = {"precision_abstract": near, "precision_text": near}
     values |= {"absolute_abstract": far, "absolute_text": far}
-    entries = [_of_scenes("numbers", name, one.values, "fitted") for name, one in values.items()]
-    return [*entries, _of_scenes("numbers", "pairing_confidence", rate.values, "predicted")]
+    values["pairing_confidence"] = _of_scenes(rate.values, "predicted")
+    return {("numbers", name): ours for name, ours in values.items()}
 
 
-def _of_scenes(name, cell, values, kind):
+def _of_scenes(values, kind):
     """An entry with the mean of simulated scenes and the range of 95 % of them."""
     how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
     note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
     low, high = _single_scene(values)
-    ours = {"kind": kind, "low": low, "high": high, "note": note}
-    return ledger.entry("poreba2013", name, cell, np.nanmean(values), **ours)
+    return {"value": np.nanmean(values), "kind": kind, "low": low, "high": high, "note": note}
 
 
 def _single_scene(values):
@@ -331,13 +340,13 @@ def _single_scene(values):
     return max(middle - half, 0.0), middle + half
 
 
-def true_edges(found, edges, *, near_m=0.1, parallel_deg=2.0):
+def true_edges(found, scene, *, near_m=0.1, parallel_deg=2.0):
     """Compare extracted edges with the true ones of a canyon.
 
     Parameters
     ----------
     found : Edges
-    edges : Canyon
+    scene : Canyon
     near_m, parallel_deg : float
         An extracted edge shows a true one when it is as near and as parallel.
 
@@ -345,18 +354,18 @@ def true_edges(found, edges, *, near_m=0.1, parallel_deg=2.0):
     -------
     DataFrame
         One row: ``edges`` and ``shown`` true ones of ``true_edges``, ``error_median_mm`` across
-        them, ``sigma_median_mm`` as stated, ``cover_95`` of the stated covariance.
+        them, ``sigma_median_mm`` as stated, ``cover_95`` of the stated standard deviations.
     """
-    true = canyon_edges(edges)
+    true = canyon_edges(scene)
     parts = lines.components(found.segments, true)
-    shorter = np.minimum(found.segments.lengths[:, None], true.lengths)
+    shorter = np.minimum(lines.lengths(found.segments)[:, None], lines.lengths(true))
     near = parts.angle < np.sin(np.radians(parallel_deg)) * shorter
     near &= (parts.perpendicular < near_m) & (parts.parallel < near_m)
     rows = np.flatnonzero(near.any(axis=1))
     columns = np.where(near[rows], parts.perpendicular[rows], np.inf).argmin(axis=1)
-    axes = true.directions[columns]
+    axes = lines.directions(true)[columns]
     rest = np.eye(3) - axes[:, :, None] * axes[:, None]
-    offsets = found.segments.ends[rows] - true.midpoints[columns][:, None]
+    offsets = found.segments[rows] - lines.midpoints(true)[columns][:, None]
     errors = np.einsum("nde,nke->nkd", rest, offsets)
     across = rest[:, None] @ found.covariance[rows] @ rest[:, None]
     inverse = np.linalg.pinv(across, rcond=1e-6, hermitian=True)
@@ -370,149 +379,4 @@ def true_edges(found, edges, *, near_m=0.1, parallel_deg=2.0):
             "sigma_median_mm": 1000 * np.median(found.sigma[rows]),
             "cover_95": (squares <= chi2.ppf(0.95, 2)).mean(),
         }
-    )
-
-
-def board_edges():
-    """Outlines of real boards: their size, and the lidar's edges against the camera's.
-
-    All camera corners are brought to the lidar's by one rigid motion. Poses whose camera corners
-    coincide are left out.
-
-    Returns
-    -------
-    DataFrame
-        A row for each pose: ``sensor``, ``pose``, ``long_error_mm`` and ``short_error_mm`` of the
-        outline's sides, ``lhd_m``, ``perpendicular_m`` and ``corner_rms_mm`` from the camera.
-    Sets
-        All edges of the lidars (test) and of the camera (model), partners in one row.
-    """
-    camera = _corners("camera")
-    outlines = {key: _outline(*key) for key in camera if _shortest(camera[key]) > 0.1}
-    fixed = np.array([outline.corners for outline in outlines.values()])
-    moving = np.array([camera[key] for key in outlines])
-    rough = _fitted(moving, moving.mean(axis=1), fixed.mean(axis=1))
-    order = np.array([_order(a, b) for a, b in zip(rough, fixed, strict=True)])
-    moving = np.take_along_axis(moving, order[..., None], axis=1)
-    turned = _fitted(moving, moving.reshape(-1, 3), fixed.reshape(-1, 3))
-    seen = np.stack([turned, np.roll(turned, -1, axis=1)], axis=2)
-    rows = []
-    for (key, outline), edges, corners in zip(outlines.items(), seen, turned, strict=True):
-        long, short = 1000 * (outline.size - BOARD_M)
-        found = measured(Sets(outline.segments, lines.Segments(edges)))
-        rms = 1000 * np.sqrt(((outline.corners - corners) ** 2).sum(axis=1).mean())
-        rows.append((*key, long, short, found.value, found.perpendicular_only, rms))
-    names = ["sensor", "pose", "long_error_mm", "short_error_mm", "lhd_m", "perpendicular_m"]
-    ends = np.concatenate([outline.segments.ends for outline in outlines.values()])
-    sets = Sets(lines.Segments(ends), lines.Segments(seen.reshape(-1, 2, 3)))
-    return pd.DataFrame(rows, columns=[*names, "corner_rms_mm"]), sets
-
-
-def _corners(source):
-    """Corners (4, 3) of each (sensor, pose) by one source."""
-    corners = pd.read_csv(samples.real_path(CORNERS)).query("source == @source")
-    groups = corners.sort_values("corner").groupby(["sensor", "pose"])
-    return {key: group[["x_m", "y_m", "z_m"]].to_numpy() for key, group in groups}
-
-
-def _outline(sensor, pose):
-    """The outline of one board cloud."""
-    cloud = io.read_cloud(samples.real_path(f"boards/{sensor}_pose{pose:02d}.laz"))
-    return lines.fit_outline(cloud.points, lines=cloud["ring"])
-
-
-def _shortest(corners):
-    return np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min()
-
-
-def _order(corners, like):
-    """The order of corners, forwards or backwards from any of them, that fits others best."""
-    turns = [np.roll(order, k) for order in (np.arange(4), np.arange(4)[::-1]) for k in range(4)]
-    return min(turns, key=lambda turn: np.linalg.norm(corners[turn] - like))
-
-
-def _fitted(points, moving, fixed):
-    """Points (..., 3) after the rigid motion that takes ``moving`` nearest to ``fixed``."""
-    centres = moving.mean(axis=0), fixed.mean(axis=0)
-    turn, _ = Rotation.align_vectors(fixed - centres[1], moving - centres[0])
-    return (points - centres[0]) @ turn.as_matrix().T + centres[1]
-
-
-check = stated("lhd_weight")
-
-
-def checks(*, by_weight, by_noise, by_displacement, held_out, rows):
-    """Compare what the notebook says with this run.
-
-    Parameters
-    ----------
-    by_weight, by_noise, by_displacement, held_out : Dataset
-        Of :func:`mmqa_lab.bench.run`: methods ``W = ...`` on the comparisons; the same over the
-        noise of directions; matchers over the displacement; published and displaced on fresh seeds.
-    rows : DataFrame
-        Of :func:`replicas`.
-
-    Yields
-    ------
-    mmqa_lab.run.Check
-    """
-    f1, rate = _means(by_weight, "f1"), _means(by_weight, "rate_percent")
-    scenes = by_weight.sizes["seed"]
-    tolerance = 0.03 * np.sqrt(30 / scenes)
-    yield check(
-        "plateau",
-        f1.max() - f1["W = 10"] <= tolerance,
-        f"{f1.max() - f1['W = 10']:.3f} behind {f1.idxmax()}",
-        tolerance=tolerance,
-        scenes=scenes,
-    )
-    yield check(
-        "rate", np.ptp(rate) < 0.5, f"{np.ptp(rate):.2f} points, while F1 moves by {np.ptp(f1):.3f}"
-    )
-    loud = by_noise.sel(angle_noise_deg=by_noise["angle_noise_deg"].max())
-    loudest = _means(loud, "f1")
-    yield check(
-        "noisy_directions",
-        loudest.max() - loudest["W = 10"] > 0.03,
-        f"{loudest.max() - loudest['W = 10']:.3f} behind {loudest.idxmax()}",
-    )
-    far = by_displacement.sel(displacement_m=by_displacement["displacement_m"].max())
-    bias, across = _means(far, "lhd_bias_m"), _means(far, "across_bias_m")
-    yield check(
-        "saturates",
-        bias["all"] < -0.2 and abs(across["displaced"]) < 0.03,
-        f"{bias['all']:+.2f} m and {across['displaced']:+.3f} m",
-    )
-    gain = bench.compare(held_out, "f1", reference="published", better="higher").iloc[0]
-    yield check(
-        "held_out",
-        gain["low"] > 0,
-        f"F1 {gain['difference']:+.3f} ({gain['low']:+.3f} to {gain['high']:+.3f})",
-    )
-    inside = rows["olhd_printed_m"].between(rows["low_m"], rows["high_m"])
-    others = rows["kind"] == "predicted"
-    yield check(
-        "printed_distances",
-        inside[others].all() and inside.mean() >= 12 / 14,
-        f"{inside.sum()} of {len(rows)} within the range of single scenes; of the rows held out "
-        f"{inside[others].sum()} of {others.sum()}",
-    )
-
-
-def _means(results, figure):
-    """Mean of a figure for each method."""
-    return bench.summary(results, figure).set_index("method").iloc[:, 0]
-
-
-def answer(by_weight, held_out, rows):
-    """The study's answer in two sentences."""
-    over, f1 = _means(by_weight, "f1"), _means(held_out, "f1")
-    weights = [name.removeprefix("W = ") for name in over.index]
-    ratio = float(np.exp(np.log(rows["olhd_simulated_m"] / rows["olhd_printed_m"]).abs().mean()))
-    return (
-        "In simulated canyons, whose distances differ from the printed ones by "
-        f"{100 * (ratio - 1):.0f} % on average, F1 is {over.mean():.2f}, varies by "
-        f"{np.ptp(over):.3f} for W from {weights[0]} to {weights[-1]}, and is "
-        f"{f1['displaced']:.2f} once the displacement is estimated first. The distance saturates "
-        "and does not show the displacement."
     )

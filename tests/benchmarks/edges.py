@@ -43,7 +43,7 @@ def main():
                 began = time.process_time()
                 found = lines.extract_edges(points, size=size)
                 used = time.process_time() - began
-                figures, _, _ = score(found.segments.ends, faces, points, noise)
+                figures, _, _ = score(found.segments, faces, points, noise)
                 head = {"scene": kind, "size": size, "seed": seed, "points": len(points), "s": used}
                 rows.append(head | figures)
                 last = pd.DataFrame(rows[-1:]).round(3)
