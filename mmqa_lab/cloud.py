@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import html
-import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_crs, check_points, coordinate_columns, is_table
+from mmqa_lab._checks import check_points, check_same_crs
 
 if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
-__all__ = [
-    "Cloud",
-    "as_cloud",
-]
+__all__ = ["Cloud"]
 __dir__ = __all__.copy
-
-PLOTTED = 50_000
-"""Points that a plot draws; of larger clouds every k-th."""
 
 
 class _MissingColumnError(KeyError, ValueError):
@@ -53,15 +44,13 @@ class Cloud:
     resolution : float
         The step that the coordinates were rounded to when they were stored, m; the coarsest of
         the three axes. NaN where it is not known.
-    crs : pyproj.CRS or what it is made from, optional
-        The coordinate reference system: ``"EPSG:25832"``, well-known text. None where it is not
-        known.
+    crs : pyproj.CRS, optional
+        The coordinate reference system that the file names; None where it is not known.
 
     Raises
     ------
     ValueError
-        If a coordinate is not finite, a column is not as long as the points, or the coordinate
-        reference system is unknown.
+        If a coordinate is not finite or a column is not as long as the points.
 
     Examples
     --------
@@ -91,8 +80,6 @@ class Cloud:
                 )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "columns", columns)
-        if self.crs is not None:
-            object.__setattr__(self, "crs", check_crs(self.crs))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -153,67 +140,6 @@ class Cloud:
         plain = {key: values for key, values in self.columns.items() if values.ndim == 1}
         return frame.assign(**plain)
 
-    def to_xarray(self) -> xr.Dataset:
-        """Return a Dataset over ``point``: ``x_m``, ``y_m``, ``z_m`` and the one-valued columns."""
-        data = self.to_frame().rename_axis("point").to_xarray()
-        for axis in ("x_m", "y_m", "z_m"):
-            data[axis].attrs["units"] = "m"
-        crs = "" if self.crs is None else self.crs.to_wkt()
-        return data.assign_attrs(name=self.name, resolution_m=self.resolution, crs_wkt=crs)
-
-    def plot(self, color: str | None = None, *, axes: Sequence[Axes] | None = None) -> np.ndarray:
-        """Draw the points from above and, below that, from the side.
-
-        Parameters
-        ----------
-        color : str, optional
-            The column that colours the points; heights when not given.
-        axes : two matplotlib Axes, optional
-            Where to draw; a new figure when not given.
-
-        Returns
-        -------
-        array of two matplotlib Axes
-            The greater extent of the two in plan lies across the page. Coordinates count from
-            whole metres that the labels name. Heights are stretched where they are less than a
-            tenth of the length. Of large clouds every k-th point is drawn, 50 000 or fewer.
-        """
-        import matplotlib.pyplot as plt
-
-        if axes is None:
-            axes = plt.subplots(2, 1, layout="constrained")[1]
-        shown = self[:: max(1, -(-len(self) // PLOTTED))]
-        origin = np.floor(shown.points.min(axis=0)) if len(shown) else np.zeros(3)
-        local = shown.points - origin
-        extent = np.ptp(local, axis=0) if len(shown) else np.ones(3)
-        along, across = (1, 0) if extent[1] > extent[0] else (0, 1)
-        values = local[:, 2] if color is None else shown[color]
-        labels = [f"{axis} {-start:+.0f} m (m)" for axis, start in zip("xyz", origin, strict=True)]
-        for ax, upward in zip(axes, (across, 2), strict=True):
-            drawn = ax.scatter(local[:, along], local[:, upward], c=values, s=1, linewidths=0)
-            ax.set(xlabel=labels[along], ylabel=labels[upward])
-            ax.set_aspect("equal" if 10 * extent[upward] > extent[along] else "auto")
-        axes[0].set_title(self.name)
-        axes[0].figure.colorbar(drawn, ax=list(axes), label=color or labels[2])
-        return np.asarray(axes)
-
-    @classmethod
-    def from_frame(cls, frame: pd.DataFrame, *, name: str = "") -> Cloud:
-        """Return the cloud of a table with x, y, z (or easting, northing, height) and columns.
-
-        Examples
-        --------
-        >>> frame = pd.DataFrame({"Easting": [5], "Northing": [6], "Height": [7], "ring": [1]})
-        >>> cloud = Cloud.from_frame(frame)
-        >>> cloud.points.tolist(), list(cloud.columns)
-        ([[5.0, 6.0, 7.0]], ['ring'])
-        """
-        points = check_points(frame, minimum=0)
-        used = coordinate_columns(frame.columns)
-        rest = [column for column in frame.columns if len(used) == 3 and column not in used]
-        columns = {str(column): frame[column].to_numpy() for column in rest}
-        return cls(points, columns, name, crs=getattr(frame, "crs", None))
-
     @classmethod
     def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
         """Return one cloud of several, with the columns that all of them have.
@@ -226,51 +152,28 @@ class Cloud:
         clouds = list(clouds)
         if not clouds:
             return cls(np.empty((0, 3)), name=name)
-        known = [cloud.crs for cloud in clouds if cloud.crs is not None]
-        other = next((crs for crs in known if crs != known[0]), None)
-        if other is not None:
-            raise ValueError(f"Invalid clouds in {known[0].name} and {other.name}. Must be in one.")
+        crs = next((cloud.crs for cloud in clouds if cloud.crs is not None), None)
+        for cloud in clouds:
+            check_same_crs(f"cloud {cloud.name!r}", cloud.crs, "first one", crs)
         shared = [key for key in clouds[0].columns if all(key in cloud for cloud in clouds)]
         columns = {key: np.concatenate([cloud[key] for cloud in clouds]) for key in shared}
         coarsest = float(np.max([cloud.resolution for cloud in clouds]))
         points = np.concatenate([cloud.points for cloud in clouds])
-        return cls(points, columns, name, coarsest, known[0] if known else None)
+        return cls(points, columns, name, coarsest, crs)
 
 
-def as_cloud(points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> Cloud:
-    """Return points of any kind as a cloud, with the columns that came with them.
-
-    Parameters
-    ----------
-    points : Cloud, array_like of shape (n, 3), DataFrame or path
-        A DataFrame has columns x, y, z (or easting, northing, height); a path is of a file that
-        ``io.read_cloud`` reads.
-
-    Returns
-    -------
-    Cloud
-
-    Raises
-    ------
-    ValueError, TypeError, FileNotFoundError
-        If they are no points.
+def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:
+    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
 
     Examples
     --------
-    >>> as_cloud([[1, 2, 3]])
-    <Cloud: 1 points, 0.000 m x 0.000 m x 0.000 m, columns none>
-    >>> as_cloud(pd.DataFrame({"x": [1], "y": [2], "z": [3], "ring": [4]}))["ring"].tolist()
-    [4]
+    >>> path_distance([[1.0, 5.0], [0.0, 12.0]], [[0.0, 0.0], [0.0, 10.0]])
+    array([1., 2.])
     """
-    if isinstance(points, Cloud):
-        return points
-    if isinstance(points, str | os.PathLike):
-        from mmqa_lab.io import read_cloud
+    import shapely
 
-        return read_cloud(points)
-    if is_table(points):
-        return Cloud.from_frame(points)
-    return Cloud(check_points(points, minimum=0))
+    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
+    return shapely.distance(shapely.points(xy), line)
 
 
 class _Cells(NamedTuple):

@@ -1,0 +1,44 @@
+"""Between linear light and the values of image files, which sRGB's curve bends.
+
+References
+----------
+IEC 61966-2-1:1999, section 5.2.
+
+Examples
+--------
+>>> import numpy as np
+>>> encode(np.array([0.0, 0.18, 1.0]), "srgb").round(2).tolist()
+[0.0, 0.46, 1.0]
+"""
+
+import numpy as np
+
+from mmqa_lab._checks import check_choice
+
+GAMMAS = ("srgb", "linear")
+
+KNEE = 0.0031308
+"""Linear light below which the curve is a straight line."""
+
+
+def encode(values, gamma):
+    """Return values 0..1 of linear light as the file's: unchanged, or by sRGB's curve."""
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    values = np.clip(values, 0, 1)
+    curve = 1.055 * np.maximum(values, KNEE) ** (1 / 2.4) - 0.055
+    return np.where(values <= KNEE, 12.92 * values, curve).astype(values.dtype)
+
+
+def decode(values, gamma):
+    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
+
+    Examples
+    --------
+    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
+    True
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    curve = ((np.maximum(values, 12.92 * KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 12.92 * KNEE, values / 12.92, curve).astype(values.dtype)
