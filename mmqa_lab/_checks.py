@@ -110,6 +110,15 @@ def check_same_crs(name, crs, other_name, other):
         )
 
 
+def check_metres(crs, name):
+    """Return a coordinate reference system whose axes are in metres, or None; refuse others."""
+    axes = [] if crs is None else crs.axis_info
+    other = next((axis.unit_name for axis in axes if axis.unit_conversion_factor != 1), None)
+    if other is not None:
+        raise ValueError(f"Invalid {name} in {other} ({crs.name}). Must be projected, in metres.")
+    return crs
+
+
 def check_file(path, name):
     """Return the path of a file that exists.
 

@@ -7,7 +7,6 @@ a 95 % interval that follows from the points themselves, see :meth:`CloudQuality
 from __future__ import annotations
 
 import numbers
-import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -24,18 +23,11 @@ from mmqa_lab._checks import (
     check_choice,
     check_number,
     check_points,
+    check_polygon,
     check_positive,
-    check_same_crs,
-)
-from mmqa_lab._polygons import (
-    CrsNotCompared,
-    check_flatness,
-    polygon_crs,
-    polygon_parts,
-    polygon_vertices,
 )
 from mmqa_lab._results import Shown
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
 from mmqa_lab.spacing import (
     DirectionalSpacing,
@@ -70,6 +62,9 @@ LEAST_COSINE = 0.98
 
 FAR, DENSEST = 10.0, 1e7
 """Farther away than so many times the 90 % quantile, a point is said; points/m2 that none has."""
+
+OFF_PLANE = 0.05
+"""A vertex may lie this share of the vertices' spread off the plane of a polygon."""
 
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
@@ -426,12 +421,12 @@ def evaluate_cloud(
     >>> quality.n, round(quality.d1_mm), round(quality.d4_mm), round(quality.f, 1)
     (200, 20, 40, 2.0)
     """
-    cloud = as_cloud(points)
-    points = check_points(cloud, minimum=3)
+    resolution = getattr(points, "resolution", np.nan)
+    points = check_points(points, minimum=3)
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     remarks = []
     if polygon is not None:
-        polygon, inside, remarks, surface = _selected(points, polygon, thickness, cloud.crs)
+        polygon, inside, remarks, surface = _selected(points, polygon, thickness)
         _check_found(points, polygon, inside)
         points = points[inside]
     if distinct:
@@ -443,7 +438,7 @@ def evaluate_cloud(
     hull = _hull(xy)
     outline = hull if polygon is None else _outline(polygon, framed)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    steps = cloud.resolution, _step(points), np.spacing(np.abs(points).max())
+    steps = resolution, _step(points), np.spacing(np.abs(points).max())
     step_mm = 1000 * np.fmax.reduce(steps)
     remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
     if polygon is not None and abs(plane.normal @ surface.normal) < LEAST_COSINE:
@@ -469,15 +464,14 @@ def evaluate_cloud(
 
 
 def evaluate_clouds(
-    clouds: Mapping[str, Cloud | ArrayLike] | Iterable[Cloud | str | os.PathLike], **choices: Any
+    clouds: Mapping[str, Cloud | ArrayLike] | Iterable[Cloud], **choices: Any
 ) -> pd.DataFrame:
     """Evaluate several clouds in the same way, for one table.
 
     Parameters
     ----------
-    clouds : dict of str to points, or sequence of clouds or paths
-        Whatever :func:`evaluate_cloud` takes, by name; in a sequence clouds have their own names
-        and files that of the file.
+    clouds : dict of str to points, or sequence of clouds
+        Whatever :func:`evaluate_cloud` takes, by name; in a sequence clouds have their own names.
     **choices
         Polygon, axes, radius, sectors and so on of :func:`evaluate_cloud`.
 
@@ -494,13 +488,13 @@ def evaluate_clouds(
 
     Examples
     --------
-    >>> from mmqa_lab import samples
-    >>> files = [samples.path("chart_a_5m"), samples.path("road_patch")]
-    >>> evaluate_clouds(files)[["cloud", "n", "f"]].round(1).to_numpy().tolist()
+    >>> from mmqa_lab import io, samples
+    >>> clouds = [io.read_cloud(samples.path(name)) for name in ("chart_a_5m", "road_patch")]
+    >>> evaluate_clouds(clouds)[["cloud", "n", "f"]].round(1).to_numpy().tolist()
     [['chart_a_5m', 4014, 7.0], ['road_patch', 28185, 2.2]]
     """
     if not isinstance(clouds, Mapping):
-        read = [as_cloud(cloud) for cloud in clouds]
+        read = list(clouds)
         clouds = {cloud.name: cloud for cloud in read}
         if len(clouds) < len(read):
             names = ", ".join(repr(cloud.name) for cloud in read)
@@ -518,12 +512,10 @@ def inside_polygon(
 
     Parameters
     ----------
-    points : Cloud, array_like of shape (n, 3), DataFrame or path
+    points : Cloud or array_like, shape (n, 3)
         Metres.
-    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path
-        Vertices in order, metres, convex or concave. Holes are left out, the parts of a
-        MultiPolygon and the rows of a GeoDataFrame count together. A polygon in plan (without
-        heights) is laid onto the robust regression plane of the points above and below it.
+    polygon : array_like, shape (m, 3)
+        Vertices in order, metres, convex or concave.
     thickness : float
         Largest distance from the polygon's plane to either side, m.
 
@@ -536,13 +528,13 @@ def inside_polygon(
     ValueError
         If the polygon has fewer than three vertices, crosses itself or has no area; if a vertex
         lies off the plane of all by more than 5 % of their spread (the rms distance from their
-        mean); if a polygon in plan lies over a surface steeper than 60 degrees.
+        mean).
 
     Warns
     -----
     UserWarning
-        If the polygon has no heights; if a vertex lies off the plane by more than a quarter of
-        ``thickness``, so that points near it may be missed.
+        If a vertex lies off the plane by more than a quarter of ``thickness``, so that points near
+        it may be missed.
 
     Examples
     --------
@@ -550,9 +542,8 @@ def inside_polygon(
     >>> inside_polygon([[0.5, 0.5, 0.01], [0.5, 0.5, 0.2], [2, 0, 0]], square).tolist()
     [True, False, False]
     """
-    crs = getattr(points, "crs", None)
     points = check_points(points, minimum=0)
-    _, inside, remarks, _ = _selected(points, polygon, thickness, crs)
+    _, inside, remarks, _ = _selected(points, polygon, thickness)
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
     return inside
@@ -590,7 +581,7 @@ def chart_polygon(
     >>> chart_polygon([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], margins=0.25).tolist()[0]
     [0.25, 0.0, 0.25]
     """
-    corners = polygon_vertices(corners, name="corners")
+    corners = check_polygon(corners, name="corners")
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
     given = np.asarray(margins, dtype=np.float64)
@@ -689,27 +680,18 @@ def _step(points):
     return np.nan
 
 
-def _selected(points, polygon, thickness, crs):
-    """The parts of a polygon with heights, the mask of the points in it, remarks, its plane."""
+def _selected(points, polygon, thickness):
+    """The vertices of a polygon, the mask of the points in it, remarks, its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        parts = polygon_parts(polygon)
-    stated = polygon_crs(polygon)
-    check_same_crs("polygon", stated, "cloud", crs)
-    compared = stated is not None and crs is not None
-    remarks = [
-        f"{warning.message}"
-        for warning in said
-        if not (compared and issubclass(warning.category, CrsNotCompared))
-    ]
-    if any(ring.shape[1] == 2 for rings in parts for ring in rings):
-        parts = _draped(parts, points)
-        remarks.append("The polygon has no heights: it is laid onto the plane of the points in it.")
-    vertices = np.concatenate([ring for rings in parts for ring in rings])
+    vertices, remarks = check_polygon(polygon), []
     plane = fit_plane(vertices)
-    check_flatness(vertices, plane)
     off = np.abs(plane.residuals).max()
+    spread = np.sqrt(np.mean(np.sum((vertices - plane.centre) ** 2, axis=1)))
+    if off > OFF_PLANE * spread:
+        raise ValueError(
+            f"Invalid polygon: a vertex is {1000 * off:.0f} mm off the plane of all, "
+            f"{100 * off / spread:.0f} % of their spread. Must be at most {100 * OFF_PLANE:.0f} %."
+        )
     if off > thickness / 4:
         remarks.append(
             f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
@@ -717,16 +699,15 @@ def _selected(points, polygon, thickness, crs):
         )
     near = np.abs(plane.distances(points)) <= thickness
     x, y = plane.project(points[near]).T
-    near[near] = shapely.contains_xy(_outline(parts, plane), x, y)
-    return parts, near, remarks, plane
+    near[near] = shapely.contains_xy(_outline(vertices, plane), x, y)
+    return vertices, near, remarks, plane
 
 
-def _check_found(points, parts, inside):
+def _check_found(points, vertices, inside):
     """Raise where a polygon has fewer than three points; say where the cloud is."""
     if inside.sum() >= 3:
         return
-    centre = parts[0][0].mean(axis=0)  # in plan where the polygon has no heights
-    away = np.linalg.norm(points[:, : len(centre)] - centre, axis=1).min()
+    away = np.linalg.norm(points - vertices.mean(axis=0), axis=1).min()
     low, high = points.min(axis=0), points.max(axis=0)
     extent = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))
     raise ValueError(
@@ -735,36 +716,9 @@ def _check_found(points, parts, inside):
     )
 
 
-def _draped(parts, points):
-    """The parts of a polygon in plan with the heights of the surface that the points lie on."""
-    parts = [[ring[:, :2] for ring in rings] for rings in parts]
-    outline = shapely.union_all([_area(*rings) for rings in parts])
-    inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
-    _check_found(points, parts, inside)
-    plane = fit_plane(points[inside], robust=True)
-    if abs(plane.normal[2]) < STEEPEST:
-        raise ValueError(
-            "Invalid polygon without heights over a surface steeper than 60 degrees. "
-            "Must have heights there."
-        )
-    slopes = -plane.normal[:2] / plane.normal[2]
-
-    def lifted(ring):
-        """A ring with heights of the plane."""
-        return np.column_stack([ring, plane.centre[2] + (ring - plane.centre[:2]) @ slopes])
-
-    return [[lifted(ring) for ring in rings] for rings in parts]
-
-
-def _outline(parts, plane):
-    """The area of a polygon's parts in a plane, without their holes."""
-    flat = [_area(*(plane.project(ring) for ring in rings)) for rings in parts]
-    return flat[0] if len(flat) == 1 else shapely.union_all(flat)
-
-
-def _area(xy, *holes):
-    """A valid polygon in the plane."""
-    polygon = shapely.Polygon(xy, holes)
+def _outline(vertices, plane):
+    """The area of a polygon in a plane."""
+    polygon = shapely.Polygon(plane.project(vertices))
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")

@@ -23,6 +23,7 @@ from mmqa_lab._checks import (
     check_choice,
     check_columns,
     check_file,
+    check_metres,
     check_points,
     check_polygon,
     check_positive,
@@ -318,16 +319,7 @@ def _las_crs(path, header):
     except Exception:
         warnings.warn(f"{path} names a coordinate system that is not known.", stacklevel=2)
         return None
-    return _in_metres(crs, "cloud")
-
-
-def _in_metres(crs, name):
-    """A coordinate reference system whose axes are in metres, or None; others are refused."""
-    axes = [] if crs is None else crs.axis_info
-    other = next((axis.unit_name for axis in axes if axis.unit_conversion_factor != 1), None)
-    if other is not None:
-        raise ValueError(f"Invalid {name} in {other} ({crs.name}). Must be projected, in metres.")
-    return crs
+    return check_metres(crs, "cloud")
 
 
 def _ply_cloud(path):
@@ -588,7 +580,7 @@ def _polygon_of_geojson(path, crs):
     if stated is not None:
         import pyproj
 
-        check_same_crs("polygon", _in_metres(pyproj.CRS(stated), "polygon"), "cloud", crs)
+        check_same_crs("polygon", check_metres(pyproj.CRS(stated), "polygon"), "cloud", crs)
     return vertices
 
 
@@ -790,4 +782,4 @@ def _heights_of_raster(path):
         crs = None if raster.crs is None else pyproj.CRS(raster.crs.to_wkt())
         rows, columns = np.nonzero(np.isfinite(heights))
         x, y = rasterio.transform.xy(raster.transform, rows, columns)
-    return np.column_stack([x, y, heights[rows, columns]]), _in_metres(crs, "reference")
+    return np.column_stack([x, y, heights[rows, columns]]), check_metres(crs, "reference")

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab._polygons import polygon_vertices
+from mmqa_lab._checks import check_count, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
@@ -80,7 +79,7 @@ def operator_polygons(
     """
     import shapely
 
-    corners = polygon_vertices(corners, name="corners")
+    corners = check_polygon(corners, name="corners")
     repeats = check_count(repeats, "repeats")
     click = check_number(click, "click", low=0, unit="m")
     if len(corners) != 4 or check_count(vertices, "vertices", low=4) % 4:

@@ -26,15 +26,13 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import (
-    WEEK_S,
     check_choice,
     check_number,
     check_plan,
     check_points,
     check_positive,
 )
-from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab.cloud import Cloud, path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
@@ -273,7 +271,7 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     order = np.argsort(time, kind="stable")
     number = np.empty(len(time), dtype=int)
     number[order] = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap)
-    if time.min() >= 0 and time.max() <= WEEK_S <= np.ptp(time) + gap:
+    if time.min() >= 0 and time.max() <= 604_800.0 <= np.ptp(time) + gap:
         number = np.where(number, number, number.max()) - min(number.max(), 1)
     return number
 
@@ -341,7 +339,7 @@ def plan_differences(
     """
     from scipy.spatial import cKDTree
 
-    cloud = as_cloud(points)
+    cloud = points if isinstance(points, Cloud) else Cloud(points)
     check_positive(search, "search", unit="m")
     slices = slices or SLICES
     origin = cloud.points[:, :2].mean(axis=0).round()

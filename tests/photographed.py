@@ -10,7 +10,7 @@ from mmqa_lab import io, samples
 from mmqa_lab.chart_image import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern
 from mmqa_lab.charts import LinePairs
-from mmqa_lab.io.images import decode
+from mmqa_lab.srgb import decode
 
 PERIOD_PX = 8.83
 """Of the 44 real line pairs, as published with them."""
@@ -30,14 +30,14 @@ def real_edges():
     """Names, grey values and published MTF50 of the real edges."""
     for name, (part, published) in EDGES.items():
         path = samples.real_path(f"images/{name.split(',')[0]}")
-        yield name, io.read_grey(path)[part] / 255, published
+        yield name, io.read_image(path)[part] / 255, published
 
 
 class RealPairs:
     """The photograph of 44 line pairs and where its bars are."""
 
     def __init__(self):
-        grey = io.read_grey(samples.real_path("images/line_pairs_44.png"))
+        grey = io.read_image(samples.real_path("images/line_pairs_44.png"))
         self.image = decode(grey / 255.0, "srgb")
         # the black rectangle and the paper above the pairs
         self.black, self.white = np.median(self.image[250:400, 180:310]), 0.0

@@ -53,13 +53,13 @@ def test_grey_values_keep_their_type_and_colour_becomes_light(tmp_path, bits):
     image = np.random.default_rng(0).integers(0, 2**bits, (40, 50)).astype(kind)
     for ending in (".png", ".tif"):
         cv2.imwrite(str(tmp_path / f"a{ending}"), image)
-        grey = io.read_grey(tmp_path / f"a{ending}")
+        grey = io.read_image(tmp_path / f"a{ending}")
         assert grey.dtype == kind
         assert (grey == image).all()
     colour = np.zeros((9, 9, 3), dtype=np.uint8)
     colour[:, :, 1] = 200  # green
     cv2.imwrite(str(tmp_path / "c.png"), colour)
-    assert io.read_grey(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
+    assert io.read_image(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
 
 
 def test_windows_are_the_same_pixels_at_the_same_places(panorama):
@@ -67,8 +67,8 @@ def test_windows_are_the_same_pixels_at_the_same_places(panorama):
     corners = view.pixels(CHART.corners())
     quality = chart_image.evaluate_file(file, CHART, camera="panorama", corners=corners)
     (column, row), (rows, columns) = quality.origin, quality.image.shape
-    expected = io.read_grey(file)[row : row + rows, column : column + columns] / 255
-    assert quality.image == pytest.approx(io.images.decode(expected, "srgb"), abs=1e-6)
+    expected = io.read_image(file)[row : row + rows, column : column + columns] / 255
+    assert quality.image == pytest.approx(srgb.decode(expected, "srgb"), abs=1e-6)
     # the whole outline is inside: in a panorama straight edges bulge
     side = quality.chart_map.pixels([[x, y] for x in (0, 1000) for y in range(0, 1001, 50)])
     assert (side > 10).all()
@@ -96,9 +96,9 @@ def test_damaged_files_get_a_sentence(tmp_path, capfd):
     files, _ = damaged(tmp_path)
     for file in files:
         with pytest.raises(ValueError, match=r"Invalid image .*\. Must be|cut short\. Must be"):
-            io.read_grey(file)
+            io.read_image(file)
     with pytest.raises(FileNotFoundError, match="no such file"):
-        io.read_grey(tmp_path / "none.jpg")
+        io.read_image(tmp_path / "none.jpg")
     assert capfd.readouterr().err == ""  # the decoders say nothing of their own
 
 
@@ -106,14 +106,14 @@ def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
     _, good = damaged(tmp_path)
     noted = tmp_path / "noted.jpg"
     noted.write_bytes(good[".jpg"] + b"\x00" * 300_000)
-    assert io.read_grey(noted).shape == (60, 60)
+    assert io.read_image(noted).shape == (60, 60)
     # a whole small JPEG in a segment of its own does not stand for the end of the large one
     preview = b"\xff\xe5" + (len(good[".jpg"]) + 2).to_bytes(2, "big") + good[".jpg"]
     noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:])
-    assert io.read_grey(noted).shape == (60, 60)
+    assert io.read_image(noted).shape == (60, 60)
     noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:-400])
     with pytest.raises(ValueError, match="cut short"):
-        io.read_grey(noted)
+        io.read_image(noted)
 
 
 def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
@@ -121,7 +121,7 @@ def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
     corners = view.within(3000, 0).pixels(CHART.corners())
     with pytest.raises(ValueError, match="Must lie within 4000 x 2000 pixels"):
         chart_image.evaluate_file(file, CHART, corners=corners)
-    cv2.imwrite(str(tmp_path / "part.png"), io.read_grey(file)[:-1])
+    cv2.imwrite(str(tmp_path / "part.png"), io.read_image(file)[:-1])
     with pytest.raises(ValueError, match="Must be 2 : 1"):
         chart_image.evaluate_file(tmp_path / "part.png", CHART, camera="panorama")
 
@@ -145,7 +145,7 @@ def photographs():
 
 @pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
 def test_photographs_without_a_chart_get_a_sentence(file):
-    grey = io.read_grey(file)
+    grey = io.read_image(file)
     rows, columns = grey.shape
     box = [[0, rows - 1], [columns - 1, rows - 1], [columns - 1, 0], [0, 0]]
     with pytest.raises(ValueError, match="coded targets"):
@@ -156,7 +156,7 @@ def test_photographs_without_a_chart_get_a_sentence(file):
 
 @pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
 def test_parts_of_photographs_are_an_edge_with_uncertainty_or_a_sentence(file):
-    grey = io.read_grey(file) / 255.0
+    grey = io.read_image(file) / 255.0
     rng = np.random.default_rng(0)
     for _ in range(4):
         row, column = (int(rng.integers(0, max(side - 40, 1))) for side in grey.shape)

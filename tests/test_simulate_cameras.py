@@ -7,7 +7,7 @@ from scipy.special import j1
 
 from mmqa_lab import charts
 from mmqa_lab.charts import Bar, Layout, LinePairs
-from mmqa_lab.io.images import decode
+from mmqa_lab.srgb import decode
 from mmqa_lab.simulate.cameras import (
     ChartMap,
     FrameCamera,

@@ -10,7 +10,7 @@
     quality.to_frame(), quality.pairs
 
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
-files, :func:`mmqa_lab.io.read_grey` their grey values. What stands in for a jury is in
+files, :func:`mmqa_lab.io.read_image` their grey values. What stands in for a jury is in
 :mod:`mmqa_lab.chart_image.legibility`.
 
 Only the chart's window is evaluated, so that panoramas of 250 megapixels cost little more than
@@ -42,7 +42,8 @@ from mmqa_lab.chart_image.rules import (
     text_crops,
 )
 from mmqa_lab.charts import Layout
-from mmqa_lab.io.images import GAMMAS, decode, read_grey
+from mmqa_lab.io import read_image
+from mmqa_lab.srgb import GAMMAS, decode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -298,7 +299,7 @@ def evaluate_file(
     >>> quality.to_frame()["pixel_h_mm"].round(2).tolist()
     [4.0]
     """
-    grey = read_grey(path)
+    grey = read_image(path)
     check_choice(gamma, "gamma", GAMMAS)
     bends = None
     if check_choice(camera, "camera", CAMERAS) == "panorama":

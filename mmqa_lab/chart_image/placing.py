@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmqa_lab._checks import check_image
 from mmqa_lab.chart_image.geometry import (
     ChartMap,
     PanoramaCamera,
     four_corners,
 )
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
-from mmqa_lab.io.images import check_image
 
 ENLARGEMENTS = (1, 2, 4)
 """Small targets are looked for in the image enlarged so many times."""

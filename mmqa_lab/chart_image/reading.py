@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._checks import check_image
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
-from mmqa_lab.io.images import check_image
 from mmqa_lab.mtf.edges import spread_edge
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)

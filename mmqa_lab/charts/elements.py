@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.io.images import encode
+from mmqa_lab.srgb import encode
 
 if TYPE_CHECKING:
     from matplotlib.path import Path

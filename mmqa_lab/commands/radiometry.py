@@ -8,10 +8,10 @@ from mmqa_lab.commands._output import print_rows, with_progress
 np = Lazy("numpy")
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
-image_files = Lazy("mmqa_lab.io.images")
+image_files = Lazy("mmqa_lab.io")
 mtf = Lazy("mmqa_lab.mtf")
 stats = Lazy("scipy.stats")
-tables = Lazy("mmqa_lab.io.tables")
+tables = Lazy("mmqa_lab.io")
 radiometry = Lazy("mmqa_lab.radiometry")
 
 REGION = ("x_px", "y_px", "width_px", "height_px")

@@ -8,7 +8,7 @@ from mmqa_lab.commands._output import print_rows
 
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
-tables = Lazy("mmqa_lab.io.tables")
+tables = Lazy("mmqa_lab.io")
 tender = Lazy("mmqa_lab.tender")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import directions, lengths
-from mmqa_lab.planes import detect_planes, fit_plane
+from mmqa_lab.planes import detect_planes
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours, usual_size
 
 LEAST_BIN = 0.25

@@ -34,7 +34,6 @@ from mmqa_lab.lines.segments import (
     correspond,
     distance_matrix,
     lengths,
-    midpoints,
     pairing_scores,
     peak_threshold,
 )

@@ -22,8 +22,8 @@ import pandas as pd
 from scipy.ndimage import binary_fill_holes
 
 from mmqa_lab import plots
-from mmqa_lab._checks import check_choice, check_crs, check_number, check_points, check_positive
-from mmqa_lab.cloud import Cloud, as_cloud
+from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_atomically
 from mmqa_lab.maps.campaign import Grid, Outcome, corner, map_campaign, read_array, tile_name
 from mmqa_lab.maps.tile import FIGURES, LAYERS, METRICS, evaluate_tile, variables
@@ -171,7 +171,7 @@ def map_cloud(
     >>> dict(found.sizes), float(found["d4"].median().round(6))
     ({'layer': 3, 'y': 4, 'x': 2}, 40.0)
     """
-    cloud = as_cloud(cloud)
+    cloud = cloud if isinstance(cloud, Cloud) else Cloud(cloud)
     points = check_points(cloud)
     check_positive(cell, "cell", unit="m")
     grid = Grid(cell, 1, corner(points.min(axis=0), cell))
@@ -368,9 +368,10 @@ def _dataset(arrays, record, crs, rho0):
         dataset = _with_exemption(dataset, check_positive(rho0, "rho0", unit="points per m2"))
     if not crs:
         return dataset
+    import pyproj
     import rioxarray  # noqa: F401 - it adds the accessor
 
-    known = check_crs(crs)
+    known = pyproj.CRS(crs)
     known = known.sub_crs_list[0] if known.is_compound else known
     return dataset.rio.write_crs(known.to_wkt())
 

@@ -26,9 +26,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_count, check_metres, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.io import LAS_ENDINGS, write_atomically
-from mmqa_lab.io.clouds import iterate_cloud
-from mmqa_lab.io.tables import first_sentence
+from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.maps.tile import METRICS, evaluate_tile, reach
 
 PIECE = 50_000
@@ -447,7 +445,7 @@ def read_source(path):
             header = reader.header
             crs = header.parse_crs()
     except Exception as error:
-        reason = first_sentence(error)
+        reason = str(error).rstrip(". ")
         raise ValueError(f"Invalid cloud {path}: {reason}. Must have a header.") from error
     check_metres(crs, f"cloud {path}")
     state = os.stat(path)

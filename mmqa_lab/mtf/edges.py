@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit, j1, ndtr
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab._checks import check_choice, check_image
 from mmqa_lab._results import Shown
-from mmqa_lab.io.images import check_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

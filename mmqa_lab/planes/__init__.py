@@ -17,8 +17,6 @@ from mmqa_lab._checks import (
     check_number,
     check_points,
     check_positive,
-    coordinate_columns,
-    is_table,
 )
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
@@ -212,15 +210,12 @@ def flat_points(
 
 def _array(points):
     """Points of any kind as an array of any number of axes."""
-    named = is_table(points) or isinstance(points, str | os.PathLike)
-    return np.asarray(check_points(points, minimum=0) if named else points, dtype=np.float64)
+    return np.asarray(points, dtype=np.float64)
 
 
 def _in_space(points):
     """Whether points have three coordinates rather than two."""
-    if is_table(points):
-        return len(coordinate_columns(points.columns)) == 3
-    return isinstance(points, str | os.PathLike) or np.shape(points)[1:] == (3,)
+    return np.shape(points)[1:] == (3,)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_plan, check_positive
-from mmqa_lab._polygons import path_distance
-from mmqa_lab.cloud import Cloud, as_cloud, sort_into_cells
+from mmqa_lab.cloud import Cloud, path_distance, sort_into_cells
 from mmqa_lab.poles.delivery import write_poles
 from mmqa_lab.poles.scores import Score, curve, match, score
 
@@ -121,7 +120,7 @@ def detect(
         check_choice(method, "method with a model", ("ours",))
     from mmqa_lab.poles.on_lines import scan_lines
 
-    cloud = as_cloud(points)
+    cloud = points if isinstance(points, Cloud) else Cloud(points)
     inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
     lines = scan_lines(cloud)
     if method == "fgi" and lines is None:

@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_crs, check_metres
-from mmqa_lab.io import write_atomically
-from mmqa_lab.io.tables import read_table
+from mmqa_lab._checks import check_choice, check_metres
+from mmqa_lab.io import read_table, write_atomically
 from mmqa_lab.poles.common import beside, near_axis, rows
 from mmqa_lab.poles.scores import match
 
@@ -82,9 +81,10 @@ def write_poles(path: str | os.PathLike, table: pd.DataFrame, *, crs: object = N
     ...     json.loads(Path(f"{folder}/poles.geojson").read_text())["features"][0]["geometry"]
     {'type': 'Point', 'coordinates': [2.0, 3.0, 0.5]}
     """
+    import pyproj
+
     path = check_ending(path)
-    crs = None if crs is None else check_crs(crs)
-    check_metres(crs, "poles")
+    crs = check_metres(None if crs is None else pyproj.CRS(crs), "poles")
     write_atomically(path, lambda temporary: WRITERS[path.suffix](temporary, table, crs))
 
 

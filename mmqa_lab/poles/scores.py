@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
-from mmqa_lab._polygons import path_distance
+from mmqa_lab.cloud import path_distance
 from mmqa_lab.poles.common import joined
 from mmqa_lab.stats import Rate, wilson
 

@@ -20,7 +20,7 @@ import numpy as np
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
 from mmqa_lab.charts import reflectance
-from mmqa_lab.io.images import GAMMAS, encode
+from mmqa_lab.srgb import GAMMAS, encode
 
 __all__ = [
     "ChartMap",

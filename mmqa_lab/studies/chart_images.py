@@ -20,9 +20,9 @@ from mmqa_lab.chart_image.reading import (
     find_tones,
 )
 from mmqa_lab.charts import Bar, Layout, LinePairs
-from mmqa_lab.io.images import decode
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
+from mmqa_lab.srgb import decode
 from mmqa_lab.studies import NOTES, SMALL, stated
 
 QUICK, TOLD = SMALL["chart_images"], NOTES["chart_images"]

@@ -174,7 +174,7 @@ def draw_errors(results):
 def real_patch(photograph, seed=0):
     """An edge of a real photograph, and its MTF50 by other tools."""
     name, part, other = REAL_EDGES[photograph]
-    return io.read_grey(samples.real_path(name))[part] / 255, {"mtf50": other}
+    return io.read_image(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
 def noisy(image, noise, rng):

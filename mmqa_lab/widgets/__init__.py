@@ -21,7 +21,7 @@ from mmqa_lab._checks import check_choice
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.io import write_atomically
-from mmqa_lab.io.images import encode
+from mmqa_lab.srgb import encode
 from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.selection import pick_plane, select_polygon
 

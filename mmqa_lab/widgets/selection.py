@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from mmqa_lab import plots
-from mmqa_lab._checks import check_points
-from mmqa_lab._polygons import polygon_vertices
+from mmqa_lab._checks import check_points, check_polygon
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.io import write_polygon
 from mmqa_lab.planes import fit_plane
@@ -104,7 +103,7 @@ def select_polygon(
     ' f 2.00'
     """
     points = check_points(cloud, minimum=3)
-    polygon = None if polygon is None else polygon_vertices(polygon)
+    polygon = None if polygon is None else check_polygon(polygon)
     if not is_headless():
         return SelectionTool(points, polygon=polygon, **choices)
     view = _View(points)
@@ -157,7 +156,7 @@ class SelectionTool:
         self.choices = choices
         self.view = _View(self.points)
         middle = self.view.middle_polygon(self.points)
-        self.vertices = middle if polygon is None else polygon_vertices(polygon)
+        self.vertices = middle if polygon is None else check_polygon(polygon)
         self.quality = None
         self.text = ipywidgets.HTML()
         figure = Figure(figsize=SIZE_INCHES, dpi=100)

@@ -85,7 +85,7 @@ def photographs(step, seeds=(0, 1), folder=None):
 def _shot(condition, pixel_mm, seed):
     """A photograph of the chart in one of the 37 conditions."""
     there = samples.has_real("images")
-    background = io.read_grey(samples.real_path("images/panorama.jpg")) if there else None
+    background = io.read_image(samples.real_path("images/panorama.jpg")) if there else None
     scene = camera.CONDITIONS[condition]
     layout = charts.imaging_chart()
     return camera.shoot(layout, pixel_mm, seed=seed, background=background, **scene)
