@@ -2,7 +2,6 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pyproj
 import pytest
 import shapely
 from hypothesis import given, settings
@@ -12,11 +11,10 @@ from scipy import stats
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
-    evaluate_clouds,
     inside_polygon,
 )
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import read_cloud, write_cloud
+from mmqa_lab.io import read_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
 from mmqa_lab.simulate.point_patterns import point_pattern
 
@@ -247,15 +245,6 @@ def test_exemption_needs_a_density_that_is_asked_for(rng):
     assert evaluate_cloud(points, rho0=3000).to_frame()["f_exempt"].item() is True
 
 
-def test_a_shapely_polygon_selects_as_its_vertices_do(rng):
-    import shapely
-
-    points = rng.uniform(0, 1, (500, 3)) * [1, 1, 0.01]
-    square = [[0.2, 0.2, 0], [0.8, 0.2, 0], [0.8, 0.8, 0], [0.2, 0.8, 0]]
-    found = evaluate_cloud(points, polygon=shapely.Polygon(square))
-    assert found.n == evaluate_cloud(points, polygon=square).n
-
-
 @pytest.mark.parametrize(
     ("choices", "sentence"),
     [
@@ -316,38 +305,6 @@ def in_box(points, low, high):
     return ((xy > low) & (xy < high)).all(axis=1)
 
 
-def test_holes_subtract_and_parts_add(slope):
-    outer, inner = in_box(slope, 0.2, 2.8), in_box(slope, 1.0, 2.0)
-    holed = shapely.Polygon(tilted(RING), [tilted(HOLE)])
-    islands = shapely.MultiPolygon([holed, shapely.Polygon(tilted((HOLE - 1.5) * 0.6 + 1.5))])
-    island = in_box(slope, 1.2, 1.8)
-    for shape, expected in (
-        (tilted(RING), outer),
-        (shapely.Polygon(tilted(RING)), outer),
-        (holed, outer & ~inner),
-        (islands, outer & ~inner | island),
-        (Rows(holed), outer & ~inner),
-        (Rows(holed, shapely.Polygon(tilted(HOLE))), outer),
-    ):
-        assert np.array_equal(inside_polygon(slope, shape), expected)
-    quality = evaluate_cloud(slope, polygon=holed)
-    steeper = np.sqrt(1 + SLOPE @ SLOPE)
-    assert quality.n == (outer & ~inner).sum()
-    assert quality.area_polygon_m2 == pytest.approx((2.6**2 - 1) * steeper)
-
-
-def test_a_polygon_in_plan_is_laid_onto_the_surface(slope):
-    strays = slope[::40] + [0, 0, 1.5]
-    points = np.concatenate([slope, strays])
-    flat = shapely.Polygon(RING + [4e5, 5e6], [HOLE + [4e5, 5e6]])
-    upright = shapely.Polygon(tilted(RING), [tilted(HOLE)])
-    assert np.array_equal(inside_polygon(points, flat), inside_polygon(points, upright))
-    assert not inside_polygon(points, flat)[len(slope) :].any()
-    wall = np.roll(slope - slope.mean(axis=0), 1, axis=1)
-    with pytest.raises(ValueError, match="without heights over a surface steeper than 60 degrees"):
-        inside_polygon(wall, shapely.box(-1, -1, 1, 1))
-
-
 def test_a_vertex_off_the_plane_is_said_or_refused(slope):
     off = tilted(RING)
     off[0, 2] += 0.15
@@ -356,16 +313,6 @@ def test_a_vertex_off_the_plane_is_said_or_refused(slope):
     off[0, 2] += 0.6
     with pytest.raises(ValueError, match=r"of their spread\. Must be at most 5 %\."):
         inside_polygon(slope, off)
-
-
-def test_polygons_in_degrees_are_refused(slope):
-    degrees = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:4326"))
-    with pytest.raises(ValueError, match=r"Must be projected, in metres\."):
-        inside_polygon(slope, degrees)
-    metres = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:25832"))
-    assert inside_polygon(slope, metres).any()
-    with pytest.raises(ValueError, match=r"without an area\. Must be a polygon\."):
-        inside_polygon(slope, shapely.Point(0, 0, 0))
 
 
 def test_coarse_coordinates_and_coincident_points_are_remarked_on():
@@ -390,26 +337,6 @@ def test_a_polygon_without_points_says_where_the_cloud_is(slope):
         evaluate_cloud(slope, polygon=tilted(RING) + [1000, 0, 0])
 
 
-def test_clouds_and_polygons_are_in_metres_and_in_one_system(slope):
-    with pytest.raises(ValueError, match=r"in degrees \(WGS 84\)\. Must be projected, in metres"):
-        evaluate_cloud(Cloud(slope, crs="EPSG:4326"))
-    with pytest.raises(ValueError, match="in US survey foot"):
-        evaluate_cloud(Cloud(slope, crs="EPSG:2263"))
-    polygon = Rows(shapely.Polygon(tilted(RING)), crs=pyproj.CRS("EPSG:25832"))
-    with pytest.raises(ValueError, match="Must be in that of the cloud, ETRS89 / UTM zone 33N"):
-        evaluate_cloud(Cloud(slope, crs="EPSG:25833"), polygon=polygon)
-    assert evaluate_cloud(Cloud(slope, crs="EPSG:25832"), polygon=polygon).n > 0
-
-
-def test_what_is_special_about_a_polygon_is_said(slope):
-    off = tilted(RING)
-    off[0, 2] += 0.15
-    assert "36 mm off the plane" in evaluate_cloud(slope, polygon=off).remarks[0]
-    holed = shapely.Polygon(RING + [4e5, 5e6], [HOLE + [4e5, 5e6]])
-    said = evaluate_cloud(slope, polygon=holed).remarks
-    assert "no heights: it is laid onto the plane" in said[0]
-
-
 def test_the_plot_and_the_dataset_say_the_same_figures(rng):
     quality = evaluate_cloud(scan_lines(rng))
     figure = quality.plot()
@@ -422,16 +349,3 @@ def test_the_plot_and_the_dataset_say_the_same_figures(rng):
     assert float(data["residual_mm"].std()) == pytest.approx(quality.std_mm, rel=1e-3)
     assert data.attrs["f"] == quality.f
     assert data["x_m"].to_numpy() == pytest.approx(quality.xy[:, 0])
-
-
-def test_several_clouds_in_one_table(rng, tmp_path):
-    points = scan_lines(rng)
-    write_cloud(tmp_path / "a.laz", points)
-    named = Cloud(points[::2], name="thinned")
-    table = evaluate_clouds([tmp_path / "a.laz", named], sectors=8)
-    assert table["cloud"].tolist() == ["a", "thinned"]
-    assert table["n"].tolist() == [len(points), len(named)]
-    by_name = evaluate_clouds({"b": points, "c": named}, sectors=8)
-    assert by_name["d8_mm"][1] == table["d8_mm"][1]
-    with pytest.raises(ValueError, match="Invalid names of clouds: 'thinned', 'thinned'"):
-        evaluate_clouds([named, named])
