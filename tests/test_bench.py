@@ -1,17 +1,19 @@
-"""The bench against loops, ranks and intervals made here, and against interruption."""
+"""The bench against loops, ranks and intervals made here."""
 
 import itertools
 import json
 import math
+import os
 import pickle
 import warnings
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from distributed import Client, LocalCluster
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
@@ -119,7 +121,6 @@ def test_parameters_that_are_no_numbers_become_texts():
         ({"score": 3}, TypeError, "Invalid score of type int"),
         ({"seeds": ()}, ValueError, "Invalid seeds"),
         ({"seeds": (1, 1)}, ValueError, "Invalid seeds"),
-        ({"workers": 0}, ValueError, "Invalid workers 0"),
     ],
 )
 def test_what_cannot_be_run_is_refused(change, error, sentence):
@@ -261,144 +262,38 @@ def test_no_failures_no_rows(results):
     assert bench.failures(results).empty
 
 
-# Interruption
-
-
-class Counted:
-    """A method that counts its calls and is interrupted at one of them."""
-
-    def __init__(self, stop=None):
-        self.calls, self.stop = [], stop
-
-    def method(self, name, function):
-        def counted(x):
-            if len(self.calls) == self.stop:
-                raise KeyboardInterrupt
-            self.calls.append(name)
-            return function(x)
-
-        return counted
-
-
-@pytest.mark.parametrize("stop", [0, 1, 4, 7])
-def test_an_interrupted_run_goes_on_where_it_stopped(stop, tmp_path):
-    def run(counted):
-        methods = {name: counted.method(name, method) for name, method in METHODS.items()}
-        return bench.run(CASES[:4], methods, make=noisy, folder=tmp_path)
-
-    first, second, third = Counted(stop), Counted(), Counted()
-    with pytest.raises(KeyboardInterrupt):
-        run(first)
-    whole = run(second)
-    assert len(first.calls) == stop
-    assert len(second.calls) == 8 - stop
-    assert run(third).identical(whole)
-    assert third.calls == []
-    assert whole.identical(bench.run(CASES[:4], METHODS, make=noisy))
-
-
-def test_a_new_method_computes_its_own_cells_alone(tmp_path):
-    counted = Counted()
-    methods = {"std": counted.method("std", np.std)}
-    bench.run(CASES, methods, make=noisy, folder=tmp_path)
-    methods["mad"] = counted.method("mad", mad)
-    more = bench.run(CASES, methods, make=noisy, folder=tmp_path, seeds=(0, 1))
-    assert counted.calls[:6] == 6 * ["std"]
-    assert sorted(counted.calls[6:]) == 12 * ["mad"] + 6 * ["std"]
-    assert more.identical(bench.run(CASES, METHODS, make=noisy, seeds=(0, 1)))
-
-
-def test_make_is_not_called_for_what_is_kept(tmp_path):
-    made = []
-
-    def make(n, seed):
-        made.append(n)
-        return n, n
-
-    for _ in range(2):
-        found = bench.run(bench.grid(n=(1, 2)), {"a": abs}, make=make, folder=tmp_path)
-    assert made == [1, 2]
-    assert found["truth"].values.ravel().tolist() == [1, 2]
-
-
-def scaled(x, by=2.0):
-    return by * float(np.sum(x))
-
-
-@pytest.mark.parametrize(
-    "after",
-    [
-        lambda x: 3.0 * float(np.sum(x)),
-        lambda x, by=3.0: by * float(np.sum(x)),
-        partial(scaled, by=3.0),
-        (lambda by: lambda x: by * float(np.sum(x)))(3.0),
-        lambda x: sum([3.0 * float(np.sum(y)) for y in [x]]),
-    ],
-)
-def test_a_changed_method_is_computed_anew(after, tmp_path):
-    before = (lambda by: lambda x: by * float(np.sum(x)))(2.0)
-    for method, factor in ((before, 2), (after, 3), (before, 2)):
-        found = bench.run([{"n": 5}], {"m": method}, make=lambda n, seed: n, folder=tmp_path)
-        assert found["value"].item() == factor * 5
-
-
-def test_a_changed_helper_is_noticed(tmp_path):
-    place = {"__name__": "elsewhere"}
-    exec("def helper(x): return 2 * x\ndef method(x): return [helper(y) for y in [x]][0]", place)
-
-    def value():
-        methods = {"m": place["method"]}
-        run = bench.run([{"n": 5}], methods, make=lambda n, seed: n, folder=tmp_path)
-        return run["value"].item()
-
-    assert value() == 10
-    exec("def helper(x): return 3 * x", place)
-    assert value() == 15
-
-
-def test_failures_of_the_method_are_kept_those_of_the_machine_are_not(tmp_path):
-    for error, times in ((ValueError, 1), (OSError, 2), (MemoryError, 2), (ImportError, 2)):
-        calls = []
-
-        def method(n, error=error, calls=calls):
-            calls.append(n)
-            raise error("no")
-
-        for _ in range(2):
-            found = quietly([{"n": 5}], {"m": method}, make=lambda n, seed: n, folder=tmp_path)
-            assert bench.failures(found)["reason"].item() == f"{error.__name__}: no"
-        assert len(calls) == times
-
-
-def test_a_damaged_file_is_computed_anew(tmp_path):
-    first = bench.run(CASES, METHODS, make=noisy, folder=tmp_path)
-    for path in list(tmp_path.iterdir())[::2]:
-        path.write_text(path.read_text()[:9])
-    assert bench.run(CASES, METHODS, make=noisy, folder=tmp_path).identical(first)
-
-
-def test_a_case_that_changes_with_every_run_is_refused_for_a_folder(tmp_path):
-    cases = [{"n": object()}]
-    bench.run(cases, {"m": lambda n: 1}, make=lambda n, seed: 1)
-    with pytest.raises(ValueError, match="Must be plain values"):
-        bench.run(cases, {"m": lambda n: 1}, make=lambda n, seed: 1, folder=tmp_path)
-
-
 # Processes
 
 
-def test_processes_give_the_same_bits_as_one():
-    from distributed import Client, LocalCluster
-
+def test_executors_give_the_same_bits_as_one_process():
     def product(x):
         return {"sum": float((np.outer(x, x) @ np.outer(x, x)).sum()), "std": x.std()}
 
     methods = {"product": product, "local": lambda x: np.exp(x).mean(), "raises": raises}
     here = quietly(CASES, methods, make=noisy, seeds=(0, 1))
-    assert quietly(CASES, methods, make=noisy, seeds=(0, 1), workers=2).identical(here)
+    with ProcessPoolExecutor(2) as pool:
+        assert quietly(CASES, methods, make=noisy, seeds=(0, 1), executor=pool).identical(here)
     options = {"threads_per_worker": 2, "dashboard_address": ":0", "memory_limit": 0}
     with LocalCluster(n_workers=1, **options) as cluster, Client(cluster) as client:
-        assert quietly(CASES, methods, make=noisy, seeds=(0, 1), client=client).identical(here)
+        pool = client.get_executor()
+        assert quietly(CASES, methods, make=noisy, seeds=(0, 1), executor=pool).identical(here)
+
+
+def test_a_process_that_dies_costs_its_cases():
+    def dies(x):
+        os._exit(1)
+
+    with ProcessPoolExecutor(1) as pool:
+        found = quietly([{"n": 1}], {"dies": dies}, make=lambda n, seed: n, executor=pool)
+    assert "BrokenProcessPool" in bench.failures(found)["reason"].item()
+
+
+def test_plot_shows_each_method_with_its_interval(results):
+    figure = bench.plot(results, own=[str(results["method"].values[-1])])
+    marks = [line for line in figure.axes[0].get_lines() if line.get_marker() in "oD"]
+    means = bench.summary(results)["mean"]
+    assert [line.get_xdata()[0] for line in marks] == pytest.approx(means.tolist())
+    assert [line.get_marker() for line in marks][-1] == "D"
 
 
 # Tables
@@ -568,7 +463,6 @@ def test_command_gives_the_study_with_one_more_row(folder, capsys):
     ranks = pd.read_csv("out/ranks.csv")
     assert set(ranks["method"]) == {"std", "mad", "spread"}
     assert {path.name for path in (folder / "out").iterdir()} == {
-        "cells",
         "course.png",
         "course.svg",
         "failures.csv",
@@ -600,7 +494,6 @@ def test_command_says_what_failed_and_goes_on(folder, capsys):
         ("anisotropy --method broken:spread", "SyntaxError"),
         ("anisotropy --method researcher:none", "no none in researcher. Must be a function."),
         ("anisotropy --method researcher:LIMIT", "not callable. Must be a function."),
-        ("anisotropy --workers 0", "Invalid workers 0"),
         ("anisotropy --out researcher.py", "Invalid folder researcher.py: a file."),
     ],
 )

@@ -8,7 +8,6 @@ from mmqa_lab.commands import OUTPUT, Lazy, command, option, switch
 from mmqa_lab.commands._output import print_rows, write_figure
 
 pd = Lazy("pandas")
-checks = Lazy("mmqa_lab._checks")
 bench = Lazy("mmqa_lab.bench")
 io = Lazy("mmqa_lab.io")
 plots = Lazy("mmqa_lab.plots")
@@ -23,8 +22,7 @@ METHODS = {"action": "append", "default": []}
         "--method", "MODULE:FUNCTION", "a method of your own; may be given several times", **METHODS
     ),
     switch("--quick", "few cases, for a first look"),
-    option("--workers", "N", "processes", int, 1),
-    option("--out", "FOLDER", "write results, tables, figures and finished cells there", Path),
+    option("--out", "FOLDER", "write results, tables and figures there", Path),
     *OUTPUT,
     examples=(
         "poles --method my_module:my_detector --out folder",
@@ -39,17 +37,15 @@ def bench_(options):
     study's tables and figures as one more row. The table printed has a row for each method and
     figure: the mean over all cases and seeds with its 95 % interval, n cells measured, missing
     cells not. A method that fails in some cells goes on in the others; failures.csv has its
-    reasons. With --out, a run that was interrupted goes on where it stopped.
+    reasons.
     """
-    checks.check_count(options.workers, "workers")
     out = options.out
     if out is not None and out.exists() and not out.is_dir():
         raise ValueError(f"Invalid folder {out}: a file. Must be a folder.")
     comparison = _comparison(options.study, options.quick)
     for text in options.method:
         _add(comparison.methods, text)
-    folder = None if out is None else out / "cells"
-    results = comparison.run(workers=options.workers, folder=folder)
+    results = comparison.run()
     if out is not None:
         _write(comparison, results, out)
     print_rows(_means(results), options)

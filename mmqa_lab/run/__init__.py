@@ -452,7 +452,7 @@ def _latex(frame):
 
 def _heading(name):
     """A column's name in words, and its unit in brackets, wherever it stands in the name."""
-    from mmqa_lab.bench._tables import split_unit
+    from mmqa_lab.bench import split_unit
 
     parts = name.split("_")
     for end in range(len(parts), 1, -1):

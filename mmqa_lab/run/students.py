@@ -21,7 +21,7 @@ from pathlib import Path
 import nbformat
 import numpy as np
 
-from mmqa_lab.bench._tables import split_unit
+from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import inject
 from mmqa_lab.run.pages import glossary_rows, notebook_page
