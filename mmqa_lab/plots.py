@@ -119,7 +119,8 @@ STYLE = {
     "figure.dpi": 150,
     "savefig.dpi": 300,
     "figure.constrained_layout.use": True,
-    "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"]),
+    "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"])
+    + cycler(linestyle=["-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (2, 1)), (0, (1, 3))]),
 }
 """The house style as matplotlib's settings: fonts embedded as TrueType (Type 42), text in SVG stays
 text, and files are equal to the byte from run to run."""

@@ -32,7 +32,7 @@ def test_the_record_is_written_with_every_file(run):
     record = read_record(run.folder)
     assert record["finished"]
     assert record["parameters"] == {"seed": 3}
-    assert record["files"] == ["table.csv", "table.tex", "values.csv", "checks.csv"]
+    assert record["files"] == ["table.csv", "table.tex", "values.csv", "values.tex", "checks.csv"]
     assert (record["checks"], record["checks_passed"]) == (1, 1)
     assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
@@ -103,8 +103,23 @@ def test_checks_report_and_never_raise(run, capsys):
     assert "f is below 2" in capsys.readouterr().out
     record = read_record(run.folder)
     assert (record["checks"], record["checks_passed"]) == (4, 2)
-    run.save_checks([])
-    assert read_record(run.folder)["checks"] == 0
+    run.check("one", False, "2", "the same words again replace the first")
+    assert read_record(run.folder)["checks_passed"] == 1
+
+
+def test_macros_are_named_numbers(run):
+    run.save_value("f_2_of_a", 3.257, "1", "predicted")
+    text = (run.folder / "values.tex").read_text()
+    assert text == "\\newcommand{\\mmqaFTwoOfA}{3.257} % 1, predicted"
+
+
+def test_what_is_saved_again_leaves_nothing_of_before(run):
+    run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "planes")
+    run.save_table(pd.DataFrame({"f": range(99), "kind": "measured"}), "planes")
+    assert not (run.folder / "planes.tex").exists()
+    assert read_record(run.folder)["files"] == ["planes.csv"]
+    again = Run("example", parameters={"seed": 3})
+    assert not (again.folder / "planes.csv").exists()
 
 
 def test_ledger_is_written_as_given(run):
@@ -157,39 +172,6 @@ def test_a_figure_has_its_data_and_says_what_is_seen(run):
     )
     assert figures["errors"]["width_mm"] == pytest.approx(85, abs=5)
     assert figures["again"]["seen"] == "One rising line."
-
-
-def test_a_figure_without_data_is_drawn_again_from_its_csv(run):
-    figure, axes = plots.subplots(1, 3, width="double", height_mm=40)
-    axes[0].plot([1, 2, 3], [4, 9, 5], label="a line")
-    axes[0].scatter([0, 1], [5, 6], c=[7, 8], label="marks")
-    axes[0].set(xlabel="range (m)", ylabel="error (mm)")
-    axes[1].bar([10, 20], [3, 4], label="bars")
-    axes[2].imshow([[1, 2], [3, 4]], extent=(0, 2, 0, 2), origin="upper")
-    run.save_figure(figure, "parts")
-    plt.close(figure)
-    shown = pd.read_csv(run.folder / "parts.csv")
-    line = shown.query("series == 'a line'")
-    assert line[["panel", "x", "y"]].to_numpy().tolist() == [[1, 1, 4], [1, 2, 9], [1, 3, 5]]
-    assert line["y_label"].dropna().unique().tolist() == ["error (mm)"]  # said once
-    marks = shown.query("series == 'marks'")
-    assert marks[["x", "y", "value"]].to_numpy().tolist() == [[0, 5, 7], [1, 6, 8]]
-    bars = shown.query("panel == 2")
-    assert bars[["x", "y"]].to_numpy().tolist() == [[10, 3], [20, 4]]
-    pixels = shown.query("panel == 3").set_index(["x", "y"])["value"]
-    assert pixels.to_dict() == {(0.5, 1.5): 1, (1.5, 1.5): 2, (0.5, 0.5): 3, (1.5, 0.5): 4}
-
-
-def test_of_a_large_picture_every_kth_pixel_is_written_at_its_place(run):
-    figure, ax = plots.subplots(height_mm=40)
-    row, column = np.indices((300, 500))
-    ax.imshow(1000 * row + column, extent=(0, 500, 0, 300), origin="upper")
-    run.save_figure(figure, "large")
-    plt.close(figure)
-    shown = pd.read_csv(run.folder / "large.csv")
-    assert 30_000 < len(shown) <= 40_000
-    there = 1000 * (300 - shown["y"] - 0.5) + shown["x"] - 0.5
-    assert np.array_equal(shown["value"], there)
 
 
 def test_a_table_of_the_figures_name_is_its_data(run):

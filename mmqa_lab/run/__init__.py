@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import ast
-import base64
-import io
 import json
 import os
 import platform
 import re
 import subprocess
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import plots, samples
-from mmqa_lab._figures import drawn, finish_figure, say_kind
+from mmqa_lab._figures import finish_figure, say_kind
 from mmqa_lab.io import write_atomically
 
 if TYPE_CHECKING:
@@ -123,14 +121,14 @@ class Run:
     >>> run.save_value("f_poisson", 3.257, "1", "predicted")
     >>> run.finish()
     >>> sorted(path.name for path in run.folder.iterdir())
-    ['run.json', 'values.csv']
+    ['run.json', 'values.csv', 'values.tex']
     >>> del os.environ["MMQA_RESULTS"]
     """
 
     def __init__(self, stem: str, *, parameters: dict[str, Any]):
         self.folder = results_folder() / stem
         self._began = time.time()
-        self._values, self._kinds = [], {}
+        self._values, self._kinds, self._checks = {}, {}, {}
         self._record = {
             "study": stem,
             "finished": False,
@@ -145,8 +143,8 @@ class Run:
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
         self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
-        for left in self.folder.glob(".*"):  # by a run that was killed while it wrote
-            left.unlink()
+        for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, _files_of(self.folder))]:
+            left.unlink(missing_ok=True)  # of an earlier run, or one that was killed
         self._write_record()
         _show_tables_whole()
 
@@ -170,6 +168,7 @@ class Run:
                 f"Invalid table {name}: nothing says which kind its numbers are. "
                 f"Must be one of {', '.join(KINDS)}."
             )
+        self._remove(name, ("csv", "tex"))
         self._write_table(frame, name)
         if len(frame) <= LONGEST_LATEX:
             self._write(
@@ -187,14 +186,14 @@ class Run:
     ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
 
-        What its panels contain is written as ``<name>_drawn.csv``, a row for each point, from
-        which it can be drawn again, and ``data``, a DataFrame, as ``<name>.csv``; without it, and
-        without a table of this name, that is the same. Its panels get letters, and its series are
-        told apart without colour too. The kind of its numbers, ``kind`` or that of ``data`` or of
-        the table of this name, stands in its lower right corner where its texts do not say it.
-        ``seen`` says in a sentence what one sees, for readers without the picture; without it the
-        axes' labels and the legends do.
+        ``data``, a DataFrame of what it shows, is written as ``<name>.csv``. Its panels get
+        letters. The kind of its numbers, ``kind`` or that of ``data`` or of the table of this name,
+        stands in its lower right corner where its texts do not say it. ``seen`` says in a sentence
+        what one sees, a caption and for readers without the picture; without it the axes' labels
+        and the legends do.
         """
+        if name not in self._kinds or data is not None:
+            self._remove(name, ("csv", "tex"))
         known = "" if data is None else _kind_of(data)
         say_kind(figure, kind or known or self._kinds.get(name, ""))
         finish_figure(figure)
@@ -219,42 +218,38 @@ class Run:
                     figure.set_layout_engine("none")
             if layout is not None:
                 figure.set_layout_engine(layout)
-        shown = drawn(figure)
-        self._write_table(shown, f"{name}_drawn", float_format="%.9g")
-        if data is not None or f"{name}.csv" not in self._record["files"]:
-            self._write_table(shown if data is None else data, name)
+        if data is not None:
+            self._write_table(data, name)
 
     def save_report(
-        self, figure: Figure, table: pd.DataFrame, *, title: str, inputs: dict[str, str]
-    ) -> list[Path]:
-        """Write one page with a figure and a table as ``report.html`` and ``report.pdf``.
-
-        It names the parameters, the versions and ``inputs``, a dict of files and their SHA-256.
+        self,
+        *,
+        title: str,
+        sentences: Sequence[str] = (),
+        tables: Mapping[str, pd.DataFrame] | None = None,
+        figures: Mapping[str, Figure] | None = None,
+        files: Sequence[str | os.PathLike] = (),
+    ) -> Path:
+        """Write ``report.html``, as :func:`mmqa_lab.run.pages.write_report` does, with parameters.
 
         Returns
         -------
-        list of Path
-            Both files.
+        Path
         """
-        from mmqa_lab.run.pages import filled, report_sheet
+        from mmqa_lab.run.pages import write_report
 
-        picture = io.BytesIO()
-        with mpl.rc_context({"savefig.dpi": 200}):
-            figure.savefig(picture, format="png")
-        whole = {"title": title, "table": table, "inputs": inputs, "record": self._record}
-        rows = table.to_html(index=False, border=0, na_rep="", float_format=four_digits)
-        coded = base64.b64encode(picture.getvalue()).decode()
-        page = filled("report.html", **whole | {"table": rows, "picture": coded})
-        self._write("report.html", lambda path: path.write_text(page, encoding="utf-8"))
-        sheet = report_sheet(picture.getvalue(), **whole)
-        metadata = {"CreationDate": None, "Title": title, "Creator": self._made}
-        self._write("report.pdf", lambda path: sheet.savefig(path, metadata=metadata))
-        return [self.folder / name for name in ("report.html", "report.pdf")]
+        set_here = pd.DataFrame(self._record["parameters"].items(), columns=["parameter", "value"])
+        whole = {**(tables or {}), "Parameters": set_here.astype(str)}
+        content = {"sentences": sentences, "tables": whole, "figures": figures, "files": files}
+        self._write("report.html", lambda path: write_report(path, title=title, **content))
+        return self.folder / "report.html"
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
-        """Keep a named number of a kind in ``values.csv``."""
-        self._values.append({"name": name, "value": float(value), "unit": unit, "kind": kind})
-        self._write_table(pd.DataFrame(self._values), "values")
+        """Keep a named number of a kind in ``values.csv``, and as a macro in ``values.tex``."""
+        self._values[name] = {"name": name, "value": float(value), "unit": unit, "kind": kind}
+        self._write_table(pd.DataFrame(list(self._values.values())), "values")
+        macros = [_macro(**kept) for kept in self._values.values()]
+        self._write("values.tex", lambda path: path.write_text("\n".join(macros), "utf-8"))
 
     def save_answer(self, sentence: str, *, figure: str) -> None:
         """Keep the study's answer with its numbers, and the name of the figure that shows it.
@@ -265,21 +260,33 @@ class Run:
         self._record["answer"] = {"sentence": spaced, "figure": figure}
         self._write_record()
 
-    def save_checks(self, *groups: Iterable[Check]) -> None:
-        """Write the checks as ``checks.csv`` and show them; a check that fails stops nothing.
+    def check(self, statement: str, passed: bool, obtained: str, reason: str) -> None:
+        """Compare a statement with the numbers of this run, in a line; a failure stops nothing.
 
         Parameters
         ----------
-        *groups : iterable of Check
-            A generator that raises counts as one more check that did not pass.
+        statement : str
+            What the notebook says.
+        passed : bool
+            Whether it is true of this run.
+        obtained : str
+            The numbers of this run.
+        reason : str
+            Where the tolerance comes from.
         """
-        rows = [asdict(check) for group in groups for check in _worked_out(group)]
-        frame = pd.DataFrame(rows, columns=list(Check.__dataclass_fields__))
-        frame["passed"] = frame["passed"].astype(bool)
+        print(f"check: {'yes' if passed else 'NO'}. {statement} Here {obtained} ({reason}).")
+        row = {"statement": statement, "passed": bool(passed), "obtained": obtained}
+        self._checks[statement] = row | {"reason": reason}
+        frame = pd.DataFrame(list(self._checks.values()))
         self._record["checks"] = len(frame)
         self._record["checks_passed"] = int(frame["passed"].sum())
         self._write_table(frame, "checks")
-        _show(frame)
+
+    def save_checks(self, *groups: Iterable[Check]) -> None:
+        """Check each statement of the groups; a generator that raises is one that did not pass."""
+        for group in groups:
+            for one in _worked_out(group):
+                self.check(**asdict(one))
 
     def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write what the study says of printed results as ``ledger.csv``.
@@ -300,6 +307,13 @@ class Run:
         """Write a table as CSV."""
         self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False, **choices))
 
+    def _remove(self, name, endings):
+        """Remove what an earlier cell wrote under a name."""
+        for file in (f"{name}.{ending}" for ending in endings):
+            (self.folder / file).unlink(missing_ok=True)
+            if file in self._record["files"]:
+                self._record["files"].remove(file)
+
     def _write(self, name, write):
         """Write one file of this run and enter it into the record."""
         write_atomically(self.folder / name, write)
@@ -311,6 +325,20 @@ class Run:
         """Write the run record as it stands."""
         self._record["seconds"] = round(time.time() - self._began, 1)
         write_text(self.folder / RECORD, json.dumps(self._record, indent=1))
+
+
+def _files_of(folder):
+    """The files that the record in a folder lists."""
+    return read_record(folder).get("files", [])
+
+
+def _macro(name, value, unit, kind):
+    """A named number as a LaTeX macro: letters alone, digits as words."""
+    digits = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    spelled = re.sub(r"\d", lambda digit: f"_{digits[int(digit[0])]}_", name)
+    camel = "".join(part.capitalize() for part in re.split(r"[^A-Za-z]+", spelled))
+    number = four_digits(value)
+    return f"\\newcommand{{\\mmqa{camel}}}{{{number}}} % {unit}, {kind}"
 
 
 def read_record(folder):
@@ -403,15 +431,6 @@ def _worked_out(checks):
             f"{type(error).__name__}: {error}",
             "they look up cases of the delivered parameters",
         )
-
-
-def _show(checks):
-    """The table of checks in a notebook."""
-    from IPython.display import display
-
-    marks = checks.assign(passed=checks["passed"].map({True: "yes", False: "NO"}))
-    with pd.option_context("display.max_colwidth", None):
-        display(marks)
 
 
 def _described(figure):

@@ -8,11 +8,11 @@ and ``<!-- end NAME -->``; nothing there is typed.
 import base64
 import copy
 import csv
+import hashlib
 import html
 import io
 import json
 import re
-import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ import matplotlib as mpl
 import pandas as pd
 from matplotlib.font_manager import FontProperties
 
+from mmqa_lab import __version__
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import FORMATS, four_digits, read_record, write_text
 
@@ -176,29 +177,45 @@ def _typeset(found):
     return f'<p style="text-align: center">{image}</p>' if found[1] else image
 
 
-def report_sheet(picture, *, title, table, inputs, record):
-    """Return the same report as a matplotlib figure of the size A4."""
-    from matplotlib.figure import Figure
-    from matplotlib.image import imread
+def write_report(path, *, title, sentences=(), tables=None, figures=None, files=()):
+    """Write one page: sentences, tables, figures, and the files it rests on with their SHA-256.
 
-    sheet = Figure(figsize=(8.27, 11.69), layout="none")
-    sheet.text(0.08, 0.95, title, fontsize=14)
-    places = (0.08, 0.5, 0.84, 0.42), (0.08, 0.28, 0.84, 0.2)
-    above, below = (sheet.add_axes(place, frame_on=False, xticks=[], yticks=[]) for place in places)
-    above.imshow(imread(io.BytesIO(picture)))
-    texts = table.map(lambda one: four_digits(one) if isinstance(one, float) else str(one))
-    cells = below.table(texts.to_numpy(), colLabels=list(texts), loc="upper center")
-    cells.auto_set_font_size(False)
-    cells.set_fontsize(8)
-    versions = {"mmqa_lab": f"{record['version']} {record['commit']}", **record["versions"]}
-    parts = {"Input": inputs, "Parameters": record["parameters"], "Versions": versions}
-    lines = [
-        f"{kind}: " + ", ".join(f"{name} {one}" for name, one in part.items())
-        for kind, part in parts.items()
-    ]
-    said = "\n".join(textwrap.fill(line, 110, subsequent_indent="  ") for line in lines)
-    sheet.text(0.08, 0.26, said, fontsize=7, va="top", linespacing=1.3)
-    return sheet
+    Parameters
+    ----------
+    path : path
+        HTML that prints well; it needs nothing from the network.
+    title : str
+    sentences : sequence of str
+        What was measured and what speaks against it.
+    tables : dict of str to DataFrame, optional
+        By their headings.
+    figures : dict of str to matplotlib Figure, optional
+        By their captions.
+    files : sequence of path
+        What was read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> page = Path(tempfile.mkdtemp()) / "report.html"
+    >>> write_report(page, title="A wall", tables={"Figures": pd.DataFrame({"f": [3.2]})})
+    >>> "<h2>Figures</h2>" in page.read_text()
+    True
+    """
+    pictures = {}
+    for caption, figure in (figures or {}).items():
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=200)
+        pictures[caption] = base64.b64encode(stream.getvalue()).decode()
+    rows = {
+        heading: table.to_html(index=False, border=0, na_rep="", float_format=four_digits)
+        for heading, table in (tables or {}).items()
+    }
+    hashes = {
+        Path(file).name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files
+    }
+    whole = {"title": title, "sentences": sentences, "tables": rows, "pictures": pictures}
+    write_text(path, filled("report.html", **whole, files=hashes, version=__version__))
 
 
 def filled(name, **values):
@@ -229,7 +246,7 @@ def _card(study, folder, running):
         "figure": shown,
         "seen": record.get("figures", {}).get(shown, {}),
         "figures": figures,
-        "tables": [name for name in files if re.search(r"(?<!_drawn)\.csv$", name)],
+        "tables": [name for name in files if name.endswith(".csv")],
         "checks": checks.to_dict("records"),
     }
 
