@@ -6,20 +6,14 @@ the orthogonal regression plane of its points; sigma_MAD of the residuals is the
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import (
-    check_number,
-    check_points,
-    check_positive,
-)
+from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.cloud import Cloud
 
 __all__ = [
     "CONSISTENT_SCALE",
@@ -101,13 +95,13 @@ class Plane(Shown):
         """Standard deviation of the residuals, n - 1 in the denominator as in the paper, m."""
         return float(np.std(self.residuals, ddof=1))
 
-    def project(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
+    def project(self, points: ArrayLike) -> np.ndarray:
         """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
-        return (_array(points) - self.centre) @ self.axes.T
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T
 
-    def distances(self, points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike) -> np.ndarray:
+    def distances(self, points: ArrayLike) -> np.ndarray:
         """Signed orthogonal distances of any points, shape (n,), m."""
-        return (_array(points) - self.centre) @ self.normal
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.normal
 
     def horizontal_axes(self) -> np.ndarray:
         """Return axes (2, 3) in the plane: the horizontal one, then the line of greatest slope.
@@ -138,7 +132,7 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
 
     Parameters
     ----------
-    points : Cloud, array_like of shape (n, 3), DataFrame or path
+    points : array_like, shape (n, 3)
         Metres, n >= 3, not on one line.
     robust : bool
         Weigh down points off the plane. The residuals of all points are returned all the same.
@@ -173,15 +167,13 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
 
 
-def flat_points(
-    points: Cloud | ArrayLike | pd.DataFrame | str | os.PathLike, *, minimum: int = 1
-) -> np.ndarray:
+def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
     """Return coordinates in a plane: given ones, or points laid onto their regression plane.
 
     Parameters
     ----------
-    points : array_like, shape (n, 2), or points
-        Coordinates in a plane; or points in space (Cloud, array (n, 3), DataFrame, path).
+    points : array_like, shape (n, 2) or (n, 3)
+        Coordinates in a plane, or points in space, m.
     minimum : int
         Fewest points.
 
@@ -202,20 +194,10 @@ def flat_points(
     >>> flat_points([[0, 5, 0], [4, 5, 0], [0, 5, 2], [4, 5, 2]]).round(6).tolist()
     [[-2.0, 1.0], [2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
     """
-    if not _in_space(points):
+    if np.shape(points)[1:] != (3,):
         return check_points(points, name="xy", columns=2, minimum=minimum)
     points = check_points(points, name="xy", minimum=minimum)
     return fit_plane(points).project(points)
-
-
-def _array(points):
-    """Points of any kind as an array of any number of axes."""
-    return np.asarray(points, dtype=np.float64)
-
-
-def _in_space(points):
-    """Whether points have three coordinates rather than two."""
-    return np.shape(points)[1:] == (3,)
 
 
 @dataclass(frozen=True, eq=False)
