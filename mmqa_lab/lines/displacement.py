@@ -68,8 +68,9 @@ bring together so many times the lines."""
 CHANCE_SHARE, CHANCE_EVIDENCE = 0.21, 2.5
 """Unrelated sets pair less of the smaller set, with less evidence per pair: nothing is paired."""
 
-WRONG_WEIGHT = 2.5
-"""Residuals beyond so many standard deviations weigh less in the displacement (Huber)."""
+WRONG_WEIGHT, CHOSEN = 2.5, 1.3
+"""Residuals beyond so many standard deviations weigh less in the displacement (Huber). Pairs that
+were chosen because they agree do so better than their errors would: factor of the variance."""
 
 
 class Pairs:
@@ -237,7 +238,7 @@ def _solved(lines, rough):
     spread = left_out[..., 0] - solution
     # as wide as few lines ask for where chi-squared is taken for their ellipsoid
     freedom = max(n - 4, 1)
-    wider = 3 * f.ppf(0.95, 3, freedom) / chi2.ppf(0.95, 3)
+    wider = CHOSEN * 3 * f.ppf(0.95, 3, freedom) / chi2.ppf(0.95, 3)
     return solution, wider * (n - 1) / n * spread.T @ spread, centre
 
 
