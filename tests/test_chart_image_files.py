@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mmqa_lab import chart_image, charts, io, mtf, samples
+from mmqa_lab import chart_image, charts, io, mtf, samples, srgb
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab import lines
-from mmqa_lab.lines import extract_edges, lhd
+from mmqa_lab.lines import extract_edges
 from mmqa_lab.planes import detect_planes
 from mmqa_lab.planes.detection import usual_size
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges, canyon_faces

@@ -569,21 +569,21 @@ NAN = np.nan
         (("=", 3.5, 4.5), (4.4, NAN, NAN), "reproduced"),
         (("=", 3.5, 4.5), (3.5, NAN, NAN), "reproduced"),
         (("=", 3.5, 4.5), (4.6, 4.4, 4.8), "consistent"),
-        (("=", 3.5, 4.5), (4.6, 4.55, 4.65), "contradicted"),
-        (("=", 3.5, 4.5), (4.6, NAN, NAN), "contradicted"),
+        (("=", 3.5, 4.5), (4.6, 4.55, 4.65), "differs"),
+        (("=", 3.5, 4.5), (4.6, NAN, NAN), "differs"),
         (("=", 3.5, 4.5), (NAN, NAN, NAN), "not comparable"),
-        (("=", 40, np.inf), (40, NAN, NAN), "contradicted"),
+        (("=", 40, np.inf), (40, NAN, NAN), "differs"),
         (("=", 40, np.inf), (41, NAN, NAN), "reproduced"),
         (("=", 40, np.inf), (np.inf, NAN, NAN), "reproduced"),
         (("=", 40, np.inf), (39, 38, 41), "consistent"),
         (("=", NAN, NAN), (NAN, NAN, NAN), "reproduced"),
-        (("=", NAN, NAN), (12.0, NAN, NAN), "contradicted"),
+        (("=", NAN, NAN), (12.0, NAN, NAN), "differs"),
         (("<", -np.inf, 0.7), (0.6, NAN, NAN), "consistent"),
-        (("<", -np.inf, 0.7), (0.7, NAN, NAN), "contradicted"),
+        (("<", -np.inf, 0.7), (0.7, NAN, NAN), "differs"),
         (("<", -np.inf, 0.7), (0.8, 0.5, 1.1), "consistent"),
         (("<", -np.inf, 0.7), (0.8, 0.5, NAN), "consistent"),
         (("about", 0.2, 0.4), (0.3, NAN, NAN), "consistent"),
-        (("range", 2.5, 7.5), (7.6, NAN, NAN), "contradicted"),
+        (("range", 2.5, 7.5), (7.6, NAN, NAN), "differs"),
     ],
 )
 def test_verdicts(printed, ours, expected):
@@ -609,16 +609,16 @@ def test_collect_keeps_every_value_and_lets_one_decide(tmp_path):
     found = ledger.collect(tmp_path)
     d1 = found.query("cell == 'A 5 m d1'")
     assert d1["kind"].tolist() == ["predicted", "measured", "fitted"]
-    assert d1["verdict"].tolist() == ["contradicted", "reproduced", "contradicted"]
+    assert d1["verdict"].tolist() == ["differs", "reproduced", "differs"]
     assert d1["decides"].tolist() == [True, False, False]
     assert d1["study"].tolist() == ["a", "b", "b"]
     assert found["decides"].sum() == len(ledger.cells())
     f = found.query("cell == 'A 5 m f' and source == 'pfeifer2021'").iloc[0]
     assert (f["verdict"], f["note"]) == ("not comparable", "No point has four neighbours.")
-    argued = found[found["verdict"].isin(["contradicted", "not comparable"])]
+    argued = found[found["verdict"].isin(["differs", "not comparable"])]
     assert argued.loc[argued["note"] == "", "study"].tolist() == ["a", "b"]
     counts = ledger.summary(found)
-    assert counts.loc["pfeifer2021", "contradicted"] == 1
+    assert counts.loc["pfeifer2021", "differs"] == 1
     results = (ledger.cells()["role"] == "result").sum()
     assert counts.loc["all"].sum() == results
     waiting = ledger.summary(ledger.collect(tmp_path, not_run=["pfeifer2021 table_2"]))

@@ -7,7 +7,6 @@ from scipy.special import j1
 
 from mmqa_lab import charts
 from mmqa_lab.charts import Bar, Layout, LinePairs
-from mmqa_lab.srgb import decode
 from mmqa_lab.simulate.cameras import (
     ChartMap,
     FrameCamera,
@@ -18,6 +17,7 @@ from mmqa_lab.simulate.cameras import (
     chart_view,
     photograph,
 )
+from mmqa_lab.srgb import decode
 
 IDEAL = Sensor(black=0.0, white=1.0, noise=0.0)
 

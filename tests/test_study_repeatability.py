@@ -124,7 +124,7 @@ def test_groups_that_are_not_full_are_left_out():
     assert len(study.ranges_of_five(known(1, count=13))) == 2
 
 
-@pytest.mark.parametrize(("spread", "verdict"), [(0.5, "consistent"), (1.5, "contradicted")])
+@pytest.mark.parametrize(("spread", "verdict"), [(0.5, "consistent"), (1.5, "differs")])
 def test_ledger_of_known_selections(spread, verdict):
     cells = ledger.cells().set_index(["table", "cell"])
     entries = {row["cell"]: row for row in study.entries(study.ranges_of_five(known(spread)))}

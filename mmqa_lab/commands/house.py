@@ -1,7 +1,5 @@
 """The small commands that keep house: notebooks, studies, tests, names, README, completion."""
 
-import importlib
-import inspect
 import os
 import shutil
 import signal
@@ -11,8 +9,7 @@ import threading
 from contextlib import contextmanager
 from pathlib import Path
 
-from mmqa_lab.commands import OUTPUT, Lazy, command, option, switch
-from mmqa_lab.commands._output import print_rows
+from mmqa_lab.commands import Lazy, command, option, switch
 
 pd = Lazy("pandas")
 checks = Lazy("mmqa_lab._checks")
@@ -27,35 +24,6 @@ LONGEST = ("poles", "anisotropy", "test_field")
 """Studies that start first where several run at once, so that none is left over at the end."""
 
 STUDIES = option("name", "NAME", "stems of studies; all if none", nargs="*")
-
-
-@command(
-    "print shell completion for bash, zsh or tcsh",
-    option("shell", "SHELL", "of yours", choices=("bash", "zsh", "tcsh")),
-    examples=(
-        "bash > ~/.local/share/bash-completion/completions/mmqa",
-        "zsh > ~/.zfunc/_mmqa",
-    ),
-)
-def completion(options):
-    """Print a script that lets the shell complete mmqa's commands, options, files and studies.
-
-    Put its output where the shell looks for completions, or evaluate it from the shell's start
-    file.
-    """
-    import shtab
-
-    from mmqa_lab.__main__ import parser
-    from mmqa_lab.studies import STUDIES
-
-    whole = parser()
-    for one in whole._subparsers._group_actions[0].choices.values():
-        for action in one._actions:
-            if action.type is Path or action.metavar in ("FILE", "CLOUD", "IMAGE"):
-                action.complete = shtab.FILE
-            elif action.dest in ("study", "name") and not action.option_strings:
-                action.choices = [study.stem for study in STUDIES]
-    print(shtab.complete(whole, shell=options.shell))
 
 
 @command(
@@ -92,75 +60,6 @@ def lab(options):
 
 
 @command(
-    "list the public names of the library",
-    option("word", "WORD", "all names if none", str, "", nargs="?"),
-    *OUTPUT,
-    examples=(
-        "",
-        "density --json",
-    ),
-)
-def names(options):
-    """List the public names of the library: room, name, and what it is for in a line.
-
-    With WORD only those in which it occurs. What a name takes and gives back, its units, errors and
-    source: help(mmqa_lab.ROOM.NAME) in Python, or NAME? in a notebook.
-    """
-    print_rows(name_table(options.word), options)
-
-
-def name_table(word=""):
-    """Return every public function and class: room, name and the first line of its docstring."""
-    rows = []
-    for room in _rooms():
-        module = importlib.import_module(f"mmqa_lab.{room}")
-        members = [(name, getattr(module, name)) for name in module.__all__]
-        rows += [
-            (room, name, inspect.getdoc(one).splitlines()[0])
-            for name, one in members
-            if inspect.isfunction(one) or inspect.isclass(one)
-        ]
-    rows = [row for row in rows if word.lower() in " ".join(row).lower()]
-    if not rows:
-        raise ValueError(f"Invalid word {word!r}. Must occur in a room, a name or its summary.")
-    return pd.DataFrame(rows, columns=["room", "name", "summary"])
-
-
-def _rooms():
-    """Dotted names of the rooms that list public names, and of the ledger."""
-    package = Path(__file__).parents[1]
-    rooms = [*package.glob("*.py"), *package.glob("*/__init__.py"), package / "published/ledger.py"]
-    for path in sorted(rooms):
-        if "\n__all__ = " in path.read_text(encoding="utf-8"):
-            parts = path.relative_to(package).with_suffix("").parts
-            yield ".".join(part for part in parts if part != "__init__")
-
-
-@command(
-    "insert the studies' answers into the README",
-    option("--results", "FOLDER", "default notebooks/results", Path),
-    switch("--check", "only say whether it is up to date"),
-    examples=(
-        "",
-        "--check",
-    ),
-)
-def readme(options):
-    """Insert the answers of the last full run of all studies, and its key figure, into the README.
-
-    For those who change a study: nothing in that table is typed. The ledger's counts and figure are
-    inserted too. With --check nothing is written; the exit status is 1 where the README differs.
-    """
-    from mmqa_lab.run import pages
-    from mmqa_lab.studies import STUDIES, notebooks_folder, results_folder
-
-    notebooks = notebooks_folder()
-    folder = options.results or results_folder(notebooks)
-    same = pages.update_readme(notebooks, folder, STUDIES, write=not options.check)
-    return 1 if options.check and not same else 0
-
-
-@command(
     "write notebooks without the answers, for students",
     option("out", "OUT_FOLDER", "made where missing", Path),
     switch("--quick", "small parameters"),
@@ -178,13 +77,13 @@ def student(options):
     sheet of solutions of each study: PDF where Chromium is installed, else HTML pages to print. A
     folder that already contains such notebooks is refused.
     """
-    from mmqa_lab.run.students import write_sheets, write_student_notebooks
+    from mmqa_lab.run.students import write_solutions, write_student_notebooks
     from mmqa_lab.studies import chosen
 
     studies = chosen(options.name)
     paths = write_student_notebooks(studies, options.out, quick=options.quick)
     if options.sheets:
-        paths += write_sheets(studies, options.sheets)
+        paths += write_solutions(studies, options.sheets)
     print(*paths, sep="\n")
 
 
@@ -192,11 +91,10 @@ def student(options):
     "run the studies and write their tables, figures and pages",
     STUDIES,
     switch("--quick", "small parameters, for a first look"),
-    switch("--resume", "skip studies that ended with the same code"),
     option("--timeout", "SECONDS", "of a study; default none", float),
     option("--workers", "N", "studies at the same time", int, 1),
     option("--out", "FOLDER", "default notebooks/results", Path),
-    examples=("", "chart_tables anisotropy --quick", "--resume --workers 4"),
+    examples=("", "chart_tables anisotropy --quick", "--workers 4"),
 )
 def studies(options):
     """Run the studies: every notebook of the catalogue, without a screen.
@@ -269,7 +167,7 @@ def _one_by_one(studies, folder, options, bar):
     """Run studies in turn; yield each with its outcome."""
     from mmqa_lab.run.notebooks import run_study
 
-    how = {"quick": options.quick, "timeout": options.timeout, "resume": options.resume}
+    how = {"quick": options.quick, "timeout": options.timeout}
     for study in studies:
         bar.set_description(study.stem)
         yield study, run_study(study, folder, **how)
@@ -282,7 +180,7 @@ def _several_at_once(studies, folder, options, bar):
     from mmqa_lab.run.pages import Outcome, read_outcome
 
     command = [sys.executable, "-m", "mmqa_lab", "studies", "--out", str(folder)]
-    command += [f"--{name}" for name in ("quick", "resume") if getattr(options, name)]
+    command += ["--quick"] if options.quick else []
     command += [] if options.timeout is None else ["--timeout", str(options.timeout)]
     threads = max(1, (os.cpu_count() or 1) // options.workers)
     place = {"NUMBA_NUM_THREADS": str(threads), **os.environ}
@@ -301,7 +199,7 @@ def _several_at_once(studies, folder, options, bar):
         try:
             for task in as_completed(tasks):
                 study = tasks[task]
-                empty = Outcome(study.stem, options.quick, "")
+                empty = Outcome(study.stem, options.quick)
                 yield study, read_outcome(folder / study.stem) or empty
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -7,7 +7,7 @@ cells and gives each one a verdict:
 - **reproduced**: our value rounds to what is printed, and no parameter was fitted to it;
 - **consistent**: our 95 % interval meets the rounding interval of the printed number, or our value
   satisfies what is printed as a bound, a range or with "about";
-- **contradicted**: neither; the note gives the argument;
+- **differs**: neither; the note gives the argument;
 - **not comparable**: there is no value of ours; the note gives the reason, by default that of
   ``data/reasons.csv``;
 - **not run**: there is none, because a study that answers this table did not come so far.
@@ -32,7 +32,7 @@ __all__ = ["cells", "collect", "entry", "summary", "verdict"]
 __dir__ = __all__.copy
 
 KINDS = ("predicted", "measured", "fitted")
-VERDICTS = ("reproduced", "consistent", "contradicted", "not comparable", "not run")
+VERDICTS = ("reproduced", "consistent", "differs", "not comparable", "not run")
 COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
@@ -129,7 +129,7 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
     -------
     str
         One of ``VERDICTS``. A dash without a bound is reproduced by a value that could not be
-        measured either (NaN) and contradicted by one that could.
+        measured either (NaN) and differs by one that could.
 
     Examples
     --------
@@ -139,10 +139,10 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
     >>> verdict(width, {"value": 17.0, "low": 15.2, "high": 18.8})
     'consistent'
     >>> verdict(width, {"value": 17.0, "low": 16.2, "high": 17.8})
-    'contradicted'
+    'differs'
     """
     if np.isnan(printed["low"]):
-        return "reproduced" if np.isnan(ours["value"]) else "contradicted"
+        return "reproduced" if np.isnan(ours["value"]) else "differs"
     if np.isnan(ours["value"]):
         return "not comparable"
     value = ours["value"]
@@ -150,7 +150,7 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
         free = printed["relation"] == "=" and ours.get("kind") != "fitted"
         return "reproduced" if free else "consistent"
     low, high = (value if np.isnan(ours[end]) else ours[end] for end in ("low", "high"))
-    return "consistent" if _meets(printed, low, high) else "contradicted"
+    return "consistent" if _meets(printed, low, high) else "differs"
 
 
 def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.DataFrame:

@@ -1,7 +1,6 @@
 """Notebooks run without a screen, in a kernel of their own."""
 
 import asyncio
-import hashlib
 import json
 import os
 import signal
@@ -14,7 +13,7 @@ from pathlib import Path
 import nbformat
 
 from mmqa_lab.run import read_record, write_text
-from mmqa_lab.run.pages import OUTCOME, UNFINISHED, Outcome, notebook_page, read_outcome
+from mmqa_lab.run.pages import OUTCOME, UNFINISHED, Outcome, notebook_page
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -26,7 +25,7 @@ ENVIRONMENT = {
 }
 
 
-def run_study(study, folder, *, quick=False, timeout=None, resume=False):
+def run_study(study, folder, *, quick=False, timeout=None):
     """Run one study.
 
     Parameters
@@ -38,8 +37,6 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
         Run with the small parameters that the study's module calls QUICK.
     timeout : float, optional
         Seconds after which the study is stopped; without it, never.
-    resume : bool
-        Do nothing where the study ended with today's code and parameters.
 
     Returns
     -------
@@ -47,10 +44,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
         Also written as ``outcome.json`` beside the results.
     """
     target = Path(folder).resolve() / study.stem
-    outcome = Outcome(study.stem, quick, _code(study, quick))
-    done = read_outcome(target)
-    if resume and done is not None and done.ok and done.code == outcome.code:
-        return done
+    outcome = Outcome(study.stem, quick)
     for summary in ("checks.csv", "ledger.csv", f"{study.stem}.html"):  # of an earlier run
         (target / summary).unlink(missing_ok=True)
     _write(outcome, target)
@@ -66,6 +60,7 @@ def run_study(study, folder, *, quick=False, timeout=None, resume=False):
         seconds = round(time.monotonic() - began, 1)
         record = read_record(target)
         seen = record.get("figures", {})
+        write_text(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
         page = notebook_page(notebook, study.title, figures=seen, failure=failure)
         write_text(target / f"{study.stem}.html", page)
         counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
@@ -133,16 +128,6 @@ def _let_interrupt(interrupted):
     with suppress(NotImplementedError, RuntimeError, ValueError):
         for one in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(one, stop)
-
-
-def _code(study, quick):
-    """A hash of what determines a study's results: package, notebook, mode and real data."""
-    package = Path(__file__).parents[1]
-    files = [path for path in package.rglob("*.*") if path.parent.name != "__pycache__"]
-    digest = hashlib.sha256(f"{quick} {os.environ.get('MMQA_DATA')}".encode())
-    for path in [study.path, *sorted(filter(Path.is_file, files))]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def _write(outcome, folder):

@@ -1,8 +1,7 @@
 """The pages of a run: an index of all studies, the ledger, and each notebook as it was executed.
 
 A page is one file with relative links and needs nothing from the network. The texts around the
-results are in ``templates/``. In the README a program writes what stands between ``<!-- NAME -->``
-and ``<!-- end NAME -->``; nothing there is typed.
+results are in ``templates/``.
 """
 
 import base64
@@ -21,7 +20,6 @@ import pandas as pd
 from matplotlib.font_manager import FontProperties
 
 from mmqa_lab import __version__
-from mmqa_lab.io import write_atomically
 from mmqa_lab.run import FORMATS, four_digits, read_record, write_text
 
 OUTCOME = "outcome.json"
@@ -30,10 +28,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 KEY_FIGURE = "anisotropy/patterns.png"
 """Of a run's results: what the README shows first."""
-
-LEDGER_FIGURE = "![Verdicts on the printed results of each source](notebooks/ledger.png)\n\n"
-
-HEAD = "| study | question | answer | source |\n|---|---|---|---|\n"
 
 VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 
@@ -59,7 +53,6 @@ class Outcome:
 
     study: str
     quick: bool
-    code: str
     seconds: float = 0.0
     failure: str = UNFINISHED
     checks: int = 0
@@ -275,58 +268,6 @@ def _shown(row):
     }
 
 
-def update_readme(notebooks, folder, studies, *, write=True):
-    """Write the answers, the ledger's counts and the key figures of full runs into the README.
-
-    Parameters
-    ----------
-    notebooks : path
-        Folder of the notebooks, where the figures go; the README is beside it.
-    folder : path
-        Of the results.
-    studies : list of mmqa_lab.studies.Study
-    write : bool
-        Without it nothing is written.
-
-    Returns
-    -------
-    bool
-        Whether the README said it all before.
-    """
-    folder, path = Path(folder), Path(notebooks).parent / "README.md"
-    text = path.read_text(encoding="utf-8")
-    new = replaced(text, "studies", studies_table(folder, studies))
-    ledger = _ledger(folder, studies)
-    if ledger is not None:
-        new = replaced(new, "ledger", ledger_table(ledger["table"]))
-    if write:
-        write_text(path, new)
-        picture = (folder / KEY_FIGURE).read_bytes()
-        write_atomically(notebooks / "key_figure.png", lambda file: file.write_bytes(picture))
-    if write and ledger is not None:
-        figure = ledger_figure(ledger["table"])
-        write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=150))
-    return new == text
-
-
-def studies_table(folder, studies):
-    """Return the table of the studies with the answers of their last full runs as Markdown.
-
-    Raises
-    ------
-    ValueError
-        If a study has no full run that came to its end with all checks passed.
-    """
-    return HEAD + "\n".join(_row(study, Path(folder) / study.stem) for study in studies)
-
-
-def ledger_table(ledger):
-    """Return the ledger's figure and its counts by source and verdict as Markdown."""
-    from mmqa_lab.published.ledger import summary
-
-    return LEDGER_FIGURE + markdown_table(summary(ledger).rename_axis("source").reset_index())
-
-
 def ledger_figure(ledger):
     """Return a figure of the verdicts on each source's results, as stacked bars."""
     from mmqa_lab import plots
@@ -339,48 +280,3 @@ def ledger_figure(ledger):
         ax.set(xlabel="printed numbers", ylabel="")
         ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
-
-
-def replaced(text, name, content):
-    """Return a text with another content between the marks of a name.
-
-    Raises
-    ------
-    ValueError
-        If the marks are missing.
-
-    Examples
-    --------
-    >>> print(replaced("a\\n<!-- x -->\\nold\\n<!-- end x -->\\nb", "x", "new"))
-    a
-    <!-- x -->
-    new
-    <!-- end x -->
-    b
-    """
-    start, end = f"<!-- {name} -->", f"<!-- end {name} -->"
-    if not 0 <= text.find(start) < text.find(end):
-        raise ValueError(f"Invalid README: no marks {start} and {end}. Must have both, in order.")
-    head, rest = text.split(start, 1)
-    return f"{head}{start}\n{content}\n{end}{rest.split(end, 1)[1]}"
-
-
-def markdown_table(frame):
-    """Return a DataFrame as a table of the README, without its index."""
-    rows = [list(frame.columns), ["---"] * frame.shape[1], *frame.astype(str).to_numpy().tolist()]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
-def _row(study, folder):
-    """One study's row."""
-    outcome = read_outcome(folder)
-    if outcome is None or outcome.quick or not (outcome.ok and outcome.true):
-        raise ValueError(
-            f"Invalid results of {study.stem} in {folder.parent}. Must be of a full run that came "
-            "to its end with all checks passed."
-        )
-    answer = read_record(folder)["answer"]["sentence"]
-    name = f"[{study.number:02d} {study.title}](notebooks/{study.notebook}.ipynb)"
-    source = re.sub(r"doi:(\S+\w)", r"[doi:\1](https://doi.org/\1)", study.source)
-    source = re.sub(r"(hal-\d+)", r"[\1](https://hal.science/\1)", source)
-    return f"| {name} | {study.question} | {answer} | {source} |"

@@ -12,8 +12,6 @@ import ast
 import base64
 import json
 import math
-import shutil
-import subprocess
 import textwrap
 import zlib
 from pathlib import Path
@@ -24,7 +22,7 @@ import numpy as np
 from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import inject
-from mmqa_lab.run.pages import glossary_rows, notebook_page
+from mmqa_lab.run.pages import notebook_page
 
 ASKED = "# asked for: "
 """Begins the line of an answer that says names, types and units; students get it too."""
@@ -48,8 +46,6 @@ UNITS = {"deg": "degrees", "percent": "%"}
 """Units as a sentence has them."""
 
 PYTHON = {"name": "python", "pygments_lexer": "ipython3"}
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 def student_cell(source):
@@ -252,8 +248,8 @@ def write_student_notebooks(studies, folder, *, quick=False):
     return targets
 
 
-def write_sheets(studies, folder):
-    """Write a handout and a solution sheet of each study, to print.
+def write_solutions(studies, folder):
+    """Write the solutions of each study with its lesson plan: a page to read and print.
 
     Parameters
     ----------
@@ -264,7 +260,6 @@ def write_sheets(studies, folder):
     Returns
     -------
     list of Path
-        PDF where Chromium is installed, else HTML pages that a browser prints.
     """
     written = []
     for study in studies:
@@ -274,52 +269,16 @@ def write_sheets(studies, folder):
         above = dict.fromkeys(max(place for place in texts if place < k) for k in tagged)
         tasks = ["## " + cells[k].source.rpartition("## ")[2] for k in above]
         exercises = [nbformat.v4.new_markdown_cell(task) for task in tasks]
-        asked = [nbformat.v4.new_markdown_cell(_asked(cells[k].source)) for k in tagged]
-        words = nbformat.v4.new_markdown_cell(_words(study.stem))
-        lesson = [cell for cell in cells if "lesson" in _tags(cell)]
         answers = [
             nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
         ]
-        begin = [cells[k] for k in texts if k < 2]
-        sheets = {
-            "handout": [*begin, *exercises, *asked, words],
-            "solutions": [cells[0], *exercises, *answers, *lesson],
-        }
-        for kind, chosen in sheets.items():
-            book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
-            page = notebook_page(book, f"{study.title}: {kind}", figures={}, alone=True)
-            written.append(_printed(page, Path(folder) / f"{study.notebook}_{kind}.html"))
+        lesson = [cell for cell in cells if "lesson" in _tags(cell)]
+        chosen = [cells[0], *exercises, *answers, *lesson]
+        book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
+        page = notebook_page(book, f"{study.title}: solutions", figures={}, alone=True)
+        written.append(Path(folder) / f"{study.notebook}_solutions.html")
+        write_atomically(written[-1], page)
     return written
-
-
-def _printed(page, file):
-    """Write a page, as PDF where a browser can print it."""
-    write_atomically(file, page)
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        return file
-    sheet = file.with_suffix(".pdf")
-    options = ("--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer")
-    command = [browser, *options, f"--print-to-pdf={sheet}", file.resolve().as_uri()]
-    done = subprocess.run(command, capture_output=True)
-    if done.returncode or not sheet.is_file():
-        return file
-    file.unlink()
-    return sheet
-
-
-def _asked(source):
-    """An exercise's number and what is asked for, as a line of Markdown."""
-    number = source.split(":")[0].lstrip("# ")
-    line = next((line for line in source.splitlines() if line.startswith(ASKED)), ASKED)
-    return f"**{number}**, asked for: {line.removeprefix(ASKED)}"
-
-
-def _words(stem):
-    """The study's words in English and German, as Markdown."""
-    rows = [row for row in glossary_rows() if stem in row["studies"].split()]
-    lines = [f"| {row['english']} | {row['german']} | {row['meaning']} |" for row in rows]
-    return "\n".join(["## Words", "", "| English | German | meaning |", "|---|---|---|", *lines])
 
 
 def _tags(cell):

@@ -38,9 +38,11 @@ def write_study(study, folder):
     figure, ax = plt.subplots(figsize=(3.3, 2.4))
     ax.plot([1, 2])
     run.save_figure(figure, "seen", seen="A line.")
-    report = run.save_report(figure, pd.DataFrame({"f": [2.0]}), title="Report", inputs={})
+    report = run.save_report(
+        title="Report", tables={"F": pd.DataFrame({"f": [2.0]})}, figures={"A line": figure}
+    )
     plt.close(figure)
-    assert report[1].is_file()
+    assert report.is_file()
     run.save_answer("f is 2 on a lattice that is stretched by 2. " * 5, figure="seen")
     run.save_ledger([entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", note="A.")])
     run.save_checks([Check("f is 2.", True, "f = 2.0", "digits"), Check("g is 2.", False, "3", "")])
@@ -52,7 +54,7 @@ def write_study(study, folder):
     notebook = nbformat.v4.new_notebook(cells=cells, metadata={"language_info": PYTHON})
     page = pages.notebook_page(notebook, study.title, figures={})
     (folder / f"{study.stem}.html").write_text(page, encoding="utf-8")
-    notebooks._write(pages.Outcome(study.stem, False, "", failure="", checks=2, passed=1), folder)
+    notebooks._write(pages.Outcome(study.stem, False, failure="", checks=2, passed=1), folder)
 
 
 @pytest.fixture
