@@ -8,13 +8,19 @@ os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("MMQA_HEADLESS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for each other
 
+import ast
+import contextlib
 import ipaddress
 import socket
+from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab import samples
+from mmqa_lab.studies import chosen
 
 TOGETHER = ("poles", "browser")
 """Files with these words are one share: one process compiles the detectors, one starts a server."""
@@ -95,3 +101,45 @@ def real():
 def rng():
     """A seeded random generator."""
     return np.random.default_rng(20210112)
+
+
+def spoiled(stem, names):
+    """Return which checks of a study's notebook fail where its names have these values.
+
+    Its imports and every top-level statement with a ``run.check(...)`` are executed; a check that
+    needs a name which is not given is left out.
+
+    Parameters
+    ----------
+    stem : str
+    names : dict
+        Tables and numbers that the checks look at, some of them spoiled.
+
+    Returns
+    -------
+    list of str
+        Their statements.
+    """
+    failed = []
+
+    class Recorder:
+        def check(self, statement, passed, obtained, reason):
+            if not passed:
+                failed.append(statement)
+
+    known = {**names, "run": Recorder()}
+    for node in _statements(stem):
+        is_import = isinstance(node, ast.Import | ast.ImportFrom)
+        code = compile(ast.Module([node], []), stem, "exec")
+        if is_import or "run.check(" in ast.unparse(node):
+            with contextlib.suppress(*(() if is_import else (NameError,))):
+                exec(code, known)
+    return failed
+
+
+def _statements(stem):
+    """The top-level statements of a study's notebook, without magics."""
+    path = chosen([stem])[0].path if "." not in str(stem) else Path(stem)
+    for cell in nbformat.read(path, as_version=4).cells:
+        if cell.cell_type == "code":
+            yield from ast.parse(TransformerManager().transform_cell(cell.source)).body

@@ -14,7 +14,7 @@ import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run import notebooks, parameter_names, read_record
-from mmqa_lab.studies import STUDIES
+from mmqa_lab.studies import SMALL, STUDIES
 
 SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 
@@ -123,7 +123,7 @@ def other(value):
 
 def run_with(study, parameters, folder, monkeypatch):
     """The folder of a run with some small parameters changed; every cell must have run."""
-    monkeypatch.setattr(study.module, "QUICK", study.module.QUICK | parameters)
+    monkeypatch.setitem(SMALL, study.stem, study.quick | parameters)
     outcome = notebooks.run_study(study, folder, quick=True)
     assert outcome.failure == ""
     return folder / study.stem

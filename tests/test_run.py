@@ -4,9 +4,11 @@ import json
 import re
 
 import matplotlib.pyplot as plt
+import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import spoiled
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
@@ -61,7 +63,7 @@ def test_a_notebook_without_the_cell_is_refused(tmp_path):
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_small_parameters_replace_delivered_ones(study):
-    assert set(study.module.QUICK) <= set(parameter_names(study.path))
+    assert set(study.quick) <= set(parameter_names(study.path))
 
 
 @pytest.mark.parametrize(
@@ -307,3 +309,17 @@ def test_an_unknown_journal_or_width_is_refused():
         plots.style("Nature").__enter__()
     with pytest.raises(ValueError, match=r"Invalid width 'triple'. Must be one of"):
         plots.style(width="triple").__enter__()
+
+
+NOTEBOOK = """import numpy as np
+table = run.table()
+run.check("the mean is 2", np.mean(values) == 2, f"{np.mean(values)}", "by hand")
+run.check("it is known", unknown, "", "")
+run.check("the mean is above 1", np.mean(values) > 1, "", "")"""
+
+
+def test_checks_of_a_notebook_fail_on_spoiled_names(tmp_path):
+    cells = [nbformat.v4.new_markdown_cell("# One"), nbformat.v4.new_code_cell(NOTEBOOK)]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "one.ipynb")
+    assert spoiled(tmp_path / "one.ipynb", {"values": [1, 3]}) == []
+    assert spoiled(tmp_path / "one.ipynb", {"values": [1, 4]}) == ["the mean is 2"]

@@ -167,7 +167,7 @@ def test_a_class_can_have_small_parameters(tmp_path):
     place = next(k for k, c in enumerate(cells) if "parameters" in c.metadata.get("tags", []))
     small = run(cells[place + 1].source)
     (study,) = (study for study in STUDIES if study.stem == "mimic")
-    assert {name: small[name] for name in study.module.QUICK} == study.module.QUICK
+    assert {name: small[name] for name in study.quick} == study.quick
 
 
 def test_stored_outputs_stay_with_the_teacher(tmp_path):

@@ -77,7 +77,7 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     record = read_record(folder)
     assert record["finished"]
     assert list(record["parameters"]) == parameter_names(study.path)
-    for name, value in study.module.QUICK.items():  # they were injected, and are what is recorded
+    for name, value in study.quick.items():  # they were injected, and are what is recorded
         assert record["parameters"][name] == json.loads(json.dumps(value, default=list))
     seen = json.loads((tmp_path / "overlaps.json").read_text())
     assert seen["found"] == {}

@@ -34,7 +34,7 @@ def run_study(study, folder, *, quick=False, timeout=None):
     folder : path
         Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
     quick : bool
-        Run with the small parameters that the study's module calls QUICK.
+        Run with its small parameters.
     timeout : float, optional
         Seconds after which the study is stopped; without it, never.
 
@@ -50,7 +50,7 @@ def run_study(study, folder, *, quick=False, timeout=None):
     _write(outcome, target)
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
-        inject(notebook, study.module.QUICK)
+        inject(notebook, study.quick)
     began = time.monotonic()
     environment = {**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(target.parent)}
     failure = UNFINISHED

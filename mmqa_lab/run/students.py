@@ -214,7 +214,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
     folder : path
         Made where missing.
     quick : bool
-        With the small parameters that each study's module calls QUICK.
+        With each study's small parameters.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def write_student_notebooks(studies, folder, *, quick=False):
     for study, target in zip(studies, targets, strict=True):
         copy = _student_notebook(nbformat.read(study.path, as_version=4))
         if quick:
-            inject(copy, study.module.QUICK)
+            inject(copy, study.quick)
         write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
     return targets
 

@@ -31,6 +31,11 @@ class Study:
         return notebooks_folder() / f"{self.notebook}.ipynb"
 
     @property
+    def quick(self):
+        """Small parameters of its notebook, for the tests and for copies for a class."""
+        return SMALL.get(self.stem, {})
+
+    @property
     def module(self):
         """The imported module of the study."""
         return import_module(f"mmqa_lab.studies.{self.stem}")

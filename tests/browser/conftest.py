@@ -100,7 +100,7 @@ def lab(lab_folder):
     folder, copies = lab_folder.parent, lab_folder
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
-        inject(notebook, chosen([name])[0].module.QUICK)
+        inject(notebook, chosen([name])[0].quick)
         notebook.cells = explorers(notebook.cells)
         nbformat.write(notebook, copies / f"{name}.ipynb")
     with socket.socket() as free:
