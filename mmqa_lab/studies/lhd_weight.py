@@ -99,7 +99,7 @@ def score(result, truth):
     dict of str to float
         ``f1``, ``false_pairs``, ``missed_pairs``, ``rate_percent`` (means of both directions);
         ``lhd_m``, ``perpendicular_m`` and what they are above the true displacement
-        (``lhd_bias_m``, ``across_bias_m``).
+        (``lhd_bias_m``, ``across_bias_m``); without what could not be measured.
     """
     if np.isscalar(result):
         return {"lhd_m": result, "lhd_bias_m": result - truth.mean(truth.displacements)}
@@ -107,7 +107,7 @@ def score(result, truth):
         result = measured(truth.sets, pairs=result)
     both = [part.pairs for part in (result.test_model, result.model_test)]
     scores = [lines.pairing_scores(pairs, truth.pairs) for pairs in both]
-    return {
+    figures = {
         "f1": np.mean([np.nan_to_num(s.f1) for s in scores]),
         "false_pairs": np.mean([s.fp for s in scores]),
         "missed_pairs": np.mean([s.fn for s in scores]),
@@ -117,6 +117,7 @@ def score(result, truth):
         "lhd_bias_m": result.value - truth.mean(truth.displacements),
         "across_bias_m": result.perpendicular_only - truth.mean(truth.across),
     }
+    return {name: value for name, value in figures.items() if np.isfinite(value)}
 
 
 def score_directions(result, truth):
@@ -133,14 +134,13 @@ def score_directions(result, truth):
 
 def score_vector(result, truth):
     """What :func:`score` has, the error of the displacement, and whether its ellipsoid covers."""
-    found = result.displacement
+    found, figures = result.displacement, score(result, truth)
     error = found.vector - truth.displacements.mean(axis=0)
-    inside = np.nan
     if np.isfinite(error).all():
         square = error @ np.linalg.solve(found.covariance, error)
-        inside = float(square <= chi2.ppf(0.95, 3))
-    figures = {"vector_error_m": np.linalg.norm(error), "inside": inside}
-    return score(result, truth) | figures
+        figures["inside"] = float(square <= chi2.ppf(0.95, 3))
+        figures["vector_error_m"] = np.linalg.norm(error)
+    return figures
 
 
 def otsu_threshold(nearest):
