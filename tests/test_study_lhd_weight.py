@@ -1,7 +1,9 @@
 """The study of the line-segment Hausdorff distance: its scenes, scores, tables and checks."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from conftest import spoiled
 
 from mmqa_lab import lines
 from mmqa_lab.published import ledger
@@ -136,5 +138,17 @@ def test_extracted_edges_of_a_canyon_are_the_true_ones():
 
 
 def test_canyon_refuses_negative_noise():
-    with pytest.raises(ValueError, match="Invalid angle_noise_deg -0.1"):
+    with pytest.raises(ValueError, match=r"Invalid angle_noise_deg -0\.1"):
         canyon(1, angle_noise_deg=-0.1)
+
+
+def test_checks_of_the_notebook_fail_with_other_numbers():
+    """Each check, with numbers that would make its statement false and with the true ones."""
+    false = {"off": pd.Series([True] * 2), "plateau": 0.2, "tolerance": 0.03, "moved": 3.0}
+    false |= {"f1": pd.DataFrame({"mean": [0.8]}, index=["W = 1"])}
+    false |= {"loud": pd.Series({"W = 10": 0.8})}
+    false |= {"bias": 0.1, "across": 0.2, "gain": {"low": -0.1}, "obtained": "", "passed": False}
+    assert len(spoiled("lhd_weight", false)) == 7
+    true = false | {"off": pd.Series([True]), "plateau": 0.01, "moved": 0.1, "bias": -0.9}
+    true |= {"loud": pd.Series({"W = 10": 0.7, "W = 0": 0.8}), "across": 0.01, "gain": {"low": 0.1}}
+    assert not spoiled("lhd_weight", true | {"passed": True})

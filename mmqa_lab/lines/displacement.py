@@ -392,7 +392,7 @@ def _starts(shifts, scores):
 
 def _refined(lines, start, drift):
     """Evidence and pairs that a start leads to, pairs and displacement by turns."""
-    moved, noise, best = np.broadcast_to(start, (len(lines), 3)), 0.25, (0.0, None)
+    moved, noise = np.broadcast_to(start, (len(lines), 3)), 0.25
     spread = np.broadcast_to(0.04 * np.eye(3), (len(lines), 3, 3))
     outcome = 0.0, np.zeros(lines.shape, dtype=bool)
     for k in range(ROUNDS):
