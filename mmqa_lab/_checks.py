@@ -161,7 +161,9 @@ def check_number(value, name, *, low=None, high=None, unit=""):
     below = low is not None and number < low
     above = high is not None and number > high
     if below or above:
-        raise ValueError(f"Invalid {name} {value}. Must be {_bounds(low, high)} {unit}".strip() + ".")
+        raise ValueError(
+            f"Invalid {name} {value}. Must be {_bounds(low, high)} {unit}".strip() + "."
+        )
     return number
 
 

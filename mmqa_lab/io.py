@@ -777,7 +777,9 @@ def _heights_of_raster(path):
 
     with _raster(path, "reference") as raster:
         if raster.count != 1 or raster.transform.is_identity:
-            raise ValueError(f"Invalid reference {path}. Must be a GeoTIFF of one band with places.")
+            raise ValueError(
+                f"Invalid reference {path}. Must be a GeoTIFF of one band with places."
+            )
         heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
         crs = None if raster.crs is None else pyproj.CRS(raster.crs.to_wkt())
         rows, columns = np.nonzero(np.isfinite(heights))

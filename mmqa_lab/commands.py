@@ -1,0 +1,994 @@
+"""The commands of ``mmqa``, made of functions: a signature is the arguments, a docstring the help.
+
+A command reads files by ``io``, calls a room's function with arrays and returns a table.
+:func:`table` registers it: printing, ``--json``, ``--csv`` stand there, and what goes wrong is said
+in one sentence by :func:`run`. Rooms are imported inside of the commands, so that help is quick.
+"""
+
+import functools
+import inspect
+import os
+import re
+import subprocess
+import sys
+import textwrap
+import warnings
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+from mmqa_lab import __version__
+
+WIDTH = 100
+"""Columns of a terminal that tables fit into."""
+
+FIGURES = (".pdf", ".png", ".svg")
+
+TEST_CORES = ("-n=logical", "--maxprocesses=4")
+
+GB_A_STUDY = 1.5
+"""Memory that a study may need; no more run at the same time than fit."""
+
+ABOUT = """The quality of mobile mapping point clouds and images.
+
+Evaluate your own data, run the studies that put published metrics to the test, or open the
+notebooks.
+"""
+
+app = App(
+    "mmqa",
+    help=ABOUT,
+    version=__version__,
+    help_format="plaintext",
+    default_parameter=Parameter(negative=()),
+)
+
+SHARED = {
+    "json": (bool, False, "Print a list with an object for each row, null where not measurable."),
+    "csv": (Path | None, None, "Write the rows there, too."),
+}
+
+
+def table(function):
+    """Register a command whose table is printed; the function itself stays as it is."""
+
+    @functools.wraps(function)
+    def command(*files, json=False, csv=None, **choices):
+        if csv is not None and csv.is_dir():
+            raise ValueError(f"Invalid file {csv}: a folder. Must be a file.")
+        frame = function(*files, **choices)
+        if csv is not None:
+            from mmqa_lab.io import write_atomically
+
+            write_atomically(csv, frame)
+        print(as_json(frame) if json else as_text(frame))
+
+    shared = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=default,
+            annotation=Annotated[kind, Parameter(help=text)],
+        )
+        for name, (kind, default, text) in SHARED.items()
+    ]
+    signature = inspect.signature(function)
+    command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *shared])
+    command.__annotations__ = {one.name: one.annotation for one in shared} | dict(
+        function.__annotations__
+    )
+    del command.__wrapped__
+    app.command(command, name=function.__name__.rstrip("_"))
+    return function
+
+
+def run(arguments):
+    """Run a command line and return its exit status."""
+    words = list(arguments)
+    name = words[0] if words and not words[0].startswith("-") else ""
+    warnings.showwarning = lambda message, *_, **__: _say(name, message)
+    try:
+        status = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except BrokenPipeError:  # as in: mmqa info *.laz | head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (CycloptsError, ValueError, TypeError, ImportError, OSError) as error:
+        _say(name, " ".join(str(error).split()))
+        return 2
+    except KeyboardInterrupt:
+        _say(name, "interrupted; what was finished is kept.")
+        return 130
+
+
+def _say(command, sentence):
+    """One sentence on stderr."""
+    print(f"mmqa {command}".strip() + f": {sentence}", file=sys.stderr)
+
+
+def as_json(frame):
+    """A table as JSON: a list with an object for each row."""
+    return frame.to_json(orient="records", indent=1, double_precision=15)
+
+
+def as_text(frame):
+    """A table as text of at most 100 columns, its remarks below it, each sentence once."""
+    import pandas as pd
+
+    if frame.empty:
+        return f"{' '.join(frame.columns)}\nnone"
+    remarks = frame.get("remarks", pd.Series(dtype=str)).replace("", None).dropna().unique()
+    frame = frame.drop(columns="remarks", errors="ignore")
+    frame = frame.replace("", None).dropna(axis=1, how="all")
+    texts = frame.select_dtypes(exclude="number").columns
+    frame = frame.astype(dict.fromkeys(texts, object)).fillna(dict.fromkeys(texts, ""))
+    first = frame.columns[0]
+    shown = frame.set_index(first).rename_axis(index=None, columns=first)
+    style = {"float_format": _figure, "line_width": WIDTH}
+    text = shown.to_string(**style)
+    if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
+        text = shown.T.rename_axis(columns=first).to_string(**style)
+    return "\n".join([text, *(textwrap.fill(remark, WIDTH - 1) for remark in remarks)])
+
+
+def _figure(value):
+    """A number with four figures, a large one to two decimals."""
+    return f"{round(value, 2):.10g}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def _progress(items, unit):
+    """Go through items under a bar on stderr; there is none where that is no terminal."""
+    from tqdm import tqdm
+
+    return tqdm(items, unit=unit, disable=None, leave=False)
+
+
+def _figure_file(path):
+    """Raise before any work where a figure cannot be written in the format of that name."""
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise ValueError(f"Invalid figure {path}. Must end in {', '.join(FIGURES)}.")
+
+
+def _write_figure(path, draw):
+    """Draw in the package's style and write the figure."""
+    from mmqa_lab import plots
+    from mmqa_lab.io import write_atomically
+
+    with plots.style():
+        figure = draw()
+        write_atomically(path, lambda file: figure.savefig(file))
+
+
+def _within(cloud, polygon):
+    """The points of a cloud within a polygon of a file, or all without one."""
+    from mmqa_lab import chart_cloud, io
+
+    if polygon is None:
+        return cloud
+    return cloud[chart_cloud.inside_polygon(cloud, io.read_polygon(polygon, crs=cloud.crs))]
+
+
+@table
+def info(clouds: list[Path], /):
+    """Say what is in cloud files: extent, density, time, heads, and what they cannot tell.
+
+    Parameters
+    ----------
+    clouds
+        LAS, LAZ, COPC, PLY or text.
+    """
+    import pandas as pd
+
+    from mmqa_lab import chart_cloud, io
+
+    rows = []
+    for file in _progress(clouds, "cloud"):
+        rows.append({"file": file.name} | chart_cloud.describe(io.read_cloud(file)))
+    return pd.DataFrame(rows)
+
+
+@table
+def evaluate(
+    clouds: list[Path],
+    /,
+    *,
+    polygon: str | None = None,
+    sectors: int = 4,
+    statistic: float = 50.0,
+    rho0: float | None = None,
+    intervals: bool = False,
+    out: Path | None = None,
+):
+    """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4 and f.
+
+    The plane is the orthogonal regression plane of the points; d1..d4 are the medians of the sorted
+    distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021, doi
+    10.3390/rs13020237). Without a polygon the whole cloud is taken for the surface.
+
+    Parameters
+    ----------
+    clouds
+        LAS, LAZ, COPC, PLY or text.
+    polygon
+        Of the surface: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
+    sectors
+        Number of sectors instead of quadrants.
+    statistic
+        Percentile of the distances that d1..d4 are.
+    rho0
+        Points per m2 asked for: says where f does not matter.
+    intervals
+        A row for each figure, and for g, with its 95 % interval.
+    out
+        A figure of the last cloud: .pdf, .png, .svg.
+    """
+    import pandas as pd
+
+    from mmqa_lab import chart_cloud, io
+
+    _figure_file(out)
+    choices = {"sectors": sectors, "statistic": statistic, "rho0": rho0}
+    rows = []
+    for file in _progress(clouds, "cloud"):
+        cloud = io.read_cloud(file, columns=())
+        ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
+        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
+        frame = quality.intervals() if intervals else quality.to_frame()
+        frame.insert(0, "file", file.name)
+        rows.append(frame.assign(remarks=" ".join(quality.remarks)))
+    if out is not None:
+        _write_figure(out, quality.plot)
+    return pd.concat(rows, ignore_index=True)
+
+
+@table
+def map_(
+    clouds: list[Path],
+    /,
+    *,
+    out: Path,
+    cell: float = 0.5,
+    rho0: float | None = None,
+    workers: int = 0,
+):
+    """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
+
+    Beside the map stand its tiles in a folder .run: a run that was interrupted goes on with those
+    that exist.
+
+    Parameters
+    ----------
+    clouds
+        LAS, LAZ or COPC files, and folders of them.
+    out
+        The map: .nc (NetCDF) or .tif (GeoTIFF).
+    cell
+        Side of the cells, m.
+    rho0
+        Points per m2 asked for: maps where f does not matter.
+    workers
+        Processes; as many as cores without it.
+    """
+    from mmqa_lab import maps
+
+    folder = out.with_suffix(".run")
+    maps.map_campaign(
+        clouds, folder, cell=cell, workers=workers or None, progress=sys.stderr.isatty()
+    )
+    dataset = maps.open_map(folder, rho0=rho0)
+    maps.write_map(dataset, out)
+    return maps.summarise(dataset)
+
+
+@table
+def plan(
+    *,
+    range: float,
+    speed: float,
+    scanner: str | None = None,
+    pulse_rate: float | None = None,
+    mirror_frequency: float | None = None,
+    scanner_heading: float | None = None,
+    scanner_tilt: float | None = None,
+    target_heading: float = 0.0,
+    target_tilt: float = 0.0,
+    height_difference: float = 0.0,
+    sigma: list[str] | None = None,
+):
+    """Predict what a profile scanner on a vehicle lays on a plane: spacings, angle, density, f.
+
+    X is across the track to the target's side, Y the direction of travel, Z up. Angles are
+    counter-clockwise, tilt is applied before heading. Scanner: all zero is a vertical scan plane
+    across the track. Target: all zero is a vertical wall along the track. After Cahalane et al.
+    2014 (doi 10.3390/s140609471).
+
+    Parameters
+    ----------
+    range
+        X at which the horizontal pulse strikes the plane, m.
+    speed
+        Of the vehicle, m/s.
+    scanner
+        A profile scanner by name, such as zf-9012 or vq-450; else give both rates.
+    pulse_rate
+        Pulses per second.
+    mirror_frequency
+        Revolutions of the mirror per second.
+    scanner_heading
+        Scan plane turned about the vertical, degrees.
+    scanner_tilt
+        Scan plane tilted about X, degrees.
+    target_heading
+        Of the target, degrees.
+    target_tilt
+        Of the target, degrees.
+    height_difference
+        Above the scanner, m.
+    sigma
+        Standard deviations of inputs, such as speed_m_s=0.2 target_heading_deg=1.93.
+    """
+    import pandas as pd
+
+    from mmqa_lab import scan_pattern
+
+    target = scan_pattern.Target(
+        heading_deg=target_heading,
+        tilt_deg=target_tilt,
+        range_m=range,
+        height_difference_m=height_difference,
+    )
+    given = {
+        "pulse_rate_hz": pulse_rate,
+        "mirror_frequency_hz": mirror_frequency,
+        "scanner_heading_deg": scanner_heading,
+        "scanner_tilt_deg": scanner_tilt,
+    }
+    setup = _setup(scanner, speed, {name: one for name, one in given.items() if one is not None})
+    lattice = scan_pattern.scan_lattice(setup, target.patch(setup))
+    rows = {name: float(lattice.quantity(name)) for name in scan_pattern.QUANTITIES}
+    frame = pd.DataFrame({"quantity": rows.keys(), "predicted": rows.values()})
+    if sigma:
+        pairs = [re.fullmatch(r"(\w+)=([\d.eE+-]+)", text) for text in sigma]
+        if not all(pairs):
+            raise ValueError(f"Invalid sigma {' '.join(sigma)}. Must be like speed_m_s=0.2.")
+        sigmas = {pair[1]: float(pair[2]) for pair in pairs}
+        errors = scan_pattern.propagate(setup, target, sigmas=sigmas)
+        frame = frame.merge(errors[["quantity", "std", "low", "high"]], on="quantity", how="left")
+    return frame
+
+
+def _setup(scanner, speed, given):
+    """The set-up of a scanner by name, or from what was given."""
+    from dataclasses import replace
+
+    from mmqa_lab import scan_pattern
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.simulate import PRESETS
+
+    if scanner is not None:
+        profilers = [name for name, one in PRESETS.items() if hasattr(one, "mirror_frequency_hz")]
+        preset = PRESETS[check_choice(scanner, "scanner", profilers)]
+        return replace(scan_pattern.ScanSetup.of_scanner(preset, speed_m_s=speed), **given)
+    if not {"pulse_rate_hz", "mirror_frequency_hz"} <= set(given):
+        raise ValueError(
+            "Invalid plan. Must have --pulse-rate and --mirror-frequency, or --scanner."
+        )
+    return scan_pattern.ScanSetup(speed_m_s=speed, **given)
+
+
+@table
+def pattern(
+    clouds: list[Path],
+    /,
+    *,
+    polygon: str | None = None,
+    mirror_frequency: float | None = None,
+    pulse_rate: float | None = None,
+):
+    """Measure the scan pattern of a planar patch: profile spacing, profile angle, point spacing.
+
+    One patch, one pass of one scanner head. Profiles are told apart by scan line or GPS time. After
+    Cahalane et al. 2014 (doi 10.3390/s140609471), section 4.
+
+    Parameters
+    ----------
+    clouds
+        LAS, LAZ, COPC, PLY or text.
+    polygon
+        Of the patch: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
+    mirror_frequency
+        Revolutions a second, if known.
+    pulse_rate
+        Pulses a second, if known.
+    """
+    import pandas as pd
+
+    from mmqa_lab import io, scan_pattern
+
+    rates = {"mirror_frequency_hz": mirror_frequency, "pulse_rate_hz": pulse_rate}
+    rows = []
+    for file in _progress(clouds, "cloud"):
+        cloud = _within(io.read_cloud(file), polygon)
+        numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
+        found = scan_pattern.measure_pattern(cloud, **numbers, **rates)
+        frame = found.to_frame()
+        frame.insert(0, "file", file.name)
+        rows.append(frame)
+    return pd.concat(rows, ignore_index=True)
+
+
+@table
+def lhd(
+    files: list[Path],
+    /,
+    *,
+    reference: Path | None = None,
+    weight: float = 10.0,
+    radius: float = 4.0,
+    matcher: str = "all",
+):
+    """Line-segment Hausdorff distances between sets of 3-D edges, both ways.
+
+    Every set is compared with every other, and with the reference. The published method pairs all
+    segments below a threshold (Poreba & Goulette 2013, hal-00846334). The value contains the noise
+    of angles and ends, and false pairs, as well as displacement: compare it with the perpendicular
+    part and the displacement beside it.
+
+    Parameters
+    ----------
+    files
+        Segments (CSV with x1,y1,z1,x2,y2,z2, m) or clouds, whose edges are extracted first.
+    reference
+        The static survey.
+    weight
+        Of the angle.
+    radius
+        Largest displacement that is sought, m.
+    matcher
+        Who pairs: all, nearest, mutual, hungarian, fragments, displaced.
+    """
+    from mmqa_lab import io, lines
+
+    files = [*files, *([] if reference is None else [reference])]
+    names = [file.stem for file in files]
+    names = names if len(set(names)) == len(names) else [str(file) for file in files]
+    sets = {}
+    for name, file in zip(names, _progress(files, "file"), strict=True):
+        if file.suffix.lower() in (".csv", ".txt"):
+            sets[name] = io.read_segments(file)
+        else:
+            sets[name] = lines.extract_edges(io.read_cloud(file, columns=()).points).segments
+    return lines.compare(
+        sets,
+        reference=None if reference is None else names[-1],
+        radius=radius,
+        weight=weight,
+        matcher=matcher,
+    )
+
+
+@table
+def poles(
+    clouds: list[Path],
+    /,
+    *,
+    method: Literal["ours", "fgi", "itc"] = "ours",
+    trajectory: Path | None = None,
+    corridor: float | None = None,
+    reference: Path | None = None,
+):
+    """Detect poles in clouds of one street; with a reference, score them.
+
+    Methods: ours (learned, any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu
+    et al. 2011).
+
+    Parameters
+    ----------
+    clouds
+        LAS, LAZ, COPC, PLY or text.
+    method
+        Of detection.
+    trajectory
+        CSV of the path: points beyond the corridor do not count.
+    corridor
+        Half its width, m.
+    reference
+        CSV of known poles with x_m, y_m: prints recall, precision and F1.
+    """
+    import numpy as np
+
+    from mmqa_lab import io, poles
+    from mmqa_lab.cloud import Cloud
+
+    parts = []
+    for number, file in enumerate(_progress(clouds, "cloud")):
+        cloud = io.read_cloud(file)
+        head = {"head": np.full(len(cloud), number)} if len(clouds) > 1 else {}
+        parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
+    scope = {"trajectory": None, "corridor": corridor}
+    if trajectory is not None:
+        scope["trajectory"] = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
+    found = poles.detect(Cloud.concatenate(parts), method=method, **scope)
+    if reference is None:
+        return found
+    known = io.read_table(reference, "reference", ("x_m", "y_m"))
+    return poles.score(found, known, **scope).to_frame()
+
+
+@table
+def accuracy(
+    cloud: Path,
+    reference: Path | None = None,
+    /,
+    *,
+    targets: Path | None = None,
+    trajectory: Path | None = None,
+    radius: float = 0.2,
+    out: Path | None = None,
+):
+    """Compare a cloud with surveyed heights, or with surveyed plan positions.
+
+    Heights: at each reference point the cloud around it is triangulated; differences are summarised
+    with their shift kept and removed (EuroSDR 2013, mobile laser scanning, section 3.2). Plan:
+    poles are circles, corners of buildings and curbs are where two lines meet.
+
+    Parameters
+    ----------
+    cloud
+        LAS, LAZ, COPC, PLY or text.
+    reference
+        Points (CSV, LAS) or a raster (GeoTIFF).
+    targets
+        CSV of x, y, z (of the foot), kind (pole, building, curb) and, where known, diameter.
+    trajectory
+        CSV of the path: adds the trend over the distance.
+    radius
+        Of the surface around a point, m.
+    out
+        Write each difference there, as CSV.
+    """
+    from mmqa_lab import io, testfield
+
+    points = io.read_cloud(cloud, columns=())
+    if (reference is None) == (targets is None):
+        raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
+    if targets is not None:
+        found = testfield.compare_plan(points, _targets(targets))
+    else:
+        path = None
+        if trajectory is not None:
+            path = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
+        heights = io.read_heights(reference, crs=points.crs)
+        found = testfield.compare_heights(points, heights, path=path, radius=radius)
+    if out is not None:
+        io.write_atomically(out, found.differences)
+    return found.to_frame()
+
+
+def _targets(path, **columns):
+    """Targets of a CSV file as ``testfield.plan_differences`` takes them."""
+    from mmqa_lab import io
+
+    frame = io.read_table(path, "targets")
+    frame = frame.rename(columns={name: f"{name}_m" for name in ("x", "y", "z", "diameter")})
+    return io.with_numbers(frame.assign(**columns), ("x_m", "y_m", "z_m"), f"targets {path}")
+
+
+@table
+def calibrate(
+    drives: list[Path],
+    /,
+    *,
+    trajectory: Annotated[list[Path], Parameter(consume_multiple=True)],
+    lever_arm: list[str] | None = None,
+    control: Path | None = None,
+    poles: Path | None = None,
+    out: Path | None = None,
+):
+    """Estimate boresight and lever arms of scan heads from drives in both directions.
+
+    The table has what is to be added to the assumed mounting with its standard error, and says what
+    the drives do not determine (EuroSDR 2013, mobile laser scanning, section 3.3.3). Vehicle frame:
+    x right, y travel, z up; roll is about y, pitch about x, heading about -z. Several heads are
+    told apart by the column head (0, 1, ...) of the clouds.
+
+    Parameters
+    ----------
+    drives
+        LAS or LAZ with GPS time, one of each drive.
+    trajectory
+        CSV of the path (position, roll, pitch, heading) of each drive, or one of all.
+    lever_arm
+        Assumed lever arm X,Y,Z of a head, m, once for each; else 0,0,0.
+    control
+        Points of the ground whose heights are known.
+    poles
+        CSV: x, y, z of the foot, roughly; diameter where known to millimetres.
+    out
+        Folder for the corrected clouds.
+    """
+    import numpy as np
+
+    from mmqa_lab import boresight, io
+    from mmqa_lab.simulate import Trajectory
+
+    clouds = [io.read_cloud(file) for file in _progress(drives, "cloud")]
+    paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
+    paths = paths * len(clouds) if len(paths) == 1 else paths
+    if len(paths) != len(clouds):
+        raise ValueError(f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive.")
+    heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
+    try:
+        arms = [[float(word) for word in arm.split(",")] for arm in lever_arm or ["0,0,0"] * heads]
+    except ValueError:
+        raise ValueError(f"Invalid lever-arm {' '.join(lever_arm)}. Must be X,Y,Z.") from None
+    found = boresight.calibrate(
+        list(zip(clouds, paths, strict=True)),
+        lever_arms_m=arms,
+        poles=None if poles is None else _targets(poles, kind="pole"),
+        control=None if control is None else io.read_heights(control),
+        progress=sys.stderr.isatty(),
+    )
+    for number, (file, cloud, path) in enumerate(zip(drives, clouds, paths, strict=True), start=1):
+        if out is not None:
+            io.write_cloud(out / f"{number}_{file.stem}.laz", found.correct(cloud, path))
+    return found.to_frame()
+
+
+@table
+def chart(
+    *,
+    out: Path,
+    chart: Literal["grey", "black", "revised", "points"] = "grey",
+    seed: int = 0,
+):
+    """Write a test chart to print, 1 m x 1 m at true size, as PDF or SVG.
+
+    The imaging chart has long bars for the pixel size, line pairs for the resolution, texts and
+    symbols for the legibility and coded targets for its place; the point chart has random cells
+    (Pfeifer et al. 2021, doi 10.3390/rs13020237). Print without scaling.
+
+    Parameters
+    ----------
+    out
+        The file: .pdf or .svg.
+    chart
+        Which one.
+    seed
+        Of the point chart's cells.
+    """
+    import pandas as pd
+
+    from mmqa_lab import charts
+    from mmqa_lab._checks import check_choice
+    from mmqa_lab.io import write_atomically
+
+    ending = check_choice(out.suffix.lower(), "ending", (".pdf", ".svg"))
+    points = chart == "points"
+    layout = charts.point_chart(seed=seed) if points else charts.read_layout(chart)
+    content = layout.to_pdf() if ending == ".pdf" else layout.to_svg()
+    write_atomically(out, lambda path: path.write_bytes(content))
+    size = {"width_mm": layout.width, "height_mm": layout.height}
+    return pd.DataFrame([{"file": out.name, **size, "elements": len(layout.elements)}])
+
+
+@table
+def image(
+    images: list[Path],
+    /,
+    *,
+    chart: Literal["grey", "black", "revised"] = "grey",
+    corners: str | None = None,
+    panorama: bool = False,
+    linear: bool = False,
+    out: Path | None = None,
+):
+    """Measure photographs of the imaging chart: pixel size, resolved line pairs, noise.
+
+    The chart is found by its coded targets and long bars, or at its corners (Pfeifer et al. 2021,
+    doi 10.3390/rs13020237). What cannot be measured is empty, and what speaks against the figures
+    stands in remark.
+
+    Parameters
+    ----------
+    images
+        JPEG, PNG or TIFF.
+    chart
+        Which one was printed.
+    corners
+        "X,Y; X,Y; X,Y; X,Y" in pixels: lower left, lower right, upper right, upper left.
+    panorama
+        The image is equirectangular, 2 : 1.
+    linear
+        Grey values are linear in light.
+    out
+        A figure of the last image: .pdf, .png, .svg.
+    """
+    import pandas as pd
+
+    from mmqa_lab import chart_image, charts
+
+    _figure_file(out)
+    choices = {
+        "corners": None if corners is None else _corners(corners),
+        "camera": "panorama" if panorama else "plain",
+        "gamma": "linear" if linear else "srgb",
+    }
+    rows, layout = [], charts.read_layout(chart)
+    for file in _progress(images, "image"):
+        quality = chart_image.evaluate_file(file, layout, **choices)
+        frame = quality.to_frame()
+        frame.insert(0, "file", file.name)
+        rows.append(frame)
+    if out is not None:
+        _write_figure(out, lambda: quality.plot().figure)
+    return pd.concat(rows, ignore_index=True)
+
+
+def _corners(text):
+    """Four corners from 'x,y; x,y; x,y; x,y'."""
+    try:
+        return [[float(word) for word in corner.split(",")] for corner in text.split(";")]
+    except ValueError:
+        raise ValueError(f"Invalid corners {text!r}. Must be four times x,y between ;.") from None
+
+
+@table
+def radiometry(
+    measure: Literal["edge", "star", "bars", "sharpness", "calibrate", "reflect"],
+    images: list[Path],
+    /,
+    *,
+    targets: Path | None = None,
+    linear: bool = False,
+):
+    """Measure a camera in your own images: resolution, sensor and reflectance, band by band.
+
+    edge, star and bars measure resolution on targets, sharpness does without any; calibrate fits
+    gain and offset of the sensor to targets of known radiance, reflect turns digital numbers into
+    reflectance by the empirical line (EuroSDR 2013, image radiometry). Intervals are 95 %.
+
+    A row of the targets has image (name of the file; without the column it is in every one), name,
+    and for edge, calibrate and reflect x_px, y_px, width_px, height_px (a region); for star x_px,
+    y_px, radius_px, cycles; for bars x_px, y_px, period_px, bars, angle_deg; for calibrate
+    radiance, for reflect reflectance (empty where sought), or radiance_1, radiance_2, ... by band.
+
+    Parameters
+    ----------
+    measure
+        What to measure.
+    images
+        JPEG, PNG or TIFF with any number of bands.
+    targets
+        CSV.
+    linear
+        8-bit values are linear in light.
+    """
+    import pandas as pd
+
+    from mmqa_lab import image_targets, io
+
+    known = None if targets is None else io.read_table(targets, "targets")
+    if known is None and measure != "sharpness":
+        raise ValueError(f"Invalid {measure} without targets. Must have --targets.")
+    rows = []
+    for file in _progress(images, "image"):
+        values, names = io.read_bands(file)
+        shown = known
+        if known is not None and "image" in known:
+            shown = known[known["image"].isin([file.name, file.stem])]
+        frame = image_targets.measure(values, measure, targets=shown, bands=names, linear=linear)
+        frame.insert(0, "image", file.name)
+        rows.append(frame)
+    return pd.concat(rows, ignore_index=True)
+
+
+@table
+def tender(criteria: str, results: str, /, *, details: bool = False):
+    """Compare systems' results with the criteria of a tender; a sentence for each system.
+
+    Parameters
+    ----------
+    criteria
+        CSV with criterion, quantity, relation (>=, >, <=, <), threshold and, where they matter,
+        distance_m, view, direction; or pfeifer2021:test, :1, :2, :g (Pfeifer et al. 2021, doi
+        10.3390/rs13020237: the test and both scenarios, and the test with g in place of f).
+    results
+        CSV with system, quantity, value and, where known, sigma or low and high, distance_m, view,
+        direction; or pfeifer2021, the paper's Tables 1 and 2.
+    details
+        A row for each figure instead of one for each system.
+    """
+    from mmqa_lab import io, tender
+
+    sets = {"test": "test", "1": "scenario 1", "2": "scenario 2", "g": "test with g"}
+    paper, _, name = criteria.partition(":")
+    if paper == "pfeifer2021" and name in sets:
+        wanted = tender.published_criteria(sets[name])
+    else:
+        wanted = io.read_table(criteria, "criteria")
+    if results == "pfeifer2021":
+        found = tender.published_results()
+    else:
+        found = io.read_table(results, "results")
+    verdicts = tender.verdicts(wanted, found)
+    return verdicts if details else tender.qualification(verdicts)
+
+
+@table
+def bench(
+    study: str,
+    /,
+    *,
+    method: list[str] | None = None,
+    quick: bool = False,
+    workers: int = 1,
+    out: Path | None = None,
+    raise_: Annotated[bool, Parameter("--raise")] = False,
+):
+    """Run a study's comparison of methods, with methods of your own among them.
+
+    A method is a function of the study's data. It is measured on the same cases and ranked with an
+    interval; where it fails on some, it goes on with the others.
+
+    Parameters
+    ----------
+    study
+        Its stem, such as anisotropy.
+    method
+        MODULE:FUNCTION of your own, in a file of the current directory; may be given several times.
+    quick
+        Few cases, for a first look.
+    workers
+        Processes.
+    out
+        Folder for results, tables and figures.
+    raise_
+        Stop with the traceback where your method fails.
+    """
+    from mmqa_lab.run import benches
+
+    return benches.compare(
+        study, method or [], quick=quick, workers=workers, folder=out, stop=raise_
+    )
+
+
+@app.command
+def studies(
+    names: Annotated[list[str] | None, Parameter()] = None,
+    /,
+    *,
+    quick: bool = False,
+    timeout: float | None = None,
+    workers: int | None = None,
+    out: Path | None = None,
+):
+    """Run the studies: every notebook, without a screen, with tables, figures and pages.
+
+    Results stand in notebooks/results/ (of a quick run in results/quick/); index.html there shows
+    them all. A study that fails does not stop the others. The exit status is 1 where a study failed
+    or, with the delivered parameters, a check did not pass.
+
+    Parameters
+    ----------
+    names
+        Stems of studies; all without.
+    quick
+        Small parameters, for a first look.
+    timeout
+        Seconds for each study.
+    workers
+        Studies at the same time; as many as cores, memory permitting.
+    out
+        Folder for the results.
+    """
+    from mmqa_lab.run import notebooks, pages
+    from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
+
+    usual = results_folder(notebooks_folder())
+    folder = (out or (usual / "quick" if quick else usual)).resolve()
+    wanted = chosen(names or [])
+    print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
+    outcomes, workers = [], workers or _fitting_workers()
+    how = {"quick": quick, "timeout": timeout}
+    for study, outcome in _run_studies(notebooks.run_study, wanted, folder, workers, how):
+        outcomes.append(outcome)
+        print(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}", flush=True)
+        pages.write_pages(folder, STUDIES)
+    return 0 if all(one.ok and (one.quick or one.true) for one in outcomes) else 1
+
+
+def _fitting_workers():
+    """As many processes as there are cores, and memory for."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    try:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    except (AttributeError, ValueError, OSError):  # no such question on Windows
+        return cores
+    return max(1, min(cores, int(free / GB_A_STUDY)))
+
+
+def _run_studies(run_study, studies, folder, workers, how):
+    """Run studies in so many processes; yield each with its outcome as it ends."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    if workers == 1 or len(studies) == 1:
+        yield from ((study, run_study(study, folder, **how)) for study in studies)
+        return
+    context = get_context("spawn")
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
+    with ProcessPoolExecutor(min(workers, len(studies)), mp_context=context) as pool:
+        tasks = {pool.submit(run_study, study, folder, **how): study for study in studies}
+        for task in as_completed(tasks):
+            yield tasks[task], task.result()
+
+
+@app.command
+def student(
+    out: Path,
+    names: Annotated[list[str] | None, Parameter()] = None,
+    /,
+    *,
+    quick: bool = False,
+    sheets: Path | None = None,
+):
+    """Write copies of the notebooks for a class: without the answers, with checks of the work.
+
+    Parameters
+    ----------
+    out
+        Folder of the copies; one that contains such notebooks already is refused.
+    names
+        Stems of studies; all without.
+    quick
+        Small parameters, so that a class reaches the first exercise soon.
+    sheets
+        Folder for the teacher's solutions and lesson plans, one HTML page.
+    """
+    from mmqa_lab.run import students
+    from mmqa_lab.studies import chosen
+
+    wanted = chosen(names or [])
+    paths = students.write_student_notebooks(wanted, out, quick=quick)
+    if sheets is not None:
+        paths += students.write_solutions(wanted, sheets)
+    print(*paths, sep="\n")
+
+
+@app.command
+def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
+    """Open the notebooks in JupyterLab.
+
+    Parameters
+    ----------
+    options
+        Handed to jupyter lab.
+    """
+    from mmqa_lab.studies import notebooks_folder
+
+    folder = notebooks_folder()
+    return subprocess.call([sys.executable, "-m", "jupyterlab", *options, str(folder)])
+
+
+@app.command
+def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
+    """Run the tests: style by ruff, then every test on up to four cores.
+
+    Parameters
+    ----------
+    options
+        Handed to pytest.
+    """
+    root = Path(__file__).resolve().parents[1]
+    if not (root / "tests").is_dir():
+        raise FileNotFoundError(f"Invalid folder {root}: no tests. Must be the repository.")
+    steps = (
+        ["ruff", "check", "."],
+        ["ruff", "format", "--check", "."],
+        ["pytest", "-q", "-ra", *TEST_CORES, *options],
+    )
+    statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
+    return next((status for status in statuses if status), 0)
