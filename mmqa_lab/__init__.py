@@ -8,7 +8,7 @@ import sysconfig
 import tomllib
 from pathlib import Path
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 
 def _shipped(name):

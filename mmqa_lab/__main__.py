@@ -1,25 +1,20 @@
-"""The command line: ``python3 -m mmqa_lab COMMAND``, and ``mmqa COMMAND`` once installed.
+"""mmqa: the quality of mobile mapping point clouds and images.
 
-It starts with the standard library alone. Outside of a prepared environment it makes ``.venv`` from
-``environment.txt`` (for ``test``: with ``tests/environment.txt``) and runs itself in there.
+python3 -m mmqa_lab COMMAND, and mmqa COMMAND once installed; mmqa --help lists the commands, mmqa
+COMMAND --help is the manual. studies runs all studies, lab opens the notebooks, test runs the
+tests. The first call makes .venv from environment.txt (for test: with tests/environment.txt).
 """
 
-import argparse
+# It starts with the standard library alone, and runs itself in the environment that it made.
 import hashlib
-import importlib
 import importlib.util
-import inspect
 import os
-import pkgutil
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from pathlib import Path
-
-from mmqa_lab import __version__, commands
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / "environment.txt"
@@ -27,78 +22,28 @@ TOOLS = ROOT / "tests" / "environment.txt"
 VENV = ROOT / ".venv"
 
 PROBES = {
-    ENVIRONMENT: ("numpy", "laspy", "numba", "pandas", "dask", "nbclient"),
+    ENVIRONMENT: ("numpy", "laspy", "numba", "pandas", "dask", "nbclient", "cyclopts"),
     TOOLS: ("numpy", "pytest", "hypothesis", "ruff"),
 }
 """What an environment made from these files can import."""
-
-COMPILED = {"lhd": "detection", "map": "_search", "poles": "features"}
-"""Commands that wait for the compiler when first called, and a module that they compile."""
-
-DESCRIPTION = """\
-The quality of mobile mapping point clouds and images: evaluate your own data, run the studies
-that put the published metrics to the test, or open the notebooks.
-"""
 
 
 def main(arguments=None):
     """Run the command line and return its exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    options, unknown = parser().parse_known_args(arguments)
-    if unknown:
-        of_command(options.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
-    wanted = TOOLS if options.command == "test" else ENVIRONMENT
-    warnings.showwarning = lambda message, *_, **__: _say(options.command, message)
-    try:
-        if not prepared(wanted):
-            command = [prepare(wanted), "-m", "mmqa_lab", *arguments]
-            if os.name != "nt":  # in place of this process: signals reach the command itself
-                os.execv(command[0], command)
-            return subprocess.call(command)
-        if sys.stderr.isatty() and _is_uncompiled(options.command):
-            _say(options.command, "compiles its searches, once; later calls start at once.")
-        return options.run(options) or 0
-    except BrokenPipeError:  # as in: mmqa names | head
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    wanted = TOOLS if arguments[0] == "test" else ENVIRONMENT
+    if prepared(wanted):
+        from mmqa_lab import commands
+
+        return commands.run(arguments)
+    if "--help" in arguments:
+        print(__doc__)
         return 0
-    except (ValueError, TypeError, ImportError, OSError) as error:
-        _say(options.command, error)
-        return 2
-    except KeyboardInterrupt:
-        _say(options.command, "interrupted; what was finished is kept.")
-        return 130
-
-
-def parser():
-    """Return the argument parser with a sub-parser for each command."""
-    whole = argparse.ArgumentParser(prog="mmqa", description=DESCRIPTION)
-    whole.add_argument("--version", action="version", version=f"mmqa_lab {__version__}")
-    groups = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, command in sorted(_commands().items()):
-        one = groups.add_parser(
-            name,
-            help=command.summary,
-            description=inspect.getdoc(command.run),
-            epilog=command.examples,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        for names, about in command.arguments:
-            one.add_argument(*names, **about)
-        one.set_defaults(run=command.run)
-    return whole
-
-
-def of_command(name):
-    """Return the parser of one command, so that an error shows that command's usage."""
-    return parser()._subparsers._group_actions[0].choices[name]
-
-
-def _commands():
-    """Commands by their names, as the modules of ``mmqa_lab.commands`` declare them."""
-    for one in pkgutil.iter_modules(commands.__path__):
-        importlib.import_module(f"mmqa_lab.commands.{one.name}")
-    return commands.COMMANDS
+    command = [prepare(wanted), "-m", "mmqa_lab", *arguments]
+    if os.name != "nt":  # in place of this process: signals reach the command itself
+        os.execv(command[0], command)
+    return subprocess.call(command)
 
 
 def prepared(wanted):
@@ -113,7 +58,8 @@ def prepare(wanted):
     folder, which also works with Debian's Python without ensurepip; failing that, pip does it all.
     """
     python = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    stamp, digest = _stamp(wanted)
+    stamp = VENV / f"mmqa-{wanted.parent.name}.sha256"
+    digest = hashlib.sha256(ENVIRONMENT.read_bytes() + wanted.read_bytes()).hexdigest()
     if python.exists() and stamp.is_file() and stamp.read_text(encoding="utf-8") == digest:
         return str(python)
     if sys.version_info < (3, 11):  # noqa: UP036 - an older Python gets a sentence
@@ -154,25 +100,6 @@ def _install(wanted, python, uv):
     if not python.exists():
         subprocess.check_call([*make, str(VENV)])
     subprocess.check_call([*install, "--quiet", "--requirement", str(wanted)], cwd=ROOT)
-
-
-def _stamp(wanted):
-    """The file that says what the environment was made from, and what it must say."""
-    content = ENVIRONMENT.read_bytes() + wanted.read_bytes()
-    return VENV / f"mmqa-{wanted.parent.name}.sha256", hashlib.sha256(content).hexdigest()
-
-
-def _is_uncompiled(command):
-    """Whether a command was never called here: numba keeps what it compiles beside the package."""
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent))
-    if command not in COMPILED or not os.access(folder, os.W_OK):
-        return False
-    return not any(folder.rglob(f"{COMPILED[command]}.*.nbi"))
-
-
-def _say(command, sentence):
-    """One sentence on stderr."""
-    print(f"mmqa {command}: {sentence}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,20 @@ from mmqa_lab._checks import check_points, check_same_crs
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["Cloud"]
+__all__ = ["Cloud", "describe"]
 __dir__ = __all__.copy
+
+HEADS = ("scanner_channel", "point_source_id", "user_data", "head")
+"""Columns that may number the heads of a system."""
+
+MOST_HEADS = 16
+
+MISSING = {
+    "gps_time": "No time of the points: drives and scan lines cannot be told apart by it.",
+    "scan_angle": "No scan angles.",
+    "intensity": "No intensities.",
+}
+"""What is said of a column that is missing or the same for all points."""
 
 
 class _MissingColumnError(KeyError, ValueError):
@@ -160,6 +172,39 @@ class Cloud:
         coarsest = float(np.max([cloud.resolution for cloud in clouds]))
         points = np.concatenate([cloud.points for cloud in clouds])
         return cls(points, columns, name, coarsest, crs)
+
+
+def describe(cloud: Cloud) -> dict:
+    """Return what a cloud contains, and in ``remarks`` what it cannot tell.
+
+    Examples
+    --------
+    >>> describe(Cloud([[0, 0, 0], [0, 0, 0], [1, 2, 0]], {"head": [1, 1, 2]}))["heads"]
+    '2 by head'
+    """
+    row = {"points": len(cloud)}
+    for axis, values in zip("xyz", cloud.points.T, strict=True):
+        row |= {f"{axis}_low_m": values.min(), f"{axis}_high_m": values.max()}
+    counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
+    telling = [name for name, count in counts.items() if count > 1]
+    time = np.sort(cloud["gps_time"]) if "gps_time" in telling else np.array([np.nan, np.nan])
+    _, together = np.unique(cloud.points, axis=0, return_counts=True)
+    head = next((name for name in HEADS if 1 < counts.get(name, 1) <= MOST_HEADS), None)
+    said = [text for name, text in MISSING.items() if name not in telling]
+    said += ["No coordinate system: taken for metres."] * (cloud.crs is None)
+    said += ["No number of the head."] * (head is None)
+    said += ["The step of the coordinates is not stated."] * bool(np.isnan(cloud.resolution))
+    return row | {
+        "crs": "" if cloud.crs is None else cloud.crs.name,
+        "resolution_mm": 1000 * cloud.resolution,
+        "coincident": int(together[together > 1].sum()),
+        "time_first_s": time[0],
+        "time_span_s": time[-1] - time[0],
+        "time_longest_pause_s": np.diff(time).max(),
+        "heads": "" if head is None else f"{counts[head]} by {head}",
+        "columns": " ".join(telling),
+        "remarks": " ".join(said),
+    }
 
 
 def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:

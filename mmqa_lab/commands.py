@@ -6,6 +6,7 @@ in one sentence by :func:`run`. Rooms are imported inside of the commands, so th
 """
 
 import functools
+import importlib
 import inspect
 import os
 import re
@@ -40,7 +41,7 @@ app = App(
     "mmqa",
     help=ABOUT,
     version=__version__,
-    help_format="plaintext",
+    help_format="markdown",
     default_parameter=Parameter(negative=()),
 )
 
@@ -96,6 +97,8 @@ def run(arguments):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (CycloptsError, ValueError, TypeError, ImportError, OSError) as error:
+        if "--raise" in words:
+            raise
         _say(name, " ".join(str(error).split()))
         return 2
     except KeyboardInterrupt:
@@ -115,22 +118,27 @@ def as_json(frame):
 
 def as_text(frame):
     """A table as text of at most 100 columns, its remarks below it, each sentence once."""
-    import pandas as pd
 
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
-    remarks = frame.get("remarks", pd.Series(dtype=str)).replace("", None).dropna().unique()
+    remarks = _remarks(frame)
     frame = frame.drop(columns="remarks", errors="ignore")
     frame = frame.replace("", None).dropna(axis=1, how="all")
-    texts = frame.select_dtypes(exclude="number").columns
-    frame = frame.astype(dict.fromkeys(texts, object)).fillna(dict.fromkeys(texts, ""))
     first = frame.columns[0]
     shown = frame.set_index(first).rename_axis(index=None, columns=first)
-    style = {"float_format": _figure, "line_width": WIDTH}
+    style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
     text = shown.to_string(**style)
     if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
-        text = shown.T.rename_axis(columns=first).to_string(**style)
+        text = shown.T.rename_axis(index=None, columns="").to_string(**style)
     return "\n".join([text, *(textwrap.fill(remark, WIDTH - 1) for remark in remarks)])
+
+
+def _remarks(frame):
+    """What the rows remark, each sentence once, behind the file that it is about."""
+    if "remarks" not in frame:
+        return []
+    names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
+    return (names + frame["remarks"])[frame["remarks"] != ""].unique()
 
 
 def _figure(value):
@@ -172,7 +180,7 @@ def _within(cloud, polygon):
 
 @table
 def info(clouds: list[Path], /):
-    """Say what is in cloud files: extent, density, time, heads, and what they cannot tell.
+    """Say what is in cloud files: extent, step, time, heads, and what they cannot tell.
 
     Parameters
     ----------
@@ -181,11 +189,10 @@ def info(clouds: list[Path], /):
     """
     import pandas as pd
 
-    from mmqa_lab import chart_cloud, io
+    from mmqa_lab import io
+    from mmqa_lab.cloud import describe
 
-    rows = []
-    for file in _progress(clouds, "cloud"):
-        rows.append({"file": file.name} | chart_cloud.describe(io.read_cloud(file)))
+    rows = [{"file": one.name} | describe(io.read_cloud(one)) for one in _progress(clouds, "cloud")]
     return pd.DataFrame(rows)
 
 
@@ -848,11 +855,90 @@ def bench(
     raise_
         Stop with the traceback where your method fails.
     """
-    from mmqa_lab.run import benches
+    import pandas as pd
 
-    return benches.compare(
-        study, method or [], quick=quick, workers=workers, folder=out, stop=raise_
-    )
+    from mmqa_lab import bench
+
+    comparison = _comparison(study, quick)
+    own = dict(_named_function(text) for text in method or [])
+    taken = own.keys() & comparison.methods.keys()
+    if taken:
+        raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
+    comparison.methods.update(own)
+    if raise_:
+        _call_on_first_case(comparison, own)
+    results = _results(comparison, workers)
+    figures = [name for name in comparison.figures or () if name in results]
+    figures = figures or list(bench.figure_names(results))
+    rows = []
+    for name in figures:
+        part = bench.summary(results, name)
+        part.columns = ["method", "mean", "low", "high", "n", "missing"]
+        rows.append(part.assign(figure=name))
+    frame = pd.concat(rows, ignore_index=True)
+    if out is not None:
+        _write_bench(out, comparison, results, frame, figures, own)
+    return frame
+
+
+def _comparison(stem, quick):
+    """The bench of a study, for a quick look with the small parameters that it knows."""
+    from mmqa_lab.studies import chosen
+
+    module = chosen([stem])[0].module
+    known = inspect.signature(module.bench).parameters
+    small = {name: value for name, value in module.QUICK.items() if name in known}
+    return module.bench(**small if quick else {})
+
+
+def _named_function(text):
+    """Name and function of MODULE:FUNCTION."""
+    module, _, name = text.partition(":")
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        function = getattr(importlib.import_module(module), name)
+    except Exception as error:
+        raise ValueError(
+            f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
+        ) from error
+    if not callable(function):
+        raise TypeError(f"Invalid method {text!r}: not callable. Must be a function.")
+    return name, function
+
+
+def _call_on_first_case(comparison, own):
+    """Call one's own methods outside of the bench, so that their tracebacks are seen."""
+    cases = comparison.cases
+    case = dict(cases[0] if isinstance(cases, list) else cases.iloc[0])
+    made = comparison.make(**case, seed=next(iter(comparison.seeds)))
+    for function in own.values():
+        function(made[0] if type(made) is tuple else made)
+
+
+def _results(comparison, workers):
+    """The results of a bench, computed here or in so many processes."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    if workers == 1:
+        return comparison.run()
+    with ProcessPoolExecutor(workers) as pool:
+        return comparison.run(executor=pool)
+
+
+def _write_bench(folder, comparison, results, frame, figures, own):
+    """Write the tables of a bench and its figure; name the files."""
+    from mmqa_lab import bench
+    from mmqa_lab.io import write_atomically
+
+    tables = {"summary": frame, "cells": bench.cell_table(results)}
+    tables |= {"failures": bench.failures(results)}
+    tables |= comparison.tables(results) if comparison.tables else {}
+    for name, one in tables.items():
+        write_atomically(folder / f"{name}.csv", one)
+    for ending in FIGURES:
+        _write_figure(folder / f"methods{ending}", lambda: bench.plot(results, figures, own=own))
+    written = [f"{name}.csv" for name in tables] + [f"methods{ending}" for ending in FIGURES]
+    print(f"{folder}: {', '.join(written)}", file=sys.stderr)
 
 
 @app.command

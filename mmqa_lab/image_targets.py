@@ -1,0 +1,217 @@
+"""Targets in your own images: resolution, sensor and reflectance of each, band by band.
+
+A table of targets says where they are in the image; :func:`measure` gives a row for each in each
+band. The measures themselves are in :mod:`mmqa_lab.mtf` and :mod:`mmqa_lab.radiometry`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from mmqa_lab import mtf, radiometry
+from mmqa_lab._checks import check_choice, check_columns
+from mmqa_lab.srgb import decode
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["measure"]
+__dir__ = __all__.copy
+
+REGION = ("x_px", "y_px", "width_px", "height_px")
+
+NEEDED = {
+    "edge": REGION,
+    "star": ("x_px", "y_px", "radius_px", "cycles"),
+    "bars": ("x_px", "y_px", "period_px", "bars", "angle_deg"),
+    "sharpness": (),
+    "calibrate": REGION,
+    "reflect": REGION,
+}
+"""The columns of the targets that a measure needs."""
+
+ROUNDING_DN = 12**-0.5
+"""Standard deviation that rounding alone gives a pixel."""
+
+
+def measure(
+    values: ArrayLike,
+    what: str,
+    *,
+    targets: pd.DataFrame | None = None,
+    bands: Sequence[str] = (),
+    linear: bool = False,
+) -> pd.DataFrame:
+    """Measure the targets of an image in each of its bands.
+
+    Parameters
+    ----------
+    values : array_like, shape (bands, rows, columns)
+        In the type of the file: 8 bits are decoded from sRGB unless they are linear.
+    what : {"edge", "star", "bars", "sharpness", "calibrate", "reflect"}
+        ``edge``, ``star``, ``bars``: resolution on targets; ``sharpness``: of the whole image;
+        ``calibrate``: gain and offset from targets of known radiance; ``reflect``: reflectance of
+        targets without one by the empirical line of those with one.
+    targets : DataFrame
+        A row for each target with the columns of ``NEEDED``, px, ``name`` and, of the last two
+        measures, ``radiance`` or ``reflectance`` (or radiance_1, radiance_2, ... by band).
+    bands : sequence of str
+        Names of the bands; their numbers where left out.
+    linear : bool
+        8-bit values are linear in light.
+
+    Returns
+    -------
+    DataFrame
+        Frequencies are per pixel; columns with low and high are 95 % confidence intervals; what
+        cannot be measured is NaN.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a region leaves the image, or 8-bit values that are not linear are
+        to give radiances or reflectances.
+    """
+    values = np.asarray(values)
+    check_columns(
+        targets if targets is not None else {},
+        NEEDED[check_choice(what, "measure", NEEDED)],
+        "targets",
+    )
+    if targets is not None and not len(targets):
+        raise ValueError("Invalid targets: none of this image. Must have some.")
+    physical = what in ("calibrate", "reflect")
+    if values.dtype.itemsize == 1 and physical and not linear:
+        raise ValueError("Invalid image of 8 bits, usually not linear. Must have 16, or be linear.")
+    rows = []
+    names = list(bands) or [str(k + 1) for k in range(len(values))]
+    for number, (name, band) in enumerate(zip(names, values, strict=True), start=1):
+        if physical:
+            found = (_calibrated if what == "calibrate" else _reflectances)(band, targets, number)
+        else:
+            if band.dtype == np.uint8:
+                band = decode(band / np.float32(255), "linear" if linear else "srgb")
+            found = [_sharpness(band)] if what == "sharpness" else _resolutions(band, what, targets)
+        rows += [{"band": name} | row for row in found]
+    return pd.DataFrame(rows)
+
+
+def _resolutions(band, what, targets):
+    """A row for each target of one kind."""
+    of_kind = {"edge": _edge, "star": _star, "bars": _bars}[what]
+    for number, target in enumerate(targets.to_dict("records"), start=1):
+        yield {"target": target.get("name", number)} | of_kind(band, target)
+
+
+def _region(band, target):
+    """The part of an image in a target's region."""
+    column, row, width, height = (round(target[name]) for name in REGION)
+    rows, columns = band.shape
+    if min(column, row) < 0 or column + width > columns or row + height > rows:
+        raise ValueError(f"Invalid region of a target. Must lie within {columns} x {rows} pixels.")
+    return band[row : row + height, column : column + width]
+
+
+def _edge(band, target):
+    """MTF50 and full width at half maximum of one edge."""
+    edge = mtf.fit_edge(_region(band, target))
+    share = 1.96 * edge.mtf50_sigma / edge.mtf50
+    figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
+    figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
+    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+
+
+def _star(band, target):
+    """MTF50, MTF10 and full width at half maximum of a star."""
+    centre, radius = (target["x_px"], target["y_px"]), target["radius_px"]
+    star = mtf.measure_star(band, centre, cycles=int(target["cycles"]), radius_px=radius)
+    reach = 1.96 * star.mtf50_sigma
+    figures = _interval("mtf50", "_per_px", star.mtf50, reach)
+    figures |= _interval("fwhm", "_px", star.fwhm_px, reach / star.mtf50 * star.fwhm_px)
+    missing = "the star does not show the frequency of MTF50"
+    return figures | {"mtf10_per_px": star.mtf10, "remark": missing * bool(np.isnan(star.mtf50))}
+
+
+def _bars(band, target):
+    """Whether a group of bars is resolved."""
+    reach = int((target["bars"] / 2 + 1) * target["period_px"])
+    corner = round(target["x_px"]) - reach, round(target["y_px"]) - reach
+    place = dict(zip(REGION, (*corner, 2 * reach + 1, 2 * reach + 1), strict=True))
+    around = _region(band, place)
+    low, high = np.percentile(around, [2, 98])
+    diagonal = around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]
+    noise = max(float(np.median(np.abs(diagonal))) * 1.4826 / 2, 1e-6 * (high - low))
+    group = pd.DataFrame([target])
+    found = mtf.read_bars(band, group, dark=low, bright=high, noise=noise).iloc[0]
+    figures = {name: found[name] for name in ("contrast", "counted", "resolved")}
+    return {"period_px": target["period_px"]} | figures | {"remark": found["reason"]}
+
+
+def _sharpness(band):
+    """Median of the local sharpness of an image, with the interval of a median."""
+    found, figures = mtf.haar_sharpness(band), {"target": "image"}
+    for name in ("sharpness", "along_x", "along_y"):
+        blocks = found[name].values[np.isfinite(found[name].values)]
+        quartiles = np.quantile(blocks, [0.25, 0.5, 0.75]) if len(blocks) else np.full(3, np.nan)
+        reach = 1.57 * (quartiles[2] - quartiles[0]) / max(len(blocks), 1) ** 0.5
+        figures |= _interval(name, "", quartiles[1], reach)
+    missing = found.attrs["not_measurable"]
+    figures |= {"blocks": found["sharpness"].size}
+    return figures | {"remark": f"{missing} blocks without detail" if missing else ""}
+
+
+def _patches(band, targets, name, number):
+    """Statistics of all targets in one band, and what is known of them in this band."""
+    column = f"{name}_{number}" if f"{name}_{number}" in targets else name
+    check_columns(targets, [column], "targets")
+    first, size = targets[["y_px", "x_px"]], targets[["height_px", "width_px"]]
+    places = np.round(np.stack([first.to_numpy(), first.to_numpy() + size.to_numpy()], axis=-1))
+    found = radiometry.patch_statistics(band, places.reshape(-1, 4).astype(int))
+    found["std_dn"] = np.hypot(found["std_dn"], ROUNDING_DN)
+    found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
+    names = targets["name"] if "name" in targets else pd.Series(range(1, len(targets) + 1))
+    return found.assign(known=targets[column].to_numpy(), name=names.to_numpy())
+
+
+def _calibrated(band, targets, number):
+    """Gain and offset of a band from its unsaturated targets of known radiance."""
+    patches = _patches(band, targets, "radiance", number)
+    used = patches[(patches["saturated_share"] == 0) & patches["known"].notna()]
+    fit = radiometry.fit_sensor(used["known"], used["mean_dn"], std_dn=used["std_dn"])
+    reach = stats.t.ppf(0.975, fit.freedom) * fit.std
+    figures = _interval("gain", "", fit.gain, reach[0])
+    figures |= _interval("offset", "_dn", fit.offset, reach[1])
+    return [figures | {"r_squared": fit.r_squared, "n": fit.n}]
+
+
+def _reflectances(band, targets, number):
+    """A row for each target without a known reflectance, by the empirical line of the others."""
+    patches = _patches(band, targets, "reflectance", number)
+    known = patches[patches["known"].notna() & (patches["saturated_share"] == 0)]
+    if len(known) < 2:
+        raise ValueError(
+            f"Invalid targets: {len(known)} unsaturated with a known reflectance. Must be two or "
+            "more."
+        )
+    dn = known["mean_dn"]
+    stated = {} if len(known) > 2 else {"std_dn": known["std_error_dn"]}
+    line = radiometry.empirical_line(dn, known["known"], **stated)
+    factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
+    for row in patches[patches["known"].isna()].itertuples():
+        saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
+        value = np.nan if saturated else float(line.reflectance(row.mean_dn))
+        reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
+        said = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
+        figures = {"target": row.name} | _interval("reflectance", "", value, reach)
+        yield figures | {"references": line.n, "remark": "; ".join(said)}
+
+
+def _interval(name, unit, value, reach):
+    """A figure with the ends of its interval."""
+    ends = {f"{name}_low{unit}": value - reach, f"{name}_high{unit}": value + reach}
+    return {f"{name}{unit}": value} | ends
