@@ -730,8 +730,18 @@ def image(
         frame.insert(0, "file", file.name)
         rows.append(frame)
     if out is not None:
-        _write_figure(out, lambda: quality.plot().figure)
+        _write_figure(out, lambda: _two_panels(quality))
     return pd.concat(rows, ignore_index=True)
+
+
+def _two_panels(quality):
+    """A photograph of the chart, and the contrasts of its line pairs."""
+    from mmqa_lab import plots
+
+    figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
+    quality.plot(ax=axes[0])
+    quality.plot_contrast(ax=axes[1])
+    return figure
 
 
 def _corners(text):
@@ -868,7 +878,8 @@ def bench(
     if raise_:
         _call_on_first_case(comparison, own)
     results = _results(comparison, workers)
-    figures = [name for name in comparison.figures or () if name in results]
+    wanted = () if callable(comparison.figures) else comparison.figures or ()
+    figures = [name for name in wanted if name in results]
     figures = figures or list(bench.figure_names(results))
     rows = []
     for name in figures:
@@ -876,19 +887,24 @@ def bench(
         part.columns = ["method", "mean", "low", "high", "n", "missing"]
         rows.append(part.assign(figure=name))
     frame = pd.concat(rows, ignore_index=True)
+    tables = comparison.tables(results) if comparison.tables else {}
     if out is not None:
-        _write_bench(out, comparison, results, frame, figures, own)
-    return frame
+        tables |= {"summary": frame, "cells": bench.cell_table(results)}
+        tables["failures"] = bench.failures(results)
+        _write_bench(out, tables, lambda: bench.plot(results, figures, own=own))
+    return next(iter(tables.values()), frame)
 
 
 def _comparison(stem, quick):
     """The bench of a study, for a quick look with the small parameters that it knows."""
     from mmqa_lab.studies import chosen
 
-    module = chosen([stem])[0].module
-    known = inspect.signature(module.bench).parameters
-    small = {name: value for name, value in module.QUICK.items() if name in known}
-    return module.bench(**small if quick else {})
+    study = chosen([stem])[0]
+    if not callable(getattr(study.module, "bench", None)):
+        return study.module.comparison(quick=quick)
+    known = inspect.signature(study.module.bench).parameters
+    small = {name: value for name, value in study.quick.items() if name in known}
+    return study.module.bench(**small if quick else {})
 
 
 def _named_function(text):
@@ -925,18 +941,14 @@ def _results(comparison, workers):
         return comparison.run(executor=pool)
 
 
-def _write_bench(folder, comparison, results, frame, figures, own):
+def _write_bench(folder, tables, draw):
     """Write the tables of a bench and its figure; name the files."""
-    from mmqa_lab import bench
     from mmqa_lab.io import write_atomically
 
-    tables = {"summary": frame, "cells": bench.cell_table(results)}
-    tables |= {"failures": bench.failures(results)}
-    tables |= comparison.tables(results) if comparison.tables else {}
     for name, one in tables.items():
         write_atomically(folder / f"{name}.csv", one)
     for ending in FIGURES:
-        _write_figure(folder / f"methods{ending}", lambda: bench.plot(results, figures, own=own))
+        _write_figure(folder / f"methods{ending}", draw)
     written = [f"{name}.csv" for name in tables] + [f"methods{ending}" for ending in FIGURES]
     print(f"{folder}: {', '.join(written)}", file=sys.stderr)
 
@@ -1053,10 +1065,14 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     options
         Handed to jupyter lab.
     """
+    from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
 
     folder = notebooks_folder()
-    return subprocess.call([sys.executable, "-m", "jupyterlab", *options, str(folder)])
+    command = [sys.executable, "-m", "jupyterlab", "--LabApp.news_url=None", *options]
+    config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
+    environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
+    return subprocess.call(command, cwd=folder, env=environment)
 
 
 @app.command

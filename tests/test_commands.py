@@ -1,189 +1,151 @@
-"""The command line as its users meet it: one sentence, status 2, nothing half-written."""
+"""The command line: what is printed, written, refused; and that it starts on a bare Python."""
 
 import json
-import re
+import shlex
 import subprocess
 import sys
-from importlib.util import find_spec
+import venv
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import __version__, samples
-from mmqa_lab.__main__ import COMPILED, main
+from mmqa_lab import chart_cloud, charts, commands, io, samples, simulate
+from mmqa_lab.__main__ import main
+from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 
-PATCH = str(samples.path("road_patch"))
+IMAGE = "image chart.png --linear --corners '19.5,269.5; 269.5,269.5; 269.5,19.5; 19.5,19.5'"
 
-JSON_KEYS = [
-    "file",
-    "n",
-    "area_polygon_m2",
-    "area_hull_m2",
-    "density_polygon_per_m2",
-    "density_hull_per_m2",
-    "std_mm",
-    "sigma_mad_mm",
-    "d1_mm",
-    "d2_mm",
-    "d3_mm",
-    "d4_mm",
-    "f",
-    "f_exempt",
-    "incomplete_share",
-    "coincident",
-    "axes",
-    "remarks",
-]
+CASES = {
+    "evaluate": ("evaluate PATCH --out figure.svg", 1, "figure.svg"),
+    "info": ("info PATCH", 1, None),
+    "image": (f"{IMAGE} --out reading.png", 1, "reading.png"),
+    "chart": ("chart --out chart.svg", 1, "chart.svg"),
+    "radiometry": ("radiometry sharpness chart.png --linear", 1, None),
+    "tender": ("tender pfeifer2021:2 pfeifer2021", 3, None),
+    "lhd": ("lhd course.csv model.csv", None, None),
+    "plan": ("plan --scanner vq-450 --speed 14 --range 8", None, None),
+    "pattern": ("pattern PATCH", None, None),
+    "poles": ("poles street.xyz --method itc", 1, None),
+    "map": ("map PATCH --out m.nc --cell 1 --workers 1", None, "m.nc"),
+    "accuracy": ("accuracy PATCH levelled.csv --out differences.csv", 2, "differences.csv"),
+}
+"""A call of each command, the rows that it writes, and its main product beside its table."""
 
 
-def test_info_says_what_a_file_contains_and_cannot_tell(capsys):
-    assert main(["info", PATCH, "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)
-    assert (row["points"], row["resolution_mm"], row["coincident"]) == (28185, 10, 16881)
-    assert row["time_span_s"] > row["time_longest_pause_s"] > 0
-    assert row["crs"] == ""
-    assert "No coordinate system" in row["remarks"]
-    assert "No time" not in row["remarks"]
-    assert main(["info", PATCH]) == 0
-    printed = capsys.readouterr().out
-    assert max(map(len, printed.splitlines())) < 100
-    assert f"{row['x_low_m']:.2f}" in printed  # to centimetres: figures enough to find the place
-    assert main(["info", PATCH, str(samples.path("chart_a_5m"))]) == 0
-    assert max(map(len, capsys.readouterr().out.splitlines())) < 150  # side by side, not 230
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Small files that every command can work on."""
+    folder = tmp_path_factory.mktemp("commands")
+    image = charts.reflectance(charts.imaging_chart(), cell=4)[::-1]
+    grey = np.pad(255 * image, 20, constant_values=128).astype(np.uint8)
+    cv2.imwrite(str(folder / "chart.png"), grey)
+    shifts = [*np.random.default_rng(1).uniform(0.1, 0.3, 12), 40]  # the last has no partner
+    for name, share in (("model", 0), ("course", 1)):
+        ends = [
+            (10 * k, share * y, 0, 10 * k + 6 * (k % 2), share * y, 6 * (1 - k % 2))
+            for k, y in enumerate(shifts)
+        ]
+        np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
+    turn = np.arange(60) * 2.4
+    post = np.stack([5 + 0.05 * np.cos(turn), 5 + 0.05 * np.sin(turn), turn / 48], axis=1)
+    floor = np.stack([*np.mgrid[0:10:0.2, 0:10:0.2].reshape(2, -1), np.zeros(2500)], axis=1)
+    np.savetxt(folder / "street.xyz", np.vstack([post, floor]))
+    rows = (f"{1423215.0 + 0.05 * k:.2f},4189097.6,67.88\n" for k in range(30))
+    (folder / "levelled.csv").write_text("x,y,z\n" + "".join(rows))
+    return folder
 
 
-def test_the_first_call_says_that_it_compiles(capsys, tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    for said in (True, False):
-        assert main(["poles", "nowhere.laz"]) == 2
-        assert ("compiles its searches, once" in capsys.readouterr().err) == said
-        (tmp_path / "features._seen-66.py311.nbi").touch()
-    for room, module in zip(("planes", "spacing", "poles"), COMPILED.values(), strict=True):
-        assert "njit" in Path(find_spec(f"mmqa_lab.{room}.{module}").origin).read_text()
+@pytest.fixture
+def call(folder, tmp_path, monkeypatch, capfd):
+    """A command's call in a fresh folder: exit status, standard output, standard error."""
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    monkeypatch.chdir(tmp_path)
+
+    def run(line):
+        patch = str(samples.path("road_patch"))
+        words = [patch if word == "PATCH" else word for word in shlex.split(line)]
+        return main(words), *capfd.readouterr()
+
+    return run
 
 
-def test_evaluate_prints_a_row_for_each_cloud(capsys, tmp_path):
-    assert main(["evaluate", PATCH, PATCH, "--json", "--csv", str(tmp_path / "o.csv")]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [list(row) for row in rows] == [JSON_KEYS, JSON_KEYS]
-    assert rows[0]["n"] == 28185
-    assert rows[0]["area_polygon_m2"] is None  # no polygon was given
-    assert len(pd.read_csv(tmp_path / "o.csv")) == 2
+@pytest.mark.parametrize("name", CASES)
+def test_a_table_is_printed_and_written(name, call, tmp_path):
+    line, rows, product = CASES[name]
+    status, out, err = call(f"{line} --csv rows.csv")
+    assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 100
+    written = pd.read_csv(tmp_path / "rows.csv")
+    assert rows is None or len(written) == rows
+    assert product is None or (tmp_path / product).stat().st_size > 0
+    status, out, _ = call(f"{line} --json")
+    printed = json.loads(out)
+    assert (status, len(printed)) == (0, len(written))
+    assert list(printed[0]) == list(written)
 
 
-def test_evaluate_gives_intervals_and_the_exemption_of_f(capsys):
-    assert main(["evaluate", PATCH, "--rho0", "1000", "--json"]) == 0
-    row = json.loads(capsys.readouterr().out)[0]
-    assert row["f_exempt"] is True  # d4 is 22.4 mm, sqrt(1 / 1000) = 31.6 mm
-    assert main(["evaluate", PATCH, "--intervals", "--json"]) == 0
-    rows = {row["figure"]: row for row in json.loads(capsys.readouterr().out)}
-    assert rows["f"]["value"] == row["f"]
-    assert rows["density"]["low"] < row["density_hull_per_m2"] < rows["density"]["high"]
+def test_a_command_is_its_function():
+    table = commands.evaluate([samples.path("road_patch")])
+    quality = chart_cloud.evaluate_cloud(io.read_cloud(samples.path("road_patch")))
+    assert table["f"].item() == quality.f
 
 
-def test_evaluate_takes_other_sectors_statistics_and_each_place_once(capsys):
-    choices = ["--sectors", "8", "--statistic", "90", "--distinct"]
-    assert main(["evaluate", PATCH, *choices, "--json"]) == 0
-    row = json.loads(capsys.readouterr().out)[0]
-    assert row["n"] == 28185 - 16881 + 7031  # places of several points
-    assert row["coincident"] == 0
-    assert row["f"] == pytest.approx(row["d8_mm"] / row["d1_mm"])
-    assert "90 % quantiles" in row["remarks"]
-    assert main(["evaluate", PATCH, "--sectors", "three"]) == 2
-    assert "Invalid sectors 'three'" in capsys.readouterr().err
-
-
-def test_evaluate_within_a_polygon_draws_its_figure(capsys, tmp_path):
-    cloud = samples.path("road_patch")
-    x, y, z = 1423215.6, 4189097.6, 67.88
-    corners = [(x - 0.5, y - 0.5), (x + 0.5, y - 0.5), (x + 0.5, y + 0.5), (x - 0.5, y + 0.5)]
-    polygon = "; ".join(f"{a},{b},{z}" for a, b in corners)
-    figure = tmp_path / "f.png"
-    arguments = ["evaluate", str(cloud), "--polygon", polygon, "--figure", str(figure), "--json"]
-    assert main(arguments) == 0
-    row = json.loads(capsys.readouterr().out)[0]
-    assert row["area_polygon_m2"] == pytest.approx(1.0, rel=2e-3)  # the road is not quite level
-    assert row["density_polygon_per_m2"] == pytest.approx(row["n"] / row["area_polygon_m2"])
-    assert figure.read_bytes().startswith(b"\x89PNG")
-    assert f"mmqa_lab {__version__}".encode() in figure.read_bytes()
-
-
-def test_installed_command_and_module_are_the_same():
-    done = subprocess.run(
-        [sys.executable, "-m", "mmqa_lab", "--help"], capture_output=True, text=True
+def test_calibrate_writes_corrected_clouds(call, tmp_path):
+    street = make_testfield(length_m=40, seed=1)
+    head = simulate.ProfileScanner(
+        pulse_rate_hz=2e4, mirror_frequency_hz=50, heading_deg=45, tilt_deg=30
     )
-    assert done.returncode == 0
-    for command in ("evaluate", "studies", "test", "lab"):
-        assert command in done.stdout
+    drives = drive_testfield(street, simulate.System("one head", (head,)), seed=4)
+    rows = []
+    for name, (cloud, path) in zip(("there", "back"), drives, strict=True):
+        io.write_cloud(tmp_path / f"{name}.laz", cloud)
+        rows += [*np.column_stack([path.time, path.position, path.heading])]
+    columns = ["time", "x", "y", "z", "heading"]
+    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "path.csv", index=False)
+    street.poles.to_csv(tmp_path / "posts.csv", index=False)
+    line = "calibrate there.laz back.laz --trajectory path.csv --poles posts.csv --out corrected"
+    status, out, _ = call(line)
+    assert status == 0
+    assert "heading_deg" in out
+    assert len(io.read_cloud(tmp_path / "corrected" / "1_there.laz")) == len(drives[0][0])
 
 
-def test_every_command_explains_itself_with_an_example(capsys):
-    from mmqa_lab.__main__ import parser
-
-    commands = parser()._subparsers._group_actions[0].choices
-    for name in commands:
-        with pytest.raises(SystemExit) as stop:
-            main([name, "--help"])
-        assert stop.value.code == 0
-        manual = capsys.readouterr().out
-        assert f"mmqa {name}" in re.split("examples?:", manual)[1]
-
-
-def test_an_unknown_option_shows_the_usage_of_its_command(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["evaluate", PATCH, "--sector-count", "8"])
-    assert "usage: mmqa evaluate" in capsys.readouterr().err
+def test_a_method_of_ones_own_is_ranked_and_drawn(call, tmp_path):
+    (tmp_path / "mine_too.py").write_text("def constant(xy):\n    return 2.0\n")
+    status, out, err = call("bench anisotropy --method mine_too:constant --quick --out mine")
+    assert status == 0
+    assert "constant" in out
+    assert "methods.pdf" in err
+    assert (tmp_path / "mine" / "methods.pdf").stat().st_size > 0
+    (tmp_path / "wrong.py").write_text("def fails(xy):\n    return xy.none\n")
+    with pytest.raises(AttributeError, match="none"):
+        call("bench anisotropy --method wrong:fails --quick --raise")
 
 
-def test_a_folder_in_place_of_a_cloud_is_named(capsys, tmp_path):
-    assert main(["info", str(tmp_path)]) == 2
-    assert "a folder. Must be a file." in capsys.readouterr().err
+def test_what_is_empty_or_wide_fits_the_terminal():
+    wide = pd.DataFrame({f"a_long_name_{k}": [k / 3] * 2 for k in range(20)} | {"none": ["", ""]})
+    text = commands.as_text(wide.assign(remarks=["said once", "said once"]))
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.count("said once") == 1
+    assert " none" not in text
+    assert commands.as_text(wide[:0]).splitlines()[-1] == "none"
 
 
-def test_a_polygon_in_plan_can_be_written_in_the_command(capsys):
-    x, y = 1423215.6, 4189097.6
-    plan = f"{x},{y}; {x + 0.5},{y}; {x + 0.5},{y + 0.5}; {x},{y + 0.5}"
-    assert main(["evaluate", PATCH, "--polygon", plan, "--json"]) == 0
-    row = json.loads(capsys.readouterr().out)[0]
-    assert row["area_polygon_m2"] == pytest.approx(0.25, rel=5e-3)  # the road slopes a little
-    assert "The polygon has no heights" in row["remarks"]
-
-
-def test_lab_asks_nobody_about_news(monkeypatch):
-    from jupyter_server.services.config.manager import ConfigManager
-
-    called = {}
-    monkeypatch.setattr(subprocess, "call", lambda command, **choices: called.update(choices) or 0)
-    assert main(["lab"]) == 0
-    monkeypatch.setenv("JUPYTER_CONFIG_PATH", called["env"]["JUPYTER_CONFIG_PATH"])
-    settings = ConfigManager(config_dir_name="labconfig").get("default_setting_overrides")
-    assert settings["@jupyterlab/apputils-extension:notification"] == {"fetchNews": "false"}
-
-
-def test_unknown_study_is_named(capsys):
-    assert main(["studies", "nowhere"]) == 2
-    assert "Invalid study 'nowhere'. Must be one of chart_tables" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("word", "whole"),
-    [
-        ("ev", "evaluate"),
-        ("evaluate --po", "--polygon"),
-        ("lhd --mat", "--matcher"),
-        ("studies poles an", "anisotropy"),
-        ("bench mi", "mimic"),
-        ("student course test", "test_field"),
-    ],
-)
-def test_shell_completes_commands_options_and_studies(word, whole, capsys, tmp_path):
-    assert main(["completion", "bash"]) == 0
-    script = tmp_path / "mmqa.bash"
-    script.write_text(capsys.readouterr().out)
-    words = ["mmqa", *word.split()]
-    ask = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}"
-    code = f'source {script}; {ask}; _shtab_mmqa; echo "${{COMPREPLY[@]}}"'
-    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True)
-    assert done.stdout.split()[0] == whole
+@pytest.mark.parametrize("command", ["studies", "test", "lab"])
+def test_help_and_preparing_need_the_standard_library_alone(command, tmp_path):
+    venv.create(tmp_path / "bare", with_pip=False)
+    python = tmp_path / "bare" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
+    root = Path(commands.__file__).parents[1]
+    code = (
+        "import mmqa_lab.__main__ as m; m.prepare = lambda wanted: print(wanted.name) or 1 / 0\n"
+        f"m.main(['{command}'])"
+    )
+    done = subprocess.run([python, "-c", code], cwd=root, capture_output=True, text=True)
+    assert done.stdout == "environment.txt\n"
+    assert "ZeroDivisionError" in done.stderr
+    shown = subprocess.run([python, "-m", "mmqa_lab", "--help"], cwd=root, capture_output=True)
+    assert b"mmqa COMMAND" in shown.stdout
