@@ -903,7 +903,8 @@ def _comparison(stem, quick):
     if not callable(getattr(study.module, "bench", None)):
         return study.module.comparison(quick=quick)
     known = inspect.signature(study.module.bench).parameters
-    small = {name: value for name, value in study.quick.items() if name in known}
+    small = {"seeds": range(3)} | study.quick
+    small = {name: value for name, value in small.items() if name in known}
     return study.module.bench(**small if quick else {})
 
 
