@@ -1,0 +1,377 @@
+"""Quality figures in the square cells of a plan: of a cloud in memory, or of a campaign in tiles.
+
+What a chart gets as a whole, each cell gets: density, spacings d1..d4, f and sigma_MAD about the
+plane of its points. :func:`map_cloud` maps a cloud; :func:`map_campaign` maps files tile by tile on
+Dask, and :func:`open_map` opens what it made. Figures are those of the whole cloud, whatever the
+tiles.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import (
+    check_choice,
+    check_metres,
+    check_points,
+    check_positive,
+    check_same_crs,
+)
+from mmqa_lab.io import iterate_cloud, write_atomically
+from mmqa_lab.planes import CONSISTENT_SCALE
+from mmqa_lab.spacing import exempt, quadrant_distances
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+__all__ = ["map_campaign", "map_cloud", "open_map", "plot_map", "summarise", "write_map"]
+
+FIGURES = {
+    "n": ("1", "points in the cell"),
+    "density": ("m-2", "points per area of the cell"),
+    "d1": ("mm", "median distance to the nearest of the nearest points in four quadrants"),
+    "d2": ("mm", "median distance to the second of them"),
+    "d3": ("mm", "median distance to the third of them"),
+    "d4": ("mm", "median distance to the farthest of them"),
+    "f": ("1", "inhomogeneity d4 / d1"),
+    "incomplete_share": ("1", "share of points with an empty quadrant within the radius"),
+    "sigma_mad": ("mm", "1.4826 x median absolute deviation from the plane of the cell's points"),
+}
+"""Variables of a map with their units and meanings."""
+
+MINIMUM = 10
+"""Points that a cell's sigma_MAD needs: fewer lie too near to a plane fitted to them."""
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> xr.Dataset:
+    """Evaluate every cell of a cloud.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres.
+    cell : float
+        Side of the square cells, m; their borders lie at its multiples.
+    radius : float
+        Neighbours farther than this in plan do not count, m.
+
+    Returns
+    -------
+    Dataset
+        Dimensions ``y``, ``x`` (centres of the cells, m); the variables of ``FIGURES``, NaN where
+        not measurable.
+
+    Raises
+    ------
+    ValueError
+        If there is no point, or ``cell`` or ``radius`` is not above zero.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(50) * 0.04)
+    >>> found = map_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> dict(found.sizes), float(found["d4"].median().round(6))
+    ({'y': 4, 'x': 2}, 40.0)
+    """
+    points = check_points(points)
+    cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
+    low, high = (np.floor(end / cell).astype(int) for end in _ends(points))
+    return _evaluated(points - np.append(low, 0) * cell, low, high + 1 - low, cell, radius)
+
+
+def _ends(points):
+    """The corners of the plan's box."""
+    return points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+
+
+def _evaluated(local, first, size, cell, radius, inner=None):
+    """The Dataset of some cells, from points whose coordinates begin at the first cell's corner."""
+    import xarray as xr
+
+    inner = np.ones(len(local), dtype=bool) if inner is None else inner
+    column, row = np.floor(local[inner, :2] / cell).astype(int).T
+    order = np.argsort(row * size[0] + column, kind="stable")
+    cells, starts = np.unique((row * size[0] + column)[order], return_index=True)
+    counts = np.diff(np.append(starts, len(order)))
+    group = np.repeat(np.arange(len(cells)), counts)
+    distances = quadrant_distances(local[:, :2], radius=radius, of=inner)[inner][order]
+    found = {"n": counts, "density": counts / cell**2}
+    for k in range(4):
+        found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group, len(cells))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found["f"] = np.where(found["d1"] > 0, found["d4"] / found["d1"], np.nan)
+    missing = np.isnan(distances[:, 3]).astype(float)
+    found["incomplete_share"] = np.add.reduceat(missing, starts) / counts if len(cells) else counts
+    deviations = _deviations(local[inner][order], starts, counts, group)
+    off = np.abs(deviations - _medians(deviations, group, len(cells))[group])
+    sigma = 1000 * CONSISTENT_SCALE * _medians(off, group, len(cells))
+    found["sigma_mad"] = np.where(counts >= MINIMUM, sigma, np.nan)
+    data = {}
+    for name, (unit, meaning) in FIGURES.items():
+        whole = np.full(size[0] * size[1], 0 if name == "n" else np.nan)
+        whole[cells] = found[name]
+        about = {"units": unit, "long_name": meaning}
+        data[name] = (("y", "x"), whole.reshape(size[1], size[0]), about)
+    x, y = ((first[k] + np.arange(size[k]) + 0.5) * cell for k in (0, 1))
+    axes = {"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"})}
+    return xr.Dataset(data, coords=axes, attrs={"cell_m": cell, "radius_m": radius})
+
+
+def _medians(values, group, count):
+    """Median of each group's numbers, NaN left out; NaN where there are none."""
+    order = np.lexsort((values, group))
+    known = np.bincount(group, weights=np.isfinite(values), minlength=count).astype(int)
+    starts = np.append(0, np.cumsum(np.bincount(group, minlength=count)))[:-1]
+    values, last = np.append(values[order], np.nan), len(values)
+    low, high = (np.where(known > 0, starts + (known - k) // 2, last) for k in (1, 0))
+    return (values[low] + values[high]) / 2
+
+
+def _deviations(points, starts, counts, group):
+    """Signed distances from the regression planes of the groups, m."""
+    if not len(points):
+        return np.empty(0)
+    centres = np.add.reduceat(points, starts) / counts[:, None]
+    centred = points - centres[group]
+    scatter = np.add.reduceat(centred[:, :, None] * centred[:, None, :], starts)
+    normals = np.linalg.eigh(scatter)[1][:, :, 0]
+    return np.einsum("ni,ni->n", centred, normals[group])
+
+
+def map_campaign(
+    paths: Sequence[str | os.PathLike],
+    folder: str | os.PathLike,
+    *,
+    cell: float = 0.5,
+    radius: float = 0.5,
+    tile: int = 128,
+    client: Any = None,
+) -> Path:
+    """Map any number of cloud files tile by tile, on Dask; what is on disk is done.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Cloud files; of one coordinate system.
+    folder : path
+        Of this run. A run that was stopped goes on with the tiles that are missing.
+    cell, radius : float
+        As for :func:`map_cloud`, m.
+    tile : int
+        Cells along the side of a tile.
+    client : distributed.Client, optional
+        A cluster that sees the same paths; without it the processes of this machine.
+
+    Returns
+    -------
+    Path
+        The folder, for :func:`open_map`.
+
+    Raises
+    ------
+    ValueError
+        If the files' coordinate systems differ, there is no point, or the folder is of other files
+        or parameters.
+    """
+    import dask
+    from dask.diagnostics import ProgressBar
+
+    folder, paths = Path(folder), [Path(path) for path in paths]
+    cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
+    files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+    run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
+    kept = _record(folder)
+    if kept and {name: kept[name] for name in run} != run:
+        raise ValueError(f"Invalid folder {folder}: of other files or parameters. Must be empty.")
+    if not kept:
+        kept = run | _sorted_points(paths, folder, cell * tile)
+        write_atomically(folder / "run.json", json.dumps(kept, indent=1))
+    places = [tuple(place) for place in kept["tiles"]]
+    missing = [place for place in places if not _tile(folder, place).is_file()]
+    tasks = [dask.delayed(_map_tile)(folder, place, kept) for place in missing]
+    if client is not None:
+        client.gather(client.compute(tasks))
+    else:
+        with ProgressBar(minimum=5):
+            dask.compute(tasks, scheduler="processes")
+    return folder
+
+
+def _record(folder):
+    """What a run folder says of itself; nothing where there is none."""
+    file = folder / "run.json"
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def _tile(folder, place):
+    """The file of a tile's figures."""
+    return folder / f"tile_{place[0]}_{place[1]}.nc"
+
+
+def _sorted_points(paths, folder, side):
+    """Write each tile's points into a file of its own; the tiles and the coordinate system."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for left in folder.glob("*.xyz"):  # of a run that was stopped while it sorted
+        left.unlink()
+    origin = crs = first = None
+    places = set()
+    for path in paths:
+        for part in iterate_cloud(path, columns=()):
+            points = part.points
+            if first is None:
+                first, crs = path, part.crs
+                origin = (np.floor(points.min(axis=0) / side) * side).tolist()
+            check_same_crs(str(path), part.crs, str(first), crs)
+            local = points - origin
+            own = np.floor(local[:, :2] / side).astype(int)
+            for place in map(tuple, np.unique(own, axis=0).tolist()):
+                places.add(place)
+                with open(folder / f"{place[0]}_{place[1]}.xyz", "ab") as file:
+                    file.write(local[(own == place).all(axis=1)].tobytes())
+    if not places:
+        raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
+    check_metres(crs, str(first))
+    crs = None if crs is None else crs.to_wkt()
+    return {"tiles": sorted(places), "origin": origin, "crs": crs}
+
+
+def _map_tile(folder, place, run):
+    """Evaluate one tile with the points around it, and write it whole."""
+    side, cell, radius = run["tile"] * run["cell"], run["cell"], run["radius"]
+    parts, corner = [], np.array([*place, 0]) * side
+    reach = int(np.ceil(radius / side))
+    for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        near = np.array(place) + step - reach
+        file = folder / f"{near[0]}_{near[1]}.xyz"
+        if file.is_file():
+            points = np.fromfile(file).reshape(-1, 3)
+            low, high = corner[:2] - radius, corner[:2] + side + radius
+            parts.append(points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)])
+    points = np.concatenate(parts)
+    inner = (np.floor(points[:, :2] / side) == place).all(axis=1)
+    first = np.round((np.array(run["origin"][:2]) + corner[:2]) / cell).astype(int)
+    size = np.array([run["tile"]] * 2)
+    dataset = _evaluated(points - corner, first, size, cell, radius, inner)
+    write_atomically(_tile(folder, place), lambda path: dataset.to_netcdf(path, engine="scipy"))
+
+
+def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Dataset:
+    """Open the tiles of a campaign as one Dataset.
+
+    Parameters
+    ----------
+    folder : path
+        Of :func:`map_campaign`.
+    rho0 : float, optional
+        Density that is asked for, points per m2. The map then has ``exempt``: 1 where f does not
+        matter (:func:`mmqa_lab.spacing.exempt`), 0 where it does, NaN where d4 is not measurable.
+
+    Returns
+    -------
+    Dataset
+        As :func:`map_cloud` gives it, with the files' coordinate system.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder contains no run.
+    """
+    import xarray as xr
+
+    run = _record(Path(folder))
+    if not run:
+        raise FileNotFoundError(f"Invalid run folder {folder}: no run.json. Must contain a run.")
+    files = [_tile(Path(folder), place) for place in run["tiles"]]
+    there = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
+    whole = xr.combine_by_coords(there, combine_attrs="override")
+    whole["n"] = whole["n"].fillna(0)
+    filled = whole["n"] > 0
+    whole = whole.isel(y=_span(filled.any("x")), x=_span(filled.any("y")))
+    if rho0 is not None:
+        check_positive(rho0, "rho0", unit="points per m2")
+        free = exempt(whole["d1"] / 1000, whole["d4"] / 1000, rho0)
+        free = np.where(np.isnan(whole["d4"]), np.nan, free)
+        whole["exempt"] = ("y", "x"), free, {"units": "1", "long_name": "1 where f does not matter"}
+    if run["crs"]:
+        import rioxarray  # noqa: F401 - it adds the accessor
+
+        whole = whole.rio.write_crs(run["crs"])
+    return whole
+
+
+def _span(seen):
+    """From the first to the last place with points."""
+    places = np.flatnonzero(seen.values)
+    return slice(places[0], places[-1] + 1)
+
+
+def summarise(dataset: xr.Dataset) -> pd.DataFrame:
+    """Return quantiles over the cells of each figure.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        From :func:`map_cloud` or :func:`open_map`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each figure: ``figure``, ``unit``, ``n`` (cells that have it), ``q05`` .. ``q95``.
+    """
+    rows = []
+    for name in (name for name in dataset.data_vars if name != "n" and name in FIGURES):
+        values = dataset[name].values[np.isfinite(dataset[name].values)]
+        found = np.quantile(values, QUANTILES) if len(values) else [np.nan] * len(QUANTILES)
+        rows.append((name, FIGURES[name][0], len(values), *found))
+    names = [f"q{100 * q:02.0f}" for q in QUANTILES]
+    return pd.DataFrame(rows, columns=["figure", "unit", "n", *names])
+
+
+def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
+    """Write a map as NetCDF (``.nc``) or GeoTIFF (``.tif``, a band for each figure).
+
+    Raises
+    ------
+    ValueError
+        If the ending is another, or a GeoTIFF would have no coordinate system.
+    """
+    path = Path(path)
+    if check_choice(path.suffix, "ending of the map", (".nc", ".tif")) == ".nc":
+        write_atomically(path, lambda file: dataset.to_netcdf(file, engine="scipy"))
+        return
+    if "spatial_ref" not in dataset.coords:
+        raise ValueError(f"Invalid map {path}: no coordinate system in the files. Must be .nc.")
+    bands = dataset.astype(np.float32).isel(y=slice(None, None, -1))
+    write_atomically(path, lambda file: bands.rio.to_raster(file, driver="GTiff"))
+
+
+def plot_map(dataset: xr.Dataset) -> Figure:
+    """Draw density, d4, f and sigma_MAD side by side."""
+    from mmqa_lab import plots
+
+    labels = {"density": "points/m²", "d4": "d4 (mm)", "f": "f", "sigma_mad": "sigma_MAD (mm)"}
+    figure, axes = plots.subplots(1, 4, width="double", height_mm=70, sharex=True, sharey=True)
+    x, y = dataset["x"].values, dataset["y"].values
+    for ax, (name, label) in zip(axes, labels.items(), strict=True):
+        low, high = np.nanquantile(dataset[name], (0.02, 0.98))
+        look = {"cmap": plots.MAP, "vmin": low, "vmax": high, "shading": "nearest"}
+        drawn = ax.pcolormesh(x - x[0], y - y[0], dataset[name], **look)
+        figure.colorbar(drawn, ax=ax, label=label, location="top")
+        ax.set(aspect="equal", xlabel=f"easting - {x[0]:.0f} (m)")
+    axes[0].set_ylabel(f"northing - {y[0]:.0f} (m)")
+    return figure
