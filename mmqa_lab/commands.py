@@ -258,7 +258,6 @@ def map_(
     out: Path,
     cell: float = 0.5,
     rho0: float | None = None,
-    workers: int = 0,
 ):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
@@ -275,15 +274,11 @@ def map_(
         Side of the cells, m.
     rho0
         Points per m2 asked for: maps where f does not matter.
-    workers
-        Processes; as many as cores without it.
     """
     from mmqa_lab import maps
 
-    folder = out.with_suffix(".run")
-    maps.map_campaign(
-        clouds, folder, cell=cell, workers=workers or None, progress=sys.stderr.isatty()
-    )
+    maps.check_ending(out)
+    folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell)
     dataset = maps.open_map(folder, rho0=rho0)
     maps.write_map(dataset, out)
     return maps.summarise(dataset)

@@ -19,6 +19,7 @@ import pandas as pd
 
 from mmqa_lab._checks import (
     check_choice,
+    check_file,
     check_metres,
     check_points,
     check_positive,
@@ -50,6 +51,9 @@ FIGURES = {
 
 MINIMUM = 10
 """Points that a cell's sigma_MAD needs: fewer lie too near to a plane fitted to them."""
+
+MOST_TILES = 30_000
+"""Of the rectangle over a campaign, most of them empty: 11 km x 11 km with half metres."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -167,7 +171,7 @@ def map_campaign(
     Parameters
     ----------
     paths : sequence of path
-        Cloud files; of one coordinate system.
+        Cloud files, and folders of LAS, LAZ and COPC files; of one coordinate system.
     folder : path
         Of this run. A run that was stopped goes on with the tiles that are missing.
     cell, radius : float
@@ -191,7 +195,7 @@ def map_campaign(
     import dask
     from dask.diagnostics import ProgressBar
 
-    folder, paths = Path(folder), [Path(path) for path in paths]
+    folder, paths = Path(folder), _files(paths)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
     run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
@@ -210,6 +214,17 @@ def map_campaign(
         with ProgressBar(minimum=5):
             dask.compute(tasks, scheduler="processes")
     return folder
+
+
+def _files(paths):
+    """Cloud files, with those of folders."""
+    found = []
+    for path in map(Path, paths):
+        inside = sorted(one for one in path.rglob("*") if one.suffix.lower() in (".las", ".laz"))
+        found += inside if path.is_dir() else [check_file(path, "cloud")]
+    if not found:
+        raise ValueError(f"Invalid folder {paths[0]}: no cloud. Must contain .las or .laz files.")
+    return found
 
 
 def _record(folder):
@@ -246,6 +261,10 @@ def _sorted_points(paths, folder, side):
     if not places:
         raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
     check_metres(crs, str(first))
+    spans = np.ptp(np.array(list(places)), axis=0) + 1
+    if spans.prod() > MOST_TILES:
+        wide = " x ".join(f"{span * side / 1000:.0f} km" for span in spans)
+        raise ValueError(f"Invalid clouds over {wide}. Must lie within {MOST_TILES} tiles.")
     crs = None if crs is None else crs.to_wkt()
     return {"tiles": sorted(places), "origin": origin, "crs": crs}
 
@@ -299,9 +318,11 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
     files = [_tile(Path(folder), place) for place in run["tiles"]]
     there = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
     whole = xr.combine_by_coords(there, combine_attrs="override")
-    whole["n"] = whole["n"].fillna(0)
     filled = whole["n"] > 0
     whole = whole.isel(y=_span(filled.any("x")), x=_span(filled.any("y")))
+    full = {axis: _steps(whole[axis].values, run["cell"]) for axis in ("y", "x")}
+    whole = whole.reindex(full, method="nearest", tolerance=run["cell"] / 4)
+    whole["n"] = whole["n"].fillna(0)
     if rho0 is not None:
         check_positive(rho0, "rho0", unit="points per m2")
         free = exempt(whole["d1"] / 1000, whole["d4"] / 1000, rho0)
@@ -318,6 +339,11 @@ def _span(seen):
     """From the first to the last place with points."""
     places = np.flatnonzero(seen.values)
     return slice(places[0], places[-1] + 1)
+
+
+def _steps(places, cell):
+    """All places from the first to the last, those of tiles without points too."""
+    return places[0] + cell * np.arange(round((places[-1] - places[0]) / cell) + 1)
 
 
 def summarise(dataset: xr.Dataset) -> pd.DataFrame:
@@ -351,13 +377,18 @@ def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
         If the ending is another, or a GeoTIFF would have no coordinate system.
     """
     path = Path(path)
-    if check_choice(path.suffix, "ending of the map", (".nc", ".tif")) == ".nc":
+    if check_ending(path) == ".nc":
         write_atomically(path, lambda file: dataset.to_netcdf(file, engine="scipy"))
         return
     if "spatial_ref" not in dataset.coords:
         raise ValueError(f"Invalid map {path}: no coordinate system in the files. Must be .nc.")
     bands = dataset.astype(np.float32).isel(y=slice(None, None, -1))
     write_atomically(path, lambda file: bands.rio.to_raster(file, driver="GTiff"))
+
+
+def check_ending(path):
+    """The ending of a map, or the sentence that says which there are."""
+    return check_choice(Path(path).suffix, "ending of the map", (".nc", ".tif"))
 
 
 def plot_map(dataset: xr.Dataset) -> Figure:

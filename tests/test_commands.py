@@ -29,7 +29,7 @@ CASES = {
     "plan": ("plan --scanner vq-450 --speed 14 --range 8", None, None),
     "pattern": ("pattern PATCH", None, None),
     "poles": ("poles street.xyz --method itc", 1, None),
-    "map": ("map PATCH --out m.nc --cell 1 --workers 1", None, "m.nc"),
+    "map": ("map PATCH --out m.nc --cell 1", None, "m.nc"),
     "accuracy": ("accuracy PATCH levelled.csv --out differences.csv", 2, "differences.csv"),
 }
 """A call of each command, the rows that it writes, and its main product beside its table."""

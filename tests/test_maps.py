@@ -154,6 +154,15 @@ def test_maps_are_written_as_netcdf_and_geotiff(campaign):
     shutil.rmtree(run)
 
 
+def test_tiles_without_points_are_cells_without_points(tmp_path):
+    far = np.concatenate([street(n=500), street(n=500) + [40.0, 0, 0]])
+    io.write_cloud(tmp_path / "far.laz", Cloud(far))
+    found = maps.open_map(maps.map_campaign([tmp_path / "far.laz"], tmp_path / "run", tile=4))
+    assert np.diff(found["x"]) == pytest.approx(0.5)
+    assert int(found["n"].sum()) == 1000
+    assert not found["n"].sel(x=slice(448012.0, 448038.0)).any()
+
+
 def test_summary_has_the_quantiles_of_the_cells():
     dataset = maps.map_cloud(street())
     table = maps.summarise(dataset).set_index("figure")
