@@ -371,12 +371,15 @@ def _hypotheses(lines, radius, most):
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
     weight = np.minimum(1, 2 * np.minimum(*lines.half) / 3)
     first = np.flatnonzero(np.r_[True, np.diff(lines.rows) > 0])
-    scores = np.empty(len(shifts))
-    for k, shift in enumerate(shifts):
-        squares = ((lines.offset - lines.frame @ shift) ** 2).sum(axis=1)
-        near = np.maximum(0, 1 - squares / SCORE_WIDTH_M**2) * weight
-        scores[k] = np.maximum.reduceat(near, first).sum()
-    return shifts, scores
+    # |offset - frame shift|^2 as one product of matrices
+    products = np.einsum("kd,ke->kde", shifts, shifts).reshape(-1, 9)
+    unknowns = np.column_stack([np.ones(len(shifts)), -2 * shifts, products])
+    knowns = np.column_stack([(right**2).sum(axis=1), right, normal.reshape(-1, 9)]).T
+    scores = [
+        np.maximum.reduceat(np.maximum(0, 1 - part @ knowns / SCORE_WIDTH_M**2) * weight, first, 1)
+        for part in np.array_split(unknowns, len(unknowns) // 200 + 1)
+    ]
+    return shifts, np.concatenate(scores).sum(axis=1)
 
 
 def _starts(shifts, scores):

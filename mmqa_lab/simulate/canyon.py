@@ -195,9 +195,9 @@ def canyon(seed, *, displacement_m=None, angle_noise_deg=0.08):
     The shares of edges, splits and clutter are assumptions of this simulator, set so that the
     numbers of segments and true pairs agree with the paper. The lengths of the displacements,
     drift, and noise of directions and ends were fitted to the distances and errors of four rows,
-    C1-C2, C1-C3, C1-TLS and C2-TLS; C2-C3, C3-TLS and the second extraction of C1-C3 were held out. Directions with 0.3 degrees of noise or more fit the
-    printed distances clearly worse. The canyon has the extent of the test site and is no
-    reconstruction of it.
+    C1-C2, C1-C3, C1-TLS and C2-TLS; C2-C3, C3-TLS and the second extraction of C1-C3 were held out.
+    Directions with 0.3 degrees of noise or more fit the printed distances clearly worse. The canyon
+    has the extent of the test site and is no reconstruction of it.
 
     References
     ----------
