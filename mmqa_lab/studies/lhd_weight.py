@@ -207,7 +207,10 @@ def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURS
     Comparison
     """
     cases = grid(comparison=comparison, **conditions)
-    return Comparison(cases, dict(methods or METHODS), scene, scored, seeds=seeds)
+    figures = ("f1",) if scored is score else ()
+    return Comparison(
+        cases, dict(methods or METHODS), scene, scored, seeds=seeds, figures=figures or None
+    )
 
 
 def published_rows():
