@@ -85,6 +85,9 @@ ANGLE_NAMES["heading_deg"] = ("heading", "heading_deg", "yaw")
 
 SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
 
+HIGHEST_M = 20_000.0
+"""No height of a point is larger."""
+
 NO_HEIGHT_M = 9999.0
 """Reference heights as large as this stand for none, -9999 and -32768 among them."""
 
@@ -389,6 +392,9 @@ def _with_names(table, names, what):
     if names is None:
         if len(table) > 2 and len(table.columns) > 3 and (table[0].diff()[1:] == 1).all():
             raise ValueError(f"Invalid {what}: its first column counts. Must have a header.")
+        heights = pd.to_numeric(table.get(2, pd.Series(dtype=float)), "coerce").abs()
+        if ((heights > HIGHEST_M) & np.isfinite(heights)).any():
+            raise ValueError(f"Invalid {what}: its third column is no height. Must have a header.")
         names = [*"xyz", *(f"column_{k}" for k in range(4, len(table.columns) + 1))]
         return table.set_axis(names[: len(table.columns)], axis=1)
     if len(names) != len(table.columns):
@@ -404,6 +410,7 @@ def _separator(line):
             return mark
     words = line.split()
     in_numbers = len(words) > 2 and all(word.strip(",") == word for word in words)
+    in_numbers = in_numbers and _is_data(words)
     return "," if "," in line and not in_numbers else r"\s+"
 
 

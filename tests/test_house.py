@@ -20,11 +20,11 @@ LAYERS = (
     "__init__ _checks _compiled _results srgb",
     "cloud published",
     "stats spacing planes io",
-    "scan_pattern charts samples chart_cloud testfield lines radiometry repeatability mtf",
-    "boresight poles chart_image tender image_targets",
+    "scan_pattern charts samples chart_cloud testfield lines radiometry repeatability",
+    "boresight poles chart_image mtf tender image_targets",
     "simulate",
-    "bench _figures plots views maps run widgets",
-    "studies",
+    "bench _figures plots views maps widgets",
+    "studies run",
     "commands __main__",
 )
 """A room may import rooms of its own layer and of those above in this table."""
@@ -32,7 +32,8 @@ LAYERS = (
 NO_FILES = set(" ".join((*LAYERS[:2], *LAYERS[3:6])).split()) - {"samples", "chart_image"}
 """Rooms of methods take arrays: they do not import io."""
 
-PICTURES = {"_figures", "plots", "views", "matplotlib", "pyvista", "ipywidgets", "IPython"}
+LIBRARIES = ("matplotlib", "pyvista", "ipywidgets", "IPython")
+PICTURES = {"_figures", "plots", "views", *(f"library {name}" for name in LIBRARIES)}
 """Imported below the layer of bench only when a result is asked to draw itself."""
 
 
@@ -47,7 +48,9 @@ def imported(path):
         elif not isinstance(node, ast.Import):
             continue
         for name in names:
-            yield name.removeprefix("mmqa_lab.").partition(".")[0], node in tree.body
+            ours = name.startswith("mmqa_lab.")
+            parts = name.split(".")
+            yield parts[1] if ours else f"library {parts[0]}", node in tree.body
 
 
 @pytest.mark.parametrize(
