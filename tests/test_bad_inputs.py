@@ -55,7 +55,6 @@ COMMANDS = [
     ("map none.laz --out m.nc", "none.laz"),
     ("map folder --out m.nc", "Must contain .las or .laz files."),
     ("map PATCH --out m.docx", "'.docx'. Must be one of .nc, .tif."),
-    ("map PATCH --out m.tif", "no coordinate system in the files"),
     ("map PATCH --out m.nc --cell 0", "Invalid cell 0.0. Must be > 0 m."),
     ("pattern feet.laz", "in US survey foot"),
     ("plan --scanner vq-450 --speed 0 --range 5", "Invalid speed_m_s 0.0. Must be > 0"),
