@@ -18,10 +18,9 @@ import pandas as pd
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.stats import chi2, t
 
-from mmqa_lab import bench, chart_image, charts, lines, poles, simulate, stats, testfield
+from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, testfield
 from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.cloud import Cloud
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.planes import fit_circle
 from mmqa_lab.radiometry import (
@@ -120,28 +119,6 @@ def pole(seed, known, n):
     found = fit_circle(points, diameter=0.1 if known else None)
     std = np.sqrt(np.diag(found.covariance))
     return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
-
-
-def girth(seed, diameter, lined):
-    """The diameter at 1.3 m of a post on level ground, 6 m from the scanner, 4 mm of noise; pulses
-    every 1 cm, almost in step from scan line to scan line, or the same points without lines."""
-    rng = np.random.default_rng(seed)
-    diameter += rng.uniform(-0.01, 0.01)
-    turn, line = np.arange(-0.06, 0.06, 0.01 / 6), np.arange(0, 4, 0.05)
-    phase = rng.uniform() + rng.uniform(0, 0.05) * np.arange(80)[:, None]
-    away = turn + 0.01 / 6 * (phase % 1)
-    aside = 6 * np.sin(away)
-    hit = np.abs(aside) < diameter / 2
-    reach = 6 * np.cos(away) - np.sqrt(np.maximum(diameter**2 / 4 - aside**2, 0))
-    reach = (reach + rng.normal(0, 0.004, away.shape))[hit]
-    z, number = (np.broadcast_to(one[:, None], away.shape)[hit] for one in (line, np.arange(80)))
-    post = np.column_stack([reach * np.cos(away[hit]), reach * np.sin(away[hit]), z])
-    floor = np.column_stack([*np.mgrid[3:9:0.2, -3:3:0.2].reshape(2, -1), np.zeros(900)])
-    scan_line = np.append(np.repeat(-9 - np.arange(30), 30), number)
-    columns = {"scan_line": scan_line, "pulse": np.arange(len(scan_line))}
-    found = poles.detect(Cloud(np.vstack([floor, post]), columns if lined else {}))
-    row = found.loc[np.hypot(found["x_m"] - 6, found["y_m"]).idxmin()]
-    return {"diameter at 1.3 m": (*row[["diameter_13_low_m", "diameter_13_high_m"]], diameter)}
 
 
 def pattern(seed, timed):
@@ -482,9 +459,6 @@ ESTIMATES = (
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
     Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 10, 500),
     Estimate("pole position", pole, bench.grid(known=(True, False), n=(8, 12, 40)), 3, 300),
-    Estimate(
-        "diameter of a pole", girth, bench.grid(diameter=(0.1, 0.2), lined=(True, False)), *(1, 60)
-    ),
     Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
     Estimate(
         "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 3, 200

@@ -405,24 +405,6 @@ def written(folder, cloud, truth):
     return [*words, "--reference", str(folder / "truth.csv")]
 
 
-def test_command(surveyed, tmp_path, capsys):
-    cloud, truth = surveyed
-    words = [*written(tmp_path, cloud, truth["targets"]), "--method", "fgi"]
-    words += ["--csv", str(tmp_path / "out.csv"), "--geojson", str(tmp_path / "out.geojson")]
-    assert main(words) in (0, None)
-    printed = json.loads(capsys.readouterr().out)
-    table = pd.read_csv(tmp_path / "out.csv")
-    assert list(table) == [
-        *("id", "x_m", "y_m", "z_base_m", "height_m", "diameter_m", "tilt_deg", "score", "method"),
-        *("total_height_m", "diameter_13_m", "diameter_13_low_m", "diameter_13_high_m", "points"),
-        *("class", "class_probability", "lean_azimuth_deg"),
-    ]
-    assert len(table) == len(printed["poles"]) == len(poles.detect(cloud, method="fgi"))
-    assert 0 < printed["scores"]["recall"]["value"] <= 1
-    places = json.loads((tmp_path / "out.geojson").read_text())["features"]
-    assert places[0]["geometry"]["coordinates"][0] == pytest.approx(table["x_m"][0], abs=1e-4)
-
-
 def test_a_trajectory_alone_scores_within_the_methods_corridor(tmp_path, capsys):
     # posts 5, 20 and 40 m off a path: the component method looks 15 m far
     turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 72), np.arange(0.02, 3, 0.02))

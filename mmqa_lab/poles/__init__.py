@@ -13,7 +13,6 @@ Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et
 from __future__ import annotations
 
 import warnings
-from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -22,8 +21,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_plan, check_positive
-from mmqa_lab.cloud import Cloud, path_distance, sort_into_cells
-from mmqa_lab.poles.delivery import write_poles
+from mmqa_lab.cloud import Cloud, path_distance
 from mmqa_lab.poles.scores import Score, curve, match, score
 
 if TYPE_CHECKING:
@@ -36,10 +34,7 @@ METHODS = ("ours", "fgi", "itc")
 CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
 """Half width of the corridor where a trajectory comes without one: that of the report's tables."""
 
-HALO_M = 16.0
-"""Points so far around a tile decide with those in it."""
-
-__all__ = ["METHODS", "Score", "curve", "detect", "match", "score", "settings_of", "write_poles"]
+__all__ = ["METHODS", "Score", "curve", "detect", "match", "score", "settings_of"]
 __dir__ = __all__.copy
 
 
@@ -51,7 +46,6 @@ def detect(
     corridor: float | None = None,
     explain: bool = False,
     model: Booster | None = None,
-    tile: float | None = None,
     **thresholds,
 ) -> pd.DataFrame:
     """Detect poles.
@@ -71,10 +65,6 @@ def detect(
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
     model : lightgbm.Booster, optional
         Verifier of the learned method, one's own for instance; others have none.
-    tile : float, optional
-        Side of squares that are searched one after the other, metres: a large cloud then needs
-        little more memory than its points. Each square sees 16 m around it, and a pole on a border
-        is found once; poles of ``ours`` and ``fgi`` do not depend on it.
     **thresholds
         Fields of the method's settings, see :func:`settings_of`.
 
@@ -83,11 +73,8 @@ def detect(
     DataFrame
         One row a pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
-        ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m). Measured alike
-        for all methods: ``class`` and ``class_probability``; ``total_height_m``, from the ground to
-        the top of lantern, board or crown; ``diameter_13_m`` at 1.3 m above the ground with
-        ``diameter_13_low_m`` and ``diameter_13_high_m`` (95 %); ``lean_azimuth_deg``, towards which
-        it leans, clockwise from north; ``points`` seen on the shaft. NaN where not measurable. Of
+        ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m). NaN where not
+        measurable. Of
         ``itc`` also ``is_tree``.
 
     Raises
@@ -101,9 +88,6 @@ def detect(
     The score of ``ours`` is the probability that its trees give on streets like the training ones;
     on others it is no probability. For the other methods it is the share of points in the inner
     cylinder and the share of slices that are pole-like, which order detections and no more.
-    Classes are lamp or utility pole, sign or signal, trunk, bollard or post, and other. Their trees
-    were trained on simulated streets too: on others nine in ten are right, on real ones of Oakland
-    six in ten, posts being taken for signs.
 
     Examples
     --------
@@ -133,42 +117,14 @@ def detect(
         method, thresholds = "itc", {}
     settings = _settings(import_module(f"mmqa_lab.poles.{method}"), method, thresholds)
     choices = {"explain": explain} | ({"model": model} if method == "ours" else {})
-    search = partial(_search, method=method, settings=settings, choices=choices)
     local = cloud.points[inside] - origin
     lines = None if lines is None else tuple(values[inside] for values in lines)
-    if tile is None or not len(local):
-        found = search(local, lines)
-    else:
-        found = _in_tiles(local, lines, check_positive(tile, "tile", unit="m"), search)
+    choices |= {} if method == "itc" else {"lines": lines}
+    detect_with = import_module(f"mmqa_lab.poles.{method}").detect
+    found = detect_with(local, settings, **choices)
     found.insert(0, "id", np.arange(1, len(found) + 1))
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
-
-
-def _search(points, lines, method, settings, choices):
-    """The poles of points near the origin, with their attributes."""
-    from mmqa_lab.poles.ours import with_attributes
-
-    choices |= {} if method == "itc" else {"lines": lines}
-    detect_with = import_module(f"mmqa_lab.poles.{method}").detect
-    return with_attributes(points, detect_with(points, settings, **choices), lines)
-
-
-def _in_tiles(points, lines, side, search):
-    """The same, a square of that side after the other; a pole belongs to the one it stands in."""
-    parts = []
-    for low in sort_into_cells(points[:, :2], side).places * side:
-        inside = _in_square(points[:, :2], low - HALO_M, side + 2 * HALO_M)
-        own = None if lines is None else tuple(values[inside] for values in lines)
-        found = search(points[inside], own)
-        parts.append(found[_in_square(found[["x_m", "y_m"]].to_numpy(), low, side)])
-    return pd.concat(parts).sort_values(["y_m", "x_m"], ignore_index=True)
-
-
-def _in_square(xy, low, side):
-    """Which places lie in a square."""
-    x, y = xy.T
-    return (x >= low[0]) & (x < low[0] + side) & (y >= low[1]) & (y < low[1] + side)
 
 
 def settings_of(method: str) -> fgi.Settings | itc.Settings | ours.Settings:

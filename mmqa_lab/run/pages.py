@@ -77,7 +77,10 @@ class Outcome:
 def read_outcome(folder):
     """Return the outcome that a run left in a study's folder, or None."""
     file = Path(folder) / OUTCOME
-    return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+    if not file.is_file():
+        return None
+    kept = json.loads(file.read_text(encoding="utf-8"))
+    return Outcome(**{name: kept[name] for name in Outcome.__dataclass_fields__ if name in kept})
 
 
 def write_pages(folder, studies, *, running=()):

@@ -1,7 +1,7 @@
 """Training of the learned pole detector, on simulated streets and yards alone.
 
 ``python -m mmqa_lab.studies.poles_training FOLDER`` grows the trees anew and writes them to
-``model.txt`` and ``classes.txt`` in ``mmqa_lab/poles``; the same seed gives the same files. What
+``model.txt`` in ``mmqa_lab/poles``; the same seed gives the same file. What
 each example teaches is kept in the folder, so that an interrupted run goes on. Scanners, streets
 and errors are drawn widely, so that the trees learn poles and not a street. Four examples in nine
 are yards: bare shafts and what is as tall and narrow but no pole. Of each drive three views are
@@ -18,7 +18,6 @@ import pandas as pd
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.poles import ours
-from mmqa_lab.poles.features import NAMES
 from mmqa_lab.simulate import streets, surfaces
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
@@ -372,10 +371,10 @@ def _lesson(number, **choices):
         origin = np.floor(cloud.points.min(axis=0))
         features, axes, _ = ours.described(cloud.points - origin, ours.Settings())
         axes[:, :2] += origin[:2]
-        label, nearest = labels(axes, targets)
+        label, _ = labels(axes, targets)
         group = np.full(len(label), number * len(SHARES) + view)
         made = {"features": features.astype(np.float32), "label": label, "group": group}
-        made |= {"kind": kinds(targets)[nearest], "share": 0.0 * label}
+        made |= {"share": 0.0 * label}
         made["share"] += SHARES[view] * yard_share
         parts.append({name: column[label >= 0] for name, column in made.items()})
     return _together(parts)
@@ -412,48 +411,9 @@ def fit(features, label, group, share=1.0, *, rounds=800, leaves=20, rate=0.1):
     return lightgbm.train(choices, data, num_boost_round=rounds)
 
 
-def kinds(targets):
-    """Return the class of each target, a row of :data:`mmqa_lab.poles.ours.CLASSES`.
-
-    Bare shafts and the targets called other are classed by their sizes, as the generator makes
-    them: utility poles are wider than flagpoles, signals stand 3 to 4 m high, shafts wider than
-    0.45 m are other.
-    """
-    name, height = targets["class"].to_numpy(), targets["height_m"].to_numpy()
-    width = targets["diameter_base_m"].to_numpy()
-    street = np.isin(name, ("lamp", "sign")).any()
-    signal = street & (height >= 2) & (height < 4.5)
-    utility = (height >= 4.5) & ((width >= 0.2) | (not street)) & (width <= 0.45)
-    low = (height < 4.5) & (width <= 0.45)
-    known = [name == "lamp", name == "sign", name == "tree", signal, utility, low]
-    return np.select(known, [0, 1, 2, 1, 0, 3], 4)
-
-
-def fit_classes(features, label, kind, *, rounds=40):
-    """Return trees that tell the class of a pole from its features, one set a class."""
-    import lightgbm
-
-    own = label == 1
-    features, kind = features[own][:, : len(NAMES)], kind[own]
-    weight = 1 / np.sqrt(np.bincount(kind)[kind])
-    data = lightgbm.Dataset(features, kind, weight=weight / weight.mean(), feature_name=list(NAMES))
-    choices = TREES | {
-        "objective": "multiclass",
-        "num_class": len(ours.CLASSES),
-        "num_leaves": 8,
-        "min_data_in_leaf": 20,
-        "lambda_l2": 1.0,
-        "learning_rate": 0.08,
-        "feature_fraction_bynode": 0.4,
-    }
-    return lightgbm.train(choices, data, num_boost_round=rounds)
-
-
 def main(folder):
     """Train on all examples and write both files of trees; takes about half an hour."""
     taught = lessons(range(EXAMPLES), folder)
-    kind = taught.pop("kind")
-    _write("classes.txt", fit_classes(taught["features"], taught["label"], kind))
     _write("model.txt", fit(**taught))
 
 
