@@ -9,25 +9,19 @@ import functools
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from mmqa_lab.cloud import Cloud
-
-__all__ = [
-    "is_headless",
-    "show_cloud",
-]
+__all__ = ["is_headless", "show_cloud"]
 __dir__ = __all__.copy
 
-WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 
 TITLES = ("easting (m)", "northing (m)", "height (m)")
 
@@ -39,20 +33,17 @@ PROBE = (
 
 
 @functools.cache
-def can_render():
+def can_render() -> bool:
     """Return whether VTK can draw off screen here; asked once, takes about 2 s.
 
-    Sets the environment variable that names the window class which works, so that this process
-    draws as the child did.
+    Sets the environment variable that names the window class which works.
     """
     settings = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "")
     for window in settings if not os.environ.get("DISPLAY") else reversed(settings):
-        environment = {**os.environ, WINDOW_VARIABLE: window}
-        child = subprocess.run(
-            [sys.executable, "-c", PROBE], env=environment, capture_output=True, text=True
-        )
-        if child.returncode == 0 and "drawn" in child.stdout:
-            os.environ[WINDOW_VARIABLE] = window
+        environment = {**os.environ, WINDOW: window}
+        child = subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True)
+        if child.returncode == 0 and b"drawn" in child.stdout:
+            os.environ[WINDOW] = window
             return True
     return False
 
@@ -75,7 +66,7 @@ def is_headless() -> bool:
     return bool(os.environ.get("MMQA_HEADLESS"))
 
 
-def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> Any:
+def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     """Show a cloud in 3-D, coloured by a value for each point.
 
     In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
@@ -83,8 +74,8 @@ def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> An
 
     Parameters
     ----------
-    cloud : Cloud or array_like, shape (n, 3)
-        Metres.
+    cloud : array_like, shape (n, 3)
+        Metres. The view counts from the lowest corner.
     values : array_like, shape (n,)
         Residuals, intensities, f, ...
     label : str
@@ -108,79 +99,65 @@ def show_cloud(cloud: Cloud | ArrayLike, values: ArrayLike, *, label: str) -> An
     'height (m)'
     """
     points = check_points(cloud)
-    local = points - points.min(axis=0)  # counted from the corner: no tick is -0.0
+    local, values = points - points.min(axis=0), np.asarray(values, dtype=np.float64)
     if not can_render():
         return _figure(local, values, label)
-    plotter = _plotter(local, values, label, off_screen=is_headless())
-    if is_headless():
-        return plotter.show(jupyter_backend="static", return_viewer=True)
-    _serve_locally()
-    folded = {"collapse_menu": True}
-    return plotter.show(jupyter_backend="server", return_viewer=True, jupyter_kwargs=folded)
-
-
-def _serve_locally():
-    """Draw here and send pictures, through a hub's proxy where there is one."""
     import pyvista
 
+    if is_headless():
+        return _plotter(local, values, label).show(jupyter_backend="static", return_viewer=True)
     # it would download code from the network when the first view opens
     sys.modules.setdefault("trame.widgets.vtklocal", None)
     if hub := os.environ.get("JUPYTERHUB_SERVICE_PREFIX"):
         pyvista.global_theme.trame.server_proxy_enabled = True
         pyvista.global_theme.trame.server_proxy_prefix = f"{hub}proxy/"
+    plotter, folded = _plotter(local, values, label), {"collapse_menu": True}
+    return plotter.show(jupyter_backend="server", return_viewer=True, jupyter_kwargs=folded)
 
 
-def _plotter(local, values, label, *, off_screen):
+def _plotter(local, values, label):
     """The pyvista scene of one cloud."""
     import pyvista
 
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(900, 650))
+    plotter = pyvista.Plotter(off_screen=is_headless(), window_size=(900, 650))
     plotter.set_background("white")
-    values = np.asarray(values, dtype=np.float64)
-    largest, span = np.nanmax(np.abs(values)), np.nanmax(values) - np.nanmin(values)
-    digits = 3 + max(0, int(np.log10(largest / span))) if span > 0 else 3  # no label twice
-    bar = {
-        **{"title": f"{label}\n", "color": "black", "n_labels": 4, "fmt": f"%.{digits}g"},
-        **{"vertical": False, "position_x": 0.25, "position_y": 0.03, "width": 0.5},
-        **{"title_font_size": 18, "label_font_size": 16},
-    }
-    plotter.add_points(
-        pyvista.PolyData(local),
-        scalars=values,
-        point_size=4,
-        cmap=plots.MAP,
-        scalar_bar_args=bar,
-    )
-    shown = {}
-    for axis, title, thin in zip("xyz", TITLES, _thin(local), strict=True):
+    marks = _round_ticks(np.nanmin(values), np.nanmax(values))
+    title = {"title": f"{label}\n", "title_font_size": 18, "label_font_size": 16, "fmt": "%g"}
+    place = {"vertical": False, "position_x": 0.25, "position_y": 0.03, "width": 0.5}
+    bar = {**title, **place, "color": "black", "n_labels": len(marks)}
+    shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": plots.MAP, "point_size": 4}
+    plotter.add_points(pyvista.PolyData(local), **shades, scalar_bar_args=bar)
+    extent, box, shown = np.ptp(local, axis=0), [], {}
+    for axis, title, length in zip("xyz", TITLES, extent, strict=True):
+        thin = length < 0.1 * extent.max()  # no room for numbers
+        ticks = _round_ticks(0.0, length, 1 if thin else round(5 * length / extent.max()))
+        box += [0.0, length if thin else ticks[-1]]
         shown |= {f"{axis}title": " " if thin else title, f"show_{axis}axis": not thin}
-        shown[f"show_{axis}labels"] = not thin
-    plotter.show_bounds(**shown, color="black", font_size=9, location="outer")
+        shown |= {f"show_{axis}labels": not thin, f"n_{axis}labels": len(ticks)}
+    look = {"color": "black", "font_size": 12, "location": "outer", "fmt": "%g"}
+    plotter.show_bounds(bounds=box, **shown, **look)
     plotter.view_isometric()
     plotter.camera.zoom(0.95)
-    plotter.camera.SetWindowCenter(0, -0.12)  # the scale is below, the viewer's buttons are above
+    plotter.camera.SetWindowCenter(0, -0.18)  # the scale is below, the viewer's buttons are above
     return plotter
+
+
+def _round_ticks(low, high, most=4):
+    """Ticks at round numbers, at most so many steps, that reach beyond both ends."""
+    return MaxNLocator(max(1, most), steps=[1, 2, 2.5, 5, 10]).tick_values(
+        low, max(high, low + 1e-9)
+    )
 
 
 def _figure(local, values, label, limit=20_000):
     """The matplotlib picture of one cloud, thinned to what it can draw."""
-    step = max(1, len(local) // limit)
+    step = 1 + len(local) // limit
     with plots.style():
         figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
-        shades = {"c": np.asarray(values)[::step], "cmap": plots.MAP, "s": 1, "rasterized": True}
+        shades = {"c": values[::step], "cmap": plots.MAP, "s": 1, "rasterized": True}
         dots = ax.scatter(*local[::step].T, **shades)
-        ax.set(aspect="equal")
+        ax.set(aspect="equal", xlabel=TITLES[0], ylabel=TITLES[1], zlabel=TITLES[2])
         ax.locator_params(nbins=4)
-        for axis, title, thin in zip("xyz", TITLES, _thin(local), strict=True):
-            getattr(ax, f"set_{axis}label")("" if thin else title, labelpad=8)
-            if thin:
-                ax.set(**{f"{axis}ticks": []})
         figure.colorbar(dots, ax=ax, label=label, shrink=0.6, pad=0.12)
     plots.plt.close(figure)  # the caller shows it; left open, a notebook would show it twice
     return figure
-
-
-def _thin(local):
-    """Which of easting, northing, height vary too little for an axis of their own."""
-    extent = np.ptp(local, axis=0)
-    return extent < 0.1 * extent.max()

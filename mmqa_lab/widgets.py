@@ -1,0 +1,639 @@
+"""In the notebook: controls over what studies draw, the choice of a surface, the jury's form.
+
+Without a screen (``MMQA_HEADLESS``) every control becomes the picture of where it starts.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import ipywidgets
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import shapely
+from IPython.display import HTML, Image, Markdown, display
+from matplotlib.figure import Figure
+from matplotlib.widgets import PolygonSelector
+from numpy.typing import ArrayLike
+from scipy import ndimage
+
+from mmqa_lab import plots
+from mmqa_lab._checks import check_choice, check_points, check_polygon
+from mmqa_lab._figures import finish_figure
+from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.chart_image.rules import MARKS, check_marks
+from mmqa_lab.io import write_atomically, write_polygon
+from mmqa_lab.planes import detect_planes, fit_plane
+from mmqa_lab.spacing import quadrants
+from mmqa_lab.srgb import encode
+from mmqa_lab.views import is_headless
+
+__all__ = ["JuryForm", "SelectionTool", "SurfaceTool", "choice", "explore", "slider"]
+__dir__ = __all__.copy
+
+MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
+
+WIDEST_PX, LARGEST_ZOOM = 800, 12
+"""A crop is enlarged by whole numbers up to this width on the screen; nothing is interpolated."""
+
+SHOWN = 10_000
+"""Points drawn; all of them are evaluated."""
+
+LISTED = 30
+"""Planes in the list: those with the most points."""
+
+TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
+"""Of the planes that are not chosen, on the picture and in the list."""
+
+AXES = ("easting", "northing", "height")
+
+
+def explore(
+    function: Callable[..., Figure], **controls: ipywidgets.Widget
+) -> ipywidgets.VBox | Figure:
+    """Draw a figure again whenever a control moves.
+
+    Parameters
+    ----------
+    function : callable
+        Takes the controls' values by name and returns a matplotlib figure.
+    **controls
+        An ipywidgets control each, such as :func:`slider` makes.
+
+    Returns
+    -------
+    ipywidgets.VBox or matplotlib.figure.Figure
+        The controls with the figure below, or the static figure where there is no screen.
+
+    Examples
+    --------
+    >>> from unittest.mock import patch
+    >>> def draw(speed):
+    ...     figure, ax = plt.subplots()
+    ...     ax.plot([0, speed])
+    ...     return figure
+    >>> with patch.dict("os.environ", MMQA_HEADLESS="1"):
+    ...     figure = explore(draw, speed=slider("speed", 10, 1, 20, 1, unit="m/s"))
+    >>> figure.axes[0].lines[0].get_ydata().tolist()
+    [0, 10]
+    >>> plt.close(figure)
+    """
+
+    def drawn():
+        """The figure of the controls' present values."""
+        figure = function(**{name: control.value for name, control in controls.items()})
+        finish_figure(figure)
+        return figure
+
+    if is_headless():
+        return drawn()
+    output = ipywidgets.Output()
+
+    def redraw(_=None):
+        """That figure in place of the last one."""
+        with output, plt.ioff():
+            figure = drawn()
+            output.clear_output(wait=True)
+            display(figure)
+            plt.close(figure)
+
+    for control in controls.values():
+        control.observe(redraw, names="value")
+    redraw()
+    return ipywidgets.VBox([*controls.values(), output])
+
+
+def slider(
+    name: str, value: float, low: float, high: float, step: float, *, unit: str = ""
+) -> ipywidgets.IntSlider | ipywidgets.FloatSlider:
+    """Return a slider whose label has the unit; it reports when it is let go.
+
+    Parameters
+    ----------
+    name : str
+    value, low, high, step : float or int
+        Where it starts, its ends and its step; whole numbers where the step is one.
+    unit : str
+
+    Returns
+    -------
+    IntSlider or FloatSlider
+        Of ipywidgets.
+
+    Examples
+    --------
+    >>> speed = slider("speed", 40.0, 10.0, 80.0, 5.0, unit="km/h")
+    >>> speed.description, speed.value
+    ('speed (km/h)', 40.0)
+    """
+    kind = ipywidgets.IntSlider if isinstance(step, int) else ipywidgets.FloatSlider
+    return kind(
+        value=value,
+        min=low,
+        max=high,
+        step=step,
+        description=f"{name} ({unit})" if unit else name,
+        continuous_update=False,
+        style={"description_width": "14em"},
+        layout={"width": "34em"},
+    )
+
+
+def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
+    """Return a drop-down list that starts with the first option.
+
+    Parameters
+    ----------
+    name : str
+    options : sequence of str
+
+    Returns
+    -------
+    Dropdown
+        Of ipywidgets.
+
+    Examples
+    --------
+    >>> choice("pattern", ["lattice", "poisson"]).value
+    'lattice'
+    """
+    return ipywidgets.Dropdown(
+        options=options, description=name, style={"description_width": "14em"}
+    )
+
+
+class SelectionTool:
+    """A polygon on a surface, whose vertices can be dragged, and the quality of what it selects.
+
+    The surface is seen at right angles to its plane, upright where it stands.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        A surface and what is around it, metres.
+    polygon : array_like, shape (m, 3), optional
+        Where to start; by default the largest rectangle in which points are everywhere.
+    **choices
+        Thickness, axes, radius, sectors and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+
+    Attributes
+    ----------
+    vertices : array, shape (m, 3)
+        The polygon as it is now, metres.
+    quality : CloudQuality or None
+        Of what it selects; None while it selects too little.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
+    >>> tool = SelectionTool(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> round(tool.quality.f, 2)
+    2.0
+    """
+
+    def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices: Any):
+        self.choices, self.quality, self._followers = choices, None, []
+        self.text, self.figure = ipywidgets.HTML(), Figure(figsize=(9.0, 4.6), dpi=100)
+        places = ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
+        self._panels = [self.figure.add_axes(place) for place in places]
+        self._panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+        self._dots = self._panels[0].plot([], [], ".", ms=2, color=plots.COLOURS["blue"])[0]
+        self.canvas = _canvas(self.figure)
+        look = {"color": plots.COLOURS["vermilion"], "linewidth": 1.5}
+        self._selector = PolygonSelector(self._panels[0], self._moved, props=look)
+        self.show(points, polygon)
+        self.box = None if is_headless() else ipywidgets.VBox([*self._shown(), self.text])
+
+    def show(self, points: ArrayLike, polygon: ArrayLike | None = None) -> None:
+        """Take other points, shape (n, 3), and the polygon on them."""
+        self.points = check_points(points, minimum=3)
+        plane = fit_plane(self.points, robust=True)
+        flat = abs(plane.normal[2]) > np.cos(np.radians(45))
+        self._centre, self._axes = plane.centre, plane.axes if flat else plane.horizontal_axes()
+        xy = self._to_plane(self.points)
+        self._dots.set_data(*xy[:: 1 + len(xy) // SHOWN].T)
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        margin = 0.05 * (high - low).max()
+        limits = np.column_stack([low - margin, high + margin])
+        self._panels[0].set(xlim=limits[0], ylim=limits[1])
+        self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
+
+    def select(self, polygon: ArrayLike) -> None:
+        """Move the polygon, shape (m, 3), and evaluate what it selects."""
+        self._selector.verts = self._to_plane(check_polygon(polygon)).tolist()
+        self._moved(self._selector.verts)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the polygon as GeoJSON for ``mmqa evaluate --polygon``."""
+        write_polygon(path, self.vertices)
+
+    def follow(self, function: Callable[[SelectionTool], Any], *, button: str = "") -> Callable:
+        """Show what a function displays of the selection, now and after every change; a decorator.
+
+        With ``button``, a text, it is called again when that button is pressed only.
+        """
+        output = ipywidgets.Output()
+
+        def again(_=None):
+            """What it displays, in place of the last."""
+            output.clear_output(wait=True)
+            with output:
+                display(HTML(self.text.value)) if self.quality is None else function(self)
+
+        if is_headless():
+            function(self)
+            return function
+        again()
+        if not button:
+            self._followers.append(again)
+            display(output)
+            return function
+        pressed, old = ipywidgets.Button(description=button), "The selection has changed: press."
+        pressed.on_click(again)
+        self._followers.append(lambda: setattr(output, "outputs", ()) or output.append_stdout(old))
+        display(ipywidgets.VBox([pressed, output]))
+        return function
+
+    def _ipython_display_(self):
+        """Show the tool, or its picture where there is no screen."""
+        display(*self._shown(), HTML(self.text.value)) if is_headless() else display(self.box)
+
+    def _shown(self):
+        """What stands above the line of text."""
+        return [self.canvas]
+
+    def _to_plane(self, points):
+        """Coordinates in the plane, shape (n, 2), m."""
+        return (np.asarray(points, dtype=np.float64) - self._centre) @ self._axes.T
+
+    def _to_space(self, xy):
+        """Points of the plane in space, shape (n, 3), m."""
+        return self._centre + np.asarray(xy, dtype=np.float64) @ self._axes
+
+    def _moved(self, vertices):
+        """Evaluate and draw again after a vertex was dragged."""
+        self.vertices = self._to_space(vertices)
+        try:
+            self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
+            self.text.value = f"<b>{_summary(self.quality)}</b>"
+            for panel in self._panels[1:]:
+                panel.clear()
+            self.quality.draw_histograms(*self._panels[:0:-1])
+        except ValueError as error:
+            self.quality, self.text.value = None, f"<b>{error}</b>"
+        self.figure.canvas.draw_idle()
+        for again in self._followers:
+            again()
+
+
+class SurfaceTool(SelectionTool):
+    """The planes of some clouds in a list beside a picture; the chosen one with its polygon below.
+
+    Parameters
+    ----------
+    clouds : dict of str to Cloud or array_like, shape (n, 3)
+        Metres.
+    tolerance, size : float
+        Of :func:`mmqa_lab.planes.detect_planes`, m.
+    **choices
+        As of :class:`SelectionTool`.
+
+    Attributes
+    ----------
+    name : str
+        Of the chosen cloud.
+    patch : Patch
+        The chosen plane.
+    planes : DataFrame
+        ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
+        ``northing_m``, ``height_m`` of all.
+
+    Raises
+    ------
+    ValueError
+        If a cloud has no plane of that size.
+
+    Examples
+    --------
+    >>> flat = np.random.default_rng(0).uniform(0, 5, (1500, 3))
+    >>> tool = SurfaceTool({"corner": np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]])}, size=2)
+    >>> tool.planes["area_m2"].round().tolist(), tool.name
+    ([25.0, 25.0], 'corner')
+    """
+
+    def __init__(
+        self,
+        clouds: Mapping[str, ArrayLike],
+        *,
+        tolerance: float = 0.1,
+        size: float = 0.5,
+        **choices: Any,
+    ):
+        self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
+        self._patches = {
+            name: detect_planes(points, tolerance=tolerance, size=size)
+            for name, points in self._points.items()
+        }
+        for name, patches in self._patches.items():
+            if not patches:
+                raise ValueError(f"Invalid cloud {name}: no plane of {size} m. Must have one.")
+        rows = [
+            {"cloud": name, "plane": number, **_described(patch, self._points[name])}
+            for name, patches in self._patches.items()
+            for number, patch in enumerate(patches)
+        ]
+        self.planes = pd.DataFrame(rows)
+        self._scene = Figure(figsize=(6.4, 4.4), dpi=100, layout="constrained")
+        self._scene_canvas = _canvas(self._scene)
+        self._clouds = choice("cloud", list(clouds))
+        self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
+        self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
+        self.name, first = None, next(iter(clouds))
+        self._enter(first, 0)
+        super().__init__(self._points[first][self.patch.index], **choices)
+
+    def choose(self, cloud: str, plane: int = 0) -> None:
+        """Choose a plane by its cloud and its number in ``planes``."""
+        check_choice(cloud, "cloud", tuple(self._points))
+        check_choice(plane, "plane", tuple(range(len(self._patches[cloud]))))
+        self._enter(cloud, plane)
+        self.show(self._points[cloud][self.patch.index])
+
+    def _enter(self, cloud, plane):
+        """Mark a plane on the picture; draw it and the list anew where the cloud is another one."""
+        if cloud != self.name:
+            self.name = self._clouds.value = cloud
+            self._draw_scene()
+        self.number, self.patch = plane, self._patches[cloud][plane]
+        colours = np.array([TINTS[k % len(TINTS)] for k in self._owner], dtype=object)
+        colours[self._owner < 0] = "#DDDDDD"
+        colours[self._owner == plane] = plots.COLOURS["vermilion"]
+        self._scene_dots.set_facecolor(list(colours))
+        self._scene.canvas.draw_idle()
+
+    def _draw_scene(self):
+        """The cloud of that name along its shortest extent, and the list of its planes."""
+        points, patches = self._points[self.name], self._patches[self.name]
+        owner = np.full(len(points), -1)
+        for number, patch in enumerate(patches):
+            owner[patch.index] = number
+        step = 1 + len(points) // SHOWN
+        self._owner, shown = owner[::step], points[::step]
+        across, up = sorted(np.argsort(np.ptp(points, axis=0))[1:])
+        offset = np.round(points.mean(axis=0) / 1000) * 1000  # drawn far from zero, ticks repeat
+        self._scene.clear()
+        ax = self._scene.add_subplot(aspect="equal")
+        x, y = (shown - offset)[:, [across, up]].T
+        self._scene_dots = ax.scatter(x, y, s=3, lw=0)
+        labels = [
+            f"{AXES[k]} - {offset[k]:,.0f} (m)" if offset[k] else f"{AXES[k]} (m)"
+            for k in (across, up)
+        ]
+        ax.set(xlabel=labels[0], ylabel=labels[1])
+        ax.ticklabel_format(useOffset=False)
+        rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
+        self._list.children = [self._button(row) for row in rows.to_dict("records")]
+
+    def _button(self, row):
+        """What chooses a plane."""
+        text = "{plane}: {area_m2:.1f} m², at {height_m:.1f} m, slope {slope_deg:.0f}°"
+        button = ipywidgets.Button(description=text.format(**row), layout={"width": "22em"})
+        button.style.button_color = TINTS[row["plane"] % len(TINTS)]
+        button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))
+        return button
+
+    def _shown(self):
+        """The picture and the list above the polygon."""
+        if is_headless():
+            return [self._scene, self.canvas]
+        side = ipywidgets.VBox([self._clouds, self._list])
+        return [ipywidgets.HBox([self._scene_canvas, side]), self.canvas]
+
+
+def _described(patch, points):
+    """What the list and the table say of a plane."""
+    hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
+    return {
+        "points": len(patch),
+        "area_m2": hull.area,
+        "slope_deg": np.degrees(np.arccos(min(1.0, abs(patch.plane.normal[2])))),
+        "std_mm": 1000 * patch.sigma,
+        **{f"{AXES[k]}_m": patch.plane.centre[k] for k in range(3)},
+    }
+
+
+def _canvas(figure):
+    """A canvas of ipympl, or the figure where there is no screen.
+
+    On import ipympl takes over the figures of the whole session; they stay with their backend.
+    """
+    if is_headless():
+        return figure
+    backend = matplotlib.get_backend()
+    from ipympl.backend_nbagg import Canvas, FigureManager
+
+    if matplotlib.get_backend() != backend:
+        matplotlib.use(backend)
+    canvas = Canvas(figure)
+    canvas.header_visible = False
+    canvas.keep = FigureManager(canvas, 0)  # the toolbar is gone with its manager
+    return canvas
+
+
+def largest_rectangle(xy: ArrayLike) -> np.ndarray:
+    """Return the largest rectangle along the axes in which points are everywhere.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Metres.
+
+    Returns
+    -------
+    array, shape (4, 2)
+        Its corners, to a sixtieth of the longer extent or three times the spacing.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05))
+    >>> band = np.column_stack([x.ravel(), y.ravel()])[(abs(x - y) < 1).ravel()]
+    >>> corners = largest_rectangle(band)
+    >>> bool((np.abs(corners @ [1, -1]) < 1.1).all())
+    True
+    """
+    xy = np.asarray(xy, dtype=np.float64)
+    low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
+    reach = 3 * quadrants(xy, radius=extent.max() / 4).d[-1]
+    edge = extent.max() / 10 if np.isnan(reach) else max(extent.max() / 60, reach)
+    cells = np.clip(((xy - low) / edge).astype(int), 0, np.maximum(0, (extent / edge).astype(int)))
+    filled = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    filled[tuple(cells.T)] = True
+    filled = ndimage.binary_closing(np.pad(filled, 1))[1:-1, 1:-1] | filled
+    best, heights = (0, 0, 0, 0, 0), np.zeros(filled.shape[1], dtype=int)
+    for end, row in enumerate(filled, 1):
+        heights = (heights + 1) * row
+        for first in range(len(row)):
+            lowest = np.minimum.accumulate(heights[first:])
+            areas = lowest * np.arange(1, len(lowest) + 1)
+            k = np.argmax(areas)
+            best = max(best, (areas[k], end - lowest[k], first, end, first + k + 1))
+    _, x0, y0, x1, y1 = best
+    corners = low + edge * np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    return np.clip(corners, low, low + extent)
+
+
+def _summary(quality):
+    """The quality in one line, and what speaks against it in others."""
+    return "<br>".join(
+        [
+            f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
+            f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
+            f"d1 {quality.d1_mm:.1f} mm, d{len(quality.d_mm)} {quality.d_mm[-1]:.1f} mm, "
+            f"f {quality.f:.2f}",
+            *quality.remarks,
+        ]
+    )
+
+
+class JuryForm:
+    """A form in which one juror marks how well texts can be read.
+
+    Each juror sees the same crops in the same order, without knowing where they come from, and
+    gives a mark a (every letter), b (the text) or c (not legible). Every mark is on disk before the
+    next crop is shown; a form on the same file goes on where it was left.
+
+    Parameters
+    ----------
+    crops : dict of str to array, shape (rows, columns)
+        Linear light by name of the element, such as ``"photo 3, text_1"``.
+    juror : str
+        Who marks.
+    file : path
+        CSV with ``juror``, ``element``, ``mark``; shared by all jurors, made when missing.
+    order : sequence of str, optional
+        Names of the crops in the order shown; the order of ``crops`` when not given.
+
+    Attributes
+    ----------
+    box : ipywidgets.Widget
+        What a notebook displays.
+
+    Raises
+    ------
+    ValueError
+        If a name in ``order`` is no crop or repeats, or the file has no marks.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "marks.csv"
+    >>> form = JuryForm({"sign": np.ones((4, 9))}, juror="first", file=file)
+    >>> form.mark("a")
+    >>> pd.read_csv(file)["mark"].tolist(), form.element is None
+    (['a'], True)
+    """
+
+    def __init__(
+        self,
+        crops: Mapping[str, Any],
+        *,
+        juror: str,
+        file: str | os.PathLike,
+        order: Sequence[str] | None = None,
+    ):
+        self._crops = dict(crops)
+        self._order = list(self._crops if order is None else order)
+        for name in self._order:
+            check_choice(name, "crop in order", tuple(self._crops))
+        if len(set(self._order)) < len(self._order):
+            raise ValueError("Invalid order: a crop repeats. Must show each once.")
+        if not str(juror).strip():
+            raise ValueError(f"Invalid juror {juror!r}. Must have a name.")
+        self._juror, self._file = str(juror).strip(), Path(file)
+        self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
+        self._line = ipywidgets.Label()
+        self._buttons = {
+            mark: ipywidgets.Button(description=text) for mark, text in MEANINGS.items()
+        }
+        for mark, button in self._buttons.items():
+            button.on_click(lambda _, mark=mark: self.mark(mark))
+        self._back = ipywidgets.Button(description="back", icon="arrow-left")
+        self._back.on_click(lambda _: self.back())
+        row = ipywidgets.HBox([*self._buttons.values(), self._back])
+        self.box = ipywidgets.VBox([self._line, row, self._picture])  # buttons stay in place
+        self._show()
+
+    @property
+    def marks(self) -> pd.DataFrame:
+        """All marks in the file so far, of every juror."""
+        if not self._file.is_file():
+            return pd.DataFrame(columns=["juror", "element", "mark"])
+        return check_marks(pd.read_csv(self._file, dtype=str, keep_default_na=False))
+
+    @property
+    def element(self) -> str | None:
+        """Name of the crop shown; None when all are marked."""
+        marks = self.marks
+        done = set(marks.loc[marks["juror"] == self._juror, "element"])
+        return next((name for name in self._order if name not in done), None)
+
+    def mark(self, mark: str) -> None:
+        """Give the crop shown a mark, write it down and show the next one."""
+        check_choice(mark, "mark", MARKS)
+        element = self.element
+        if element is None:
+            return
+        row = {"juror": self._juror, "element": element, "mark": mark}
+        self._write(pd.concat([self.marks, pd.DataFrame([row])]))
+
+    def back(self) -> None:
+        """Take this juror's last mark back and show its crop again."""
+        marks = self.marks
+        own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._order)]
+        if len(own):
+            self._write(marks.drop(own[-1]))
+
+    def _ipython_display_(self):
+        """The form, or the crop it shows where there is no screen."""
+        shown = Image(self._picture.value) if self._picture.value else Markdown(self._line.value)
+        display(shown if is_headless() else self.box)
+
+    def _write(self, marks):
+        """Replace the file by these marks, then show what is next."""
+        write_atomically(self._file, marks)
+        self._show()
+
+    def _show(self):
+        """Bring the form up to date."""
+        element, total = self.element, len(self._order)
+        place = total if element is None else self._order.index(element)
+        for button in self._buttons.values():
+            button.disabled = element is None
+        self._back.disabled = place == 0
+        if element is None:
+            self._line.value = f"{self._juror}: all {total} are marked, thank you."
+            self._picture.value = b""
+        else:
+            self._line.value = f"{self._juror}: {place + 1} of {total}"
+            self._picture.value = _png(self._crops[element])
+
+
+def _png(crop):
+    """A crop as PNG, each pixel a square."""
+    import cv2
+
+    low, high = np.percentile(crop, [0.5, 99.5])
+    shown = encode(np.clip((crop - low) / max(high - low, 1e-9), 0, 1), "srgb")
+    zoom = int(np.clip(WIDEST_PX // crop.shape[1], 1, LARGEST_ZOOM))
+    pixels = np.kron(np.round(shown * 255).astype(np.uint8), np.ones((zoom, zoom), np.uint8))
+    return cv2.imencode(".png", pixels)[1].tobytes()
