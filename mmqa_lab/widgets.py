@@ -203,7 +203,7 @@ class SelectionTool:
 
     def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices: Any):
         self.choices, self.quality, self._followers = choices, None, []
-        self.text, self.figure = ipywidgets.HTML(), Figure(figsize=(9.0, 4.6), dpi=100)
+        self.text, self.figure = ipywidgets.HTML(), Figure(figsize=(9.0, 4.6), dpi=100, layout="none")
         places = ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
         self._panels = [self.figure.add_axes(place) for place in places]
         self._panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
@@ -237,31 +237,35 @@ class SelectionTool:
         """Write the polygon as GeoJSON for ``mmqa evaluate --polygon``."""
         write_polygon(path, self.vertices)
 
-    def follow(self, function: Callable[[SelectionTool], Any], *, button: str = "") -> Callable:
+    def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
         """Show what a function displays of the selection, now and after every change; a decorator.
 
-        With ``button``, a text, it is called again when that button is pressed only.
+        With ``button``, a text, it is called again only when that button is pressed.
         """
+        if function is None:
+            return lambda decorated: self.follow(decorated, button=button)
+        if is_headless():
+            function(self)
+            return function
         output = ipywidgets.Output()
 
         def again(_=None):
             """What it displays, in place of the last."""
-            output.clear_output(wait=True)
             with output:
+                output.clear_output(wait=True)
                 display(HTML(self.text.value)) if self.quality is None else function(self)
 
-        if is_headless():
-            function(self)
-            return function
+        def waits():
+            """Say that what is shown is of another selection."""
+            with output:
+                output.clear_output()
+                print("The selection has changed: press the button.")
+
         again()
-        if not button:
-            self._followers.append(again)
-            display(output)
-            return function
-        pressed, old = ipywidgets.Button(description=button), "The selection has changed: press."
+        self._followers.append(waits if button else again)
+        pressed = ipywidgets.Button(description=button, layout={"width": "24em"})
         pressed.on_click(again)
-        self._followers.append(lambda: setattr(output, "outputs", ()) or output.append_stdout(old))
-        display(ipywidgets.VBox([pressed, output]))
+        display(ipywidgets.VBox([pressed, output]) if button else output)
         return function
 
     def _ipython_display_(self):
@@ -360,14 +364,18 @@ class SurfaceTool(SelectionTool):
         self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
         self.name, first = None, next(iter(clouds))
         self._enter(first, 0)
-        super().__init__(self._points[first][self.patch.index], **choices)
+        super().__init__(self.surface(first), **choices)
 
     def choose(self, cloud: str, plane: int = 0) -> None:
         """Choose a plane by its cloud and its number in ``planes``."""
         check_choice(cloud, "cloud", tuple(self._points))
         check_choice(plane, "plane", tuple(range(len(self._patches[cloud]))))
         self._enter(cloud, plane)
-        self.show(self._points[cloud][self.patch.index])
+        self.show(self.surface(cloud, plane))
+
+    def surface(self, cloud: str, plane: int = 0) -> np.ndarray:
+        """The points of a plane, shape (n, 3), m."""
+        return self._points[cloud][self._patches[cloud][plane].index]
 
     def _enter(self, cloud, plane):
         """Mark a plane on the picture; draw it and the list anew where the cloud is another one."""

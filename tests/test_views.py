@@ -43,7 +43,7 @@ def test_with_opengl_the_view_shows_the_cloud(cloud, tmp_path):
     if not views.can_render():
         pytest.skip("needs the OpenGL libraries that the README names")
     local = cloud.points - cloud.points.mean(axis=0)
-    plotter = views._plotter(local, local[:, 2], "height (m)", off_screen=True)
+    plotter = views._plotter(local, local[:, 2], "height (m)")
     plotter.screenshot(tmp_path / "c.png")
     assert colours(tmp_path / "c.png") > 50
 

@@ -34,17 +34,6 @@ def outline_corner(picture):
     return int(columns[best]), int(rows[best])
 
 
-PLACES = {"upper": 0.38, "lower": 0.72}
-"""Where the planes of the scene are, as a share of the picture's height."""
-
-
-def reds(picture):
-    """The mean row of the picture's vermilion pixels."""
-    image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=float)
-    colour = 255 * np.array(to_rgb(COLOURS["vermilion"]))
-    return np.nonzero(np.abs(image - colour).max(axis=2) < 40)[0].mean()
-
-
 def test_dragging_a_vertex_changes_numbers_and_picture(ran):
     page = ran("02_repeatability")
     line = page.locator(".widget-html", has_text="points/m²").first
@@ -83,32 +72,40 @@ def test_ones_own_cloud_from_file_to_report(ran, lab_folder):
 
 
 SCENE = """
+%matplotlib inline
 import numpy as np
-from mmqa_lab import planes, widgets
+from mmqa_lab import widgets
 
 flat = np.random.default_rng(0).uniform(0, 4, (3000, 3))
-points = np.concatenate([flat * [1, 1, 0] + [0, 0, z] for z in (0, 2)])
-picker = widgets.pick_plane(points, planes.detect_planes(points))
-print("started with", picker.chosen)
-picker
+corner = np.concatenate([flat * [1, 1, 0], flat[:2000] * [1, 0, 1]])
+tool = widgets.SurfaceTool({"corner": corner}, size=2)
+tool
+"""
+
+FOLLOWS = """
+import matplotlib.pyplot as plt
+
+@tool.follow
+def show(tool):
+    figure, ax = plt.subplots()
+    ax.plot([0, tool.number])
+    display(figure)
+    plt.close(figure)
+    print("slope", round(tool.planes["slope_deg"][tool.number]))
 """
 
 
-def test_a_click_picks_a_plane(ran, lab_folder):
+def test_a_click_in_the_list_chooses_a_plane_and_all_follows(ran, lab_folder):
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)"}}
-    cells = [nbformat.v4.new_code_cell(SCENE)]
+    cells = [nbformat.v4.new_code_cell(source) for source in (SCENE, FOLLOWS)]
     nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), lab_folder / "s.ipynb")
     page = ran("s")
-    canvas = page.locator(".jupyter-matplotlib-canvas-div").first
-    expect(canvas).to_be_visible(timeout=RUN_MS)
-    page.wait_for_timeout(3000)
-    pictures = []
-    for place in ("upper", "lower"):
-        box = canvas.bounding_box()
-        page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + PLACES[place] * box["height"])
-        page.wait_for_timeout(3000)
-        pictures.append(reds(canvas.screenshot()))
-    assert pictures[0] < pictures[1] - 50  # rows of the picture in which the chosen plane is
+    expect(page.get_by_text("slope 0", exact=True)).to_be_visible(timeout=RUN_MS)
+    picture = page.locator(".jp-OutputArea-output img").last
+    before = picture.get_attribute("src")
+    page.get_by_role("button", name="slope 90").click()
+    expect(page.get_by_text("slope 90", exact=True)).to_be_visible(timeout=10_000)
+    expect(picture).not_to_have_attribute("src", before, timeout=10_000)
 
 
 def test_moving_a_slider_changes_numbers_and_picture(ran):
