@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,11 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Cloud", "describe"]
 __dir__ = __all__.copy
-
-HEADS = ("scanner_channel", "point_source_id", "user_data", "head")
-"""Columns that may number the heads of a system."""
-
-MOST_HEADS = 16
 
 MISSING = {
     "gps_time": "No time of the points: drives and scan lines cannot be told apart by it.",
@@ -125,21 +119,6 @@ class Cloud:
         columns = ", ".join(self.columns) or "none"
         return f"<Cloud{name}: {len(self)} points, {self._extent()}, columns {columns}>"
 
-    def _repr_html_(self) -> str:
-        rows = {
-            "points": f"{len(self):,}",
-            "extent": self._extent(),
-            "resolution": f"{1000 * self.resolution:g} mm",
-            "crs": "not known" if self.crs is None else self.crs.name,
-            "columns": ", ".join(self.columns) or "none",
-        }
-        if np.isnan(self.resolution):
-            rows["resolution"] = "not known"
-        cells = (
-            f"<tr><th>{key}</th><td>{html.escape(text)}</td></tr>" for key, text in rows.items()
-        )
-        return f"<table><caption>Cloud {html.escape(self.name)}</caption>{''.join(cells)}</table>"
-
     def _extent(self):
         """Length, width and height of the box round the points, in words."""
         if not len(self):
@@ -179,30 +158,26 @@ def describe(cloud: Cloud) -> dict:
 
     Examples
     --------
-    >>> describe(Cloud([[0, 0, 0], [0, 0, 0], [1, 2, 0]], {"head": [1, 1, 2]}))["heads"]
-    '2 by head'
+    >>> found = describe(Cloud([[0, 0, 0], [0, 0, 0], [1, 2, 0]], {"head": [1, 1, 2]}))
+    >>> found["coincident"], found["columns"]
+    (2, 'head (2)')
     """
-    row = {"points": len(cloud)}
-    for axis, values in zip("xyz", cloud.points.T, strict=True):
-        row |= {f"{axis}_low_m": values.min(), f"{axis}_high_m": values.max()}
+    box = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)], axis=1).ravel()
     counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
-    telling = [name for name, count in counts.items() if count > 1]
-    time = np.sort(cloud["gps_time"]) if "gps_time" in telling else np.array([np.nan, np.nan])
+    time = np.sort(cloud["gps_time"]) if counts.get("gps_time", 1) > 1 else np.full(2, np.nan)
     _, together = np.unique(cloud.points, axis=0, return_counts=True)
-    head = next((name for name in HEADS if 1 < counts.get(name, 1) <= MOST_HEADS), None)
-    said = [text for name, text in MISSING.items() if name not in telling]
+    said = [text for name, text in MISSING.items() if counts.get(name, 1) == 1]
     said += ["No coordinate system: taken for metres."] * (cloud.crs is None)
-    said += ["No number of the head."] * (head is None)
-    said += ["The step of the coordinates is not stated."] * bool(np.isnan(cloud.resolution))
-    return row | {
+    return {
+        "points": len(cloud),
+        **{f"{a}_{end}_m": v for a, end, v in zip("xxyyzz", ["low", "high"] * 3, box, strict=True)},
         "crs": "" if cloud.crs is None else cloud.crs.name,
         "resolution_mm": 1000 * cloud.resolution,
         "coincident": int(together[together > 1].sum()),
         "time_first_s": time[0],
         "time_span_s": time[-1] - time[0],
         "time_longest_pause_s": np.diff(time).max(),
-        "heads": "" if head is None else f"{counts[head]} by {head}",
-        "columns": " ".join(telling),
+        "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
         "remarks": " ".join(said),
     }
 

@@ -34,30 +34,8 @@ from mmqa_lab.cloud import Cloud
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = [
-    "CLOUD_ENDINGS",
-    "LAS_ENDINGS",
-    "coordinate_columns",
-    "iterate_cloud",
-    "read_bands",
-    "read_cloud",
-    "read_heights",
-    "read_image",
-    "read_polygon",
-    "read_segments",
-    "read_table",
-    "read_trajectory",
-    "with_numbers",
-    "write_atomically",
-    "write_cloud",
-    "write_polygon",
-    "write_segments",
-]
-__dir__ = __all__.copy
-
 LAS_ENDINGS = (".las", ".laz")
 TEXT_ENDINGS = (".txt", ".csv", ".xyz")
-RASTER_ENDINGS = (".tif", ".tiff")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
 
 LAS_POINT_FORMAT = 6
@@ -79,9 +57,11 @@ PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"))
 HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up")
 """Columns of tables that are taken for coordinates, the first that are there."""
 
-TIME_NAMES = ("time", "time_s", "gps_time", "t")
-ANGLE_NAMES = {"roll_deg": ("roll", "roll_deg"), "pitch_deg": ("pitch", "pitch_deg")}
-ANGLE_NAMES["heading_deg"] = ("heading", "heading_deg", "yaw")
+PATH_COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
+PATH_COLUMNS += ["roll_deg", "pitch_deg", "heading_deg"]
+PATH_NAMES = {"time": "time_s", "gps_time": "time_s", "t": "time_s", "yaw": "heading_deg"}
+PATH_NAMES |= {"roll": "roll_deg", "pitch": "pitch_deg", "heading": "heading_deg"}
+"""Columns of a vehicle's path, and other names of them."""
 
 SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
 
@@ -389,17 +369,17 @@ def _read_text(path, name):
 
 def _with_names(table, names, what):
     """A table of a text file with the names of its columns."""
-    if names is None:
-        if len(table) > 2 and len(table.columns) > 3 and (table[0].diff()[1:] == 1).all():
-            raise ValueError(f"Invalid {what}: its first column counts. Must have a header.")
-        heights = pd.to_numeric(table.get(2, pd.Series(dtype=float)), "coerce").abs()
-        if ((heights > HIGHEST_M) & np.isfinite(heights)).any():
-            raise ValueError(f"Invalid {what}: its third column is no height. Must have a header.")
-        names = [*"xyz", *(f"column_{k}" for k in range(4, len(table.columns) + 1))]
-        return table.set_axis(names[: len(table.columns)], axis=1)
-    if len(names) != len(table.columns):
-        count = len(table.columns)
+    count = len(table.columns)
+    if names is not None and len(names) != count:
         raise ValueError(f"Invalid {what}: {len(names)} names over {count} columns. Must agree.")
+    if names is None and len(table) > 2 and count > 3:
+        first, third = (pd.to_numeric(table[k], errors="coerce") for k in (0, 2))
+        if (first.diff()[1:] == 1).all() or (third.abs() > HIGHEST_M).any():
+            raise ValueError(
+                f"Invalid {what}: its first columns are not x, y, z. Must have a header that names "
+                "them."
+            )
+    names = names or [*"xyz", *(f"column_{k}" for k in range(4, count + 1))][:count]
     return table.set_axis(names, axis=1)
 
 
@@ -516,14 +496,10 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
     [[0.5, 2.0, 90.0]]
     """
     raw = read_table(path, "trajectory")
-    raw.columns = [str(name).strip().lower() for name in raw.columns]
-    places = coordinate_columns(raw.columns)
-    found = dict(zip(("easting_m", "northing_m", "height_m"), places, strict=False))
-    for column, names in {"time_s": TIME_NAMES, **ANGLE_NAMES}.items():
-        found |= {column: name for name in names if name in raw}
-    check_columns(found, ("time_s", "easting_m", "northing_m", "height_m"), f"trajectory {path}")
-    order = [name for name in ("time_s", "easting_m", "northing_m", "height_m", *ANGLE_NAMES)]
-    table = pd.DataFrame({name: raw[found[name]] for name in order if name in found})
+    raw.columns = [_plain_name(name) for name in raw.columns]
+    names = dict(zip(coordinate_columns(raw.columns), PATH_COLUMNS[1:4], strict=False))
+    table = raw.rename(columns=names | PATH_NAMES).filter(PATH_COLUMNS)
+    check_columns(table, PATH_COLUMNS[:4], f"trajectory {path}")
     table = with_numbers(table, list(table), f"trajectory {path}")
     table = table.sort_values("time_s", ignore_index=True)
     if (table["time_s"].diff() <= 0).any():
@@ -641,12 +617,6 @@ def read_segments(path: str | os.PathLike) -> np.ndarray:
         table = table.set_axis(SEGMENT_COLUMNS, axis=1)
     numbers = with_numbers(table, SEGMENT_COLUMNS, f"segments {path}")
     return numbers[SEGMENT_COLUMNS].to_numpy().reshape(-1, 2, 3)
-
-
-def write_segments(path: str | os.PathLike, segments: ArrayLike) -> None:
-    """Write line segments, shape (n, 2, 3), as CSV with a header, to the last bit."""
-    ends = check_points(np.reshape(segments, (-1, 6)), name="segments", columns=6, minimum=0)
-    write_atomically(path, pd.DataFrame(ends, columns=SEGMENT_COLUMNS))
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
@@ -767,7 +737,7 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     ...     read_heights(Path(folder) / "levelled.csv").tolist()
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
-    if check_file(path, "reference").suffix.lower() in RASTER_ENDINGS:
+    if check_file(path, "reference").suffix.lower() in (".tif", ".tiff"):
         points, stated = _heights_of_raster(path)
     else:
         cloud = read_cloud(path, columns=())

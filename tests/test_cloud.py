@@ -45,12 +45,8 @@ def test_a_missing_column_is_a_key_error_that_lists_those_present():
     assert str(error.value) == "Invalid column 'gps_time'. Must be one of those present: ring."
 
 
-def test_a_cloud_shows_itself_in_one_line_and_in_a_small_table():
-    wide = Cloud(np.zeros((3, 3)), {"<b>": [1, 2, 3]})
+def test_a_cloud_shows_itself_in_one_line():
     assert repr(CLOUD) == "<Cloud 'c': 4 points, 9.000 m x 9.000 m x 9.000 m, columns ring>"
-    assert "1 mm" in CLOUD._repr_html_()
-    assert "not known" in wide._repr_html_()
-    assert "<b>" not in wide._repr_html_()
 
 
 def test_concatenating_keeps_what_all_have():
