@@ -65,35 +65,6 @@ def test_pixel_size_of_an_oblique_view_is_the_chord_between_the_ends(oblique):
         assert abs(row.length_px - truth) < 4 * row.length_sigma_px
         assert row.length_sigma_px < 0.3  # the paper's own repeats stay below 1 px
         assert row.pixel_mm == pytest.approx(row.length_mm / truth, rel=0.003)
-        assert row.expected_mm == pytest.approx(row.length_mm / truth, rel=0.003)
-
-
-def test_sizes_repeat_within_their_sigma():
-    layout = charts.imaging_chart(horizontal_bar="black")
-    lengths, sigmas = [], []
-    for seed in range(6):
-        photo, image = photo_of(10.0, noise=0.05, shot_share=0.0, layout=layout, seed=seed)
-        levels = reading.find_tones(image, layout, photo.chart_map)
-        table = reading.pixel_sizes(levels, layout, photo.chart_map)
-        lengths.append(table["length_px"])
-        sigmas.append(table["length_sigma_px"])
-    ratio = np.std(lengths, axis=0, ddof=1) / np.mean(sigmas, axis=0)
-    # six repeats know a standard deviation to a third; three bars
-    assert ((ratio > 0.3) & (ratio < 2.2)).all()
-
-
-def test_ends_of_bars_three_pixels_wide_are_found_in_noise():
-    layout = charts.imaging_chart(horizontal_bar="black")
-    photo, image = photo_of(13.0, noise=0.064, shot_share=0.0, layout=layout, seed=1)
-    levels = reading.find_tones(image, layout, photo.chart_map)
-    table = reading.pixel_sizes(levels, layout, photo.chart_map)
-    truth = table["length_mm"] / table["expected_mm"]
-    assert (np.abs(table["length_px"] - truth) < 4 * table["length_sigma_px"]).all()
-    # a step of ten times the noise behind a spread of 0.67 px, integrated over the ends
-    share = 3.07 - 2 * 0.67 / np.sqrt(np.pi)
-    bound = 0.1 * np.sqrt(2 * 2 * np.sqrt(np.pi) * 0.67 / share)
-    # six ends tell how far they scatter to a third
-    assert (table["length_sigma_px"] < 2 * bound).all()
 
 
 def test_a_bar_outside_the_image_is_not_measured():
@@ -234,9 +205,6 @@ def test_real_pairs_reversed_by_motion_are_refused():
         assert not any(reading.resolved for reading in found)
 
 
-# --- MTF
-
-
 # --- locating
 
 
@@ -295,9 +263,9 @@ def test_corners_in_another_order_are_refused(corners, sentence):
 
 def test_charts_without_targets_or_images_without_them_say_so():
     bare = replace(CHART, elements=tuple(CHART.of_kind(charts.Bar)))
-    with pytest.raises(ValueError, match="Must have some"):
+    with pytest.raises(ValueError, match="0 of 0 coded targets"):
         chart_image.locate(np.zeros((50, 50)), bare)
-    with pytest.raises(ValueError, match="none of the 4 coded targets"):
+    with pytest.raises(ValueError, match="0 of 4 coded targets"):
         chart_image.locate(np.zeros((50, 50), dtype=np.uint8), CHART)
     with pytest.raises(TypeError, match="Must be real numbers"):
         chart_image.locate(np.zeros((50, 50), dtype=complex), CHART)

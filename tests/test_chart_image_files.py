@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mmqa_lab import chart_image, charts, io, mtf, samples, srgb
+from mmqa_lab import chart_image, charts, io, samples, srgb
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -102,20 +102,6 @@ def test_damaged_files_get_a_sentence(tmp_path, capfd):
     assert capfd.readouterr().err == ""  # the decoders say nothing of their own
 
 
-def test_notes_behind_a_jpeg_and_previews_within_do_no_harm(tmp_path):
-    _, good = damaged(tmp_path)
-    noted = tmp_path / "noted.jpg"
-    noted.write_bytes(good[".jpg"] + b"\x00" * 300_000)
-    assert io.read_image(noted).shape == (60, 60)
-    # a whole small JPEG in a segment of its own does not stand for the end of the large one
-    preview = b"\xff\xe5" + (len(good[".jpg"]) + 2).to_bytes(2, "big") + good[".jpg"]
-    noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:])
-    assert io.read_image(noted).shape == (60, 60)
-    noted.write_bytes(good[".jpg"][:2] + preview + good[".jpg"][2:-400])
-    with pytest.raises(ValueError, match="cut short"):
-        io.read_image(noted)
-
-
 def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
     file, view = panorama
     corners = view.within(3000, 0).pixels(CHART.corners())
@@ -152,17 +138,3 @@ def test_photographs_without_a_chart_get_a_sentence(file):
         chart_image.evaluate_file(file, CHART)
     with pytest.raises(ValueError, match=r"is the chart there|Must be given to"):
         chart_image.evaluate_file(file, CHART, corners=box)
-
-
-@pytest.mark.parametrize("file", photographs(), ids=lambda file: file.name)
-def test_parts_of_photographs_are_an_edge_with_uncertainty_or_a_sentence(file):
-    grey = io.read_image(file) / 255.0
-    rng = np.random.default_rng(0)
-    for _ in range(4):
-        row, column = (int(rng.integers(0, max(side - 40, 1))) for side in grey.shape)
-        try:
-            found = mtf.fit_edge(grey[row : row + 40, column : column + 40])
-        except ValueError:
-            continue
-        assert np.isnan(found.mtf50) or (found.mtf50 > 0 and found.mtf50_sigma >= 0)
-        assert found.n > 0

@@ -13,8 +13,7 @@ Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
 files, :func:`mmqa_lab.io.read_image` their grey values. What stands in for a jury is in
 :mod:`mmqa_lab.chart_image.legibility`.
 
-Only the chart's window is evaluated, so that panoramas of 250 megapixels cost little more than
-their decoding: a byte per pixel while the file is read, then the window alone.
+Only the window around the chart is evaluated.
 """
 
 from __future__ import annotations
@@ -164,6 +163,8 @@ class ImageQuality(Shown):
             f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
             f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
         }
+        unseen = self.sizes.loc[self.sizes["pixel_mm"].isna(), "name"]
+        doubts[f"no pixel size, as an end is not seen: {', '.join(unseen)}"] = len(unseen) > 0
         hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]
         for direction in "hv":
             refused = f"not even the coarsest line pairs are resolved in direction {direction}"

@@ -12,39 +12,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_image
-from mmqa_lab.chart_image.geometry import (
-    ChartMap,
-    PanoramaCamera,
-    four_corners,
-)
+from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera, four_corners
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
-ENLARGEMENTS = (1, 2, 4)
-"""Small targets are looked for in the image enlarged so many times."""
-
-ENLARGED_PIXELS = 4e6
-"""Larger images than this are not enlarged."""
+ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
+"""Small targets are looked for in the image enlarged so many times, if it has fewer pixels."""
 
 SMALLEST_OUTLINE_PX = 24
 """Pixels around a target: those of 8 px a side cannot be decoded any more."""
 
-SEARCHED_PIXELS = 12e6
-"""Larger images than this are searched in strips."""
-
-OVERLAP_ROWS = 512
-"""Of the strips: larger than any target in images that large."""
-
 BAR_PX, BAR_SHARE = 13, 0.72
 """Bars are sought that are narrower than this and darker than this share of what is around them."""
 
-LARGEST_SOUGHT = 3e7
-"""Larger images are halved before bars are sought."""
+SCALES = (1, 1 / 3, 1 / 9, 2)
+"""Sizes of the image at which bars are sought, one after the other."""
 
-SLENDEREST = 6.0
-"""A dark streak is taken for a bar when it is so many times longer than wide."""
-
-MOST_STREAKS = 1500
-"""The longest streaks of each size that are tried as bars."""
+SLENDEREST, MOST_STREAKS = 6.0, 1500
+"""A dark streak is taken for a bar when it is so many times longer than wide; the longest ones."""
 
 FINEST_PAIR_PX = 2.5
 """Line pairs narrower than this take no part in the alignment: aliased, they would mislead it."""
@@ -73,8 +57,8 @@ LARGEST_DIFFERENCE = 0.15
 LARGEST_MOVE = 0.06
 """Share of the chart's side by which the alignment may move a corner."""
 
-TYPICAL_SIGMA_PX = 0.6
-"""Point spread of the print, pixel included, in the alignment."""
+SIGMAS_PX = (0.6, 1.2, 2.0)
+"""Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
 
 FINEST, BLOCKS = 800, 12
 """Cells along a side at most, and blocks whose agreement is asked for."""
@@ -95,9 +79,8 @@ def locate(
 ) -> ChartMap:
     """Find a chart by its coded targets and long bars, or at its corners.
 
-    Dark streaks are paired as if they were two of the long bars, and the best pair is aligned.
-    OpenCV decodes the targets around it, or in the whole image where no pair will do; the corners
-    of three or four give the map.
+    OpenCV decodes the targets; the corners of three or four give the map. Where fewer are read,
+    dark streaks are paired as if they were two of the long bars, and the best pair is aligned.
 
     Parameters
     ----------
@@ -106,10 +89,9 @@ def locate(
     layout : Layout
     corners : array_like, shape (4, 2), optional
         Column and row of the lower left, lower right, upper right and upper left corner of the
-        printed chart. Without them the layout must have targets,
-        :class:`mmqa_lab.charts.Marker`.
+        printed chart.
     camera : PanoramaCamera, optional
-        What bends rays into pixels, for distorted images and panoramas.
+        What bends rays into pixels, for panoramas.
     offset : (float, float)
         Column and row of the whole image where this window begins.
 
@@ -120,8 +102,7 @@ def locate(
     Raises
     ------
     ValueError
-        If there are not four corners in this order; or the layout has no targets or neither they
-        nor the long bars are found.
+        If there are not four corners in this order, or neither targets nor long bars are found.
 
     Notes
     -----
@@ -144,53 +125,46 @@ def locate(
     if corners is not None:
         corners = four_corners(corners, columns=2)
         return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
-    dictionary, markers = _book([layout])
     grey = _stretched(image)
-    charts = _by_bars(grey, layout)
-    for there in charts:
-        found = _sought(grey, dictionary, markers, there)
-        own = [key for key in found if key in markers]
-        if len(own) > 2:
-            return replace(map_of_markers(found, layout, **bent), remark=there.remark)
-        if own or not _other_board(found, markers, there):
-            places = _mesh(layout)
-            by_bars = ChartMap.from_points(places, there.pixels(places), source="long bars", **bent)
-            return replace(by_bars, remark=there.remark)
-    return map_of_markers(find_markers(image, [layout]), layout, **bent)
-
-
-def find_markers(image, layouts):
-    """Return the corners of the coded targets of one or more charts that are seen, by number."""
-    dictionary, markers = _book(layouts)
-    found = _sought(_stretched(image), dictionary, markers, None)
-    found = {key: corners for key, corners in found.items() if key in markers}
-    if not found:
+    markers = {one.identifier: one for one in layout.of_kind(Marker)}
+    found = _decoded(grey, markers) if markers else []
+    if len(found) > 2 and len(found) == len(dict(found)):
+        # OpenCV counts from the upper left corner, clockwise
+        places = np.concatenate([markers[key].corners()[::-1] for key, _ in found])
+        seen = np.concatenate([corners for _, corners in found])
+        return ChartMap.from_points(places, seen, source=f"{len(found)} coded targets", **bent)
+    there = _by_bars(grey, layout)
+    if there is None:
         raise ValueError(
-            f"Invalid image: none of the {len(markers)} coded targets of {dictionary} found. "
-            "Must show them or long bars, or the corners of the chart must be given."
+            f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
+            "Must show them, or the corners of the chart must be given."
         )
-    return found
+    steps = np.linspace(0, 1, 5)
+    mesh = np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
+    placed = ChartMap.from_points(mesh, there.pixels(mesh), source="long bars", **bent)
+    return replace(placed, remark=there.remark)
 
 
-def map_of_markers(found, layout, **bent):
-    """Return the map of a chart from those of its coded targets that were found."""
-    markers = _book([layout])[1]
-    own = [key for key in found if key in markers]
-    if not own:
-        raise ValueError(f"Invalid image: no coded target of {layout.name!r}. Must show them.")
-    # OpenCV counts from the upper left corner, clockwise
-    places = np.concatenate([markers[key].corners()[::-1] for key in own])
-    seen, source = np.concatenate([found[key] for key in own]), f"{len(own)} coded targets"
-    return ChartMap.from_points(places, seen, source=source, **bent)
-
-
-def _book(layouts):
-    """The dictionary of the targets of some charts, and the targets by number."""
-    markers = {one.identifier: one for layout in layouts for one in layout.of_kind(Marker)}
-    if not markers:
-        name = layouts[0].name
-        raise ValueError(f"Invalid chart {name!r}: no coded targets. Must have some.")
-    return next(iter(markers.values())).dictionary, markers
+def _decoded(grey, markers):
+    """Numbers and corners of the coded targets that are seen."""
+    dictionary = next(iter(markers.values())).dictionary
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    best = []
+    for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else (1,):
+        size = {"dsize": None, "fx": times, "fy": times, "interpolation": cv2.INTER_CUBIC}
+        large = cv2.resize(grey, **size) if times > 1 else grey
+        # smaller contours of a textured image would cost their time
+        settings.minMarkerPerimeterRate = SMALLEST_OUTLINE_PX * times / max(large.shape)
+        corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
+        places = [(one.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for one in corners]
+        numbers = [] if numbers is None else np.ravel(numbers).tolist()
+        found = [one for one in zip(numbers, places, strict=True) if one[0] in markers]
+        best = max(best, found, key=len)
+        if len(best) >= len(markers):
+            break
+    return best
 
 
 def _stretched(image):
@@ -250,8 +224,10 @@ def align(image, layout, chart_map):
     image = check_image(image)
     start = chart_map
     finest = min(int(layout.width / np.median(start.pixel_sizes_mm(layout.corners()))), FINEST)
-    for along in sorted({min(60, finest), min(160, finest), max(finest, 12)}):
-        chart_map, correlation, each = _compared(image, layout, chart_map, along)
+    for along in sorted({min(60, finest), min(160, finest)}):
+        chart_map, *_ = _compared(image, layout, chart_map, along)
+    tried = [_compared(image, layout, chart_map, max(finest, 12), blur) for blur in SIGMAS_PX]
+    chart_map, correlation, each = max(tried, key=lambda one: one[1])
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
@@ -263,7 +239,8 @@ def align(image, layout, chart_map):
         remarks.append(
             f"{strange:.0%} of the print differ from the layout: hidden, or another chart"
         )
-    moved = _apart(chart_map, start, layout).max()
+    corners = layout.corners()
+    moved = np.linalg.norm(chart_map.pixels(corners) - start.pixels(corners), axis=1).max()
     pixel_mm = float(np.median(start.pixel_sizes_mm(layout.corners())))
     limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
     if moved > limit:
@@ -274,7 +251,7 @@ def align(image, layout, chart_map):
     return replace(chart_map, source=f"{start.source}, aligned", remark="; ".join(remarks))
 
 
-def _compared(image, layout, chart_map, along):
+def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
     """A map after OpenCV's enhanced correlation, the correlation, and its part in each block.
 
     Photograph and print lie in the chart's frame, ``along`` cells a side, each divided by its own
@@ -282,9 +259,9 @@ def _compared(image, layout, chart_map, along):
     """
     pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
     cell = layout.width / along
-    columns, rows = along, int(np.ceil(layout.height / cell))
-    printed = reflectance(layout, cell=cell)[:rows]
-    blur = np.hypot(TYPICAL_SIGMA_PX * pixel_mm / cell, 0.5)
+    printed = reflectance(layout, cell=cell)
+    rows, columns = printed.shape
+    blur = np.hypot(sigma_px * pixel_mm / cell, 0.5)
     y, x = (np.indices((rows, columns)) + 0.5) * cell
     pixels = chart_map.pixels(np.column_stack([x.ravel(), y.ravel()])).astype(np.float32)
     pixels = pixels.reshape(rows, columns, 2)
@@ -327,18 +304,6 @@ def _in_blocks(values):
     return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
 
 
-def _apart(one, other, layout):
-    """Distances of the chart's corners in two maps, pixels."""
-    corners = layout.corners()
-    return np.linalg.norm(one.pixels(corners) - other.pixels(corners), axis=1)
-
-
-def _mesh(layout):
-    """Five times five places all over a chart, mm."""
-    steps = np.linspace(0, 1, 5)
-    return np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
-
-
 def _trusted(layout, pixel_mm, cell, shape):
     """Which cells may take part in the alignment."""
     trusted = np.ones(shape, dtype=np.float32)
@@ -351,42 +316,27 @@ def _trusted(layout, pixel_mm, cell, shape):
 
 
 def _by_bars(grey, layout):
-    """The maps of the charts whose long bars are seen, the likeliest first."""
-    bars = [bar for bar in layout.of_kind(Bar) if _slender(bar)]
+    """The map of the likeliest chart whose long bars are seen, or None."""
+    bars = [bar for bar in layout.of_kind(Bar) if max(bar.width, bar.height) >= 400]
     found = []
-    for factor in _factors(grey.shape):
-        size = [max(round(side * factor), 1) for side in grey.shape[::-1]]
+    for factor in SCALES:
+        if not factor * min(grey.shape) > 100 or (factor > 1 and grey.size > ENLARGED_PIXELS):
+            continue
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
-        small = grey if factor == 1 else cv2.resize(grey, size, interpolation=way)
+        small = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=way)
         half = (factor - 1) / 2
         grow = np.linalg.inv([[factor, 0, half], [0, factor, half], [0, 0, 1]])
         guesses = _guesses(small, layout, bars)
         found += [(one, replace(there, matrix=grow @ there.matrix)) for one, there in guesses]
         if any(correlation > CERTAIN for correlation, _ in found):
             break
-    middle, charts = [[layout.width / 2, layout.height / 2]], []
-    for _, there in sorted(found, key=lambda one: -one[0]):
-        side = np.ptp(there.pixels(layout.corners()), axis=0).max()
-        away = [np.linalg.norm(one.pixels(middle) - there.pixels(middle)) for one in charts]
-        if not any(distance < side / 2 for distance in away):
-            charts.append(there)
-    remark = "another chart is seen" if len(charts) > 1 else ""
-    return [replace(there, remark=remark) for there in charts]
-
-
-def _slender(bar):
-    """Whether an element is long enough to be sought as a bar."""
-    return max(bar.width, bar.height) >= 10 * min(bar.width, bar.height)
-
-
-def _factors(shape):
-    """Sizes at which bars are sought, as shares of the image's."""
-    factor = 1.0 if np.prod(shape) < LARGEST_SOUGHT else 0.5
-    while factor * min(shape) > 100:
-        yield factor
-        factor /= 3
-    if np.prod(shape) < ENLARGED_PIXELS:
-        yield 2.0
+    if not found:
+        return None
+    best = max(found, key=lambda one: one[0])[1]
+    middle = [[layout.width / 2, layout.height / 2]]
+    side = np.ptp(best.pixels(layout.corners()), axis=0).max()
+    apart = [np.linalg.norm(one.pixels(middle) - best.pixels(middle)) for _, one in found]
+    return replace(best, remark="another chart is seen" if max(apart) > side / 2 else "")
 
 
 def _guesses(grey, layout, bars):
@@ -476,66 +426,3 @@ def _axis(bar):
     corners = bar.corners()
     sides = [0, 1, 2, 3] if bar.width < bar.height else [3, 0, 1, 2]
     return np.stack([corners[sides[:2]].mean(axis=0), corners[sides[2:]].mean(axis=0)])
-
-
-def _sought(grey, dictionary, markers, there):
-    """Corners of coded targets by number, sought around a chart or everywhere."""
-    first = np.zeros(2, dtype=int)
-    if there is not None:
-        outline = there.outline(np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * _extent(markers))
-        side = np.ptp(outline, axis=0)
-        first = np.maximum(outline.min(axis=0) - side / 8, 0).astype(int)
-        last = (outline.max(axis=0) + side / 8).astype(int)
-        grey = np.ascontiguousarray(grey[first[1] : last[1], first[0] : last[0]])
-    found = {}
-    for enlargement in ENLARGEMENTS:
-        if enlargement > 1 and grey.size > ENLARGED_PIXELS:
-            break
-        seen = _detected(grey, dictionary, enlargement)
-        found = seen if len(seen) > len(found) else found
-        if set(markers) <= set(found):
-            break
-    return {key: corners + first for key, corners in found.items()}
-
-
-def _other_board(found, markers, there):
-    """Whether targets with other numbers stand where those of the chart should."""
-    for marker in markers.values():
-        corners = there.pixels(marker.corners())
-        near = np.linalg.norm(corners[2] - corners[0]) / 4
-        middles = [seen.mean(axis=0) - corners.mean(axis=0) for seen in found.values()]
-        if any(np.linalg.norm(middle) < near for middle in middles):
-            return True
-    return False
-
-
-def _extent(markers):
-    """How far the targets reach to the right and up, mm."""
-    return np.max([marker.corners()[2] for marker in markers.values()], axis=0)
-
-
-def _detected(image, dictionary, enlargement):
-    """Corners of the coded targets by number, in pixels of the image."""
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
-    found = {}
-    for first, strip in _strips(image):
-        if enlargement > 1:
-            size = (strip.shape[1] * enlargement, strip.shape[0] * enlargement)
-            strip = cv2.resize(strip, size, interpolation=cv2.INTER_CUBIC)
-        # of the longer side; every smaller contour of a textured image would cost its time
-        settings.minMarkerPerimeterRate = SMALLEST_OUTLINE_PX * enlargement / max(strip.shape)
-        detector = cv2.aruco.ArucoDetector(book, settings)
-        corners, identifiers, _ = detector.detectMarkers(strip)
-        for one, key in zip(corners, () if identifiers is None else identifiers, strict=False):
-            places = (one.reshape(4, 2).astype(float) + 0.5) / enlargement - 0.5
-            found[int(np.ravel(key)[0])] = places + [0, first]
-    return found
-
-
-def _strips(image):
-    """An image as strips of rows that overlap, with their first rows."""
-    rows = max(int(SEARCHED_PIXELS / image.shape[1]), 4 * OVERLAP_ROWS)
-    for first in range(0, max(len(image) - OVERLAP_ROWS, 1), rows - OVERLAP_ROWS):
-        yield first, image[first : first + rows]

@@ -1,4 +1,4 @@
-"""What is read in the image of a chart: black and white, line pairs, pixel size, MTF.
+"""What is read in the image of a chart: black and white, line pairs, pixel size.
 
 The image is read in units of print: 0 where the black of the chart is, 1 where its white is. Pixels
 are taken as they are, at the places on the chart where the map puts them; nothing is resampled.
@@ -19,7 +19,6 @@ from mmqa_lab._checks import check_image
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.geometry import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
-from mmqa_lab.mtf.edges import spread_edge
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
 """A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
@@ -85,49 +84,20 @@ FREQUENCY_PIXELS = 4000
 SLENDERNESS = 5.0
 """A bar is long when it is so many times longer than wide."""
 
-REACH_PX = 7.0
-"""Pixels beyond a bar's end that take part."""
+END_REACH_PX, END_STEP_PX = 6.0, 0.1
+"""Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
+the outer one for black and white."""
 
-INWARD_PX = 30.0
-"""Pixels of the bar before its end that take part: they tell levels, spread and place across."""
+SMALLEST_STEP, LARGEST_STRAY_PX = 0.1, 2.0
+"""Contrast that a bar must show at its end, and how far from its place that may be; farther away it
+is the end of something else."""
 
-BESIDE_PX = 2.0
-"""Pixels beside a bar that take part."""
-
-CLEAR_PX, CLEAR_WIDTHS = 2.0, 2.5
-"""Kept clear of the next element and of the chart's edge: at least so many pixels, or spreads."""
-
-OFFSET_PX = 4.0
-"""Largest distance of a bar's end from where the map puts it."""
-
-SPREADS_PX = (0.25, 3.0)
-"""Limits of the point spread's standard deviation along and across the bar."""
-
-SMALLEST_STEP = 0.1
-"""Share of the chart's contrast that a bar must show."""
-
-FEWEST_PIXELS = 12
-"""Around each end."""
+SEEN_SHARE = 0.6
+"""Share of the pixels across a bar that must see its end."""
 
 SIZE_COLUMNS = (
     *("name", "direction", "length_mm", "length_px", "length_sigma_px", "repeats_std_px", "n"),
-    *("pixel_mm", "pixel_sigma_mm", "expected_mm", "offset_px"),
-)
-
-SINGLE_EDGE_PX = 16.0
-"""Bars wider than this show two edges on their own, narrower ones are fitted as bars."""
-
-EDGE_REACH_PX = 12.0
-"""Pixels to either side of an edge that take part, as far as the ground is plain."""
-
-NEIGHBOUR_PX, NEIGHBOUR_WIDTHS = 1.5, 2.5
-"""Kept clear of the next element: at least so many pixels, or widths of the edge."""
-
-SHORTEST_REACH_PX = 2.0
-
-EDGE_COLUMNS = (
-    *("name", "direction", "mtf50", "mtf50_sigma", "mtf50_binned", "width_px", "angle_deg"),
-    *("n", "remark"),
+    *("pixel_mm", "pixel_sigma_mm", "offset_px"),
 )
 
 
@@ -479,11 +449,11 @@ def expected_contrast(width_px, sigma_px, blur_px=0.0):
 
 
 def pixel_sizes(tones, layout, chart_map):
-    """Measure the pixel size along every long bar.
+    """Measure the pixel size along every long bar that is seen.
 
-    Both ends of a bar are found to a part of a pixel by fitting what pixels see of it: they share
-    levels and point spread, which the long sides tell. Every pixel row or column along the bar is
-    a repeat of its own.
+    The length of a bar is that between its ends in the map. Every pixel row or column along the
+    bar looks for both ends itself, half-way between bar and white: these repeats say whether the
+    ends are seen, and how far they lie from the map.
 
     Parameters
     ----------
@@ -491,25 +461,16 @@ def pixel_sizes(tones, layout, chart_map):
     layout : Layout
         Bars five times longer than wide count.
     chart_map : ChartMap
-        Right to a few pixels: it tells where to look, and what geometry expects.
+        Aligned: right to a fifth of a pixel.
 
     Returns
     -------
     DataFrame
         A row per bar: ``name``, ``direction`` (h: along x, v: along y), ``length_mm`` as printed,
-        ``length_px`` between the ends and its standard deviation ``length_sigma_px`` (of the fit,
-        and what the ends of all bars lie from the map beyond it),
+        ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
         ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
-        ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, ``expected_mm``, what
-        ``chart_map`` says, and ``offset_px``, how far along the bar its ends lie from there (root
-        mean square). NaN where an end is not seen.
-
-    Notes
-    -----
-    Noise limits what any method can find: an end w pixels wide, with a step of c times the noise
-    behind a spread of s pixels, is known to about (2 sqrt(pi) s / (w - 1.1 s))^(1/2) / c pixels. At
-    13 mm and 10 % noise the length of a black bar is uncertain by 0.15 px, that of the grey one,
-    with half the contrast, by 0.3 px. The paper measures between two corners of a bar, by hand.
+        ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, and ``offset_px``, how far
+        along the bar its ends lie from the map (root mean square). NaN where an end is not seen.
 
     References
     ----------
@@ -526,12 +487,11 @@ def pixel_sizes(tones, layout, chart_map):
     >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
     [800.0, 200.0, 4.0]
     """
-    rows = [_measured(tones, layout, bar, chart_map) for bar in _long_bars(layout)]
+    rows = [_measured(tones, bar, chart_map) for bar in _long_bars(layout)]
     table = pd.DataFrame(rows, columns=SIZE_COLUMNS)
-    # ends meet the pixels at one phase: how far they lie from the map beyond noise tells their bias
-    ends = 2 * table["offset_px"] ** 2 - table["length_sigma_px"] ** 2
-    bias = np.nan_to_num(np.sqrt(max(ends.mean(), 0)))
-    table["length_sigma_px"] = np.hypot(table["length_sigma_px"], bias)
+    # ends of all bars tell how far the map is off
+    both = np.sqrt(2 * (table["offset_px"] ** 2).mean())
+    table["length_sigma_px"] = table["length_px"] * 0 + both
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
     return table
 
@@ -551,7 +511,7 @@ def _printed(layout, chart_map, shape):
     at_pixels = [
         cv2.remap(one, places, None, **constant, borderValue=-1.0) for one in (seen, *depths)
     ]
-    return (at_pixels[0] >= 0, *at_pixels)
+    return (at_pixels[0] > -1e-3, *at_pixels)  # blurred black may fall below 0
 
 
 def _depth(mask):
@@ -712,144 +672,48 @@ def _long_bars(layout):
             yield bar
 
 
-def _measured(tones, layout, bar, chart_map):
+def _measured(tones, bar, chart_map):
     """One row of the table."""
     axis = 0 if bar.width > bar.height else 1
     low, size = np.array([bar.x, bar.y]), np.array([bar.width, bar.height])
     ends = np.array([low, low + size], dtype=float)
     ends[:, 1 - axis] = low[1 - axis] + size[1 - axis] / 2
-    expected = chart_map.pixels(ends)
-    row = {
-        "name": bar.name,
-        "direction": "hv"[axis],
-        "length_mm": float(size[axis]),
-        "n": 0,
-        "expected_mm": float(size[axis] / np.linalg.norm(expected[1] - expected[0])),
-    }
-    found, margin = None, CLEAR_PX
-    while found is None or CLEAR_WIDTHS * found[3] > 1.05 * margin:
-        margin = max(margin, CLEAR_WIDTHS * found[3] if found else 0)
-        around = [
-            _End(tones, layout, bar, chart_map, ends[side], (axis, side, margin)) for side in (0, 1)
-        ]
-        enough = all(len(end.values) >= FEWEST_PIXELS for end in around)
-        better = _fit_ends(around) if enough else None
-        if better is None:
-            break
-        found = better
-    if found is None:
+    row = {"name": bar.name, "direction": "hv"[axis], "length_mm": float(size[axis]), "n": 0}
+    across_px = size[1 - axis] / chart_map.pixel_sizes_mm(ends)[:, 1 - axis].max()
+    lanes = (np.arange(max(int(across_px) - 1, 1)) + 0.5) / max(int(across_px) - 1, 1) - 0.5
+    lanes = lanes * (1 - 1 / across_px) * size[1 - axis]
+    low_end, high_end = (
+        _crossings(tones, chart_map, end, axis, sign, lanes)
+        for end, sign in zip(ends, (-1, 1), strict=True)
+    )
+    if min(np.isfinite(one).mean() for one in (low_end, high_end)) < SEEN_SHARE:
         return row
-    offsets, sigma_px, repeats, _ = found
-    row["offset_px"] = float(np.sqrt(np.mean(offsets**2)))
-    ends[:, axis] += offsets / [end.scale for end in around]
-    pixels = chart_map.pixels(ends)
-    length_px = float(np.linalg.norm(pixels[1] - pixels[0]))
+    repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
+    length_px = float(np.linalg.norm(np.diff(chart_map.pixels(ends), axis=0)))
+    offsets = np.nanmean([low_end, high_end], axis=1)
+    row["offset_px"] = float(np.sqrt((offsets**2).mean()))
     row["n"] = len(repeats)
     row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
-    row["length_px"], row["length_sigma_px"] = length_px, float(sigma_px)
-    row["pixel_mm"] = row["length_mm"] / length_px
+    row["length_px"], row["pixel_mm"] = length_px, row["length_mm"] / length_px
     return row
 
 
-class _End:
-    """The pixels around one end of a bar, in pixels along and across the bar from its middle."""
+def _crossings(tones, chart_map, end, axis, sign, lanes):
+    """How far outside of its place the pixels across a bar see the bar's end, pixels.
 
-    def __init__(self, tones, layout, bar, chart_map, middle, where):
-        axis, side, margin = where
-        vectors = chart_map.scale(middle[None])[0]
-        scales = np.linalg.norm(vectors, axis=1)
-        self.scale, self.side = scales[axis], side
-        self.angles = [np.arctan2(*np.sort(np.abs(vectors[k]))) for k in (axis, 1 - axis)]
-        length, self.width = (
-            np.array([bar.width, bar.height])[[axis, 1 - axis]] * scales[[axis, 1 - axis]]
-        )
-        inward = min(INWARD_PX, length / 2)
-        places, values, _ = tones.near(chart_map, middle[None], inward + self.width)
-        places = places - middle
-        along, across = places[:, axis] * scales[axis], places[:, 1 - axis] * scales[1 - axis]
-        outward = along if side else -along
-        used = (outward <= REACH_PX) & (outward >= -inward)
-        used &= np.abs(across) <= self.width / 2 + BESIDE_PX
-        inside = (outward <= 0) & (np.abs(across) <= self.width / 2)
-        used &= inside | _clear(places + middle, layout, bar, margin / scales)
-        self.along, self.across, self.values = along[used], across[used], values[used]
-
-    def shape(self, offset, aside, spreads):
-        """What the pixels see of the bar: 1 inside, 0 outside."""
-        low, high = (
-            spread_edge(self.across - aside + place, spreads[1], self.angles[1])
-            for place in (self.width / 2, -self.width / 2)
-        )
-        sign = -1 if self.side else 1
-        return (low - high) * spread_edge(sign * (self.along - offset), spreads[0], self.angles[0])
-
-
-def _clear(places, layout, bar, margin):
-    """Whether places, mm, keep a margin from the chart's edge and from all elements but the bar.
-
-    What lies on the bar, or under it, does not count.
+    NaN where no end is seen there.
     """
-    clear = ((places >= margin) & (places <= [layout.width, layout.height] - margin)).all(axis=1)
-    box = np.array([bar.x, bar.y, bar.x + bar.width, bar.y + bar.height])
-    for other in layout.elements:
-        low = np.array([other.x, other.y])
-        high = low + [other.width, other.height]
-        if (low < box[2:]).all() and (high > box[:2]).all():
-            continue
-        clear &= ~((places > low - margin) & (places < high + margin)).all(axis=1)
-    return clear
-
-
-def _fit_ends(ends):
-    """Offsets of both ends, the length's sigma, the repeats and the spread, all in pixels.
-
-    Both ends share levels and point spread; offsets along and across are their own.
-    """
-    from scipy.optimize import least_squares
-
-    values = np.concatenate([end.values for end in ends])
-
-    def levels(parameters):
-        """Ground and contrast that fit best at these parameters, and residuals."""
-        spreads = np.exp(parameters[4:])
-        shapes = [
-            end.shape(offset, aside, spreads)
-            for end, offset, aside in zip(ends, parameters[:2], parameters[2:4], strict=True)
-        ]
-        design = np.column_stack([np.ones_like(values), np.concatenate(shapes)])
-        fit = np.linalg.lstsq(design, values, rcond=None)[0]
-        return fit, values - design @ fit
-
-    limits = np.log(SPREADS_PX)
-    bounds = tuple(
-        [sign * OFFSET_PX] * 4 + [limit] * 2 for sign, limit in zip((-1, 1), limits, strict=True)
-    )
-    start = [0.0] * 4 + [np.log(0.6)] * 2
-    found = least_squares(lambda p: levels(p)[1], start, bounds=bounds, diff_step=1e-4)
-    fit, residuals = levels(found.x)
-    if abs(fit[1]) < SMALLEST_STEP or np.abs(found.x[:4]).max() > 0.99 * OFFSET_PX:
-        return None
-    variance = residuals @ residuals / max(len(values) - len(start) - 2, 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance
-    sigma = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])
-    split = [len(ends[0].values)]
-    lanes = [
-        _lanes(end, rest, -jacobian[:, k], found.x[k])
-        for k, (end, rest, jacobian) in enumerate(
-            zip(ends, np.split(residuals, split), np.split(found.jac, split), strict=True)
-        )
-    ]
-    common = sorted(lanes[0].keys() & lanes[1].keys())
-    repeats = np.array([lanes[1][one] - lanes[0][one] for one in common])
-    return found.x[:2], sigma, repeats, float(np.exp(found.x[4:].max()))
-
-
-def _lanes(end, residuals, slope, offset):
-    """Offsets of an end as the single lanes of pixels inside the bar see it."""
-    lane = np.round(end.across).astype(int)
-    inside = np.unique(lane[np.abs(end.across) <= max(end.width / 2 - 0.5, 0.5)])
-    return {
-        int(one): float(offset + (residuals * slope)[lane == one].sum() / weight)
-        for one in inside
-        if (weight := (slope[lane == one] ** 2).sum()) > 0
-    }
+    pixel_mm = chart_map.pixel_sizes_mm(end[None])[0][axis]
+    steps = np.arange(-END_REACH_PX, END_REACH_PX + END_STEP_PX / 2, END_STEP_PX)
+    places = np.empty((len(lanes), len(steps), 2))
+    places[..., axis] = end[axis] + sign * steps * pixel_mm
+    places[..., 1 - axis] = (end[1 - axis] + lanes)[:, None]
+    pixels = chart_map.pixels(places.reshape(-1, 2)).astype(np.float32).reshape(places.shape)
+    beyond = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": np.nan}
+    seen = cv2.remap(tones.values.astype(np.float32), pixels, None, cv2.INTER_LINEAR, **beyond)
+    near = np.abs(steps) < END_REACH_PX / 2
+    inside, outside = (np.median(seen[:, ~near & (sign * steps > 0)], axis=1) for sign in (-1, 1))
+    dark = seen[:, near] < (inside + outside)[:, None] / 2
+    place = dark.mean(axis=1) * END_REACH_PX - END_REACH_PX / 2
+    good = (outside - inside > SMALLEST_STEP) & (np.abs(place) < LARGEST_STRAY_PX)
+    return np.where(good, place, np.nan)
