@@ -88,9 +88,9 @@ END_REACH_PX, END_STEP_PX = 6.0, 0.1
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
 the outer one for black and white."""
 
-SMALLEST_STEP, LARGEST_STRAY_PX = 0.1, 2.0
-"""Contrast that a bar must show at its end, and how far from its place that may be; farther away it
-is the end of something else."""
+SMALLEST_STEP, LEAST_WHITE, LARGEST_STRAY_PX = 0.2, 0.6, 2.0
+"""Contrast that a bar must show at its end, what is white beside it, and how far from its place the
+end may be; else it is the end of something else."""
 
 SEEN_SHARE = 0.6
 """Share of the pixels across a bar that must see its end."""
@@ -715,5 +715,5 @@ def _crossings(tones, chart_map, end, axis, sign, lanes):
     inside, outside = (np.median(seen[:, ~near & (sign * steps > 0)], axis=1) for sign in (-1, 1))
     dark = seen[:, near] < (inside + outside)[:, None] / 2
     place = dark.mean(axis=1) * END_REACH_PX - END_REACH_PX / 2
-    good = (outside - inside > SMALLEST_STEP) & (np.abs(place) < LARGEST_STRAY_PX)
-    return np.where(good, place, np.nan)
+    good = (outside - inside > SMALLEST_STEP) & (outside > LEAST_WHITE)
+    return np.where(good & (np.abs(place) < LARGEST_STRAY_PX), place, np.nan)
