@@ -20,6 +20,7 @@ own survey. They have given up 95 % confidence levels, and ask for 30 check poin
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,14 +33,19 @@ from mmqa_lab._checks import (
     check_points,
     check_positive,
 )
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud, path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
 __all__ = [
+    "Accuracy",
+    "compare_heights",
+    "compare_plan",
     "distance_to_path",
     "height_accuracy",
     "height_differences",
@@ -50,6 +56,12 @@ __all__ = [
     "trend",
 ]
 __dir__ = __all__.copy
+
+CHECKPOINTS = 30
+"""Fewest that the ASPRS standards ask for."""
+
+FAR_MM = 1000.0
+"""A median height difference beyond this is no error of a scan: said."""
 
 CHUNK = 5000
 """Reference points worked on at a time, with the points around them."""
@@ -91,6 +103,134 @@ CORNER_SEARCH_M, CORNER_GATE_M = 2.0, 0.5
 
 NEAR_LINE_M = 0.03
 """Points up to this far from a line belong to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy(Shown):
+    """What a comparison with a survey gives.
+
+    Parameters
+    ----------
+    summary : DataFrame
+        From :func:`height_accuracy` or, by kind of target, :func:`plan_accuracy`.
+    differences : DataFrame
+        From :func:`height_differences` or :func:`plan_differences`.
+    remarks : str
+        What a reader of the summary should know.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 8, 0.1))
+    >>> cloud = np.stack([x, y, 0 * x + 0.02], axis=-1).reshape(-1, 3)
+    >>> found = compare_heights(cloud, np.c_[cloud[200::300, :2], np.zeros(21)] + [0.03, 0.04, 0])
+    >>> found.summary["mean_mm"].round(3).tolist(), found.remarks[:14]
+    ([20.0, 0.0], '21 differences')
+    """
+
+    summary: pd.DataFrame
+    differences: pd.DataFrame
+    remarks: str = ""
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the summary with the remarks."""
+        return self.summary.assign(remarks=self.remarks)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw the differences that count: a histogram of heights, or easting and northing."""
+        from mmqa_lab import plots
+
+        ax = plots.subplots()[1] if ax is None else ax
+        used = self.differences[self.differences["reason"] == ""]
+        if "dz_m" in used:
+            ax.hist(1000 * used["dz_m"], bins=30)
+            ax.set(xlabel="cloud less reference (mm)", ylabel="reference points")
+            return ax
+        ax.plot(1000 * used["dx_m"], 1000 * used["dy_m"], ".")
+        ax.set(xlabel="easting, cloud less reference (mm)", ylabel="northing (mm)", aspect="equal")
+        return ax
+
+
+def compare_heights(
+    points: ArrayLike,
+    reference: ArrayLike,
+    *,
+    path: ArrayLike | None = None,
+    radius: float = 0.2,
+    slope_limit: float = 20.0,
+) -> Accuracy:
+    """Compare a cloud with surveyed heights: differences, figures, growth with distance, remarks.
+
+    Parameters
+    ----------
+    points, reference, radius, slope_limit
+        As of :func:`height_differences`.
+    path : array_like, shape (k, 2 or 3), optional
+        Vertices of the trajectory: adds the trend of absolute differences, their shift removed,
+        over the distance from it.
+
+    Returns
+    -------
+    Accuracy
+        The summary also counts reference points without a valid difference, by reason.
+
+    Raises
+    ------
+    ValueError
+        As of :func:`height_differences`, and if no difference is valid.
+    """
+    table = height_differences(points, reference, radius=radius, slope_limit=slope_limit)
+    used = table[table["reason"] == ""]
+    if used.empty:
+        raise ValueError(
+            f"Invalid reference: no surface of the cloud ({_extent(points)}) lies around a point "
+            f"of it ({_extent(reference)}). Must overlap, in one coordinate system."
+        )
+    summary = height_accuracy(table)
+    for reason in REASONS[1:]:
+        summary[reason.replace(" ", "_")] = int((table["reason"] == reason).sum())
+    if path is not None:
+        size = 1000 * (used["dz_m"] - used["dz_m"].mean()).abs()
+        line = trend(distance_to_path(used[["x_m", "y_m"]], path), size)
+        for name in ("slope", "slope_low", "slope_high"):
+            summary[f"{name.replace('slope', 'trend')}_mm_per_m"] = line[name]
+    return Accuracy(summary, table, _height_remarks(table, used))
+
+
+def compare_plan(points: ArrayLike, targets: pd.DataFrame) -> Accuracy:
+    """Compare a cloud with surveyed plan positions: each kind of target, and all together.
+
+    Parameters
+    ----------
+    points, targets
+        As of :func:`plan_differences`.
+
+    Returns
+    -------
+    Accuracy
+
+    Raises
+    ------
+    ValueError
+        As of :func:`plan_differences`, and if no target is measured.
+    """
+    table = plan_differences(points, targets)
+    missing = table["reason"][table["reason"] != ""]
+    if len(missing) == len(table):
+        raise ValueError(
+            f"Invalid targets: none measured in the cloud ({', '.join(sorted(set(missing)))}). "
+            f"Must lie in it ({_extent(points)}), with the height of the foot."
+        )
+    parts = [*table.groupby("kind", sort=False), ("all", table)]
+    summary = pd.concat([plan_accuracy(rows).assign(kind=kind) for kind, rows in parts])
+    summary.insert(0, "kind", summary.pop("kind"))
+    remark = ""
+    if len(missing) > len(table) / 2:
+        remark = (
+            f"{len(missing)} of {len(table)} slices of targets were not measured (most: "
+            f"{missing.mode()[0]}): the heights of the feet or the coordinate systems may differ, "
+            "or the cloud is too sparse for them."
+        )
+    return Accuracy(summary.reset_index(drop=True), table, remark)
 
 
 def height_differences(
@@ -791,3 +931,25 @@ def _sides(xy, first, second, crossing):
         side = np.sign(np.median(along[near & clear])) if (near & clear).any() else 1
         masks.append(near & clear & (along * side > 0))
     return masks
+
+
+def _extent(points):
+    """Where points lie, in words."""
+    points = np.asarray(points)
+    (west, south), (east, north) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    return f"x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m"
+
+
+def _height_remarks(table, used):
+    """What a reader of the figures of heights should know."""
+    apart = int(table["reason"].isin(REASONS[1:3]).sum())
+    far = used["dz_m"].median()
+    doubts = {
+        f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
+        "or the coordinate systems may differ.": apart > len(table) / 2,
+        f"{len(used)} differences; the ASPRS standards ask for {CHECKPOINTS} check points or "
+        "more.": len(used) < CHECKPOINTS,
+        f"The median difference is {far:+.2f} m; the two height systems may differ (ellipsoid or "
+        "geoid).": abs(1000 * far) > FAR_MM,
+    }
+    return " ".join(text for text, true in doubts.items() if true)

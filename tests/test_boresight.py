@@ -1,13 +1,11 @@
 """Boresight and lever arms recovered from simulated two-way drives."""
 
-import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from mmqa_lab import io
-from mmqa_lab.__main__ import main
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.boresight.adjustment import Adjustment, Shots
 from mmqa_lab.boresight.features import Feature, from_axis, pole_misfit
@@ -152,62 +150,6 @@ def files(street, tmp_path_factory):
         raised = pd.DataFrame(control + [0, 0, up], columns=list("xyz"))
         raised.to_csv(folder / f"{name}.csv", index=False)
     return folder
-
-
-def call(folder, *more, drives=("there.laz", "back.laz"), paths=("there.csv", "back.csv")):
-    """The command on some of the files."""
-    texts = [*drives, "--trajectory", *paths, *more, "--patches", "100"]
-    names = {file.name for file in folder.iterdir()}
-    return main(["calibrate", *(str(folder / text) if text in names else text for text in texts)])
-
-
-def test_command_estimates_the_mounting_and_writes_corrected_clouds(files, tmp_path, capsys):
-    out = tmp_path / "corrected"
-    known = ["--poles", "poles.csv", "--control", "control.csv", "--json", "--out", str(out)]
-    assert call(files, *known) == 0
-    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)}
-    assert rows["heading_deg"]["value"] == pytest.approx(0.3, abs=0.02)
-    covariance = pd.read_csv(out / "covariance.csv", index_col=0)
-    assert covariance.loc["heading_deg_1", "heading_deg_1"] ** 0.5 == pytest.approx(
-        rows["heading_deg"]["std"]
-    )
-    before, after = (io.read_cloud(p) for p in (files / "there.laz", out / "1_there.laz"))
-    assert list(before.columns) == list(after.columns)
-    moved = np.linalg.norm(after.points - before.points, axis=1)
-    # 0.3 degrees: 5 mm a metre of distance
-    assert np.median(moved / before["range_m"]) == pytest.approx(np.radians(0.3), rel=0.5)
-
-
-def test_command_says_what_is_kept_and_not_determined(files, capsys):
-    assert call(files, "--poles", "poles.csv", "--keep", "x_m,y_m", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
-    remarks = {row["parameter"]: row["remark"] for row in rows}
-    assert remarks["x_m"] == "kept as assumed"
-    assert all("errors of the paths are not given" in row["remarks"] for row in rows)
-    assert "without control" in remarks["z_m"]
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"drives": ("there.laz",), "paths": ("there.csv",)}, "one drive of one head"),
-        ({"paths": ("back.csv", "there.csv")}, "the same day and clock"),
-        ({"paths": ("there.csv", "back.csv", "back.csv")}, "3 for 2 drives"),
-        ({"paths": ("none.csv", "back.csv")}, "no such file"),
-        ({"more": ("--lever-arm", "1,2")}, "Invalid lever-arm 1,2"),
-        ({"more": ("--keep", "yaw")}, "Invalid keep 'yaw'"),
-        ({"more": ("--control", "geoid.csv")}, "Invalid control: none of"),
-        (
-            {"drives": ("there.laz", "there.laz"), "paths": ("there.csv", "there.csv")},
-            "is given twice",
-        ),
-    ],
-)
-def test_command_refuses(files, capsys, given, sentence, tmp_path):
-    more = given.pop("more", ())
-    assert call(files, *more, "--out", str(tmp_path / "out"), **given) == 2
-    assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_corrected_cloud_keeps_its_coordinate_system():

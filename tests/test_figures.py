@@ -4,11 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from overlaps import doubled_names
-from PIL import Image
 
-from mmqa_lab import __version__, plots
+from mmqa_lab import plots
 from mmqa_lab._figures import finish_figure
-from mmqa_lab.commands._output import write_figure
 
 
 @pytest.fixture
@@ -58,14 +56,3 @@ def test_a_name_that_is_in_the_legend_twice_is_found():
     ax.legend()
     assert doubled_names(figure) == ["'f' is in the legend twice"]
     plt.close(figure)
-
-
-def test_figures_of_commands_name_their_subject_and_version(figure, tmp_path):
-    for ending in ("png", "pdf", "svg"):
-        write_figure(tmp_path / f"f.{ending}", figure, title="Quality of c.laz")
-    said = Image.open(tmp_path / "f.png").text
-    assert said["Title"] == "Quality of c.laz"
-    assert said["Creator"] == f"mmqa_lab {__version__}"
-    assert b"Quality of c.laz" in (tmp_path / "f.pdf").read_bytes()
-    assert b"Quality of c.laz" in (tmp_path / "f.svg").read_bytes()
-    assert [text.get_text() for text in figure.axes[0].texts] == ["(a)"]

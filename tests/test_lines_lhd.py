@@ -8,8 +8,6 @@ from scipy.optimize import linear_sum_assignment
 from towns import town
 
 from mmqa_lab import lines
-from mmqa_lab.__main__ import main
-from mmqa_lab.io import write_segments
 from mmqa_lab.lines import correspond, lhd, match_displaced, pairing_scores
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
@@ -389,18 +387,6 @@ def test_sets_that_cannot_be_compared_are_refused(scene):
     ):
         with pytest.raises(ValueError, match=said):
             lines.compare(sets)
-
-
-def test_command_compares_files(tmp_path, capsys, scene):
-    files = [str(tmp_path / f"{name}.csv") for name in ("C1", "C3", "TLS")]
-    for file, name in zip(files, ("C1", "C3", "TLS"), strict=True):
-        write_segments(file, scene.surveys[name].segments)
-    assert main(["lhd", *files[:2], "--reference", files[2]]) == 0
-    printed = capsys.readouterr().out
-    assert "C1 to TLS" in printed
-    assert "absolute" in printed
-    assert main(["lhd", *files[:2], "--weight", "-3"]) == 2
-    assert capsys.readouterr().err.strip() == "mmqa lhd: Invalid weight -3.0. Must be >= 0."
 
 
 @pytest.mark.parametrize("move", [(0.5,), (3.0, 1.5), (2.0, 0.5, 0.3)])

@@ -1,6 +1,5 @@
 """The study: what its streets change, what it counts, what it sets side by side."""
 
-import json
 
 import numpy as np
 import other_street
@@ -8,7 +7,6 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import bench, io, poles, published, stats
-from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import ours
 from mmqa_lab.published import ledger
@@ -403,32 +401,3 @@ def written(folder, cloud, truth):
     truth[truth["visible"]].to_csv(folder / "truth.csv", index=False)
     words = ["poles", str(folder / "street.laz"), "--json"]
     return [*words, "--reference", str(folder / "truth.csv")]
-
-
-def test_a_trajectory_alone_scores_within_the_methods_corridor(tmp_path, capsys):
-    # posts 5, 20 and 40 m off a path: the component method looks 15 m far
-    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 72), np.arange(0.02, 3, 0.02))
-    ring = np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), rise], axis=-1).reshape(-1, 3)
-    x, y = np.mgrid[-5:45:0.25, -5:5:0.25].reshape(2, -1)
-    ground = np.stack([x, y, 0 * x], axis=1)
-    points = np.vstack([ground, *(ring + [away, 0, 0] for away in (5, 20, 40))])
-    pd.DataFrame(points, columns=["x", "y", "z"]).to_csv(tmp_path / "cloud.csv", index=False)
-    path = {"time_s": [0.0, 2.0], "easting_m": 0.0, "northing_m": [-5.0, 5.0], "height_m": 2.0}
-    pd.DataFrame(path).to_csv(tmp_path / "path.csv", index=False)
-    truth = pd.DataFrame({"x_m": [5.0, 20.0, 40.0], "y_m": 0.0})
-    truth.to_csv(tmp_path / "truth.csv", index=False)
-    words = ["poles", str(tmp_path / "cloud.csv"), "--method", "itc", "--json"]
-    words += ["--trajectory", str(tmp_path / "path.csv")]
-    words += ["--reference", str(tmp_path / "truth.csv")]
-    for extra, asked in (([], 1), (["--corridor", "25"], 2)):
-        assert main([*words, *extra]) in (0, None)
-        recall = json.loads(capsys.readouterr().out)["scores"]["recall"]
-        assert (recall["k"], recall["n"]) == (asked, asked)
-
-
-def test_command_says_what_is_wrong(tmp_path, capsys):
-    (tmp_path / "cloud.csv").write_text("x,y,z\n0,0,0\n1,1,1\n")
-    (tmp_path / "truth.csv").write_text("a,b\n1,2\n")
-    words = ["poles", str(tmp_path / "cloud.csv"), "--reference", str(tmp_path / "truth.csv")]
-    assert main(words) == 2
-    assert "no column 'x_m'. Must have one." in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """Heights, plan positions, trends and reference points against closed forms and brute force."""
 
-import json
 
 import numpy as np
 import pandas as pd
@@ -9,9 +8,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import t
 
 from mmqa_lab import io
-from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import read_heights
 from mmqa_lab.testfield import (
     distance_to_path,
     height_accuracy,
@@ -224,92 +221,12 @@ def test_centre_of_a_painted_mark(rng):
     assert (found["dx_m"], found["dy_m"]) == pytest.approx((0.03, -0.02), abs=0.01)
 
 
-def test_rasters_agree_with_each_other(tmp_path):
-    from PIL import Image
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
-    heights = np.array([[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]])
-    x, y = np.array([10.5, 11.5, 12.5]), np.array([21.5, 20.5])
-    np.savez(tmp_path / "a.npz", x=x, y=y, ground=heights)
-    body = "\n".join(" ".join(f"{v:g}" for v in np.nan_to_num(row, nan=-9999)) for row in heights)
-    header = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 1\nNODATA_value -9999\n"
-    (tmp_path / "a.asc").write_text(header + body)
-    tags = ImageFileDirectory_v2()
-    tags[33550], tags[33922] = (1.0, 1.0, 0.0), (0.0, 0.0, 0.0, 10.0, 22.0, 0.0)
-    tags.tagtype[33550] = tags.tagtype[33922] = 12
-    Image.fromarray(heights.astype(np.float32)).save(tmp_path / "a.tif", tiffinfo=tags)
-    first = read_heights(tmp_path / "a.npz")
-    assert len(first) == 5
-    assert np.allclose(read_heights(tmp_path / "a.asc"), first)
-    assert np.allclose(read_heights(tmp_path / "a.tif"), first)
-    (tmp_path / "b.npz").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="damaged"):
-        read_heights(tmp_path / "b.npz")
-
-
-def test_command(tmp_path, ground, capsys):
-    np.savetxt(tmp_path / "cloud.txt", ground + [0, 0, 0.02])
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(1, 9, 1.0), np.arange(1, 9, 1.0)))
-    reference = np.column_stack([x, y, 0.02 * x - 0.01 * y])
-    np.savetxt(tmp_path / "points.csv", reference, delimiter=",", header="x,y,z", comments="")
-    files = [str(tmp_path / "cloud.txt"), str(tmp_path / "points.csv")]
-    assert main(["accuracy", *files, "--json"]) == 0
-    kept, removed = json.loads(capsys.readouterr().out)
-    assert kept["mean_mm"] == pytest.approx(20, abs=2)
-    assert removed["std_mm"] < 6
-    assert main(["accuracy", *files, "--json", "--reference-std", "0.01"]) == 0
-    kept, removed = json.loads(capsys.readouterr().out)
-    assert kept["rmse_v_mm"] == pytest.approx(np.hypot(kept["rmse_mm"], 10))
-    assert removed["rmse_v_mm"] is None
-    assert main(["accuracy", *files, "--reference-std", "-1"]) == 2
-    assert "Invalid reference-std -1" in capsys.readouterr().err
-    np.savetxt(
-        tmp_path / "far.csv", reference + [1e5, 1e5, 0], delimiter=",", header="x,y,z", comments=""
-    )
-    path = tmp_path / "path.csv"
-    path.write_text("time_s,easting_m,northing_m,height_m\n0,0,0,2\n1,9,9,2\n")
-    far = [files[0], str(tmp_path / "far.csv"), "--trajectory", str(path)]
-    assert main(["accuracy", *far, "--json"]) == 2
-    assert "Must overlap" in capsys.readouterr().err
-    assert main(["accuracy", *files, "--trajectory", str(path), "--json"]) == 0
-    kept, removed = json.loads(capsys.readouterr().out)
-    # the noise is the same at all distances: 4 mm over some 10 m
-    assert abs(kept["trend_mm_per_m"]) < 0.5
-    assert removed["median_mm"] == pytest.approx(0, abs=2)
-    np.savetxt(tmp_path / "two.csv", reference[:2], delimiter=",", header="x,y,z", comments="")
-    two = [files[0], str(tmp_path / "two.csv"), "--trajectory", str(path), "--json"]
-    assert main(["accuracy", *two]) == 0
-    assert json.loads(capsys.readouterr().out)[0]["trend_mm_per_m"] is None
-    high = reference - [0, 0, 43]
-    np.savetxt(tmp_path / "high.csv", high, delimiter=",", header="x,y,z", comments="")
-    assert main(["accuracy", files[0], str(tmp_path / "high.csv")]) == 0
-    assert "median difference is +43.0" in capsys.readouterr().out
-    assert main(["accuracy", *files, "--drives"]) == 2
-    assert "gps_time" in capsys.readouterr().err
-    assert main(["accuracy", files[0], str(tmp_path / "none.csv")]) == 2
-    assert "no such file" in capsys.readouterr().err
-
-
-def test_command_takes_classes_of_a_las_file(tmp_path, ground, capsys):
-    road = np.arange(len(ground)) % 2 == 0
-    points = ground + np.outer(~road, [0, 0, 0.3])
-    columns = {"classification": np.where(road, 11, 3).astype(np.uint8)}
-    io.write_cloud(tmp_path / "cloud.laz", Cloud(points, columns))
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(1, 9, 1.0), np.arange(1, 9, 1.0)))
-    reference = np.column_stack([x, y, 0.02 * x - 0.01 * y])
-    np.savetxt(tmp_path / "points.csv", reference, delimiter=",", header="x,y,z", comments="")
-    files = [str(tmp_path / "cloud.laz"), str(tmp_path / "points.csv"), "--json"]
-    assert main(["accuracy", *files, "--classes", "11"]) == 0
-    assert abs(json.loads(capsys.readouterr().out)[0]["mean_mm"]) < 2
-    assert main(["accuracy", *files, "--classes", "9"]) == 2
-    assert "Must be some of 3, 11" in capsys.readouterr().err
-    assert main(["accuracy", *files, "--classes", "road"]) == 2
-    assert "whole numbers" in capsys.readouterr().err
-
-
 def test_real_drives_against_airborne_heights(real):
     cloud = io.read_cloud(real("road_ground/mls_two_drives.laz"), columns=("gps_time",))
-    heights = read_heights(real("road_ground/airborne_ground_height.npz"))
+    with np.load(real("road_ground/airborne_ground_height.npz")) as file:
+        grid = [*np.meshgrid(file["x"], file["y"]), file["ground"]]
+    heights = np.stack(grid, axis=-1).reshape(-1, 3)
+    heights = heights[np.isfinite(heights[:, 2])]
     drive, reference = split_drives(cloud["gps_time"]), thinned(heights, 0.5)
     tables = [height_differences(cloud[drive == k], reference) for k in (0, 1)]
     first, second = (height_accuracy(table)["mean_mm"][0] for table in tables)
@@ -327,57 +244,6 @@ def surveyed(tmp_path, rng):
     targets = pd.DataFrame(places, columns=["x", "y"]).assign(z=0.0, kind="pole", diameter=0.2)
     targets.to_csv(tmp_path / "targets.csv", index=False)
     return tmp_path
-
-
-def test_command_measures_targets_in_plan(surveyed, capsys):
-    files = [str(surveyed / "cloud.txt"), "--targets", str(surveyed / "targets.csv"), "--json"]
-    assert main(["accuracy", *files, "--out", str(surveyed / "each.csv")]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [(row["kind"], row["shift"]) for row in rows] == [
-        *(("pole", "kept"), ("pole", "removed")),
-        *(("all", "kept"), ("all", "removed")),
-    ]
-    assert rows[2]["mean_east_mm"] == pytest.approx(40, abs=2)
-    assert rows[3]["rmse_mm"] < 3
-    assert len(pd.read_csv(surveyed / "each.csv")) == 6  # three poles, two slices
-    assert main(["accuracy", *files, "--slices", "report"]) == 0
-    capsys.readouterr()
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"x": 500.0}, "none measured in the cloud (too few points). Must lie in it"),
-        ({"kind": "tree"}, "Invalid kind 'tree'. Must be one of pole, building, curb, mark."),
-        ({"z": None}, "no finite number in line 2"),
-    ],
-)
-def test_command_refuses_targets(surveyed, capsys, change, sentence):
-    file = surveyed / "targets.csv"
-    pd.read_csv(file).assign(**change).to_csv(file, index=False)
-    assert main(["accuracy", str(surveyed / "cloud.txt"), "--targets", str(file)]) == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_command_remarks_that_most_targets_are_missing(surveyed, capsys):
-    file = surveyed / "targets.csv"
-    table = pd.read_csv(file)
-    table.assign(z=[0.0, 50.0, 50.0]).to_csv(file, index=False)
-    files = [str(surveyed / "cloud.txt"), "--targets", str(file)]
-    assert main(["accuracy", *files]) == 0
-    assert "4 of 6 slices of targets were not measured" in capsys.readouterr().out
-    table.to_csv(file, index=False)
-    assert main(["accuracy", *files]) == 0
-    assert "not measured" not in capsys.readouterr().out
-
-
-def test_command_needs_heights_or_targets(surveyed, capsys):
-    cloud, file = str(surveyed / "cloud.txt"), surveyed / "targets.csv"
-    assert main(["accuracy", cloud]) == 2
-    assert "either REFERENCE or --targets" in capsys.readouterr().err
-    pd.read_csv(file).drop(columns="z").to_csv(file, index=False)
-    assert main(["accuracy", cloud, "--targets", str(file)]) == 2
-    assert "no column 'z_m'" in capsys.readouterr().err
 
 
 def test_le90_counts_differences_of_either_sign():
