@@ -2,8 +2,7 @@
 
 :func:`verdicts` compares any figures with any criteria, :func:`qualification` sums up per system.
 :func:`published_criteria` and :func:`published_results` are those of Pfeifer et al. 2021
-(doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2. ``mmqa accept`` judges a delivered
-drive past the test site: ``acceptance`` finds, checks and evaluates, ``report`` writes.
+(doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2.
 """
 
 import numpy as np
@@ -135,8 +134,8 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         ``system``, ``verdict`` (*qualifies* when all figures meet their criteria or are exempt;
         *fails* when one does not; else *open*), the numbers of figures ``met``, ``exempt``,
-        ``not_met``, ``undecided``, ``not_measured``, and ``because``: the criteria that are not
-        met, or leave it open.
+        ``not_met``, ``undecided``, ``not_measured``, ``because``: the criteria that are not met, or
+        leave it open, and ``sentence``: what follows and why.
 
     Examples
     --------
@@ -145,19 +144,35 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     >>> table = verdicts(published_criteria("scenario 2"), published_results())
     >>> qualification(table)[["system", "verdict", "because"]].values.tolist()
     [['A', 'open', 'legibility'], ['B', 'qualifies', ''], ['C', 'fails', 'precision']]
+    >>> qualification(table)["sentence"].iloc[0]
+    'A stays open: legibility is not measured.'
     """
     rows = []
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
-        if counts["not met"]:
-            verdict, deciding = "fails", part["verdict"] == "not met"
-        else:
-            deciding = ~part["verdict"].isin(["met", "exempt"])
-            verdict = "open" if deciding.any() else "qualifies"
-        because = ", ".join(part.loc[deciding, "criterion"].drop_duplicates())
-        rows.append((system, verdict, *counts, because))
+        open_ones = ["undecided", "not measured"]
+        verdict = (
+            "fails" if counts["not met"] else "open" if counts[open_ones].any() else "qualifies"
+        )
+        deciding = part[part["verdict"].isin(["not met"] if verdict == "fails" else open_ones)]
+        because = ", ".join(deciding["criterion"].drop_duplicates())
+        rows.append(
+            (system, verdict, *counts, because, _sentence(system, verdict, counts, deciding))
+        )
     names = [verdict.replace(" ", "_") for verdict in VERDICTS]
-    return pd.DataFrame(rows, columns=["system", "verdict", *names, "because"])
+    return pd.DataFrame(rows, columns=["system", "verdict", *names, "because", "sentence"])
+
+
+def _sentence(system, verdict, counts, deciding):
+    """What follows for a system, and why."""
+    if verdict == "qualifies":
+        exempt = f", {counts['exempt']} of them by exemption" if counts["exempt"] else ""
+        return f"{system} qualifies: all {counts.sum()} figures meet their criteria{exempt}."
+    reasons = []
+    for reason, part in deciding.groupby("verdict", sort=False):
+        which = list(part["criterion"].drop_duplicates())
+        reasons.append(f"{', '.join(which)} {'is' if len(which) == 1 else 'are'} {reason}")
+    return f"{system} {'fails' if verdict == 'fails' else 'stays open'}: {'; '.join(reasons)}."
 
 
 def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFrame:
@@ -258,7 +273,7 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
 
 def _criteria(criteria):
     """Criteria checked and with every column."""
-    criteria = _with_columns(criteria, CRITERIA, "criteria")
+    criteria = _whole(criteria, CRITERIA, ("distance_m", "rho0_per_m2"), "criteria")
     twice = criteria.loc[criteria["criterion"].duplicated(), "criterion"]
     if len(twice):
         raise ValueError(f"Invalid criteria: {twice.iloc[0]!r} twice. Must be distinct.")
@@ -266,7 +281,6 @@ def _criteria(criteria):
         check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
         if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
             raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
-    criteria["rho0_per_m2"] = _numbers(criteria, "rho0_per_m2")
     for rho0 in criteria["rho0_per_m2"].dropna():
         check_positive(rho0, "rho0_per_m2")
     return criteria
@@ -274,18 +288,13 @@ def _criteria(criteria):
 
 def _results(results):
     """Results checked and with every column."""
-    results = _with_columns(results, RESULTS, "results")
-    for name in ("sigma", "low", "high"):
-        results[name] = _numbers(results, name)
+    results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
     if (results["sigma"] < 0).any():
         raise ValueError(f"Invalid sigma {results['sigma'].min()}. Must be 0 or more.")
-    crossed = results.loc[results["low"] > results["high"], "low"]
-    if len(crossed):
-        raise ValueError(f"Invalid low {crossed.iloc[0]}. Must not exceed high.")
     for row in results.itertuples():
         name = f"{row.quantity} of {row.system}"
         rank = _rank(row.value, name)
-        if rank < row.low or rank > row.high:
+        if rank < row.low or rank > row.high or row.low > row.high:
             raise ValueError(
                 f"Invalid {name} {row.value!r}: low {row.low:g}, high {row.high:g}. Must lie "
                 "between them."
@@ -293,37 +302,28 @@ def _results(results):
     return results
 
 
-def _with_columns(frame, needed, what):
-    """A copy with the optional columns, all missing words empty."""
+def _whole(frame, needed, numbers, what):
+    """A copy with every column: optional words empty, optional numbers NaN."""
     check_columns(frame, needed, what)
     if frame.empty:
         raise ValueError(f"Invalid {what}: no rows. Must have one or more.")
-    frame = frame.copy()
-    for name in ("view", "direction"):
-        words = frame[name] if name in frame else pd.Series("", index=frame.index)
-        frame[name] = words.fillna("").astype(str)
-    frame["distance_m"] = _numbers(frame, "distance_m")
+    words = [name for name in ("view", "direction", *numbers) if name not in frame]
+    frame = frame.assign(**dict.fromkeys(words, ""))
+    frame[["view", "direction"]] = frame[["view", "direction"]].fillna("").astype(str)
+    for name in numbers:
+        try:
+            frame[name] = pd.to_numeric(frame[name].replace("", np.nan))
+        except ValueError as error:
+            raise ValueError(f"Invalid {name} in {what}: {error}. Must be numbers.") from None
     return frame
-
-
-def _numbers(frame, name):
-    """A column of numbers, NaN where it is empty or there is none."""
-    values = frame[name] if name in frame else pd.Series(np.nan, frame.index)
-    numbers = pd.to_numeric(values, errors="coerce")
-    wrong = numbers.isna() & values.notna() & (values.astype(str).str.strip() != "")
-    if wrong.any():
-        raise ValueError(f"Invalid {name} {values[wrong].iloc[0]!r}. Must be a number.")
-    return numbers
 
 
 def _rank(value, name):
     """A figure as a number, marks as steps from a; NaN for none."""
-    if value is None or (isinstance(value, str) and not value.strip()):
+    if value is None or value == "":
         return np.nan
-    if isinstance(value, str) and value.strip() in MARKS:
-        return float(MARKS.index(value.strip()))
     try:
-        number = float(value)
+        number = float(MARKS.index(value) if value in MARKS else value)
     except (TypeError, ValueError):
         raise ValueError(f"Invalid {name} {value!r}. Must be a number or a mark a, b, c.") from None
     if np.isinf(number):
@@ -384,7 +384,7 @@ def _row(system, criterion, figure):
 def _ends(criterion, figure):
     """A figure as a number, and the ends of its interval; NaN where it was not measured."""
     rank = _rank(figure.value, criterion.quantity)
-    is_mark = isinstance(figure.value, str) and figure.value.strip() in MARKS
+    is_mark = figure.value in MARKS
     if np.isfinite(rank) and is_mark != (str(criterion.threshold) in MARKS):
         raise ValueError(
             f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "

@@ -17,7 +17,7 @@ from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
 
-JPEG = {"bayer": True, "sharpening": 0.5, "gamma": "srgb", "bits": 8, "jpeg_quality": 85}
+JPEG = {"bayer": True, "gamma": "srgb", "bits": 8, "jpeg_quality": 85}
 
 real = pytest.mark.skipif(not samples.has_real("images"), reason="MMQA_DATA is not set")
 

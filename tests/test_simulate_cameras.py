@@ -9,10 +9,8 @@ from mmqa_lab import charts
 from mmqa_lab.charts import Bar, Layout, LinePairs
 from mmqa_lab.simulate.cameras import (
     ChartMap,
-    FrameCamera,
     Optics,
     PanoramaCamera,
-    Pose,
     Sensor,
     chart_view,
     photograph,
@@ -71,7 +69,7 @@ def test_motion_averages_the_closed_form_along_the_way():
 
 def test_motion_in_metres_blurs_by_distance_over_pixel_size():
     layout = Layout("edge", 400, 400, (Bar("a", 0, 0, 200, 400),))
-    camera = FrameCamera(4000, 3000, focal_px=4000.0)
+    camera = PanoramaCamera(2 * round(4000 * np.pi))  # 4000 px a radian
     view = chart_view(camera, distance=10, layout=layout)
     photo = photograph(
         layout, view, optics=Optics(0.0, travel=(0.02, 0, 0)), sensor=IDEAL, margin=0
@@ -143,18 +141,6 @@ def test_panorama_pixels_are_nearly_the_published_ones():
         assert size == pytest.approx(published, rel=0.05)
 
 
-def test_views_are_the_same_ten_thousand_kilometres_away():
-    camera = FrameCamera(4000, 3000, focal_px=3000.0)
-    corners = np.array([[0, 8, 1], [1, 8, 1], [1, 8, 2], [0, 8, 2.0]])
-    found = []
-    for away in (np.zeros(3), np.array([1e7, -1e7, 0])):
-        pose = Pose.of_angles(away + [0.2, 0.1, 1.4], 5.0, 1.0, 0.5)
-        view = ChartMap.from_orientation(camera, pose, corners + away, CHART)
-        found.append(view.pixels(CHART.corners()))
-    # 2e-9 m are the steps of float64 there, 1e-6 px here
-    assert found[1] == pytest.approx(found[0], abs=1e-5)
-
-
 def test_noise_is_the_one_asked_for_and_follows_its_seed():
     layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
     sensor = Sensor(black=0.1, white=0.9, noise=0.04, shot_share=0.5)
@@ -204,14 +190,6 @@ def test_mosaics_see_the_colours_of_a_chart():
     assert grey.image[60:-60, 40:80] == pytest.approx(luminance, abs=1e-4)
 
 
-def test_sharpening_overshoots_at_edges_only():
-    layout = Layout("plain", 400, 400, (Bar("a", 0, 0, 200, 400),))
-    sensor = Sensor(noise=0.0, sharpening=0.5)
-    row = photograph(layout, flat_map(0.5, (0, 200)), sensor=sensor).image[100]
-    assert row.max() > 0.72
-    assert row[170] == pytest.approx(0.7, abs=1e-4)
-
-
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
@@ -221,7 +199,6 @@ def test_sharpening_overshoots_at_edges_only():
         (lambda: Sensor(bits=12), "Invalid bits 12"),
         (lambda: Sensor(jpeg_quality=90), "Must be 8 for JPEG"),
         (lambda: Sensor(gamma="log"), "Invalid gamma"),
-        (lambda: FrameCamera(0, 10, 5.0), "Invalid width 0"),
         (lambda: PanoramaCamera.of_megapixels(0), "Invalid megapixels"),
         (
             lambda: chart_view(PanoramaCamera(2000), distance=0, layout=CHART),
@@ -230,18 +207,6 @@ def test_sharpening_overshoots_at_edges_only():
         (
             lambda: chart_view(PanoramaCamera(2000), distance=5, layout=CHART, heading_deg=90),
             "Invalid heading_deg 90",
-        ),
-        (lambda: Pose.looking((0, 0, 0), (0, 0, 5)), "Must not lie plumb"),
-        (
-            lambda: chart_view(FrameCamera(100, 100, 90.0), distance=5, layout=CHART, aim_deg=180),
-            "Must lie before it",
-        ),
-        (
-            lambda: photograph(
-                CHART,
-                chart_view(FrameCamera(100, 100, 90.0), distance=5, layout=CHART, aim_deg=60),
-            ),
-            "Must be in view",
         ),
     ],
 )

@@ -2,8 +2,7 @@
 
 Pixels are (column, row), the centre of the first one at (0, 0). The camera looks along its z axis,
 x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends rays into
-pixels. Without a camera the map is a homography; a panorama is exactly
-spherical.
+pixels. Without a camera the map is a homography; a panorama is exactly spherical.
 """
 
 from __future__ import annotations
@@ -20,49 +19,6 @@ from mmqa_lab.charts import Layout
 
 STEP_MM = 0.5
 """Half of the step that local scales are measured over."""
-
-
-@dataclass(frozen=True)
-class FrameCamera:
-    """A central perspective without distortion, its principal point in the middle of the image.
-
-    Parameters
-    ----------
-    width, height : int
-        Pixels.
-    focal_px : float
-        Principal distance in pixels.
-
-    Examples
-    --------
-    >>> camera = FrameCamera(4000, 3000, focal_px=3000)
-    >>> camera.pixels([[0, 0, 1], [1, 0, 10]]).tolist()
-    [[1999.5, 1499.5], [2299.5, 1499.5]]
-    """
-
-    width: int
-    height: int
-    focal_px: float
-
-    def __post_init__(self):
-        check_count(self.width, "width")
-        check_count(self.height, "height")
-        check_positive(self.focal_px, "focal_px", unit="pixels")
-
-    @property
-    def _middle(self):
-        return np.array([self.width - 1, self.height - 1]) / 2
-
-    def pixels(self, rays: ArrayLike) -> np.ndarray:
-        """Return the pixels of rays, shape (n, 2); NaN for rays from behind."""
-        rays = np.asarray(rays, dtype=float)
-        ahead = np.where(rays[:, 2:] > 0, rays, np.nan)
-        return ahead[:, :2] / ahead[:, 2:] * self.focal_px + self._middle
-
-    def rays(self, pixels: ArrayLike) -> np.ndarray:
-        """Return the directions of pixels, shape (n, 3), z = 1."""
-        flat = (np.asarray(pixels, dtype=float) - self._middle) / self.focal_px
-        return np.column_stack([flat, np.ones(len(flat))])
 
 
 @dataclass(frozen=True)
@@ -140,7 +96,7 @@ class Pose:
     Raises
     ------
     ValueError
-        From its makers: if the view is plumb or an angle is not finite.
+        From its maker: if the view is plumb or the roll is not finite.
 
     Examples
     --------
@@ -172,22 +128,6 @@ class Pose:
         turned = np.cos(angle) * right + np.sin(angle) * down
         return cls(position, np.stack([turned, np.cross(view, turned), view]))
 
-    @classmethod
-    def of_angles(cls, position, heading_deg, pitch_deg, roll_deg):
-        """Return the pose with this heading (clockwise from north), pitch (up) and roll (right).
-
-        Examples
-        --------
-        >>> Pose.of_angles((0, 0, 0), 90, 0, 0).rotation.round(12).tolist()[2]
-        [1.0, 0.0, 0.0]
-        """
-        heading = np.radians(check_number(heading_deg, "heading_deg"))
-        pitch = np.radians(check_number(pitch_deg, "pitch_deg", low=-89, high=89))
-        level = np.cos(pitch)
-        view = np.array([level * np.sin(heading), level * np.cos(heading), np.sin(pitch)])
-        position = check_points([position], name="position")[0]
-        return cls.looking(position, position + view, roll_deg=roll_deg)
-
     def to_camera(self, points):
         """Return world points in the camera's axes, metres; differences are taken first."""
         return (np.asarray(points, dtype=float) - self.position) @ np.asarray(self.rotation).T
@@ -201,7 +141,7 @@ class ChartMap:
     ----------
     matrix : array, shape (3, 3)
         Takes (x, y, 1) in mm on the chart to a ray of the camera.
-    camera : FrameCamera or PanoramaCamera, optional
+    camera : PanoramaCamera, optional
         Without one, rays are pixels: column, row, 1 and a common factor.
     offset : (float, float)
         Column and row that count as (0, 0), for a window of an image.
@@ -234,7 +174,7 @@ class ChartMap:
         xy: ArrayLike,
         pixels: ArrayLike,
         *,
-        camera: FrameCamera | PanoramaCamera | None = None,
+        camera: PanoramaCamera | None = None,
         offset: tuple[float, float] = (0.0, 0.0),
         source: str = "points",
     ) -> ChartMap:
@@ -275,13 +215,13 @@ class ChartMap:
 
     @classmethod
     def from_orientation(
-        cls, camera: FrameCamera | PanoramaCamera, pose: Pose, corners: ArrayLike, layout: Layout
+        cls, camera: PanoramaCamera, pose: Pose, corners: ArrayLike, layout: Layout
     ) -> ChartMap:
         """Return the map of a chart whose corners are surveyed, for a camera of known orientation.
 
         Parameters
         ----------
-        camera : FrameCamera or PanoramaCamera
+        camera : PanoramaCamera
         pose : Pose
         corners : array_like, shape (4, 3)
             East, north, height of the chart's corners from the lower left counterclockwise as one

@@ -12,7 +12,7 @@ import os
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO, StringIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -373,25 +373,6 @@ class Layout(_Element):
     def of_kind(self, kind: type) -> list:
         """Return the elements of one class, in order."""
         return [element for element in self.elements if isinstance(element, kind)]
-
-    def clearance(self, element: Any, reach: float) -> np.ndarray:
-        """Return the plain ground around an element, mm, shape (2, 2): [x or y, below or above].
-
-        It ends at the chart's edge or at the next element that overlaps this one or its
-        surroundings within ``reach`` (in x, in y; mm). Elements on top of it do not count.
-        """
-        low = np.array([element.x, element.y])
-        high = low + [element.width, element.height]
-        clear = np.stack([low, np.array([self.width, self.height]) - high], axis=1)
-        for other in self.elements:
-            there = np.array([other.x, other.y])
-            gaps = np.stack([low - there - [other.width, other.height], there - high], axis=1)
-            apart = gaps.max(axis=1)
-            for k in (0, 1):
-                if apart[k] >= 0 and apart[1 - k] < reach[1 - k]:
-                    side = int(gaps[k].argmax())
-                    clear[k, side] = min(clear[k, side], apart[k])
-        return clear
 
     def to_pdf(self) -> bytes:
         """Return the chart as a PDF of one page at true size; letters are outlines."""

@@ -18,13 +18,12 @@ import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.chart_image.geometry import ChartMap, FrameCamera, PanoramaCamera, Pose
+from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera, Pose
 from mmqa_lab.charts import reflectance
 from mmqa_lab.srgb import GAMMAS, encode
 
 __all__ = [
     "ChartMap",
-    "FrameCamera",
     "Optics",
     "PanoramaCamera",
     "Photo",
@@ -79,8 +78,6 @@ class Sensor:
     bayer : bool
         One colour per pixel, interpolated by OpenCV's edge-aware method. Without, the sensor sees
         the luminance of colours.
-    sharpening : float
-        Amount of an unsharp mask of 1 px.
     gamma : {"linear", "srgb"}
     bits : int or None
         8 or 16, None for unrounded values.
@@ -93,7 +90,6 @@ class Sensor:
     noise: float = 0.01
     shot_share: float = 0.5
     bayer: bool = False
-    sharpening: float = 0.0
     gamma: str = "linear"
     bits: int | None = None
     jpeg_quality: int | None = None
@@ -103,7 +99,6 @@ class Sensor:
         check_number(self.white, "white", low=self.black, high=1)
         check_number(self.noise, "noise", low=0)
         check_number(self.shot_share, "shot_share", low=0, high=1)
-        check_number(self.sharpening, "sharpening", low=0)
         check_choice(self.gamma, "gamma", GAMMAS)
         check_choice(self.bits, "bits", (8, 16, None))
         if self.jpeg_quality is not None:
@@ -139,7 +134,7 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, aim_d
 
     Parameters
     ----------
-    camera : FrameCamera or PanoramaCamera
+    camera : PanoramaCamera
     distance : float
         From the camera to the chart's plane, metres.
     layout : Layout
@@ -308,15 +303,12 @@ def _disc(radius):
 
 
 def _recorded(signal, sensor, rng):
-    """Noise, colour filter, sharpening, gamma, rounding and compression, in this order."""
+    """Noise, colour filter, gamma, rounding and compression, in this order."""
     shot = sensor.shot_share * np.clip(signal, 0, None) + 1 - sensor.shot_share
     values = signal + sensor.noise * np.sqrt(shot) * rng.standard_normal(signal.shape)
     values = values.astype(np.float32)
     if sensor.bayer:
         values = _demosaiced(values)
-    if sensor.sharpening:
-        blurred = cv2.GaussianBlur(values, (0, 0), 1.0)
-        values = values + sensor.sharpening * (values - blurred)
     values = encode(values, sensor.gamma)
     if sensor.bits is None:
         return values
