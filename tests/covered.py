@@ -121,23 +121,21 @@ def pole(seed, known, n):
     return {name: around(found.centre[k], std[k], 0.0) for k, name in enumerate("xy")}
 
 
-def pattern(seed, timed):
+def pattern(seed, by):
     """The scan pattern of a wall, 1 m x 1 m, from a vehicle whose speed wanders by 1 %."""
     cloud, truth = simulate_patch(SETUP, WALL, size=1.0, seed=seed)
-    time = {"gps_time": cloud["gps_time"]} if timed else {}
-    table = measure_pattern(cloud, reference=truth.beam, **time).to_frame()
+    table = measure_pattern(cloud, reference=truth.beam, **{by: cloud[by]}).to_frame()
     return {
         row.quantity.rsplit("_", 1)[0]: around(row.measured, row.std, truth.quantity(row.quantity))
         for row in table.itertuples()
     }
 
 
-def prediction(seed, by):
+def prediction(seed, plan):
     """What a set-up known to 1 % and half a degree predicts, beside what it truly gives."""
     rng = np.random.default_rng(seed)
     sigmas = {"speed_m_s": 0.08, "scanner_heading_deg": 0.5, "range_m": 0.05}
-    choices = {"draws": 2000, "seed": seed} if by == "monte_carlo" else {}
-    table = propagate(SETUP, WALL, sigmas=sigmas, method=by, **choices)
+    table = propagate(SETUP, WALL, sigmas=sigmas, draws=2000, seed=seed)
     off = {name: std * rng.standard_normal() for name, std in sigmas.items()}
     setup = SETUP.__class__(
         **vars(SETUP)
@@ -459,10 +457,8 @@ ESTIMATES = (
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),
     Estimate("trend over distance", trend, bench.grid(n=(8, 40)), 10, 500),
     Estimate("pole position", pole, bench.grid(known=(True, False), n=(8, 12, 40)), 3, 300),
-    Estimate("scan pattern", pattern, bench.grid(timed=(True, False)), 3, 60),
-    Estimate(
-        "predicted pattern", prediction, bench.grid(by=("first_order", "monte_carlo")), 3, 200
-    ),
+    Estimate("scan pattern", pattern, bench.grid(by=("gps_time", "scan_line")), 3, 60),
+    Estimate("predicted pattern", prediction, bench.grid(plan=("wall",)), 3, 200),
     Estimate("line distance", line_distance, bench.grid(n=(10, 60)), 5, 200),
     Estimate("displacement, pairs given", displaced, DISPLACED[False], 1, 50),
     Estimate("displacement, pairs found", displaced, DISPLACED[True], 1, 50),

@@ -21,8 +21,7 @@ angle one revolution later. Start here::
     lattice = scan_pattern.scan_lattice(setup, wall)
     lattice.profile_spacing_horizontal_m, lattice.density_per_m2, lattice.f
 
-Measured patterns: :func:`measure_pattern` on planar patches, :func:`fit_scan_planes` on whole
-profiles with time.
+Measured patterns: :func:`measure_pattern` on planar patches with time or scan lines.
 """
 
 from mmqa_lab.scan_pattern import mimic
@@ -35,9 +34,8 @@ from mmqa_lab.scan_pattern.lattice import (
     largest_speed,
     propagate,
     scan_lattice,
-    sensitivities,
 )
-from mmqa_lab.scan_pattern.measure import fit_scan_planes, measure_pattern, revolutions_from_time
+from mmqa_lab.scan_pattern.measure import measure_pattern, revolutions_from_time
 
 __all__ = [
     "QUANTITIES",
@@ -45,13 +43,11 @@ __all__ = [
     "ScanSetup",
     "Target",
     "explain_error",
-    "fit_scan_planes",
     "largest_speed",
     "measure_pattern",
     "mimic",
     "propagate",
     "revolutions_from_time",
     "scan_lattice",
-    "sensitivities",
 ]
 __dir__ = __all__.copy

@@ -23,7 +23,6 @@ from mmqa_lab._results import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import ArrayLike
 
 # Quantities that have derivatives; d1..d4 and f jump from lattice point to lattice point.
 SMOOTH = (
@@ -40,7 +39,6 @@ POSITIVE = ("pulse_rate_hz", "mirror_frequency_hz", "speed_m_s")
 
 SLOWEST, FASTEST = 0.01, 100.0  # speeds that are searched, m/s
 SPEEDS = 4001  # speeds tried before the last one that will do is refined: a step of 0.23 %
-TWO_SIDED_95 = 1.959963984540054  # quantile of the normal distribution that leaves 2.5 % above it
 TARGET_NAMES = {"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"}
 TARGET_NAMES |= {name: name for name in ("range_m", "height_difference_m")}
 """Inputs that are fields of the target."""
@@ -251,50 +249,6 @@ class Patch:
         points, normals = np.broadcast_arrays(points, normals / length)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "normals", normals)
-
-    @classmethod
-    def cylinder(
-        cls, axis_point: ArrayLike, radius: float, *, azimuths_deg: ArrayLike, heights_m: ArrayLike
-    ) -> Patch:
-        """Return the surface of an upright post as patches.
-
-        Parameters
-        ----------
-        axis_point : array_like, shape (2,)
-            X and Y of the axis, metres from the scanner.
-        radius : float
-            Metres.
-        azimuths_deg : array_like, shape (n,)
-            Directions from the axis, counter-clockwise from X.
-        heights_m : array_like, shape (m,)
-            Above the scanner.
-
-        Returns
-        -------
-        Patch
-            Of shape (m, n, 3), normals outwards.
-
-        Raises
-        ------
-        ValueError
-            If the radius is not above zero or a place is not finite.
-
-        Examples
-        --------
-        >>> post = Patch.cylinder([5, 0], 0.15, azimuths_deg=[180], heights_m=[0])
-        >>> post.points.round(9).tolist(), post.normals.round(9).tolist()
-        ([[[4.85, 0.0, 0.0]]], [[[-1.0, 0.0, 0.0]]])
-        """
-        radius = check_positive(radius, "radius", unit="m")
-        axis = check_points([axis_point], name="axis_point", columns=2)[0]
-        azimuth, height = np.meshgrid(
-            np.radians(check_values(azimuths_deg, "azimuths_deg")),
-            check_values(heights_m, "heights_m"),
-        )
-        normals = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
-        places = np.stack(np.broadcast_arrays(axis[0], axis[1], height), axis=-1)
-        return cls(places + radius * normals, normals)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
@@ -799,67 +753,18 @@ def largest_speed(
     return float(brentq(margin, *speeds[kept[-1] : kept[-1] + 2], xtol=1e-9))
 
 
-def sensitivities(
-    setup: ScanSetup, target: Target, *, inputs: Sequence[str] = INPUTS
-) -> pd.DataFrame:
-    """Return the derivative of the predicted quantities by the inputs.
-
-    The plane stays where the nominal set-up finds it, whatever the scanner does: a turned vehicle
-    strikes the same spot of the wall, at another moment. A turned target turns about that spot.
-
-    Parameters
-    ----------
-    setup : ScanSetup
-        Of plain numbers.
-    target : Target
-    inputs : sequence of str
-        Fields of ``ScanSetup``; ``target_heading_deg``, ``target_tilt_deg``, ``range_m``,
-        ``height_difference_m``.
-
-    Returns
-    -------
-    DataFrame
-        A row per input, a column per quantity that has derivatives (d1..d4 and f have none: they
-        jump when another point becomes the nearest): change of the quantity in its unit per unit
-        of the input.
-
-    Raises
-    ------
-    ValueError
-        If an input is unknown.
-
-    Examples
-    --------
-    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
-    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
-    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
-    >>> table = sensitivities(setup, Target(range_m=8), inputs=["speed_m_s"])
-    >>> print(table.loc["speed_m_s", "profile_spacing_horizontal_m"].round(6))
-    0.01
-    """
-    rows = {}
-    for name in inputs:
-        check_choice(name, "input", INPUTS)
-        step = STEPS.get(name, 1e-4)
-        ends = _predicted(setup, target, {name: np.array([-step, step])}, SMOOTH)
-        rows[name] = [(ends[key][1] - ends[key][0]) / (2 * step) for key in SMOOTH]
-    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(SMOOTH))
-    return table.rename_axis("input")
-
-
 def propagate(
     setup: ScanSetup,
     target: Target,
     *,
     sigmas: dict[str, float],
-    method: str = "first_order",
-    draws: int = 20_000,
+    draws: int = 2_000,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Propagate errors of set-up and target to the prediction.
+    """Propagate errors of set-up and target to the prediction, by Monte Carlo.
 
-    First order adds the squares of sensitivity times standard deviation; Monte Carlo draws
-    independent normal errors and predicts each time.
+    Independent normal errors are drawn, and the pattern is predicted each time. The plane stays
+    where the nominal set-up finds it; a turned target turns about that spot.
 
     Parameters
     ----------
@@ -867,17 +772,15 @@ def propagate(
         Of plain numbers.
     target : Target
     sigmas : dict of str to float
-        Standard deviation of inputs by their names, see ``sensitivities``.
-    method : {"first_order", "monte_carlo"}
+        Standard deviation of inputs by their names: fields of ``ScanSetup``;
+        ``target_heading_deg``, ``target_tilt_deg``, ``range_m``, ``height_difference_m``.
     draws, seed : int
-        For Monte Carlo.
 
     Returns
     -------
     DataFrame
         A row per quantity: ``quantity``, ``predicted``, ``std``, ``low`` and ``high`` (2.5 % and
-        97.5 %), ``n`` draws (0 for first order), ``method``. First order has NaN for d1..d4 and f,
-        which jump from lattice point to lattice point.
+        97.5 %), ``n`` draws.
 
     Raises
     ------
@@ -890,29 +793,21 @@ def propagate(
     >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
     ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
     >>> table = propagate(setup, Target(range_m=8), sigmas={"speed_m_s": 0.1})
-    >>> print(table.set_index("quantity").loc["profile_spacing_horizontal_m", "std"].round(6))
+    >>> print(table.set_index("quantity").loc["profile_spacing_horizontal_m", "std"].round(4))
     0.001
     """
-    check_choice(method, "method", ("first_order", "monte_carlo"))
     for name, sigma in sigmas.items():
         check_choice(name, "input", INPUTS)
         check_number(sigma, f"sigma of {name}", low=0)
     predicted = {key: values[0] for key, values in _predicted(setup, target, {}).items()}
     table = pd.DataFrame({"quantity": list(QUANTITIES), "predicted": predicted.values()})
-    if method == "first_order":
-        slopes = sensitivities(setup, target, inputs=list(sigmas))
-        spread = np.sqrt((slopes.mul(pd.Series(sigmas, dtype=float), axis=0) ** 2).sum())
-        table["std"] = table["quantity"].map(spread)
-        table["low"] = table["predicted"] - TWO_SIDED_95 * table["std"]
-        table["high"] = table["predicted"] + TWO_SIDED_95 * table["std"]
-        return table.assign(n=0, method=method)
     draws = check_count(draws, "draws", low=100)
     rng = np.random.default_rng(seed)
     errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
     drawn = pd.DataFrame(_predicted(setup, target, errors)).to_numpy()
     table["std"] = np.std(drawn, axis=0, ddof=1)
     table["low"], table["high"] = np.quantile(drawn, (0.025, 0.975), axis=0)
-    return table.assign(n=draws, method=method)
+    return table.assign(n=draws)
 
 
 def explain_error(
@@ -934,11 +829,11 @@ def explain_error(
         Of plain numbers.
     target : Target
     quantity : str
-        One of the spacings, the angle or the density, see ``sensitivities``.
+        One of the spacings, the angle or the density, see :func:`propagate`.
     measured : float
         In the quantity's unit.
     inputs : sequence of str
-        As for ``sensitivities``; those of Table 6 where left out.
+        As for :func:`propagate`; those of Table 6 where left out.
 
     Returns
     -------
