@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import directions, lengths
 from mmqa_lab.planes import detect_planes
-from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, beside_lines, neighbours, usual_size
+from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, usual_size
 
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
@@ -180,8 +181,12 @@ class _Lines:
         self.owner = owner[owned][self.grid.order]
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
-        self.meetings = neighbours(self.grid, self.owner, len(patches))
-        met = np.unique(self.meetings[:, 1:], axis=0)
+        cells = np.unique(np.stack([self.grid.cell, self.owner]), axis=1)
+        shape = len(self.grid.size), len(patches)
+        self.own = csc_array((np.ones(cells.shape[1], np.int32), cells), shape=shape)
+        self.around = csc_array(self.grid.near @ self.own)
+        met = np.argwhere((self.own.T @ self.around).toarray())
+        met = met[met[:, 0] != met[:, 1]]
         self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
         pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(angle))
         first, second = self.normals[pairs].swapaxes(0, 1)
@@ -196,14 +201,28 @@ class _Lines:
 
     def supported(self, tolerance, reach):
         """Each line with the points beside it on either plane, rows (station, distance)."""
-        side, *places = beside_lines(self, tolerance, reach)
-        order = np.lexsort((places[0], side))
-        side, places = side[order], np.array(places)[:, order]
-        bounds = np.searchsorted(side, np.arange(2 * len(self.pairs) + 1))
-        for line in range(len(self.pairs)):
-            a, b, c = bounds[2 * line : 2 * line + 3]
-            if a < b < c:
-                yield line, (places[:, a:b], places[:, b:c])
+        for line, (first, second) in enumerate(self.pairs):
+            sides = [
+                self._beside(line, *pair, tolerance, reach)
+                for pair in ((first, second), (second, first))
+            ]
+            if all(side.shape[1] for side in sides):
+                yield line, sides
+
+    def _beside(self, line, own, other, tolerance, reach):
+        """Points of a patch near a line and clear of the other plane, in the order of stations."""
+        cells = [
+            matrix.indices[matrix.indptr[k] : matrix.indptr[k + 1]]
+            for matrix, k in ((self.own, own), (self.around, other))
+        ]
+        rows, _ = self.grid.rows(np.intersect1d(*cells, assume_unique=True))
+        points = self.grid.points[rows[self.owner[rows] == own]]
+        clear = np.abs((points - self.centres[other]) @ self.normals[other]) > tolerance
+        local = points[clear] - self.foot[line]
+        station = local @ self.direction[line]
+        distance = np.sqrt(np.maximum((local**2).sum(axis=1) - station**2, 0))
+        side = np.stack([station, distance])[:, distance <= reach]
+        return side[:, np.argsort(side[0], kind="stable")]
 
     def edge(self, line, low, high, counts):
         """Ends, covariances, support, angle and numbers of an edge."""

@@ -524,7 +524,7 @@ def across(axes):
 
 
 def __getattr__(name):
-    """The detection when it is asked for: it is compiled, and importing numba takes a while."""
+    """The detection when it is asked for: it stands on the fits of this module."""
     if name == "detect_planes":
         from mmqa_lab.planes.detection import detect_planes
 

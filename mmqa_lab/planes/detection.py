@@ -10,23 +10,21 @@ principal planes, walls and roads, and leave their detection to a companion pape
 import math
 import warnings
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_array, csr_array
+from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
 from mmqa_lab._checks import check_count, check_points, check_positive
-from mmqa_lab._compiled import in_threads
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.planes import Plane, fit_plane
 
-CELLS_PER_SIZE = 4
-"""Cells of the grid along the smallest plane: points hang together across one of them."""
-
-LEAST_AREA = 0.25
-"""Area of the smallest plane in squared sizes: 1 m2 at a size of 2 m."""
+CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
+"""Cells of the grid along the smallest plane: points hang together across one of them; and its area
+in squared sizes, 1 m2 at a size of 2 m."""
 
 FEWEST = 10, 30
 """The points of a plane at least, by default: what its least area holds, between these."""
@@ -35,52 +33,30 @@ USUAL_SIZES = 1.5, 2.0, 3.0
 """Default extents of the smallest plane, m: where points fill its cells, where lines of points are
 too far apart to, and the largest, in thin clouds."""
 
-FILLED = 0.8
-"""Occupied cells per occupied cell of twice their side, in those of points at random: 1 on surfaces
-without gaps, 1/2 where lines are apart."""
+FILLED, USUAL_COUNT, THINNEST = 0.8, 3.2, 1.0
+"""Occupied cells per occupied cell of twice their side, in those of points at random; points of a
+surface per cell, for which the default extent is enlarged in thin clouds (of 2.4 to 4.4 those from
+2.8 to 3.8 found most edges of simulated streets); and fewest for a surface to hang together."""
 
-USUAL_COUNT = 3.2
-"""Points of a surface per cell, for which the default extent is enlarged in thin clouds; of 2.4 to
-4.4 those from 2.8 to 3.8 found most edges of simulated streets at 10 and 20 points/m2."""
+ROUGHEST, NARROWEST = 0.48, 1.2
+"""Largest residual standard deviation in tolerances (points without any plane have 0.58); least
+standard deviation of a plane's points along its shorter axis, in tolerances."""
 
-ROUGHEST = 0.48
-"""Largest residual standard deviation in tolerances; points without any plane have 0.58."""
+ROUNDS, PASSES = 4, 4
+"""Trials are repeated this often among the points that are left; growth of a plane is."""
 
-NARROWEST = 1.2
-"""Least standard deviation of a plane's points along its shorter axis, in tolerances."""
+PER_CELL, REACH, MOST_NEAR = 3, 2.5, 64
+"""Of the points of a trial: so many of a cell (dense and sparse parts then count alike), within so
+many cells along each axis, so many at most."""
 
-ROUNDS = 4
-"""Trials are repeated this often among the points that are left."""
+TRIALS, LEAST_TRIAL, LEAST_SPREAD, CHUNK = 32, 6, 0.5, 1000
+"""Trials around a seed, its points at least, twice the area of a trial's triangle in squared cells,
+and seeds at a time."""
 
-THINNEST = 1.0
-"""Fewest points per cell of a surface that still hangs together."""
-
-PER_CELL = 3
-"""Points of a cell that take part in a trial: dense and sparse parts then count alike."""
-
-REACH = 2
-"""Cells on either side that a trial looks at."""
-
-AROUND = (2 * REACH + 1) ** 3
-TRIALS = 32
-SHARE = 0.25
+SHARE, STANDS_OUT = 0.25, 1.5
 """A plane takes a cell in which it has this share of all points: tails of a noisy wall and strips
-of a floor have less."""
-
-STANDS_OUT = 1.5
-"""Least number of points on a plane for one beside it, within three tolerances and in all cells
-that were looked at; a volume filled with points has 1/2."""
-
-BESIDE = 10
-"""Place of that count behind the ten moments."""
-
-PASSES = 4
-MOST_AROUND = 64
-"""Planes that a cell may have around it."""
-
-LEAST_TRIAL = 6
-LEAST_SPREAD = 0.5
-"""Of a trial triangle: twice its area in squared cells."""
+of a floor have less. It has so many points at least for one beside it, within three tolerances and
+in all cells that were looked at; a volume filled with points has 1/2."""
 
 ROUGH = 1 / 3
 """Mean square residual, in squared tolerances, of points without any plane."""
@@ -189,7 +165,8 @@ def detect_planes(
     for _ in range(ROUNDS):
         if not search.round():
             break
-    owner, clear = search.assigned()
+    owner, clear = np.full(len(points), -1), np.zeros(len(points), dtype=bool)
+    owner[grid.order], clear[grid.order] = search.assigned()
     return _patches(points, owner, clear, tolerance, minimum)
 
 
@@ -260,33 +237,49 @@ def _untruncated(std, tolerance):
 class Grid:
     """Points sorted into the cubic cells that they occupy.
 
-    ``points`` are relative to their mean and in the order of the cells; ``order`` are their rows;
-    ``keys`` number the cells so that neighbours in z follow each other; ``start`` bounds them.
+    ``points`` are relative to their mean and in the order of the cells; ``order`` are their rows,
+    ``cell`` their cells; ``start`` bounds the cells, ``size`` counts their points; ``near`` (cells,
+    cells) tells which are the same or touch, and ``places`` where they are.
     """
 
     def __init__(self, points, edge):
-        self.edge = edge
-        middle, low = points.mean(axis=0), points.min(axis=0)
-        points = points - low
-        self.order, self.start, places = sort_into_cells(points, edge)
-        points += low - middle
-        self.shape = places.max(axis=0) + 8
-        self.keys = np.ravel_multi_index((places + 3).T, self.shape)
-        self.points = points[self.order]
+        self.edge, low = edge, points.min(axis=0)
+        self.order, self.start, self.places = sort_into_cells(points - low, edge)
+        self.points = (points - points.mean(axis=0))[self.order]
+        self.size = np.diff(self.start)
+        n = len(self.size)
+        self.cell = np.repeat(np.arange(n), self.size)
+        shape = self.places.max(axis=0) + 3
+        keys = np.ravel_multi_index((self.places + 1).T, shape)
+        pairs = []
+        for step in product((-1, 0, 1), repeat=3):
+            wanted = keys + np.dot(step, [shape[1] * shape[2], shape[2], 1])
+            at = np.minimum(np.searchsorted(keys, wanted), n - 1)
+            here = np.flatnonzero(keys[at] == wanted)
+            pairs.append(np.stack([here, at[here]]))
+        pairs = np.concatenate(pairs, axis=1).astype(np.int32)
+        self.near = csr_array(coo_array((np.ones(pairs.shape[1], bool), pairs), shape=(n, n)))
 
-    @property
-    def layout(self):
-        """Points, keys, bounds, and what a step in x and in y adds to a key."""
-        steps = np.array([self.shape[1] * self.shape[2], self.shape[2]])
-        return self.points, self.keys, self.start, steps
+    def rows(self, cells):
+        """Rows of the points in some cells, and where each cell's begin."""
+        first = np.cumsum(self.size[cells]) - self.size[cells]
+        total = self.size[cells].sum()
+        return np.repeat(self.start[cells] - first, self.size[cells]) + np.arange(total), first
+
+    def around(self, cells):
+        """The same cells and all that touch one of them."""
+        ends = self.near.indptr[cells], self.near.indptr[cells + 1]
+        sizes = ends[1] - ends[0]
+        first = np.cumsum(sizes) - sizes
+        return np.unique(
+            self.near.indices[np.repeat(ends[0] - first, sizes) + np.arange(sizes.sum())]
+        )
 
     def fullest(self, counts):
         """Of every eight cells the one with the highest count, where it is above zero."""
-        index = np.stack(np.unravel_index(self.keys, self.shape))
-        blocks = np.ravel_multi_index(index // 2, self.shape)
-        order = np.lexsort((-counts, blocks))
-        first = np.r_[True, np.diff(blocks[order]) != 0]
-        cells = order[first]
+        blocks = self.places // 2
+        order = np.lexsort((-counts, *blocks.T))
+        cells = order[np.r_[True, (np.diff(blocks[order], axis=0) != 0).any(axis=1)]]
         return cells[counts[cells] > 0]
 
 
@@ -294,394 +287,163 @@ class _Search:
     """Planes found so far and the points that they own."""
 
     def __init__(self, grid, tolerance, least_points):
-        self.grid, self.tolerance = grid, tolerance
-        self.least = float(least_points), LEAST_AREA * CELLS_PER_SIZE**2
-        self.owner = np.full(len(grid.points), -1, dtype=np.int32)
-        self.centres, self.normals = np.empty((0, 3)), np.empty((0, 3))
-        self.taken = np.empty((2, 0), dtype=np.int64)  # cells and the planes that take them
+        self.grid, self.tolerance, self.least = grid, tolerance, least_points
+        self.owner = np.full(len(grid.points), -1)
+        self.seen = np.zeros(len(grid.size), dtype=bool)
+        self.planes, self.taken = [], []
         self.trials = np.random.default_rng(0).random((TRIALS, 3))
 
     def round(self):
         """Try planes among the points that nobody owns and grow them; whether any was found."""
-        grid, tolerance = self.grid, self.tolerance
-        free = np.add.reduceat((self.owner < 0).astype(np.int64), grid.start[:-1])
-        seeds = grid.fullest(free)
-        thin = LEAST_SPREAD * grid.edge**2
-        pieces, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
-        trials = self.trials, tolerance, thin
-        in_threads(_try_planes, len(seeds), grid.layout, self.owner, seeds, *trials, pieces, scores)
-        best = np.argsort(-scores, kind="stable")
-        best = best[scores[best] > LEAST_TRIAL / 2]
-        starts, limits = (seeds[best], pieces[best]), (tolerance, self.least)
-        found, taken = _grow_all(grid.layout, self.owner, *starts, *limits, len(self.centres))
-        self.centres = np.concatenate([self.centres, found[:, 0]])
-        self.normals = np.concatenate([self.normals, found[:, 1]])
-        self.taken = np.concatenate([self.taken, taken], axis=1)
-        return len(found) > 0
+        grid, before = self.grid, len(self.planes)
+        free = np.flatnonzero(self.owner < 0)
+        counts = np.bincount(grid.cell[free], minlength=len(grid.size))
+        seeds = grid.fullest(counts)
+        first = np.searchsorted(grid.cell[free], np.arange(len(counts)))
+        rank = np.arange(len(free)) - first[grid.cell[free]]
+        stride = -(-counts // PER_CELL)[grid.cell[free]]
+        drawn = grid.points[free[rank % stride == 0]]
+        pieces = [
+            _pieces(drawn, tree_near, self.trials, self.tolerance, grid.edge)
+            for tree_near in _neighbourhoods(drawn, grid, seeds)
+        ]
+        if not pieces:
+            return False
+        scores, centres, normals = (np.concatenate(part) for part in zip(*pieces, strict=True))
+        for k in np.argsort(-scores, kind="stable"):
+            if scores[k] <= LEAST_TRIAL / 2:
+                break
+            self.grow(seeds[k], centres[k], normals[k])
+        return len(self.planes) > before
+
+    def grow(self, seed, centre, normal):
+        """Keep the plane of the points that hang together with a seed's cell, if it is large."""
+        cells, grown = np.array([seed]), 0
+        for turn in range(PASSES):
+            cells, number, beside, plane = self._spread(cells, centre, normal, refit=turn == 0)
+            if len(cells) < LEAST_AREA * CELLS_PER_SIZE**2 or number < self.least:
+                return
+            if len(cells) <= grown:
+                break
+            grown, (centre, normal) = len(cells), plane
+        if number < STANDS_OUT * beside:
+            return
+        rows, _ = self.grid.rows(cells)
+        rows = rows[self.owner[rows] < 0]
+        off = np.abs((self.grid.points[rows] - centre) @ normal)
+        self.owner[rows[off <= self.tolerance]] = len(self.planes)
+        self.planes.append((centre, normal))
+        self.taken.append(cells)
+
+    def _spread(self, front, centre, normal, refit):
+        """Cells that hang together on a plane, its points, those beside it, and the fitted plane.
+
+        With ``refit`` the plane is fitted anew whenever its points have doubled; never to those of
+        the first cell alone, which may lie on one scan line.
+        """
+        cells, points, beside, looked, fitted = [], [], 0, [], 4 * LEAST_TRIAL
+        while len(front):
+            self.seen[front] = True
+            looked.append(front)
+            taken, found, aside = self._takes(front, centre, normal)
+            cells.append(taken)
+            points.append(found)
+            beside += aside
+            if refit and len(cells) > 1 and sum(map(len, points)) >= 2 * fitted:
+                fitted = sum(map(len, points))
+                centre, normal = _fitted(np.concatenate(points))
+            front = self.grid.around(taken)
+            front = front[~self.seen[front]]
+        self.seen[np.concatenate(looked)] = False
+        points = np.concatenate(points)
+        plane = _fitted(points) if len(points) >= 3 else (centre, normal)
+        return np.concatenate(cells), len(points), beside, plane
+
+    def _takes(self, cells, centre, normal):
+        """Those of the cells that a plane takes, its free points there, how many are beside it."""
+        rows, first = self.grid.rows(cells)
+        points = self.grid.points[rows]
+        off, free = np.abs((points - centre) @ normal), self.owner[rows] < 0
+        on = free & (off <= self.tolerance)
+        counts = np.add.reduceat(on, first, dtype=int)
+        takes = (counts > 0) & (counts >= SHARE * self.grid.size[cells])
+        beside = (free & (off <= 3 * self.tolerance)).sum() - counts[takes].sum()
+        return cells[takes], points[on & np.repeat(takes, self.grid.size[cells])], beside
 
     def assigned(self):
-        """Owner of each point (-1: none) and whether it lies on that plane alone; input order."""
-        grid = self.grid
-        cells, planes = self.taken[:, np.argsort(self.taken[0], kind="stable")]
-        near = np.searchsorted(cells, np.arange(len(grid.keys) + 1)), planes
+        """Owner of each point (-1: none), the nearest plane around it within the tolerance, and
+        whether it is the only one.
+
+        It is where its foot on that plane is clear of the others: noise then takes as many points
+        off one side of the plane as off the other.
+        """
+        grid, points, planes = self.grid, self.grid.points, list(self.planes)
+        around = [grid.around(cells) for cells in self.taken]
         for _ in range(2):
-            surfaces = self.centres, self.normals
-            owner = np.full(len(grid.points), -1, dtype=np.int32)
-            clear = np.zeros(len(grid.points), dtype=bool)
-            given = grid.layout, near, surfaces, self.tolerance, owner, clear
-            in_threads(_assign, len(grid.keys), *given, least=1000)
-            _refit(grid.points, owner, clear, *surfaces)
-        rows = np.empty(len(owner), dtype=np.int32), np.empty(len(owner), dtype=bool)
-        rows[0][grid.order], rows[1][grid.order] = owner, clear
-        return rows
+            least = np.full(len(points), self.tolerance)
+            owner, height = np.full(len(points), -1), np.zeros(len(points))
+            for k, (centre, normal) in enumerate(planes):
+                rows, _ = grid.rows(around[k])
+                off = (points[rows] - centre) @ normal
+                nearer = np.abs(off) <= least[rows]
+                rows, off = rows[nearer], off[nearer]
+                owner[rows], height[rows], least[rows] = k, off, np.abs(off)
+            clear, normals = owner >= 0, np.array([normal for _, normal in planes]).reshape(-1, 3)
+            for k, (centre, normal) in enumerate(planes):
+                rows, _ = grid.rows(around[k])
+                rows = rows[(owner[rows] >= 0) & (owner[rows] != k)]
+                foot = (points[rows] - centre) @ normal
+                foot -= (normals @ normal)[owner[rows]] * height[rows]
+                clear[rows] &= np.abs(foot) > self.tolerance
+            own = np.flatnonzero(clear)
+            own = own[np.argsort(owner[own], kind="stable")]
+            bounds = np.searchsorted(owner[own], np.arange(len(planes) + 1))
+            for k, (first, last) in enumerate(pairwise(bounds)):
+                if last - first >= 3:
+                    planes[k] = _fitted(points[own[first:last]])
+        return owner, clear
 
 
-@numba.njit(cache=True)
-def _around(keys, steps, cell, reach, out):
-    """Occupied cells within ``reach`` of a cell along each axis; how many."""
-    n = 0
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            key = keys[cell] + i * steps[0] + j * steps[1]
-            k = np.searchsorted(keys, key - reach)
-            while k < len(keys) and keys[k] <= key + reach:
-                out[n] = k
-                n += 1
-                k += 1
-    return n
+def _fitted(points):
+    """Centre and unit normal of the least-squares plane."""
+    centre = points.mean(axis=0)
+    local = points - centre
+    return centre, np.linalg.eigh(local.T @ local)[1][:, 0]
 
 
-@numba.njit(cache=True)
-def _distance(points, p, centre, normal):
-    """Signed distance of a point from a plane."""
-    x, y, z = points[p, 0] - centre[0], points[p, 1] - centre[1], points[p, 2] - centre[2]
-    return x * normal[0] + y * normal[1] + z * normal[2]
+def _neighbourhoods(drawn, grid, seeds):
+    """Rows of the drawn points around some seeds at a time; their number where there is none."""
+    tree = cKDTree(drawn)
+    low = grid.points[grid.start[seeds]]
+    for first in range(0, len(seeds), CHUNK):
+        yield tree.query(
+            low[first : first + CHUNK], MOST_NEAR, p=np.inf, distance_upper_bound=REACH * grid.edge
+        )[1]
 
 
-@numba.njit(cache=True)
-def _add(moments, points, p, origin):
-    """Add a point to count, sums and products (10 numbers) about an origin."""
-    moments[0] += 1
-    k = 4
-    for i in range(3):
-        along = points[p, i] - origin[i]
-        moments[1 + i] += along
-        for j in range(i, 3):
-            moments[k] += along * (points[p, j] - origin[j])
-            k += 1
-
-
-@numba.njit(cache=True)
-def _fit(moments, origin, centre, normal):
-    """Write centre and unit normal of the least-squares plane; return its mean square residual."""
-    scatter, k = np.empty((3, 3)), 4
-    for i in range(3):
-        for j in range(i, 3):
-            means = moments[1 + i] / moments[0] * (moments[1 + j] / moments[0])
-            scatter[i, j] = scatter[j, i] = moments[k] / moments[0] - means
-            k += 1
-    values, vectors = np.linalg.eigh(scatter)
-    for i in range(3):
-        centre[i], normal[i] = origin[i] + moments[1 + i] / moments[0], vectors[i, 0]
-    return max(values[0], 0.0)
-
-
-@numba.njit(cache=True)
-def _free_around(grid, owner, cell, room, out):
-    """Free points around a cell, at most PER_CELL of each cell, evenly drawn; how many."""
-    _, keys, start, steps = grid
-    n = 0
-    for c in room[: _around(keys, steps, cell, np.int64(REACH), room)]:
-        free = 0
-        for p in range(start[c], start[c + 1]):
-            free += owner[p] < 0
-        stride = (free + PER_CELL - 1) // PER_CELL
-        seen = 0
-        for p in range(start[c], start[c + 1]):
-            if owner[p] < 0:
-                if seen % stride == 0:
-                    out[n] = p
-                    n += 1
-                seen += 1
-    return n
-
-
-@numba.njit(cache=True)
-def _step(points, a, b):
-    """From one point to another."""
-    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-
-
-@numba.njit(cache=True)
-def _best_trial(points, near, trials, tolerance, least, centre, normal):
-    """Write centre and normal of the trial that most neighbours lie on; return their number."""
-    best, trial = 0, np.empty(3)
-    for t in range(len(trials)):
-        n = len(near)
-        a, b = near[int(trials[t, 0] * n)], near[int(trials[t, 1] * n)]
-        c = near[int(trials[t, 2] * n)]
-        ux, uy, uz = _step(points, a, b)
-        vx, vy, vz = _step(points, a, c)
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = math.sqrt(x * x + y * y + z * z)
-        if length <= least:
-            continue
-        trial[0], trial[1], trial[2] = x / length, y / length, z / length
-        votes = 0
-        for p in near:
-            votes += abs(_distance(points, p, points[a], trial)) <= tolerance
-        if votes > best:
-            best = votes
-            for i in range(3):
-                centre[i], normal[i] = points[a, i], trial[i]
-    return best
-
-
-@numba.njit(cache=True)
-def _refine(points, near, centre, normal, tolerance):
-    """Fit the plane to the neighbours on it; return their number less what chance would give."""
-    moments, origin, score = np.empty(10), centre.copy(), 0.0
+def _pieces(drawn, near, trials, tolerance, edge):
+    """Planes through three points on which most neighbours lie, refined: score, centre, normal."""
+    there = near < len(drawn)
+    local = np.concatenate([drawn, np.full((1, 3), np.nan)])[near]
+    picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)
+    a, b, c = (np.take_along_axis(local, picks[..., i, None], axis=1) for i in range(3))
+    across = np.cross(b - a, c - a)
+    area = np.linalg.norm(across, axis=2)
+    normals = across / np.maximum(area, 1e-12)[..., None]
+    off = np.abs(np.einsum("std,snd->stn", normals, local) - (normals * a).sum(axis=2)[..., None])
+    votes = (off <= tolerance).sum(axis=2) * (area > LEAST_SPREAD * edge**2)
+    best = votes.argmax(axis=1)[:, None, None]
+    centre = np.take_along_axis(a, best, axis=1)[:, 0]
+    normal = np.take_along_axis(normals, best, axis=1)[:, 0]
+    good = (there.sum(axis=1) >= LEAST_TRIAL) & (votes.max(axis=1) > 0)
+    local = np.where(there[..., None], local, 0.0)
     for _ in range(3):
-        moments[:] = 0.0
-        for p in near:
-            if abs(_distance(points, p, centre, normal)) <= tolerance:
-                _add(moments, points, p, origin)
-        if moments[0] < LEAST_TRIAL:
-            return 0.0
-        square = _fit(moments, origin, centre, normal)
-        score = moments[0] * (1 - square / (ROUGH * tolerance**2))
-    return score
-
-
-@numba.njit(cache=True, nogil=True)
-def _try_planes(begin, end, grid, owner, seeds, trials, tolerance, thin, pieces, scores):
-    """A plane piece around each seed cell: (centre, normal) as (n, 2, 3), and scores."""
-    room = np.empty(AROUND, dtype=np.int64)
-    near = np.empty(PER_CELL * AROUND, dtype=np.int64)
-    for s in range(begin, end):
-        n = _free_around(grid, owner, seeds[s], room, near)
-        centre, normal = pieces[s, 0], pieces[s, 1]
-        if n < LEAST_TRIAL:
-            continue
-        if _best_trial(grid[0], near[:n], trials, tolerance, thin, centre, normal):
-            scores[s] = _refine(grid[0], near[:n], centre, normal, tolerance)
-
-
-@numba.njit(cache=True)
-def _takes(grid, owner, cell, centre, normal, tolerance, moments, origin):
-    """Whether a plane takes a cell; its free points there are then added to the moments."""
-    points, first, last = grid[0], grid[2][cell], grid[2][cell + 1]
-    on, near = 0, 0
-    for p in range(first, last):
-        d = abs(_distance(points, p, centre, normal))
-        near += owner[p] < 0 and d <= 3 * tolerance
-        on += owner[p] < 0 and d <= tolerance
-    if on == 0 or on < SHARE * (last - first):
-        moments[BESIDE] += near
-        return False
-    moments[BESIDE] += near - on
-    for p in range(first, last):
-        if owner[p] < 0 and abs(_distance(points, p, centre, normal)) <= tolerance:
-            _add(moments, points, p, origin)
-    return True
-
-
-@numba.njit(cache=True)
-def _grow(grid, owner, seed, plane, tolerance, refit, mark, desk):
-    """Cells that hang together with the seed's on a plane: their number; they are in the queue.
-
-    The plane, (2, 3), is fitted to their points; with ``refit`` anew whenever they have doubled.
-    ``desk`` are arrays to work on: marks, queue, room, moments.
-    """
-    (marks, queue, room, moments), origin = desk, plane[0].copy()
-    centre, normal = plane[0], plane[1]
-    moments[:] = 0.0
-    marks[seed] = mark
-    if not _takes(grid, owner, seed, centre, normal, tolerance, moments, origin):
-        return 0
-    queue[0], done, n, fitted = seed, 0, 1, 4.0 * LEAST_TRIAL
-    while True:
-        full = done == n
-        enough = 3.0 if full else 2 * fitted
-        if (full or (refit and done > 0)) and moments[0] >= enough:
-            fitted = moments[0]
-            _fit(moments, origin, centre, normal)
-        if full:
-            return n
-        around = _around(grid[1], grid[3], queue[done], np.int64(1), room)
-        done += 1
-        for k in range(around):
-            other = room[k]
-            if marks[other] == mark:
-                continue
-            marks[other] = mark
-            if _takes(grid, owner, other, centre, normal, tolerance, moments, origin):
-                queue[n] = other
-                n += 1
-
-
-@numba.njit(cache=True)
-def _own(grid, owner, cells, centre, normal, tolerance, number):
-    """Give the free points of the cells near the plane to it."""
-    for cell in cells:
-        for p in range(grid[2][cell], grid[2][cell + 1]):
-            if owner[p] < 0 and abs(_distance(grid[0], p, centre, normal)) <= tolerance:
-                owner[p] = number
-
-
-@numba.njit(cache=True)
-def _grow_all(grid, owner, seeds, pieces, tolerance, least, first):
-    """Grow one piece after the other: planes (n, 2, 3), and (cell, plane) of cells they take."""
-    cells = len(grid[1])
-    marks, queue = np.full(cells, -1, dtype=np.int64), np.empty(cells, dtype=np.int64)
-    moments = np.zeros(BESIDE + 1)
-    desk = marks, queue, np.empty(27, dtype=np.int64), moments
-    found, mark = 0, np.int64(0)  # a bare 0 would be compiled as a kind of its own
-    planes, taken, grown = np.empty((len(seeds), 2, 3)), [], np.empty((2, 3))
-    for s in range(len(seeds)):
-        plane, size, n = pieces[s], 0, 0
-        for turn in range(PASSES):
-            _copy(plane, grown)
-            n = _grow(grid, owner, seeds[s], grown, tolerance, turn == 0, mark, desk)
-            mark += 1
-            if n < least[1] or moments[0] < least[0]:
-                size = 0
-                break
-            if turn and n <= size:
-                break
-            size = n
-            _copy(grown, plane)
-        if size == 0 or moments[0] < STANDS_OUT * moments[BESIDE]:
-            continue
-        _own(grid, owner, queue[:n], plane[0], plane[1], tolerance, first + found)
-        for k in range(n):
-            taken.append((queue[k], first + found))
-        _copy(plane, planes[found])
-        found += 1
-    return planes[:found], _rows(taken, 2).T
-
-
-@numba.njit(cache=True)
-def _copy(values, into):
-    """Write an array into another one; slices take three seconds longer to compile."""
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            into[i, j] = values[i, j]
-
-
-@numba.njit(cache=True)
-def _rows(found, width):
-    """Tuples of whole numbers as rows of an array."""
-    rows = np.empty((len(found), width), dtype=np.int64)
-    for k in range(len(found)):
-        for j in range(width):
-            rows[k, j] = found[k][j]
-    return rows
-
-
-@numba.njit(cache=True)
-def _planes_around(keys, steps, bounds, planes, cell, room, out):
-    """Different planes that take a cell or one beside it; how many."""
-    n = 0
-    for c in room[: _around(keys, steps, cell, np.int64(1), room)]:
-        for k in range(bounds[c], bounds[c + 1]):
-            if n < len(out) and planes[k] not in out[:n]:
-                out[n] = planes[k]
-                n += 1
-    return n
-
-
-@numba.njit(cache=True, nogil=True)
-def _assign(begin, end, grid, near, surfaces, tolerance, owner, clear):
-    """The nearest plane around each point within the tolerance (-1: none), and whether the only.
-
-    It is where its foot on that plane is clear of the others: noise then takes as many points off
-    one side of the plane as off the other.
-    """
-    (points, keys, start, steps), (centres, normals) = grid, surfaces
-    room, around = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
-    for cell in range(begin, end):
-        n = _planes_around(keys, steps, near[0], near[1], cell, room, around)
-        for p in range(start[cell], start[cell + 1]):
-            least, own = tolerance, -1
-            for plane in around[:n]:
-                d = abs(_distance(points, p, centres[plane], normals[plane]))
-                if d <= least:
-                    least, own = d, plane
-            owner[p], clear[p] = own, own >= 0
-            for plane in around[:n]:
-                if own < 0 or plane == own:
-                    continue
-                height = _distance(points, p, centres[own], normals[own])
-                cosine = (normals[own] * normals[plane]).sum()
-                d = _distance(points, p, centres[plane], normals[plane]) - cosine * height
-                clear[p] &= abs(d) > tolerance
-
-
-@numba.njit(cache=True)
-def _refit(points, owner, clear, centres, normals):
-    """Fit all planes to the points that lie on them alone."""
-    moments, origins = np.zeros((len(centres), 10)), centres.copy()
-    for p in range(len(points)):
-        if owner[p] >= 0 and clear[p]:
-            _add(moments[owner[p]], points, p, origins[owner[p]])
-    for k in range(len(centres)):
-        if moments[k, 0] >= 3:
-            _fit(moments[k], origins[k], centres[k], normals[k])
-
-
-def neighbours(grid, owner, n):
-    """Rows (cell, a, b): owner a of points in a cell, b of others there or in a cell beside it."""
-    cell = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start))
-    cells, owners = np.divmod(np.unique(cell * n + owner), n)
-    bounds = np.searchsorted(cells, np.arange(len(grid.keys) + 1))
-    return _neighbours(grid.layout, bounds, owners)
-
-
-@numba.njit(cache=True)
-def _neighbours(grid, bounds, owners):
-    """The rows of :func:`neighbours`."""
-    room, near = np.empty(27, dtype=np.int64), np.empty(MOST_AROUND, dtype=np.int64)
-    found = []
-    for cell in range(len(grid[1])):
-        k = _planes_around(grid[1], grid[3], bounds, owners, cell, room, near)
-        for a in owners[bounds[cell] : bounds[cell + 1]]:
-            for b in near[:k]:
-                if a != b:
-                    found.append((cell, a, b))
-    return _rows(found, 3)
-
-
-def beside_lines(lines, tolerance, reach):
-    """Points within ``reach`` of a line of their plane with another, and clear of that other.
-
-    Returns the side of each (twice the line's number, plus one for the second plane), its
-    station along the line and its distance from it, m.
-    """
-    n, (cells, a, b) = len(lines.normals), lines.meetings.T
-    keys = lines.pairs @ [n, 1]
-    wanted = np.minimum(a, b) * n + np.maximum(a, b)
-    line = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    meets = keys[line] == wanted if len(keys) else np.zeros(len(a), dtype=bool)
-    meetings = np.stack([cells, a, b, line], axis=1)[meets]
-    room = int(np.diff(lines.grid.start)[meetings[:, 0]].sum())
-    frames = lines.foot, lines.direction, lines.centres, lines.normals
-    return _beside(lines.grid.layout, lines.owner, meetings, frames, tolerance, reach, room)
-
-
-@numba.njit(cache=True)
-def _beside(grid, owner, meetings, frames, tolerance, reach, room):
-    """The sides, stations and distances of :func:`beside_lines`, at most ``room``."""
-    points, start = grid[0], grid[2]
-    foot, direction, centres, normals = frames
-    sides, places, n = np.empty(room, dtype=np.int64), np.empty((2, room)), 0
-    for cell, a, b, line in meetings:
-        for p in range(start[cell], start[cell + 1]):
-            if owner[p] != a or abs(_distance(points, p, centres[b], normals[b])) <= tolerance:
-                continue
-            station = _distance(points, p, foot[line], direction[line])
-            square = ((points[p] - foot[line]) ** 2).sum() - station**2
-            if square <= reach**2:
-                sides[n], places[0, n], places[1, n] = 2 * line + (a > b), station, square
-                n += 1
-    return sides[:n], places[0, :n], np.sqrt(np.maximum(places[1, :n], 0))
+        on = there & (np.abs(np.einsum("snd,sd->sn", local - centre[:, None], normal)) <= tolerance)
+        number = np.maximum(on.sum(axis=1), 1)
+        good &= number >= LEAST_TRIAL
+        centre = (local * on[..., None]).sum(axis=1) / number[:, None]
+        shifted = (local - centre[:, None]) * on[..., None]
+        values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
+        normal = vectors[:, :, 0]
+    score = number * (1 - values[:, 0] / number / (ROUGH * tolerance**2))
+    return np.where(good, score, 0.0), centre, normal
