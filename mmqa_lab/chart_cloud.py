@@ -63,6 +63,9 @@ LEAST_COSINE = 0.98
 FAR, DENSEST = 10.0, 1e7
 """Farther away than so many times the 90 % quantile, a point is said; points/m2 that none has."""
 
+FULL = 1.5
+"""So many times the hull of its points, a polygon is said to be partly empty."""
+
 OFF_PLANE = 0.05
 """A vertex may lie this share of the vertices' spread off the plane of a polygon."""
 
@@ -444,6 +447,12 @@ def evaluate_cloud(
     if polygon is not None and abs(plane.normal @ surface.normal) < LEAST_COSINE:
         turn = np.degrees(np.arccos(min(abs(plane.normal @ surface.normal), 1.0)))
         remarks.append(f"The plane of the points is turned by {turn:.0f} degrees from the polygon.")
+    if outline.area > FULL * hull.area:
+        share = 100 * hull.area / outline.area
+        remarks.append(
+            f"Points lie on {share:.0f} % of the polygon: its density counts the rest too."
+        )
+    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
     if sectors != 4 or statistic != 50:
         remarks.append(_remark_on_choices(sectors, gaps))
     return CloudQuality(
@@ -657,6 +666,23 @@ def _remarks_on_points(gaps, step_mm, sigma_mm):
     if gaps.coincident:
         remarks.append(said_coincident(gaps.coincident, gaps.n))
     return remarks
+
+
+def _remark_on_layers(residuals_mm, step_mm):
+    """A sentence where the distances from the plane have two peaks, so that noise is not all."""
+    low, high = np.quantile(residuals_mm, [0.005, 0.995])
+    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
+    if len(residuals_mm) < 100 or not high - low > 4 * width:
+        return []
+    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
+    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
+    lower = np.minimum(before, after)
+    k = np.argmax(lower - counts)
+    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+        return []
+    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
+    a, b = np.add(peaks, width / 2)
+    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
 def _remark_on_choices(sectors, gaps):

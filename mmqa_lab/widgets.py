@@ -203,7 +203,10 @@ class SelectionTool:
 
     def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices: Any):
         self.choices, self.quality, self._followers = choices, None, []
-        self.text, self.figure = ipywidgets.HTML(), Figure(figsize=(9.0, 4.6), dpi=100, layout="none")
+        self.text, self.figure = (
+            ipywidgets.HTML(),
+            Figure(figsize=(8.4, 4.3), dpi=100, layout="none"),
+        )
         places = ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
         self._panels = [self.figure.add_axes(place) for place in places]
         self._panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
@@ -357,9 +360,9 @@ class SurfaceTool(SelectionTool):
             for number, patch in enumerate(patches)
         ]
         self.planes = pd.DataFrame(rows)
-        self._scene = Figure(figsize=(6.4, 4.4), dpi=100, layout="constrained")
+        self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
         self._scene_canvas = _canvas(self._scene)
-        self._clouds = choice("cloud", list(clouds))
+        self._clouds = ipywidgets.Dropdown(options=list(clouds), layout={"width": "20em"})
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
         self.name, first = None, next(iter(clouds))
@@ -415,7 +418,7 @@ class SurfaceTool(SelectionTool):
     def _button(self, row):
         """What chooses a plane."""
         text = "{plane}: {area_m2:.1f} m², at {height_m:.1f} m, slope {slope_deg:.0f}°"
-        button = ipywidgets.Button(description=text.format(**row), layout={"width": "22em"})
+        button = ipywidgets.Button(description=text.format(**row), layout={"width": "20em"})
         button.style.button_color = TINTS[row["plane"] % len(TINTS)]
         button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))
         return button
@@ -453,7 +456,8 @@ def _canvas(figure):
     if matplotlib.get_backend() != backend:
         matplotlib.use(backend)
     canvas = Canvas(figure)
-    canvas.header_visible = False
+    canvas.header_visible, canvas.toolbar_visible = False, True
+    canvas.toolbar_position = "bottom"
     canvas.keep = FigureManager(canvas, 0)  # the toolbar is gone with its manager
     return canvas
 

@@ -349,3 +349,18 @@ def test_the_plot_and_the_dataset_say_the_same_figures(rng):
     assert float(data["residual_mm"].std()) == pytest.approx(quality.std_mm, rel=1e-3)
     assert data.attrs["f"] == quality.f
     assert data["x_m"].to_numpy() == pytest.approx(quality.xy[:, 0])
+
+
+@pytest.mark.parametrize(("apart_m", "said"), [(0, False), (0.1, True)])
+def test_two_layers_are_said(rng, apart_m, said):
+    points = rng.random((4000, 3)) * [1, 1, 0] + [0, 0, 1] * rng.normal(0, 0.01, (4000, 1))
+    points[::2, 2] += apart_m
+    remarks = " ".join(evaluate_cloud(points).remarks)
+    assert ("two layers" in remarks) == said
+
+
+def test_a_polygon_that_is_mostly_empty_is_said(rng):
+    points = rng.random((4000, 3)) * [10, 2, 0]
+    square = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0.0]])
+    remarks = evaluate_cloud(points, polygon=square).remarks
+    assert "Points lie on 20 % of the polygon: its density counts the rest too." in remarks
