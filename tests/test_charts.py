@@ -350,14 +350,6 @@ def test_point_chart_is_random_with_two_plain_squares():
     assert charts.point_chart(seed=4) != layout
 
 
-def test_clearance_is_the_gap_to_the_next_element():
-    layout = Layout("a", 100, 50, (Bar("a", 20, 10, 10, 5), Bar("b", 45, 12, 10, 5)))
-    assert layout.clearance(layout["a"], (0, 0)).tolist() == [[20, 15], [10, 35]]
-    lone = Layout("a", 100, 50, (Bar("a", 20, 10, 10, 5), Bar("b", 45, 25, 10, 5)))
-    assert lone.clearance(lone["a"], (0, 0)).tolist() == [[20, 70], [10, 35]]
-    assert lone.clearance(lone["a"], (0, 12)).tolist() == [[20, 15], [10, 35]]
-
-
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
