@@ -501,7 +501,7 @@ ESTIMATES = (
 )
 
 
-def simulated(estimate, draws, folder=None):
+def simulated(estimate, draws):
     """A row for each draw, case and figure: whether the interval contains the truth."""
     names = list(estimate.cases[0])
 
@@ -520,9 +520,7 @@ def simulated(estimate, draws, folder=None):
         """The seed and the case; each draw simulates its own."""
         return (seed, case), None
 
-    results = bench.run(
-        list(estimate.cases), {"ours": ends}, make=make, seeds=range(draws), folder=folder
-    )
+    results = bench.run(list(estimate.cases), {"ours": ends}, make=make, seeds=range(draws))
     table = bench.cell_table(results)
     figures = dict.fromkeys(name.split("|")[0] for name in table if "|" in name)
     rows = []

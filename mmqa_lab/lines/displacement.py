@@ -68,9 +68,10 @@ bring together so many times the lines."""
 CHANCE_SHARE, CHANCE_EVIDENCE = 0.21, 2.5
 """Unrelated sets pair less of the smaller set, with less evidence per pair: nothing is paired."""
 
-WRONG_WEIGHT, CHOSEN = 2.5, 1.3
+WRONG_WEIGHT, CHOSEN, BLOCK_M = 2.5, 1.3, 15.0
 """Residuals beyond so many standard deviations weigh less in the displacement (Huber). Pairs that
-were chosen because they agree do so better than their errors would: factor of the variance."""
+were chosen because they agree do so better than their errors would: factor of the variance. Lines
+of such blocks are left out together for the variance of the turn."""
 
 
 class Pairs:
@@ -228,18 +229,31 @@ def _solved(lines, rough):
         off = lines.offset - design @ solution
         far = np.linalg.norm(off, axis=1) / np.sqrt(2) / max(np.median(np.abs(off)), 1e-6)
         weights = np.minimum(1, WRONG_WEIGHT / np.maximum(far, 1e-9))
-    _, line = np.unique(lines.rows, return_inverse=True)
-    n = line.max() + 1
-    normals, rights = np.zeros((n, 4, 4)), np.zeros((n, 4))
-    np.add.at(normals, line, each)
-    np.add.at(rights, line, right)
-    rest = each.sum(axis=0) + prior - normals
-    left_out = np.linalg.solve(rest + 1e-9 * np.eye(4), (right.sum(axis=0) - rights)[..., None])
-    spread = left_out[..., 0] - solution
+    covariance = _jackknife(lines.rows, each, right, prior, solution)
     # as wide as few lines ask for where chi-squared is taken for their ellipsoid
-    freedom = max(n - 4, 1)
-    wider = CHOSEN * 3 * f.ppf(0.95, 3, freedom) / chi2.ppf(0.95, 3)
-    return solution, wider * (n - 1) / n * spread.T @ spread, centre
+    freedom = max(len(np.unique(lines.rows)) - 4, 1)
+    covariance *= CHOSEN * 3 * f.ppf(0.95, 3, freedom) / chi2.ppf(0.95, 3)
+    # neighbours drift alike, which a mean over a street forgives and a turn does not
+    block = np.unique(np.floor(lines.place[:, :2] / BLOCK_M), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    freedom = max(block.max() - 1, 1)
+    turn = _jackknife(block, each, right, prior, solution)[3, 3] * CHOSEN
+    covariance[3, 3] = max(covariance[3, 3], turn * f.ppf(0.95, 1, freedom) / chi2.ppf(0.95, 1))
+    return solution, covariance, centre
+
+
+def _jackknife(group, each, right, prior, solution):
+    """Covariance of a solution by leaving out one group of equations after the other."""
+    _, group = np.unique(group, return_inverse=True)
+    n = group.max() + 1
+    normals, rights = np.zeros((n, 4, 4)), np.zeros((n, 4))
+    np.add.at(normals, group, each)
+    np.add.at(rights, group, right)
+    rest = each.sum(axis=0) + prior - normals + 1e-9 * np.eye(4)
+    left_out = np.linalg.solve(rest, (right.sum(axis=0) - rights)[..., None])[..., 0]
+    spread = left_out - solution
+    return (n - 1) / n * spread.T @ spread
 
 
 def _design(lines, centre):
