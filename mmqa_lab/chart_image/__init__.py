@@ -76,8 +76,11 @@ LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
 LARGEST_TONE_ERROR = 0.12
 """Of the mean of blurred line pairs: a display's curve taken for linear light shifts it by 0.2."""
 
-OUTLINES = {True: "C5", False: "C1"}
-"""Colours of resolved and refused patterns."""
+OUTLINES = {
+    True: {"color": "C5", "ls": "-", "marker": "", "lw": 1},
+    False: {"color": "C1", "ls": "--", "marker": "", "lw": 1},
+}
+"""Lines around resolved and refused patterns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +189,9 @@ class ImageQuality(Shown):
         ax.imshow(self.image, cmap="gray", interpolation="nearest")
         for row in self.pairs.itertuples():
             outline = self.layout[row.name].corners()[[0, 1, 2, 3, 0]]
-            ax.plot(*self.chart_map.pixels(outline).T, color=OUTLINES[row.resolved], lw=1)
+            ax.plot(*self.chart_map.pixels(outline).T, **OUTLINES[row.resolved])
         for resolved, label in ((True, "resolved"), (False, "refused")):
-            ax.plot([], [], color=OUTLINES[resolved], label=label)
+            ax.plot([], [], **OUTLINES[resolved], label=label)
         ax.set_axis_off()
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2)
         return ax
