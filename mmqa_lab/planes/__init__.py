@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab._results import Shown
@@ -46,8 +47,8 @@ LOOSE, THICK = 0.12, 0.15
 """Standard deviation of a free radius, and of the distances from the circle, as shares of the
 radius, beyond which the centre is not known: its errors are then no longer like a normal one."""
 
-FAR, STEPS = 0.01, 200
-"""Distances from a circle beyond this weigh less, m; most steps of its fit."""
+FAR = 0.01
+"""Distances from a circle beyond this weigh less, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,8 +378,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     Returns
     -------
     Circle
-        The best one from seven starts: the algebraic circle, and circles beside the points. Its
-        covariance is unknown where another one, on the other side of the points, fits as well;
+        The best one from three starts: the algebraic circle, and one on either side of the points.
+        Its covariance is unknown where another one, on the other side of the points, fits as well;
         where there are only four points more than parameters, or fewer; and where a free radius is
         known to 12 % only, or points scatter by 15 % of it: such circles lie amid the points.
 
@@ -400,21 +401,36 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     *middle, algebraic = algebraic_circle(xy)
     free = diameter is None
     radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
-    turn = np.arange(0, 2 * np.pi, np.pi / 3)
-    starts = np.vstack([middle, radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)])
-    circles, costs = _descended(xy, np.insert(starts, 2, np.log(radius), axis=1), free)
+    aside = radius * np.linalg.eigh(xy.T @ xy)[1][:, 0]  # across the points, to either side
+    starts = [np.append(start, np.log(radius)) for start in (middle, aside, -aside)]
+
+    def misfits(circle):
+        """Distances of the points from a circle (x, y, and the log of a free radius)."""
+        return np.hypot(*(circle[:2] - xy).T) - (np.exp(circle[2]) if free else radius)
+
+    def slopes(circle):
+        """The slopes of the distances."""
+        off = circle[:2] - xy
+        ways = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
+        return np.column_stack([ways, np.full((len(xy), int(free)), -np.exp(circle[2:]))])
+
+    fits = [
+        least_squares(misfits, start[: 2 + free], slopes, loss="cauchy", f_scale=FAR, x_scale="jac")
+        for start in starts
+    ]
+    circles, costs = [fit.x for fit in fits], np.array([fit.cost for fit in fits])
     best = np.argmin(costs)
-    centre, radius = circles[best, :2], float(np.exp(circles[best, 2]))
-    off, slopes = _misfits(xy, circles[best], free)
-    far = (off / FAR) ** 2
-    # as scipy scales the Jacobian of a robust loss: its second derivative, kept above zero
-    normal = slopes.T @ (np.maximum(1 - far, 1e-12) / (1 + far) ** 2 * slopes.T).T
-    freedom, covariance = len(xy) - slopes.shape[1], np.full((2, 2), np.nan)
+    centre = circles[best][:2]
+    radius = float(np.exp(circles[best][2])) if free else radius
+    off, ways = misfits(circles[best]), slopes(circles[best])
+    pulls = off / (1 + (off / FAR) ** 2)
+    normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
+    freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
     rivals = [_opposite(one[:2], centre, radius / 2) for one in circles]
     ratio = np.min(costs[rivals], initial=np.inf) / max(costs[best], 1e-300)
     if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 2 * CLEARLY:
-        inverse, pulls = np.linalg.inv(normal), off / (1 + far)
-        effects = inverse @ (slopes * pulls[:, None]).T
+        inverse = np.linalg.inv(normal)
+        effects = inverse @ (ways * pulls[:, None]).T
         # from each residual and from their mean; two less, as their spread is uncertain itself
         each = len(xy) / (freedom - 2) * effects @ effects.T
         alike = pulls @ off / (freedom - 2) * inverse
@@ -422,45 +438,7 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         scatter = np.sqrt(pulls @ off / freedom) / radius
         if not free or (larger[2, 2] < LOOSE**2 and scatter < THICK):
             covariance = larger[:2, :2]
-    return Circle(origin + centre, radius, covariance)
-
-
-def _misfits(xy, circles, free):
-    """Distances of points from circles (x, y, log of the radius), shape (..., n), and their slopes
-    over x, y and, where it is free, the log of the radius."""
-    off = circles[..., None, :2] - xy
-    away = np.maximum(np.hypot(off[..., 0], off[..., 1]), 1e-9)
-    radius = np.exp(circles[..., 2:])
-    slopes = [off[..., 0] / away, off[..., 1] / away, np.broadcast_to(-radius, away.shape)]
-    return away - radius, np.stack(slopes[: 2 + free], axis=-1)
-
-
-def _descended(xy, circles, free):
-    """Circles of least Cauchy loss by Levenberg and Marquardt's steps from each of those given, and
-    their losses."""
-
-    def losses(circles):
-        """The loss of each circle, without a factor."""
-        return np.log1p((_misfits(xy, circles, free)[0] / FAR) ** 2).sum(axis=-1)
-
-    damping, costs = np.full(len(circles), 1e-3), losses(circles)
-    for _ in range(STEPS):
-        off, slopes = _misfits(xy, circles, free)
-        weighted = slopes / (1 + (off / FAR) ** 2)[..., None]
-        normal = weighted.swapaxes(1, 2) @ slopes
-        damped = normal + (1e-9 + damping[:, None, None]) * normal * np.eye(2 + free)
-        damped += 1e-12 * np.eye(2 + free)
-        step = np.linalg.solve(damped, (weighted * off[..., None]).sum(axis=1)[..., None])[..., 0]
-        moved = circles.copy()
-        moved[:, : 2 + free] -= np.clip(step, -1, 1)
-        new = losses(moved)
-        better = new < costs
-        circles = np.where(better[:, None], moved, circles)
-        costs = np.where(better, new, costs)
-        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-12, 1e12)
-        if np.abs(step).max() < 1e-9 or (damping > 1e9).all():
-            break
-    return circles, costs
+    return Circle(origin + centre, float(radius), covariance)
 
 
 def _opposite(a, b, apart):
