@@ -179,13 +179,6 @@ def test_width_is_the_finest_with_all_coarser_ones(resolved):
     assert found.n == len(resolved)
 
 
-def test_limit_is_interpolated_where_the_contrast_passes_the_threshold():
-    table = readings([True, True, False], contrast=[0.9, 0.3, 0.05])
-    # from 39 mm at 0.3 to 38 mm at 0.05, 0.1 lies four fifths of the way
-    assert chart_image.resolution(table, "h").limit_mm == pytest.approx(38.2)
-    assert np.isnan(chart_image.resolution(readings([True] * 2, contrast=[0.9, 0.3]), "h").limit_mm)
-
-
 @pytest.mark.real
 @real
 def test_real_pairs_are_resolved_down_to_three_pixels_and_never_below_two():
@@ -391,66 +384,9 @@ def test_images_are_chosen_as_a_search_by_hand_does(easting, heading):
         assert found["off_normal_deg"] == pytest.approx(off)
 
 
-def test_only_images_that_show_a_board_are_chosen():
-    drive = stations(np.arange(-40.0, 41, 4))
-    corners = SITE.loc["image forward", "corners"]
-    best = chart_image.choose_images(drive, corners, distance=10)["station"].item()
-    others = chart_image.choose_images(drive, corners, distance=10, among=drive.index != best)
-    assert others["station"].item() == best - 1  # the next one farther away
-    only = chart_image.choose_images(drive, corners, distance=10, among=drive.index == 2)
-    assert only[["view", "station"]].to_numpy().tolist() == [["forward", 2]]
-
-
 def test_a_board_that_no_image_shows_has_none():
     past = stations([20.0, 30.0, 40.0])
     none = chart_image.choose_images(past, SITE.loc["image forward", "corners"], distance=10)
     assert none.iloc[0].isna().tolist() == [False, True, True, True]
     with pytest.raises(ValueError, match="Must be two or more"):
         chart_image.choose_images(past[:1], SITE.loc["image forward", "corners"], distance=10)
-
-
-def drive(**changes):
-    """A drive north at 42 km/h, 10 m beside the charts, with attitude."""
-    time = np.arange(0, 8, 0.1)
-    frame = {
-        "time_s": time,
-        "easting_m": np.full(len(time), -10.0),
-        "northing_m": -10 + time * 42 / 3.6,
-        "height_m": np.full(len(time), 1.5),
-        "roll_deg": np.full(len(time), 359.0),
-        "pitch_deg": np.zeros(len(time)),
-        "heading_deg": np.full(len(time), 1.0),
-    }
-    return pd.DataFrame(frame | changes)
-
-
-def test_a_drive_is_compared_with_the_limits():
-    corners = SITE.loc["image orthogonal", "corners"]
-    table = chart_image.check_drive(drive(), corners, distance=10).set_index("quantity")
-    assert table["passed"].all()
-    assert table.loc["speed_kmh", "low"] == pytest.approx(42)
-    assert table.loc["roll_deg", "low"] == pytest.approx(-1)
-    north = drive()["northing_m"]
-    for name, change, failing in (
-        ("easting_m", -10.8, "distance_m"),
-        ("northing_m", -10 + (north + 10) * 36 / 42, "speed_kmh"),
-        ("roll_deg", 10.0, "roll_deg"),
-        ("heading_deg", 12.0, "heading_from_line_deg"),
-    ):
-        other = chart_image.check_drive(drive(**{name: change}), corners, distance=10)
-        assert other.loc[~other["passed"], "quantity"].tolist() == [failing]
-    # at least 40 km/h: faster is right
-    fast = drive(northing_m=-10 + (north + 10) * 60 / 42)
-    assert chart_image.check_drive(fast, corners, distance=10)["passed"].all()
-    away = np.array([1e7, -1e7, 0])
-    far = drive()
-    far[["easting_m", "northing_m"]] += away[:2]
-    moved = chart_image.check_drive(far, corners + away, distance=10).set_index("quantity")
-    # steps of 2e-9 m in 0.1 s
-    assert moved["low"].to_numpy() == pytest.approx(table["low"].to_numpy(), abs=1e-5)
-    with pytest.raises(ValueError, match="Must be two"):
-        chart_image.check_drive(drive(northing_m=900.0 + north), corners, distance=10)
-    with pytest.raises(ValueError, match="Must stand along it"):
-        chart_image.check_drive(drive(), SITE.loc["image forward", "corners"], distance=10)
-    with pytest.raises(ValueError, match="Invalid speed_kmh"):
-        chart_image.check_drive(drive(), corners, distance=10, speed_kmh=0)

@@ -35,7 +35,6 @@ from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resoluti
 from mmqa_lab.chart_image.rules import (
     agreement,
     chart_site,
-    check_drive,
     choose_images,
     quality_index,
     text_crops,
@@ -53,7 +52,6 @@ __all__ = [
     "PanoramaCamera",
     "agreement",
     "chart_site",
-    "check_drive",
     "choose_images",
     "evaluate_file",
     "evaluate_image",
@@ -153,7 +151,6 @@ class ImageQuality(Shown):
             row[f"pixel_{direction}_std_px"] = bars["repeats_std_px"].max() if len(bars) else np.nan
             row[f"w_{direction}_mm"] = found.width_mm
             row[f"w_{direction}_next_mm"] = found.next_mm
-            row[f"limit_{direction}_mm"] = found.limit_mm
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
         return pd.DataFrame([row | {"remark": "; ".join(self.remarks)}])
@@ -312,11 +309,6 @@ def evaluate_file(
             raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
         bends = PanoramaCamera(columns)
     there = locate(grey, layout, corners=corners, camera=bends)
-    return evaluate_window(grey, layout, there, gamma=gamma)
-
-
-def evaluate_window(grey, layout, there, *, gamma):
-    """Evaluate a chart in the grey values of a file, whose map is known to a few pixels."""
     origin, last = _window(there, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.charts import Layout
+from mmqa_lab._checks import check_count, check_points, check_positive
 
 STEP_MM = 0.5
 """Half of the step that local scales are measured over."""
@@ -82,57 +81,6 @@ class PanoramaCamera:
         return np.column_stack([across, -np.sin(elevation), ahead])
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Where a camera stands and how it is turned.
-
-    Parameters
-    ----------
-    position : array_like, shape (3,)
-        East, north, height, metres.
-    rotation : array_like, shape (3, 3)
-        Rows are the camera's x (right), y (down) and z (view) axis in the world.
-
-    Raises
-    ------
-    ValueError
-        From its maker: if the view is plumb or the roll is not finite.
-
-    Examples
-    --------
-    >>> pose = Pose.looking((0, 0, 2), (10, 0, 2))
-    >>> pose.to_camera([[10, -1, 3]]).round(9).tolist()  # 1 m right, 1 m up, 10 m ahead
-    [[1.0, -1.0, 10.0]]
-    """
-
-    position: tuple
-    rotation: tuple
-
-    @classmethod
-    def looking(cls, position, target, *, roll_deg=0.0):
-        """Return the pose at ``position`` that looks at ``target`` with a level x axis.
-
-        Examples
-        --------
-        >>> Pose.looking((0, 0, 2), (0, 10, 2)).rotation.round(12).tolist()[2]
-        [0.0, 1.0, 0.0]
-        """
-        position, target = (np.asarray(place, dtype=float) for place in (position, target))
-        view = target - position
-        level = np.cross(view, [0, 0, 1.0])
-        if not np.linalg.norm(level) > 0:
-            raise ValueError(f"Invalid target {target}. Must not lie plumb above or below.")
-        view, right = view / np.linalg.norm(view), level / np.linalg.norm(level)
-        down = np.cross(view, right)
-        angle = np.radians(check_number(roll_deg, "roll_deg"))
-        turned = np.cos(angle) * right + np.sin(angle) * down
-        return cls(position, np.stack([turned, np.cross(view, turned), view]))
-
-    def to_camera(self, points):
-        """Return world points in the camera's axes, metres; differences are taken first."""
-        return (np.asarray(points, dtype=float) - self.position) @ np.asarray(self.rotation).T
-
-
 @dataclass(frozen=True, eq=False)
 class ChartMap:
     """Where each place of a chart is in an image.
@@ -153,7 +101,7 @@ class ChartMap:
     Raises
     ------
     ValueError
-        From its makers: if points do not fit one chart, or lie behind the camera.
+        From ``from_points``: if they do not fit one chart.
 
     Examples
     --------
@@ -213,41 +161,6 @@ class ChartMap:
             raise ValueError(f"Invalid {source}: no chart fits. Must be four corners in order.")
         return cls(turn.T @ homography, camera, tuple(offset), source=source)
 
-    @classmethod
-    def from_orientation(
-        cls, camera: PanoramaCamera, pose: Pose, corners: ArrayLike, layout: Layout
-    ) -> ChartMap:
-        """Return the map of a chart whose corners are surveyed, for a camera of known orientation.
-
-        Parameters
-        ----------
-        camera : PanoramaCamera
-        pose : Pose
-        corners : array_like, shape (4, 3)
-            East, north, height of the chart's corners from the lower left counterclockwise as one
-            looks at it, metres. The chart is taken for plane with right angles and the layout's
-            size; its frame is fitted to the corners.
-        layout : Layout
-
-        Raises
-        ------
-        ValueError
-            If the corners do not have the layout's size within 2 %, or lie behind the camera.
-        """
-        seen = pose.to_camera(four_corners(corners, columns=3))
-        sides = np.linalg.norm(np.roll(seen, -1, axis=0) - seen, axis=1) * 1000
-        expected = np.array([layout.width, layout.height] * 2)
-        if (np.abs(sides / expected - 1) > 0.02).any():
-            raise ValueError(
-                f"Invalid corners with sides {np.round(sides).tolist()} mm. "
-                f"Must be a chart of {layout.width:g} mm x {layout.height:g} mm."
-            )
-        origin, x, y = rectangle_frame(seen, layout.corners() / 1000)
-        found = cls(np.stack([x / 1000, y / 1000, origin], axis=1), camera, source="orientation")
-        if not np.isfinite(found.pixels(layout.corners())).all():
-            raise ValueError("Invalid corners: behind the camera. Must lie before it.")
-        return found
-
     def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
         rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
@@ -304,11 +217,3 @@ def four_corners(corners, *, columns):
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
     return corners
-
-
-def rectangle_frame(corners, places):
-    """Origin, x axis and y axis in space of the flat places that lie nearest to four corners."""
-    flat = np.column_stack([places - places.mean(axis=0), np.zeros(len(places))])
-    turn = Rotation.align_vectors(corners - corners.mean(axis=0), flat)[0]
-    x, y, _ = turn.as_matrix().T
-    return corners.mean(axis=0) - turn.apply([*places.mean(axis=0), 0]), x, y

@@ -1,9 +1,8 @@
-"""How well a photograph's texts can be read: check list, marks, and what stands in for a jury.
+"""How well a photograph's texts can be read: marks, and what stands in for a jury.
 
 Pfeifer et al. 2021 (doi:10.3390/rs13020237), sections 3.2 and 4.2: a jury of three works through a
 list of elements in its order, hard cases first, and gives one mark to each photograph. Pixels per
-capital height and a program that reads texts stand in for it; their marks are never merged with
-those of a jury.
+capital height stand in for it; their marks are never merged with those of a jury.
 """
 
 from dataclasses import replace
@@ -55,14 +54,6 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
         steps = [(table["cap_px"] < limits.loc[name, mark]).to_numpy() for mark in MARKS[:-1]]
         table[name] = np.array(MARKS, dtype=object)[np.sum(steps, axis=0)]
     return table
-
-
-def expected_text(cap_px):
-    """The mark that pixels per capital height make expected, with its range where it is open."""
-    if not np.isfinite(cap_px):
-        return ""
-    one = expected_marks(cap_px).iloc[0]
-    return one["mark"] if one["best"] == one["worst"] else f"{one['best']} to {one['worst']}"
 
 
 def mark_limits(judged):

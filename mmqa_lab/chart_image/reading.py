@@ -260,9 +260,6 @@ class Resolution(Shown):
     next_mm : float
         The next finer pattern, which is not: the limit lies in (next, w]. NaN at the end of the
         ladder.
-    limit_mm : float
-        Width at which the contrast falls to the threshold, interpolated between patterns; NaN
-        where the ladder does not enclose it.
     n : int
         Patterns that are not hidden.
 
@@ -278,7 +275,6 @@ class Resolution(Shown):
 
     width_mm: float
     next_mm: float
-    limit_mm: float
     n: int
 
 
@@ -406,7 +402,6 @@ def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     return Resolution(
         width_mm=float(widths[good - 1]) if good else np.nan,
         next_mm=float(widths[good]) if good < len(widths) else np.nan,
-        limit_mm=_limit(widths, ladder["contrast"].to_numpy(), ladder["width_px"].to_numpy()),
         n=len(widths),
     )
 
@@ -652,21 +647,8 @@ def _refusal(width_px, phase, bars, repeats, share):
     return ""
 
 
-def _limit(widths, contrast, width_px):
-    """Width at which the contrast falls to the threshold, or at which beats begin."""
-    below = contrast < SMALLEST_GAP
-    if below.all() or not below.any():
-        return np.nan
-    k = int(np.argmax(below))
-    if k == 0:
-        return np.nan
-    part = (contrast[k - 1] - SMALLEST_GAP) / (contrast[k - 1] - contrast[k])
-    between = widths[k - 1] + part * (widths[k] - widths[k - 1])
-    return float(max(between, SMALLEST_PAIR_PX * widths[k - 1] / width_px[k - 1]))
-
-
 def _long_bars(layout):
-    """The bars that pixel size and MTF come from."""
+    """The bars that the pixel size comes from."""
     for bar in layout.of_kind(Bar):
         if max(bar.width, bar.height) >= SLENDERNESS * min(bar.width, bar.height):
             yield bar

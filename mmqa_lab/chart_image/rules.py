@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_columns, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.chart_image.geometry import ChartMap, four_corners, rectangle_frame
+from mmqa_lab.chart_image.geometry import ChartMap, four_corners
 from mmqa_lab.charts import Layout, Text
 
 PAIRS_APART_M = 10.0
@@ -30,12 +30,6 @@ PAIRS_APART_M = 10.0
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
 PLACE = ["easting_m", "northing_m", "height_m"]
-
-REACH_M = 12.0
-"""A drive counts so far before and after a board."""
-
-TOLERANCE_M, LARGEST_DEG = 0.5, {"roll_deg": 3.0, "pitch_deg": 3.0, "heading_deg": 5.0}
-"""Of a drive's distance from the charts, and of its angles; heading counts from their line."""
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -212,7 +206,6 @@ def choose_images(
     corners: ArrayLike,
     *,
     distance: float,
-    among: ArrayLike | None = None,
 ) -> pd.DataFrame:
     """Choose the image of a board by the paper's rules.
 
@@ -229,8 +222,6 @@ def choose_images(
         Of the board, from the lower left counterclockwise, metres.
     distance : float
         Required distance between camera and middle of the board, metres.
-    among : array_like of bool, optional
-        Of each station: whether its image shows the board. All stations tell how the drive runs.
 
     Returns
     -------
@@ -271,91 +262,13 @@ def choose_images(
         },
         index=stations.index,
     )
-    seen = seen[(away @ normal > 0) & (True if among is None else np.asarray(among, dtype=bool))]
+    seen = seen[away @ normal > 0]
     if view != ALONG:
         seen = seen[seen["distance_m"] >= distance]
     if seen.empty:
         return pd.DataFrame([{"view": view, "station": None, **dict.fromkeys(seen, np.nan)}])
     station = seen["off_normal_deg" if view == ALONG else "distance_m"].idxmin()
     return pd.DataFrame([{"view": view, "station": station, **seen.loc[station]}])
-
-
-def check_drive(
-    trajectory: pd.DataFrame,
-    corners: ArrayLike,
-    *,
-    distance: float,
-    speed_kmh: float = 40.0,
-) -> pd.DataFrame:
-    """Check a drive past a board that stands along it: distance, speed and attitude.
-
-    The paper gives distance and smallest speed; the tolerances are this package's own: 0.5 m, 3
-    degrees of roll and pitch, 5 degrees between heading and the line of charts.
-
-    Parameters
-    ----------
-    trajectory : DataFrame
-        As :func:`mmqa_lab.io.read_trajectory` gives it; angles are checked where present. Headings
-        count clockwise from north.
-    corners : array_like, shape (4, 3)
-        Of a board along the path, from the lower left counterclockwise, metres.
-    distance : float
-        Between the path and the line of charts, metres.
-    speed_kmh : float
-        At least.
-
-    Returns
-    -------
-    DataFrame
-        Per quantity: ``quantity``, ``low``, ``high`` (extremes within 12 m of the board),
-        ``at_least``, ``at_most``, ``n`` values, ``passed``. Angles that the trajectory lacks are
-        left out.
-
-    Raises
-    ------
-    ValueError
-        If a limit is not above zero, fewer than two poses lie near the board, or it stands across
-        the path.
-
-    References
-    ----------
-    Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
-
-    Examples
-    --------
-    >>> north = np.linspace(-10, 30, 41)
-    >>> drive = {"time_s": north / 12, "easting_m": -5.0, "northing_m": north, "height_m": 1.5}
-    >>> corners = chart_site().set_index("chart")["corners"]["image orthogonal"]
-    >>> found = check_drive(pd.DataFrame(drive), corners, distance=5)
-    >>> found["low"].round(6).tolist(), found["passed"].tolist()
-    ([5.0, 43.2], [True, True])
-    """
-    check_positive(distance, "distance", unit="m")
-    check_positive(speed_kmh, "speed_kmh")
-    middle, right, normal = board_frame(corners)
-    places = _places(trajectory) - middle
-    if _view(right, normal, places) != ALONG:
-        raise ValueError("Invalid board: stands across the path. Must stand along it.")
-    near = np.abs(places @ right) <= REACH_M
-    if near.sum() < 2:
-        raise ValueError(f"Invalid trajectory: {near.sum()} poses near the board. Must be two.")
-    steps = np.linalg.norm(np.diff(places[near], axis=0), axis=1)
-    speed = 3.6 * steps / np.diff(trajectory["time_s"].to_numpy()[near])
-    away = (places @ normal)[near]
-    rows = [("distance_m", away, distance - TOLERANCE_M, distance + TOLERANCE_M)]
-    rows.append(("speed_kmh", speed, speed_kmh, np.inf))
-    for name, limit in LARGEST_DEG.items():
-        if name in trajectory:
-            # the board's line has no direction
-            heading = name == "heading_deg"
-            reference, turn = (np.degrees(np.arctan2(*right[:2])), 180) if heading else (0, 360)
-            angles = trajectory[name].to_numpy(dtype=float)[near] - reference
-            name = "heading_from_line_deg" if heading else name
-            rows.append((name, (angles + turn / 2) % turn - turn / 2, -limit, limit))
-    rows = [(name, v.min(), v.max(), least, most, len(v)) for name, v, least, most in rows]
-    table = pd.DataFrame(rows, columns=["quantity", "low", "high", "at_least", "at_most", "n"])
-    passed = (table["low"] >= table["at_least"]) & (table["high"] <= table["at_most"])
-    return table.assign(passed=passed)
 
 
 def agreement(marks: pd.DataFrame) -> Agreement:
@@ -449,7 +362,8 @@ def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.nda
 def board_frame(corners):
     """Return the middle of a board, its level direction to the right and its outward normal."""
     corners = four_corners(corners, columns=3)
-    _, right, up = rectangle_frame(corners, np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]))
+    right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
+    right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
     return corners.mean(axis=0), right, np.cross(right, up)
 
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera, Pose
+from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera
 from mmqa_lab.charts import reflectance
 from mmqa_lab.srgb import GAMMAS, encode
 
@@ -27,7 +27,6 @@ __all__ = [
     "Optics",
     "PanoramaCamera",
     "Photo",
-    "Pose",
     "Sensor",
     "chart_view",
     "photograph",
@@ -160,13 +159,21 @@ def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, aim_d
     distance = check_positive(distance, "distance", unit="m")
     heading = np.radians(check_number(heading_deg, "heading_deg", low=-89, high=89, unit="degrees"))
     place = np.array([distance * np.tan(heading), -distance, 0.0])
-    pose = Pose.looking(place, (0.0, 0.0, 0.0), roll_deg=roll_deg)
-    aim = np.radians(check_number(aim_deg, "aim_deg"))
-    turn = np.array([[np.cos(aim), 0, -np.sin(aim)], [0, 1, 0], [np.sin(aim), 0, np.cos(aim)]])
-    pose = replace(pose, rotation=turn @ pose.rotation)
-    corners = layout.corners() / 1000 - np.array([layout.width, layout.height]) / 2000
-    corners = np.column_stack([corners[:, 0], np.zeros(4), corners[:, 1]])
-    return ChartMap.from_orientation(camera, pose, corners, layout)
+    turn = _turned(place, *np.radians([check_number(roll_deg, "roll_deg"), aim_deg]))
+    corner = -np.array([layout.width, 0.0, layout.height]) / 2000
+    # columns: a millimetre to the right and up on the chart, and its lower left corner
+    matrix = np.stack([turn[:, 0] / 1000, turn[:, 2] / 1000, turn @ (corner - place)], axis=1)
+    return ChartMap(matrix, camera, source="orientation")
+
+
+def _turned(place, roll, aim):
+    """Rows are the x, y and z axis of a level camera that looks at the origin, then turned."""
+    view = -place / np.linalg.norm(place)
+    level = np.cross(view, [0, 0, 1.0])
+    right = np.cos(roll) * level + np.sin(roll) * np.cross(view, level)
+    c, s = np.cos(aim), np.sin(aim)
+    aside = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    return aside @ np.stack([right, np.cross(view, right), view])
 
 
 def photograph(
