@@ -466,7 +466,7 @@ ESTIMATES = (
     Estimate(
         "edge of an image",
         edge_of_image,
-        bench.grid(lens=tuple(LENS_PX), fit=("isogaussian", "lens")),
+        bench.grid(lens=tuple(LENS_PX), fit=("binned", "sigmoid")),
         *(1, 100),
     ),
     Estimate(

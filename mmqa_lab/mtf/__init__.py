@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from scipy.special import j0
+from scipy.special import j0, j1
 
 from mmqa_lab._checks import check_count, check_number, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.mtf.edges import LENSES, SIGMAS_PX, crossing, fit_edge, lens_mtf, weighted
+from mmqa_lab.mtf.edges import SIGMAS_PX, crossing, fit_edge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -277,7 +277,7 @@ def measure_star(
     sigma = _gaussian_sigma(frequency, amplitude / amplitude.max())
     levels, borders = _plain_levels(pixels, place, n, radius, OUTLINE_SIGMAS * sigma)
     shares = np.array([_plain_share(lens, borders) for lens in lenses])
-    share, differ = weighted(shares, weights)
+    share, differ = _weighted(shares, weights)
     levels = levels.mean() + (levels - levels.mean()) / share
     scale = 2 * SQUARE / np.ptp(levels)
     order = np.argsort(frequency)
@@ -587,6 +587,41 @@ def _plain_levels(pixels, place, n, radius, clear=0.0):
     return levels, np.stack([near[plain], (width - near)[plain]])
 
 
+def _weighted(values, weights):
+    """Return the mean and the standard deviation of values with weights; those of none are 0."""
+    weights = weights / weights.sum()
+    values = np.where(weights > 0, values, 0.0)
+    mean = float(weights @ values)
+    return mean, float(np.sqrt(weights @ (values - mean) ** 2))
+
+
+def _disc(x):
+    """Transfer of a defocused lens at cycles per radius."""
+    turn = 2 * np.pi * np.maximum(x, 1e-9)
+    return 2 * j1(turn) / turn
+
+
+def _diffraction(x):
+    """Transfer of a perfect lens at a share of its highest frequency."""
+    x = np.minimum(x, 1)
+    return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
+
+
+LENS_TRANSFERS = {
+    "gaussian": lambda x: np.exp(-2 * (np.pi * x) ** 2),
+    "disc": _disc,
+    "diffraction": _diffraction,
+}
+
+
+def _lens_mtf(shape, width, frequencies):
+    """Return the transfer function of a lens and a square pixel, the mean of all directions."""
+    turn = np.radians(np.arange(2.5, 45, 5))[:, None]
+    f = np.ravel(frequencies)
+    pixel = (np.sinc(f * np.cos(turn)) * np.sinc(f * np.sin(turn))).mean(axis=0)
+    return (LENS_TRANSFERS[shape](f * width) * pixel).reshape(np.shape(frequencies))
+
+
 def _lens_of(frequency, contrast):
     """Transfer functions of the lenses whose shape fits contrasts up to a scale, and weights.
 
@@ -599,18 +634,18 @@ def _lens_of(frequency, contrast):
 
     def misfit(log_width, shape):
         """What is left of the contrasts with the best scale."""
-        model = np.abs(lens_mtf(shape, np.exp(log_width), f))
+        model = np.abs(_lens_mtf(shape, np.exp(log_width), f))
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     fits = [
         minimize_scalar(misfit, bounds=np.log(SIGMAS_PX), args=(shape,), method="bounded")
-        for shape in LENSES
+        for shape in LENS_TRANSFERS
     ]
     left = np.array([max(fit.fun, 1e-12) for fit in fits])
     weights = np.exp(-len(f) / RINGS_A_WIDTH * (left / left.min() - 1) / 2)
     lenses = [
-        partial(lens_mtf, shape, float(np.exp(fit.x)))
-        for shape, fit in zip(LENSES, fits, strict=True)
+        partial(_lens_mtf, shape, float(np.exp(fit.x)))
+        for shape, fit in zip(LENS_TRANSFERS, fits, strict=True)
     ]
     return lenses, weights
 

@@ -102,8 +102,8 @@ def estimator(method, figures=("mtf50",)):
 METHODS = {
     "Gaussian sigmoid": estimator("sigmoid", ("mtf50", "fwhm_px")),
     "logistic sigmoid": estimator("logistic", ("mtf50", "fwhm_px")),
-    "edge method, fitted": estimator("isogaussian"),
-    "edge method, binned": lambda patch: fit_edge(patch).mtf50_binned,
+    "edge method, sigmoid": estimator("sigmoid"),
+    "edge method, binned": lambda patch: fit_edge(patch).mtf50,
 }
 """Estimators of resolution: functions of an image patch that shows one edge."""
 
