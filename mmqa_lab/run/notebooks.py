@@ -61,7 +61,7 @@ def run_study(study, folder, *, quick=False, timeout=None):
         record = read_record(target)
         seen = record.get("figures", {})
         write_text(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
-        page = notebook_page(notebook, study.title, figures=seen, failure=failure)
+        page = notebook_page(notebook, study.title, figures=seen, failure=failure, quick=quick)
         write_text(target / f"{study.stem}.html", page)
         counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
         outcome = replace(outcome, seconds=seconds, failure=failure, **counts)

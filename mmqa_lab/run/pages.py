@@ -21,15 +21,11 @@ from matplotlib.font_manager import FontProperties
 
 from mmqa_lab import __version__
 from mmqa_lab.run import FORMATS, four_digits, read_record, write_text
+from mmqa_lab.studies import notebooks_folder
 
 OUTCOME = "outcome.json"
 
 TEMPLATES = Path(__file__).parent / "templates"
-
-KEY_FIGURE = "anisotropy/patterns.png"
-"""Of a run's results: what the README shows first."""
-
-VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
 """A formula that stands alone, or one within a text."""
@@ -43,6 +39,12 @@ WIDGET = "application/vnd.jupyter.widget-view+json"
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
+
+SENTENCE = re.compile(r"<td>(?=[^<]*[A-Za-z]{3})")
+"""Begins a cell of words; numbers stand on the right."""
+
+ANSWERS = "answers.csv"
+"""In the folder of the notebooks: what :mod:`mmqa_lab.run.store` keeps."""
 
 UNFINISHED = "stopped before its end"
 
@@ -83,7 +85,7 @@ def read_outcome(folder):
     return Outcome(**{name: kept[name] for name in Outcome.__dataclass_fields__ if name in kept})
 
 
-def write_pages(folder, studies, *, running=()):
+def write_pages(folder, studies):
     """Write ``index.html``, ``glossary.html`` and, where a study left a ledger, ``ledger.html``.
 
     Parameters
@@ -92,18 +94,26 @@ def write_pages(folder, studies, *, running=()):
         Of all results.
     studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
-    running : list of mmqa_lab.studies.Study
-        Those of them without an end still run, and the index loads itself again every ten seconds.
     """
     folder = Path(folder)
-    ran = [study for study in studies if read_outcome(folder / study.stem) is not None]
-    cards = [_card(study, folder / study.stem, study in running) for study in ran]
+    stored = _stored_answers()
+    cards = [
+        _card(study, folder / study.stem, stored.get(study.stem, ""))
+        for study in studies
+        if read_outcome(folder / study.stem) is not None
+    ]
     ledger = _ledger(folder, studies)
     if ledger is not None:
         write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
     write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
-    shown = {"cards": cards, "ledger": ledger, "formats": FORMATS, "running": running}
+    shown = {"cards": cards, "ledger": ledger, "formats": FORMATS}
     write_text(folder / "index.html", filled("index.html", **shown))
+
+
+def _stored_answers():
+    """The answers of the last full run that the repository keeps, by study."""
+    file = notebooks_folder() / ANSWERS
+    return dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
 
 
 def glossary_rows():
@@ -112,7 +122,7 @@ def glossary_rows():
         return list(csv.DictReader(file))
 
 
-def notebook_page(notebook, title, *, figures, failure="", alone=False):
+def notebook_page(notebook, title, *, figures, failure="", alone=False, quick=False):
     """Return an executed notebook as a page.
 
     Parameters
@@ -125,6 +135,8 @@ def notebook_page(notebook, title, *, figures, failure="", alone=False):
         What stopped the run; the page begins with it, and with a link to the cell that failed.
     alone : bool
         Without a link to the index of all studies.
+    quick : bool
+        Of small parameters; the page says so.
     """
     from nbconvert import HTMLExporter
     from pygments.formatters import HtmlFormatter
@@ -147,7 +159,8 @@ def notebook_page(notebook, title, *, figures, failure="", alone=False):
     body = body.replace("<table ", '<table tabindex="0" ')  # wide ones scroll, by keys too
     if failure and 'output_error"' in body:
         body = 'output_error" id="stopped"'.join(body.rsplit('output_error"', 1))
-    shown = {"body": body, "style": style, "failure": failure, "alone": alone}
+    body = SENTENCE.sub('<td class="text">', body)
+    shown = {"body": body, "style": style, "failure": failure, "alone": alone, "quick": quick}
     return filled("notebook.html", title=title, **shown)
 
 
@@ -224,7 +237,7 @@ def filled(name, **values):
     return environment.get_template(name).render(**values)
 
 
-def _card(study, folder, running):
+def _card(study, folder, stored):
     """What the index shows of one study, from what its run left on the disk."""
     record, outcome = read_record(folder), read_outcome(folder)
     file, files = folder / "checks.csv", record.get("files", [])
@@ -235,7 +248,8 @@ def _card(study, folder, running):
     return {
         "study": study,
         "outcome": outcome,
-        "said": "still running" if running and outcome.failure == UNFINISHED else outcome.verdict,
+        "said": outcome.verdict,
+        "stored": stored if outcome.quick else "",
         "page": (folder / f"{study.stem}.html").is_file(),
         "record": record,
         "answer": answer["sentence"],
@@ -255,8 +269,10 @@ def _ledger(folder, studies):
 
     missing = [one for one in studies if not (folder / one.stem / "ledger.csv").is_file()]
     rows = ledger.collect(folder, not_run=[table for one in missing for table in one.tables])
+    outcomes = [read_outcome(folder / study.stem) for study in studies]
+    quick = any(one is not None and one.quick for one in outcomes)
     shown = [_shown(row) for row in rows.to_dict("records")]
-    return {"counts": ledger.summary(rows), "rows": shown, "table": rows}
+    return {"counts": ledger.summary(rows), "rows": shown, "quick": quick}
 
 
 def _shown(row):
@@ -269,17 +285,3 @@ def _shown(row):
         "printed": f"{row['printed']} {row['unit']}",
         "ours": "" if ours == "nan" else ours + interval,
     }
-
-
-def ledger_figure(ledger):
-    """Return a figure of the verdicts on each source's results, as stacked bars."""
-    from mmqa_lab import plots
-    from mmqa_lab.published.ledger import summary
-
-    counts = summary(ledger).drop(index="all")[::-1]
-    with plots.style():
-        figure, ax = plots.subplots(width="double", height_mm=60)
-        counts.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
-        ax.set(xlabel="printed numbers", ylabel="")
-        ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return figure

@@ -5,20 +5,28 @@ of the front page, from ``notebooks/results``.
 """
 
 import base64
+import hashlib
 import io
 import sys
 from pathlib import Path
 
 import nbformat
+import pandas as pd
 from PIL import Image
 
+from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import read_record
-from mmqa_lab.run.pages import KEY_FIGURE, WIDGET, ledger_figure, read_outcome
+from mmqa_lab.run.pages import ANSWERS, WIDGET, read_outcome
 from mmqa_lab.studies import STUDIES, notebooks_folder, results_folder
 
-WIDEST_PX, THUMBNAIL_PX = 700, 280
-"""Widths of stored figures (178 mm at 100 dpi) and of thumbnails."""
+WIDTHS_PX, THUMBNAIL_PX = (700, 560, 420, 320), 280
+"""Widths of stored figures, the first (178 mm at 100 dpi) that is small enough, and thumbnails."""
+
+KEY_FIGURE = "anisotropy/patterns.png"
+"""Of a run's results: what the README shows first."""
+
+VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 
 LARGEST_BYTES = 1_000_000
 """Of a notebook with its outputs."""
@@ -40,9 +48,9 @@ def store(notebooks, folder, studies):
     ValueError
         If a study has no full run to its end, or its notebook changed since.
     """
-    from mmqa_lab.published.ledger import collect
+    from mmqa_lab.published.ledger import collect, summary
 
-    folder, notebooks = Path(folder), Path(notebooks)
+    folder, notebooks, answers = Path(folder), Path(notebooks), []
     for study in studies:
         outcome = read_outcome(folder / study.stem)
         if outcome is None or outcome.quick or not outcome.ok:
@@ -54,24 +62,35 @@ def store(notebooks, folder, studies):
                 f"Invalid results of {study.stem}: the notebook changed. Run it again."
             )
         write_atomically(study.path, nbformat.writes(_lightened(ran, kept)) + "\n")
-        figure = read_record(folder / study.stem)["answer"]["figure"]
+        answer = read_record(folder / study.stem)["answer"]
+        answers.append((study.stem, answer["sentence"]))
+        figure = answer["figure"]
         picture = Image.open(folder / study.stem / f"{figure}.png").convert("RGB")
         _save(picture, notebooks / "thumbnails" / f"{study.notebook}.png", THUMBNAIL_PX, colours=64)
+    table = pd.DataFrame(answers, columns=["study", "answer"])
+    write_atomically(notebooks / ANSWERS, table)
     _save(Image.open(folder / KEY_FIGURE), notebooks / "key_figure.png", 1000, colours=128)
-    figure = ledger_figure(collect(folder))
+    figure = _ledger_figure(summary(collect(folder)))
     write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=120))
+
+
+def code_hash(notebook):
+    """SHA-256 of a notebook's code: stored outputs are of this code, or of another."""
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    return hashlib.sha256("\n\n".join(code).encode()).hexdigest()
 
 
 def _lightened(ran, kept):
     """The notebook with the outputs of its run: no widgets, no stderr, pictures made small."""
-    for cell, plain in zip(ran.cells, kept.cells, strict=True):
-        cell.metadata = plain.metadata
-        if cell.cell_type == "code":
-            cell.outputs = [_small(output) for output in cell.outputs if _is_kept(output)]
-    ran.metadata = kept.metadata
-    if len(nbformat.writes(ran)) > LARGEST_BYTES:
-        raise ValueError(f"Invalid outputs: {len(nbformat.writes(ran))} bytes. Must be a million.")
-    return ran
+    ran.metadata = {**kept.metadata, "mmqa_lab": {"code": code_hash(ran)}}
+    for width in WIDTHS_PX:
+        for cell, plain in zip(ran.cells, kept.cells, strict=True):
+            cell.metadata = plain.metadata
+            if cell.cell_type == "code":
+                cell.outputs = [_small(one, width) for one in cell.outputs if _is_kept(one)]
+        if len(nbformat.writes(ran)) < LARGEST_BYTES:
+            return ran
+    raise ValueError(f"Invalid outputs: {len(nbformat.writes(ran))} bytes. Must be a million.")
 
 
 def _is_kept(output):
@@ -79,13 +98,13 @@ def _is_kept(output):
     return output.get("name") != "stderr" and WIDGET not in output.get("data", ())
 
 
-def _small(output):
-    """An output with its picture at most as wide as a page at 100 dpi."""
+def _small(output, width):
+    """An output with its picture at most so wide."""
     data = output.get("data", {})
     if "image/png" in data:
         stream = io.BytesIO()
         picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"])))
-        _shrunk(picture, WIDEST_PX, 128).save(stream, "png", optimize=True)
+        _shrunk(picture, width, 128).save(stream, "png", optimize=True)
         output["data"] = {"image/png": base64.b64encode(stream.getvalue()).decode()}
     return output
 
@@ -104,6 +123,17 @@ def _save(picture, path, width, *, colours):
     path.parent.mkdir(exist_ok=True)
     small = _shrunk(picture, width, colours)
     write_atomically(path, lambda file: small.save(file, "png", optimize=True))
+
+
+def _ledger_figure(counts):
+    """The verdicts on each source's results, as stacked bars."""
+    with plots.style():
+        figure, ax = plots.subplots(width="double", height_mm=60)
+        shown = counts.drop(index="all")[::-1]
+        shown.plot.barh(stacked=True, ax=ax, color=VERDICT_COLOURS, width=0.7)
+        ax.set(xlabel="printed numbers", ylabel="")
+        ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return figure
 
 
 if __name__ == "__main__":
