@@ -19,7 +19,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import plots, samples
+from mmqa_lab import __version__, plots, samples
 from mmqa_lab._figures import finish_figure, say_kind
 from mmqa_lab.io import write_atomically
 
@@ -400,7 +400,7 @@ def _environment():
     names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
     installed = {one.name.lower(): one.version for one in metadata.distributions()}
     return {
-        "version": metadata.version("mmqa_lab"),
+        "version": __version__,
         "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
