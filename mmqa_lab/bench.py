@@ -7,12 +7,9 @@ measured and why. A study is a :class:`Comparison`: its cases, methods, tables a
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import itertools
 import numbers
-import os
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
@@ -23,25 +20,18 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 from threadpoolctl import threadpool_limits
+from tqdm import tqdm
 
-from mmqa_lab._checks import check_choice, check_count
+from mmqa_lab._checks import check_choice
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Comparison",
-    "cell_table",
-    "compare",
-    "failures",
-    "figure_names",
-    "grid",
-    "plot",
-    "rank",
-    "run",
-    "summary",
-]
+__all__ = (
+    *("Comparison", "cell_table", "compare", "failures", "figure_names"),
+    *("grid", "plot", "rank", "run", "summary"),
+)
 
 LONGEST_REASON = 300
 """Characters of a reason that are kept."""
@@ -56,6 +46,12 @@ UNITS = {
 
 RESERVED = ("method", "case", "seed", "failure", "truth")
 """Names of the Dataset itself: no parameter or figure may use them, nor begin with ``truth_``."""
+
+RESAMPLES = 200
+"""Bootstrap samples of the cases, for the intervals of ranks."""
+
+BROKEN = (Exception, SystemExit)
+"""What a method of whatever kind may raise; it costs its own cells."""
 
 
 def grid(**axes: Any) -> list[dict[str, Any]]:
@@ -163,17 +159,19 @@ def run(
     >>> results["truth"].sel(seed=0).values
     array([1., 2.])
     """
-    cases, methods, seeds = _case_list(cases), _method_dict(methods), _seed_list(seeds)
-    reserved = {*RESERVED, *cases[0]}
-    bench = _Bench(_callable(make, "make"), methods, score and _callable(score, "score"), reserved)
+    cases, seeds = _listed(cases, seeds)
+    _refuse_unusable(cases, methods, make, score, seeds)
+    study = Comparison(cases, dict(methods), make, score, seeds)
     jobs = list(itertools.product(range(len(cases)), seeds))
-    records = {job: {} for job in jobs}
-    with _bar(len(jobs) * len(methods)) as bar:
-        for job, name, record in _computed(bench, jobs, cases, executor):
-            records[job][name] = record
-            bar.update(bool(name))
-    results = dataset(cases, list(methods), seeds, records)
-    _say_failures(results)
+    done = dict.fromkeys(jobs)
+    for job, records in tqdm(
+        _computed(study, jobs, executor), total=len(jobs), unit="case", leave=False, disable=None
+    ):
+        done[job] = records
+    results = _dataset(cases, list(methods), seeds, done)
+    for method, part in failures(results).groupby("method", sort=False):
+        said = f"{part['count'].sum()} of {len(jobs)} cells not measured; the first: "
+        warnings.warn(f"{method}: {said}{part['reason'].iloc[0]}", stacklevel=2)
     return results
 
 
@@ -186,9 +184,10 @@ class Comparison:
     cases, methods, make, score, seeds
         As :func:`run` takes them. ``methods`` is a dict: add your own to it.
     tables : callable, optional
-        ``tables(results)`` returns a dict of DataFrames by name, a row for every method.
-    figures : callable, optional
-        ``figures(results)`` returns a dict of matplotlib figures by name.
+        ``tables(results)`` returns a dict of DataFrames by name, a row for every method; the first
+        is the one that answers the study's question.
+    figures : sequence of str
+        The numbers that are drawn; all where none is named.
 
     Examples
     --------
@@ -204,88 +203,71 @@ class Comparison:
     score: Callable | None = None
     seeds: Iterable = (0,)
     tables: Callable | None = None
-    figures: Callable | None = None
+    figures: Sequence = ()
 
     def run(self, *, executor: Executor | None = None) -> xr.Dataset:
         """Return the results of all methods on all cases; see :func:`run`."""
         whole = {"make": self.make, "score": self.score, "seeds": self.seeds}
         return run(self.cases, self.methods, **whole, executor=executor)
 
+    def first_data(self) -> Any:
+        """Return the data of the first case: what a method is given."""
+        cases, seeds = _listed(self.cases, self.seeds)
+        made = self.make(**cases[0], seed=seeds[0])
+        return made[0] if type(made) is tuple and len(made) == 2 else made
 
-@dataclass(frozen=True)
-class _Bench:
-    """What is needed to measure a case, here or in another process."""
 
-    make: Callable
-    methods: dict
-    score: Callable | None
-    reserved: set
-
-    def cells(self, case, seed):
-        """Yield name and record of the truth, whose name is empty, and of each method."""
-        with threadpool_limits(limits=1):
-            try:
-                made = self.make(**case, seed=seed)
-            except (Exception, SystemExit) as error:
-                yield from ((name, _failed(error, "make: ")) for name in ("", *self.methods))
-                return
-            data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
-            yield "", _truth_record(truth)
-            for name in self.methods:
-                yield name, self.cell(name, data, truth)
-
-    def cell(self, name, data, truth):
-        """The record of one method."""
+def _measured(study, case, seed):
+    """The records of the truth, whose name is empty, and of each method on one case."""
+    with threadpool_limits(limits=1):
         try:
-            result = self.methods[name](_copied(data))
-        except (Exception, SystemExit) as error:
-            return _failed(error)
-        try:
-            scored = result if self.score is None else self.score(result, truth)
-            return _record(scored, self.reserved)
-        except (Exception, SystemExit) as error:
-            return _failed(error, "score: ")
+            made = study.make(**case, seed=seed)
+        except BROKEN as error:
+            return dict.fromkeys(("", *study.methods), _failed(error, "make: "))
+        data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
+        names, reserved = ("", *study.methods), {*RESERVED, *case}
+        return {name: _record(study, name, data, truth, reserved) for name in names}
 
 
-def _record(result, reserved):
-    """The numbers of a result, and a sentence on those that are none."""
+def _record(study, method, data, truth, reserved):
+    """The numbers that a method gives, and a sentence on those that are none."""
+    if not method:
+        return _truth_record(truth)
+    stage = ""
+    try:
+        result = study.methods[method](copy.deepcopy(data))  # it may change its own copy
+        stage = "score: "
+        result = result if study.score is None else study.score(result, truth)
+    except BROKEN as error:
+        return _failed(error, stage)
     named = result if isinstance(result, Mapping) else {"value": result}
-    figures, wrong = {}, []
+    figures, wrong = {}, [] if named else ["the dict is empty"]
     for name, value in named.items():
         if name in reserved or str(name).startswith("truth_"):
             wrong.append(f"{name} is a name that the results need for something else")
             continue
         figures[str(name)], reason = _number(value)
-        if reason:
-            wrong.append(f"{name} {reason}")
-    if not named:
-        wrong.append("the dict is empty")
+        wrong += [f"{name} {reason}"] if reason else []
     failure = f"{'; '.join(wrong)}. Must be finite numbers." if wrong else ""
     return {"figures": figures, "failure": failure[:LONGEST_REASON]}
 
 
 def _number(value):
     """A value as a float, and what is wrong with it."""
-    array = None
-    with contextlib.suppress(Exception):  # what is no array is no number either
-        array = np.asarray(value)
-    if array is None or array.dtype.kind not in "fiub":
+    if hasattr(value, "dtype") and np.ndim(value) == 0:
+        value = value.item()
+    if not isinstance(value, numbers.Real):
         return np.nan, f"is of type {type(value).__name__}"
-    if array.ndim:
-        return np.nan, f"has shape {array.shape}"
-    number = float(array)
-    return (number, "") if np.isfinite(number) else (np.nan, f"is {number}")
+    return (float(value), "") if np.isfinite(value) else (np.nan, f"is {value}")
 
 
 def _truth_record(truth):
     """The numbers of a truth; what is none stays with the score."""
-    named = {"": truth} if not isinstance(truth, Mapping) else truth
-    read = {name: _number(value) for name, value in named.items()}
-    figures = {
-        f"truth_{name}" if name else "truth": number
-        for name, (number, reason) in read.items()
-        if not reason or reason == "is nan"
-    }
+    figures = {}
+    for name, value in (truth if isinstance(truth, Mapping) else {"": truth}).items():
+        number, wrong = _number(value)
+        if wrong in ("", "is nan"):
+            figures[f"truth_{name}" if name else "truth"] = number
     return {"figures": figures, "failure": ""}
 
 
@@ -295,48 +277,28 @@ def _failed(error, where=""):
     return {"figures": {}, "failure": sentence[:LONGEST_REASON]}
 
 
-def _copied(data):
-    """A copy, so that a method that changes its data leaves the others theirs."""
-    try:
-        return copy.deepcopy(data)
-    except Exception:  # an open file or a lock: shared then
-        return data
-
-
-def _computed(bench, jobs, cases, executor):
-    """Yield job, name and record as they come."""
+def _computed(study, jobs, executor):
+    """Yield each job with its records as they come."""
     if executor is None:
-        for number, seed in jobs:
-            for name, record in bench.cells(cases[number], seed):
-                yield (number, seed), name, record
+        yield from ((job, _measured(study, study.cases[job[0]], job[1])) for job in jobs)
         return
     import cloudpickle
 
-    kit = cloudpickle.dumps(bench)
-    futures = {executor.submit(_unpacked, kit, cases[job[0]], job[1]): job for job in jobs}
+    kit = cloudpickle.dumps(study)
+    futures = {executor.submit(_unpacked, kit, job): job for job in jobs}
     for future in as_completed(futures):
         try:
-            records = future.result()
+            yield futures[future], future.result()
         except Exception as error:  # the process died, perhaps for want of memory
-            records = [(name, _failed(error)) for name in ("", *bench.methods)]
-        for name, record in records:
-            yield futures[future], name, record
+            yield futures[future], dict.fromkeys(("", *study.methods), _failed(error))
 
 
-def _unpacked(kit, case, seed):
-    """A task as a worker runs it."""
+def _unpacked(kit, job):
+    """A job as a worker does it."""
     import cloudpickle
 
-    return list(cloudpickle.loads(kit).cells(case, seed))
-
-
-def _bar(total):
-    """Progress in notebooks and terminals; none elsewhere and in headless runs."""
-    from tqdm.auto import tqdm
-
-    seen = "ipykernel" in sys.modules or sys.stderr.isatty()
-    hidden = bool(os.environ.get("MMQA_HEADLESS")) or not seen or not total
-    return tqdm(total=total, unit="cell", desc="bench", leave=False, disable=hidden)
+    study = cloudpickle.loads(kit)
+    return _measured(study, study.cases[job[0]], job[1])
 
 
 def _several(value):
@@ -346,65 +308,41 @@ def _several(value):
     return list(value)
 
 
-def _case_list(cases):
-    """Cases as a list of dicts with the same parameters."""
-    rows = cases.to_dict("records") if isinstance(cases, pd.DataFrame) else list(cases)
-    if not rows or not all(isinstance(row, Mapping) and row for row in rows):
+def _listed(cases, seeds):
+    """Cases as dicts, and seeds as a list."""
+    rows = cases.to_dict("records") if isinstance(cases, pd.DataFrame) else cases
+    return [dict(row) for row in rows], _several(seeds)
+
+
+def _refuse_unusable(cases, methods, make, score, seeds):
+    """Say in one sentence what cannot be run."""
+    if not cases or not methods or not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(
-            f"Invalid cases {rows[:1]}. Must be dicts of parameters, or a DataFrame with a row for "
-            "each case."
+            f"Invalid bench of {len(cases)} cases, {len(methods)} methods and seeds {seeds}. "
+            "Must have some of each, and different seeds."
         )
-    for row in rows:
-        if set(row) != set(rows[0]):
-            raise ValueError(f"Invalid case {row}. Must have the parameters {', '.join(rows[0])}.")
-    taken = [name for name in rows[0] if name in RESERVED or str(name).startswith("truth_")]
+    for case in cases:
+        if set(case) != set(cases[0]):
+            raise ValueError(f"Invalid case {case}. Must have {', '.join(cases[0])}.")
+    taken = [name for name in cases[0] if name in RESERVED or name.startswith("truth_")]
     if taken:
         raise ValueError(f"Invalid parameter {taken[0]!r}. Must not be a name of the results.")
-    return [dict(row) for row in rows]
+    functions = {**methods, "make": make} | ({"score": score} if score is not None else {})
+    for name, function in functions.items():
+        if not callable(function):
+            raise TypeError(
+                f"Invalid {name} of type {type(function).__name__}. Must be a function."
+            )
 
 
-def _method_dict(methods):
-    """Methods as a dict of functions by their names."""
-    if not isinstance(methods, Mapping) or not methods:
-        raise TypeError(f"Invalid methods {methods!r}. Must be a dict of names and functions.")
-    for name, method in methods.items():
-        if not isinstance(name, str) or not name:
-            raise TypeError(f"Invalid name of a method {name!r}. Must be a text.")
-        _callable(method, f"method {name!r}")
-    return dict(methods)
-
-
-def _callable(value, name):
-    """A function, or the sentence that says it is none."""
-    if not callable(value):
-        raise TypeError(f"Invalid {name} of type {type(value).__name__}. Must be a function.")
-    return value
-
-
-def _seed_list(seeds):
-    """Seeds as a list without doubles."""
-    listed = [check_count(seed, "seed", low=0) for seed in _several(seeds)]
-    if not listed or len(set(listed)) < len(listed):
-        raise ValueError(f"Invalid seeds {listed}. Must be one or more different whole numbers.")
-    return listed
-
-
-def _say_failures(results):
-    """A warning for each method that could not measure all cells."""
-    table = failures(results)
-    cells = results["failure"][0].size
-    for method, part in table.groupby("method", sort=False):
-        first = part["reason"].iloc[0]
-        said = f"{method}: {part['count'].sum()} of {cells} cells not measured; the first: {first}"
-        warnings.warn(said, stacklevel=3)
-
-
-def dataset(cases, methods, seeds, records):
+def _dataset(cases, methods, seeds, records):
     """The Dataset of the records of all cells, in the order of cases, methods and seeds."""
     columns = {name: _labels([case[name] for case in cases]) for name in cases[0]}
     codes, labels = _axes(columns, len(cases))
-    labels = {"method": methods, **labels, "seed": seeds}
-    expected = {method: _names(records, method) for method in methods}
+    expected = {
+        method: {name for found in records.values() for name in found[method]["figures"]}
+        for method in methods
+    }
     truths, rows = [], []
     for (number, seed), found in records.items():
         place = {name: code[number] for name, code in codes.items()} | {"seed": seeds.index(seed)}
@@ -414,20 +352,15 @@ def dataset(cases, methods, seeds, records):
             rows.append({"method": row, **place, **found[method]["figures"], **failure})
     dims = [*codes, "seed"]
     results = pd.DataFrame(rows).set_index(["method", *dims]).to_xarray()
-    results["failure"] = results["failure"].astype(str)
     results = results.merge(pd.DataFrame(truths).set_index(dims).to_xarray())
-    results = results.assign_coords({name: labels[name] for name in results.dims})
+    results = results.assign_coords({"method": methods, **labels, "seed": seeds})
+    results["failure"] = results["failure"].astype(str)
     if "case" in codes:
         results = results.assign_coords({name: ("case", one) for name, one in columns.items()})
     for name in results.variables:
-        if ending := unit_ending(name):
-            results[name].attrs["units"] = UNITS[ending]
+        if split_unit(name)[1]:
+            results[name].attrs["units"] = split_unit(name)[1]
     return results
-
-
-def _names(records, method):
-    """The figures that a method gave in any cell."""
-    return {name for found in records.values() for name in found[method]["figures"]}
 
 
 def _reason(record, expected):
@@ -442,11 +375,9 @@ def _axes(columns, count):
     """Each case's place on every axis, and the axes' labels: a full grid, or one axis of cases."""
     # in the order they come; NaN is a value too
     found = {name: pd.factorize(one, use_na_sentinel=False) for name, one in columns.items()}
-    codes = {name: code for name, (code, _) in found.items()}
-    labels = {name: levels for name, (_, levels) in found.items()}
-    different = len(set(zip(*codes.values(), strict=True)))
-    if different == count == np.prod([len(levels) for levels in labels.values()]):
-        return codes, labels
+    different = len(set(zip(*(code for code, _ in found.values()), strict=True)))
+    if different == count == np.prod([len(levels) for _, levels in found.values()]):
+        return tuple({name: one[part] for name, one in found.items()} for part in (0, 1))
     return {"case": np.arange(count)}, {"case": np.arange(count)}
 
 
@@ -701,12 +632,7 @@ def compare(
 
 
 def rank(
-    results: xr.Dataset,
-    truth: str,
-    figure: str | None = None,
-    *,
-    resamples: int = 200,
-    seed: int = 0,
+    results: xr.Dataset, truth: str, figure: str | None = None, *, seed: int = 0
 ) -> pd.DataFrame:
     """Return which method orders the cases best.
 
@@ -718,10 +644,8 @@ def rank(
         A parameter of the cases, or a variable of truth (its ``truth_`` may be left out).
     figure : str, optional
         Name of the variable; may be left out if there is only one.
-    resamples : int
-        Bootstrap samples of the cases.
     seed : int
-        Of the bootstrap.
+        Of the bootstrap of cases.
 
     Returns
     -------
@@ -757,7 +681,7 @@ def rank(
     true = next(iter(_by_method(results, truth)[0].values()))
     values = np.stack(list(by_method.values()))
     members = [np.flatnonzero(cases == case) for case in np.unique(cases)]
-    draws = np.random.default_rng(seed).integers(len(members), size=(resamples, len(members)))
+    draws = np.random.default_rng(seed).integers(len(members), size=(RESAMPLES, len(members)))
     found = _spearman(values, true)
     drawn = []
     for draw in draws:
@@ -828,11 +752,7 @@ def _figure(results, figure):
 
 def _truth_name(results, truth):
     """The parameter or variable of truth of that name."""
-    figures = figure_names(results)
-    variables = [name for name in results.data_vars if name not in (*figures, "failure")]
-    known = (*_parameters(results), *variables)
-    name = f"truth_{truth}" if f"truth_{truth}" in known and truth not in known else truth
-    check_choice(name, "truth", known)
-    if results[name].dtype.kind not in "fiub":
-        raise ValueError(f"Invalid truth {truth!r} of type {results[name].dtype}. Must be numbers.")
-    return name
+    variables = set(results.data_vars) - {*figure_names(results), "failure"}
+    known = (*_parameters(results), *sorted(variables))
+    whole = f"truth_{truth}"
+    return whole if whole in known else check_choice(truth, "truth", known)

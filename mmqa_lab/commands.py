@@ -865,68 +865,45 @@ def bench(
     import pandas as pd
 
     from mmqa_lab import bench
+    from mmqa_lab.studies import chosen
 
-    comparison = _comparison(study, quick)
+    comparison = chosen([study])[0].bench(quick=quick)
     own = dict(_named_function(text) for text in method or [])
     taken = own.keys() & comparison.methods.keys()
     if taken:
         raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
-    comparison.methods.update(own)
-    if raise_:
-        _call_on_first_case(comparison, own)
+    comparison.methods = {**comparison.methods, **own}
+    for function in own.values() if raise_ else ():
+        function(comparison.first_data())
     results = _results(comparison, workers)
-    wanted = () if callable(comparison.figures) else comparison.figures or ()
-    figures = [name for name in wanted if name in results]
+    figures = [name for name in comparison.figures if name in results]
     figures = figures or list(bench.figure_names(results))
     rows = []
     for name in figures:
         part = bench.summary(results, name)
         part.columns = ["method", "mean", "low", "high", "n", "missing"]
         rows.append(part.assign(figure=name))
-    frame = pd.concat(rows, ignore_index=True)
     tables = comparison.tables(results) if comparison.tables else {}
+    tables["summary"] = pd.concat(rows, ignore_index=True)
     if out is not None:
-        tables |= {"summary": frame, "cells": bench.cell_table(results)}
-        tables["failures"] = bench.failures(results)
-        _write_bench(out, tables, lambda: bench.plot(results, figures, own=own))
-    return next(iter(tables.values()), frame)
-
-
-def _comparison(stem, quick):
-    """The bench of a study, for a quick look with the small parameters that it knows."""
-    from mmqa_lab.studies import chosen
-
-    study = chosen([stem])[0]
-    if not callable(getattr(study.module, "bench", None)):
-        return study.module.comparison(quick=quick)
-    known = inspect.signature(study.module.bench).parameters
-    small = {"seeds": range(3)} | study.quick
-    small = {name: value for name, value in small.items() if name in known}
-    return study.module.bench(**small if quick else {})
+        kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
+        _write_bench(out, tables | kept, lambda: bench.plot(results, figures, own=own))
+    return next(iter(tables.values()))
 
 
 def _named_function(text):
-    """Name and function of MODULE:FUNCTION."""
+    """Name and function of MODULE:FUNCTION, in the current directory."""
     module, _, name = text.partition(":")
     sys.path.insert(0, str(Path.cwd()))
     try:
         function = getattr(importlib.import_module(module), name)
-    except Exception as error:
+        if not callable(function):
+            raise TypeError(f"{name} is not callable")
+    except Exception as error:  # of any kind: another's module is executed
         raise ValueError(
             f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
         ) from error
-    if not callable(function):
-        raise TypeError(f"Invalid method {text!r}: not callable. Must be a function.")
     return name, function
-
-
-def _call_on_first_case(comparison, own):
-    """Call one's own methods outside of the bench, so that their tracebacks are seen."""
-    cases = comparison.cases
-    case = dict(cases[0] if isinstance(cases, list) else cases.iloc[0])
-    made = comparison.make(**case, seed=next(iter(comparison.seeds)))
-    for function in own.values():
-        function(made[0] if type(made) is tuple else made)
 
 
 def _results(comparison, workers):

@@ -1,27 +1,24 @@
 """The bench against loops, ranks and intervals made here."""
 
 import itertools
-import json
 import math
 import os
-import pickle
+import re
 import warnings
 from concurrent.futures import ProcessPoolExecutor
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from distributed import Client, LocalCluster
+from distributed import Client
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.figure import Figure
 from scipy import stats
 
 from mmqa_lab import bench
 from mmqa_lab.__main__ import main
-from mmqa_lab.studies import anisotropy
+from mmqa_lab.studies import lhd_weight
 
 
 def noisy(sigma, count, seed):
@@ -75,15 +72,6 @@ def test_any_grid_comes_back_on_its_axes(axes):
             assert found["value"].sel(case).item() == make(0, **case)
 
 
-def test_single_values_are_axes_of_one():
-    assert bench.grid(kind="lines", n=(1, 2)) == [
-        {"kind": "lines", "n": 1},
-        {"kind": "lines", "n": 2},
-    ]
-    with pytest.raises(ValueError, match="Invalid axes n: no values"):
-        bench.grid(n=())
-
-
 @pytest.mark.parametrize("form", [list, pd.DataFrame])
 def test_cases_that_are_no_full_grid_stand_in_a_row(form):
     cases = [{"a": 1, "b": "x"}, {"a": 2, "b": "x"}, {"a": 2, "b": "y"}]
@@ -110,23 +98,18 @@ def test_parameters_that_are_no_numbers_become_texts():
 @pytest.mark.parametrize(
     ("change", "error", "sentence"),
     [
-        ({"cases": []}, ValueError, "Invalid cases"),
-        ({"cases": [{"a": 1}, {"b": 1}]}, ValueError, "Must have the parameters a"),
-        ({"cases": [{"seed": 1}]}, ValueError, "Invalid parameter 'seed'"),
+        ({"cases": []}, ValueError, "Invalid bench of 0 cases, 1 methods"),
+        ({"cases": [{"a": 1}, {"b": 1}]}, ValueError, "Invalid case {'b': 1}. Must have a."),
         ({"cases": [{"truth_x": 1}]}, ValueError, "Invalid parameter 'truth_x'"),
-        ({"methods": {}}, TypeError, "Invalid methods"),
-        ({"methods": {"a": 3}}, TypeError, "Invalid method 'a' of type int"),
-        ({"methods": {"": len}}, TypeError, "Invalid name of a method"),
-        ({"make": 3}, TypeError, "Invalid make of type int"),
+        ({"methods": {"a": 3}}, TypeError, "Invalid a of type int"),
         ({"score": 3}, TypeError, "Invalid score of type int"),
-        ({"seeds": ()}, ValueError, "Invalid seeds"),
-        ({"seeds": (1, 1)}, ValueError, "Invalid seeds"),
+        ({"seeds": (1, 1)}, ValueError, "seeds [1, 1]. Must have some of each, and different"),
     ],
 )
 def test_what_cannot_be_run_is_refused(change, error, sentence):
     whole = {"cases": [{"a": 1}], "methods": {"a": len}, "make": lambda a, seed: a}
     whole |= change
-    with pytest.raises(error, match=sentence):
+    with pytest.raises(error, match=re.escape(sentence)):
         bench.run(whole.pop("cases"), whole.pop("methods"), **whole)
 
 
@@ -160,17 +143,17 @@ def test_make_is_called_once_and_each_method_gets_its_own_copy():
 
 
 def test_score_turns_results_into_figures_with_units():
-    def make(n, seed):
-        return n, {"height_mm": n + 1, "note": "free text"}
-
     def score(result, truth):
-        return {"error_mm": result.height - truth["height_mm"], "hits": True}
+        return {"error_mm": result - truth["height_mm"], "hits": True}
 
-    methods = {"low": lambda n: SimpleNamespace(height=n)}
-    found = bench.run(bench.grid(n=(1, 2)), methods, make=make, score=score)
+    found = bench.run(
+        bench.grid(n=(1, 2)),
+        {"low": lambda n: n},
+        make=lambda n, seed: (n, {"height_mm": n + 1, "note": "free text"}),
+        score=score,
+    )
     assert found["error_mm"].values.ravel().tolist() == [-1, -1]
     assert found["error_mm"].attrs["units"] == found["truth_height_mm"].attrs["units"] == "mm"
-    assert found["hits"].values.ravel().tolist() == [1, 1]
     assert set(found.data_vars) == {"error_mm", "hits", "truth_height_mm", "failure"}
 
 
@@ -189,12 +172,9 @@ BAD = {
     "raises": (raises, "RuntimeError: no signal"),
     "leaves": (leaves, "SystemExit: 3"),
     "nan": (lambda x: math.nan, "value is nan. Must be finite numbers."),
-    "infinite": (lambda x: math.inf, "value is inf. Must be finite numbers."),
     "text": (lambda x: "3", "value is of type str. Must be finite numbers."),
-    "none": (lambda x: None, "value is of type NoneType. Must be finite numbers."),
-    "array": (lambda x: np.ones((2, 1)), "value has shape (2, 1). Must be finite numbers."),
+    "array": (lambda x: np.ones((2, 1)), "value is of type ndarray. Must be finite numbers."),
     "ragged": (lambda x: [[1], [1, 2]], "value is of type list. Must be finite numbers."),
-    "complex": (lambda x: 1j, "value is of type complex. Must be finite numbers."),
     "empty": (lambda x: {}, "the dict is empty. Must be finite numbers."),
     "taken": (
         lambda x: {"count": 3},
@@ -221,7 +201,6 @@ def test_each_failure_costs_its_own_cells_and_one_sentence(tmp_path):
     found.to_netcdf(tmp_path / "results.nc")
     with xr.open_dataset(tmp_path / "results.nc") as kept:
         pd.testing.assert_frame_equal(bench.failures(kept), table, check_dtype=False)
-    pd.testing.assert_frame_equal(bench.failures(pickle.loads(pickle.dumps(found))), table)
 
 
 def test_one_bad_figure_leaves_the_others():
@@ -258,10 +237,6 @@ def test_a_score_that_fails_is_named():
     assert bench.failures(found)["reason"].item().startswith("score: AttributeError")
 
 
-def test_no_failures_no_rows(results):
-    assert bench.failures(results).empty
-
-
 # Processes
 
 
@@ -273,8 +248,7 @@ def test_executors_give_the_same_bits_as_one_process():
     here = quietly(CASES, methods, make=noisy, seeds=(0, 1))
     with ProcessPoolExecutor(2) as pool:
         assert quietly(CASES, methods, make=noisy, seeds=(0, 1), executor=pool).identical(here)
-    options = {"threads_per_worker": 2, "dashboard_address": ":0", "memory_limit": 0}
-    with LocalCluster(n_workers=1, **options) as cluster, Client(cluster) as client:
+    with Client(processes=False, dashboard_address=None) as client:
         pool = client.get_executor()
         assert quietly(CASES, methods, make=noisy, seeds=(0, 1), executor=pool).identical(here)
 
@@ -320,8 +294,6 @@ def test_summary_counts_what_is_missing():
     assert np.isnan(single["low_mm"]).all()
     with pytest.raises(ValueError, match="Invalid figure 'error'"):
         bench.summary(found, "error")
-    with pytest.raises(ValueError, match="Invalid parameter 'm'"):
-        bench.summary(found, by="m")
 
 
 def test_compare_is_the_paired_interval(results):
@@ -409,9 +381,6 @@ def test_rank_takes_what_a_method_measured():
     assert np.isnan(table.loc["flat", "spearman"])
     with pytest.raises(ValueError, match="Invalid truth 'none'"):
         bench.rank(found, "none")
-    texts = bench.run(bench.grid(k=("a", "b")), {"m": len}, make=lambda k, seed: k)
-    with pytest.raises(ValueError, match="Must be numbers"):
-        bench.rank(texts, "k")
 
 
 def test_tables_take_a_selection_and_a_row_of_cases(results):
@@ -424,96 +393,70 @@ def test_tables_take_a_selection_and_a_row_of_cases(results):
 # The command
 
 
-def small(quick=False):
+RESEARCHER = """
+import numpy as np
+
+def spread(x):
+    return np.ptp(x)
+
+def std(x):
+    return 0
+
+def upset(x):
+    raise ValueError("no signal")
+"""
+
+
+def small(seeds=(0, 1)):
     """A study of two methods."""
-
-    def tables(results):
-        return {"ranks": bench.rank(results, "sigma", resamples=9)}
-
-    def figures(results):
-        figure = Figure()
-        figure.subplots().plot(results["sigma"], results["value"].mean(("count", "seed")).T)
-        return {"course": figure}
-
-    cases = CASES[:2] if quick else CASES
-    return bench.Comparison(cases, dict(METHODS), noisy, None, (0, 1), tables, figures)
+    tables = {"tables": lambda results: {"ranks": bench.rank(results, "sigma")}}
+    return bench.Comparison(CASES, dict(METHODS), noisy, None, seeds, **tables)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A working folder with a researcher's module, and a study that compares."""
-    monkeypatch.setattr(anisotropy, "comparison", small, raising=False)
+def call(tmp_path, monkeypatch, capsys):
+    """A call of the command in a folder with a researcher's module: status, output, sentences."""
+    monkeypatch.setattr(lhd_weight, "bench", small)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    text = "import numpy as np\nLIMIT = 3\ndef spread(x):\n    return np.ptp(x)\n"
-    text += "def upset(x):\n    raise ValueError('no signal')\n"
-    (tmp_path / "researcher.py").write_text(text)
-    (tmp_path / "broken.py").write_text("def spread(x:\n")
-    return tmp_path
+    (tmp_path / "researcher.py").write_text(RESEARCHER)
+
+    def run(line):
+        return main(["bench", "lhd_weight", *line.split()]), *capsys.readouterr()
+
+    return run
 
 
-def test_command_gives_the_study_with_one_more_row(folder, capsys):
-    line = "bench anisotropy --method researcher:spread --out out --json --csv rows.csv"
-    assert main(line.split()) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    rows = json.loads(printed.out)
-    assert [row["method"] for row in rows] == ["std", "mad", "spread"]
-    assert pd.read_csv("rows.csv").columns.tolist() == list(rows[0])
-    ranks = pd.read_csv("out/ranks.csv")
-    assert set(ranks["method"]) == {"std", "mad", "spread"}
-    assert {path.name for path in (folder / "out").iterdir()} == {
-        "course.png",
-        "course.svg",
-        "failures.csv",
-        "ranks.csv",
-        "results.nc",
-    }
-    with xr.open_dataset("out/results.nc") as kept:
-        assert kept["value"].sel({"method": "spread"}).notnull().all()
+def test_command_ranks_ones_own_method_and_names_its_files(call, tmp_path):
+    status, out, err = call("--method researcher:spread --out out --csv rows.csv")
+    assert status == 0
+    assert out.split()[:2] == ["method", "spearman"]
+    assert set(pd.read_csv("rows.csv")["method"]) == {"std", "mad", "spread"}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    tables = {"ranks.csv", "cells.csv", "failures.csv", "summary.csv"}
+    assert written == tables | {"methods.pdf", "methods.png", "methods.svg"}
+    assert all(name in err for name in written)
 
 
-UPSET = ["bench", "anisotropy", "--method", "researcher:upset"]
-
-
-def test_command_says_what_failed_and_goes_on(folder, capsys):
-    assert main([*UPSET, "--quick", "--out", "out"]) == 0
-    said = capsys.readouterr()
-    assert said.err.strip() == (
-        "mmqa bench: upset: 4 of 4 cells not measured; the first: ValueError: no signal"
+def test_command_says_what_failed_and_goes_on_or_raises(call):
+    status, _, err = call("--method researcher:upset --quick")
+    assert (status, err.strip()) == (
+        0,
+        "mmqa bench: upset: 18 of 18 cells not measured; the first: ValueError: no signal",
     )
-    assert pd.read_csv("out/failures.csv")["reason"].tolist() == ["ValueError: no signal"]
+    with pytest.raises(ValueError, match="no signal"):
+        call("--method researcher:upset --raise")
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
+    ("method", "sentence"),
     [
-        ("nowhere", "Invalid study 'nowhere'. Must be one of chart_tables"),
-        ("anisotropy --method spread", "Must be MODULE:FUNCTION."),
-        ("anisotropy --method nowhere:spread", "No module named 'nowhere'. Must be"),
-        ("anisotropy --method broken:spread", "SyntaxError"),
-        ("anisotropy --method researcher:none", "no none in researcher. Must be a function."),
-        ("anisotropy --method researcher:LIMIT", "not callable. Must be a function."),
-        ("anisotropy --out researcher.py", "Invalid folder researcher.py: a file."),
+        ("spread", "Must be MODULE:FUNCTION."),
+        ("researcher:none", "Must be MODULE:FUNCTION."),
+        ("researcher:np", "Must be MODULE:FUNCTION."),
+        ("researcher:std", "Invalid method 'std': the study has it."),
     ],
 )
-def test_command_refuses_in_one_sentence(words, sentence, folder, capsys):
-    before = sorted(folder.iterdir())
-    assert main(["bench", *words.split()]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert sentence in said.err
-    assert len(said.err.splitlines()) == 1
-    assert [path for path in sorted(folder.iterdir()) if path.name != "__pycache__"] == before
-
-
-def test_command_refuses_a_name_that_the_study_has(folder, capsys):
-    (folder / "twin.py").write_text("def mad(x):\n    return 0\n")
-    assert main(["bench", "anisotropy", "--method", "twin:mad"]) == 2
-    assert "mad is in the study" in capsys.readouterr().err
-
-
-def test_a_study_that_compares_nothing_is_refused(folder, monkeypatch, capsys):
-    monkeypatch.delattr(anisotropy, "comparison")
-    assert main(["bench", "anisotropy"]) == 2
-    assert "it compares no methods" in capsys.readouterr().err
+def test_command_refuses_in_one_sentence(method, sentence, call):
+    status, out, err = call(f"--method {method}")
+    assert (status, out, len(err.splitlines())) == (2, "", 1)
+    assert sentence in err

@@ -114,18 +114,6 @@ def test_calibrate_writes_corrected_clouds(call, tmp_path):
     assert len(io.read_cloud(tmp_path / "corrected" / "1_there.laz")) == len(drives[0][0])
 
 
-def test_a_method_of_ones_own_is_ranked_and_drawn(call, tmp_path):
-    (tmp_path / "mine_too.py").write_text("def constant(xy):\n    return 2.0\n")
-    status, out, err = call("bench anisotropy --method mine_too:constant --quick --out mine")
-    assert status == 0
-    assert "constant" in out
-    assert "methods.pdf" in err
-    assert (tmp_path / "mine" / "methods.pdf").stat().st_size > 0
-    (tmp_path / "wrong.py").write_text("def fails(xy):\n    return xy.none\n")
-    with pytest.raises(AttributeError, match="none"):
-        call("bench anisotropy --method wrong:fails --quick --raise")
-
-
 def test_what_is_empty_or_wide_fits_the_terminal():
     wide = pd.DataFrame({f"a_long_name_{k}": [k / 3] * 2 for k in range(20)} | {"none": ["", ""]})
     text = commands.as_text(wide.assign(remarks=["said once", "said once"]))

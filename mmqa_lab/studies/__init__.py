@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 
 from mmqa_lab import _shipped, _tables
@@ -39,6 +40,19 @@ class Study:
     def module(self):
         """The imported module of the study."""
         return import_module(f"mmqa_lab.studies.{self.stem}")
+
+
+    def bench(self, *, quick=False):
+        """The study's comparison of methods, for a quick look with few seeds and small parameters.
+
+        A study that compares nothing is refused with a ValueError.
+        """
+        make = getattr(self.module, "bench", None)
+        if not callable(make):
+            raise ValueError(f"Invalid study {self.stem!r}: no bench. Must compare methods.")
+        small = {"seeds": range(3)} | self.quick
+        known = signature(make).parameters
+        return make(**{name: small[name] for name in small if quick and name in known})
 
 
 _FOLDER = Path(__file__).parent
