@@ -20,7 +20,7 @@ SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 
 PARAMETERS = [(study, name) for study in STUDIES for name in parameter_names(study.path)]
 
-WORDS = {"principal": "horizontal", "table-4-1": "balconies", "roamer": "vq-450", "C": "B"}
+WORDS = {"principal": "horizontal", "table-4-1": "facades", "roamer": "vq-450", "C": "B"}
 """What a parameter that is a word becomes."""
 
 

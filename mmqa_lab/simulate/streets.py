@@ -14,10 +14,19 @@ import pandas as pd
 
 from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab.simulate import surfaces
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import box, cylinder, foliage, group, rectangle
+from mmqa_lab.simulate.surfaces import (
+    board,
+    box,
+    cylinder,
+    disc,
+    foliage,
+    ground,
+    group,
+    rectangle,
+    wall,
+)
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import straight
 
@@ -25,6 +34,9 @@ FAR_M = 12.5
 LEAF_RADIUS_M = 0.07
 LEAVES_PER_M = 0.8
 """Leaves that a ray meets on a metre of its way through foliage of density 1, on average."""
+
+BUSHES = {"shrub": ((0.3, 0.5, 1.5), (0.7, 1.5, 4.0)), "thicket": ((1.0, 1.0, 10), (2.0, 5.0, 30))}
+"""Least and largest radius (m), height (m) and density of what stands around feet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,30 +53,16 @@ class Plan:
         Share of poles with a shrub around the foot.
     thicket_share : float
         Share of the poles beyond 12.5 m that stand in undergrowth.
-    thicket_density, thicket_height_m : tuple of 2
-        Least and largest density and height of undergrowth.
-    low_crown_share, low_branch_share : float
-        Share of trees whose crown begins at 0.7-1.5 m; share with branches around the trunk.
-    trunk_radius_m : tuple of 2
-        Least and largest radius of trunks at the foot.
-    trunk_lean_deg : float
-        Standard deviation of their lean in each of two directions.
-    crown_height_m, crown_radius_m : tuple of 2
-        Least and largest height and radius of crowns.
-    crown_density : float
-        Of crowns; 1 is 0.8 leaves a metre of way.
-    cars_per_100m, pedestrians_per_100m, billboards_per_100m, hedges_per_100m : float
+    low_crown_share : float
+        Share of trees whose crown begins at 0.7-1.5 m.
+    cars_per_100m, pedestrians_per_100m, hedges_per_100m : float
         Hedges are 6-18 m long.
     building_share : float
         Share of the street's sides with a building.
     setback_m : tuple of 2
         Least and largest distance of facades from the vehicle's path.
-    balcony_share : float
-        Share of every second window above the ground floor with a balcony.
     columns_per_100m, pipes_per_100m : float
         Along a facade.
-    slope, cross_slope : float
-        Of the ground, m/m.
     """
 
     trees_per_100m: float = 10.0
@@ -74,33 +72,19 @@ class Plan:
     far_share: float = 0.6
     shrub_share: float = 0.35
     thicket_share: float = 0.6
-    thicket_density: tuple = (1.5, 5.0)
-    thicket_height_m: tuple = (2.0, 4.0)
     low_crown_share: float = 0.2
-    low_branch_share: float = 0.3
-    trunk_radius_m: tuple = (0.06, 0.2)
-    trunk_lean_deg: float = 2.5
-    crown_height_m: tuple = (2.5, 5.0)
-    crown_radius_m: tuple = (1.0, 2.4)
-    crown_density: float = 1.0
     cars_per_100m: float = 4.0
     pedestrians_per_100m: float = 0.6
-    billboards_per_100m: float = 0.3
     hedges_per_100m: float = 4.0
     building_share: float = 0.5
     setback_m: tuple = (12.0, 26.0)
-    balcony_share: float = 0.1
     columns_per_100m: float = 1.0
     pipes_per_100m: float = 3.0
-    slope: float = 0.0
-    cross_slope: float = 0.0
 
     def __post_init__(self):
         for name, value in vars(self).items():
-            if name.endswith("_share"):
-                check_number(value, name, low=0, high=1)
-            elif name.endswith("_per_100m"):
-                check_number(value, name, low=0)
+            if name != "setback_m":
+                check_number(value, name, low=0, high=1 if name.endswith("_share") else None)
         low, high = self.setback_m
         check_number(high, "setback_m", low=check_number(low, "setback_m", low=5), unit="m")
 
@@ -145,10 +129,7 @@ class Street:
 
     def trajectory(self, speed=30 / 3.6):
         """Return the drive through the whole street at a speed in m/s."""
-        pitch = np.degrees(np.arctan(self.plan.slope))
-        path = straight(self.length_m, speed, pitch=pitch)
-        rise = self.plan.slope * path.position[:, 1]
-        return replace(path, position=path.position + np.stack([0 * rise, 0 * rise, rise], axis=1))
+        return straight(self.length_m, speed)
 
 
 def street(plan, *, length, seed):
@@ -173,14 +154,13 @@ def street(plan, *, length, seed):
         plan = PLANS[check_choice(plan, "plan", tuple(PLANS))]
     length = check_positive(length, "length", unit="m")
     blocks = _buildings(plan, length, seed)
-    things, rows = [_ground(plan, length)], []
+    things, rows = [ground(centre=(0, length / 2), size=(160, length + 120))], []
     for parts, truth in _poles(plan, length, seed, blocks):
         rows.append(truth | {"surface": len(things)})
         things += parts
     things += _clutter(plan, length, seed)
-    for number, (side, setback, start, size) in enumerate(blocks):
-        at = _place(plan, side * setback, start) - [0, 0, 0.2]
-        things += _building(_stream(seed, f"building {number}"), at, size, plan, side)
+    for number, block in enumerate(blocks):
+        things += _building(_stream(seed, f"building {number}"), *block, plan)
     return Street(Scene(things), pd.DataFrame(rows), length, plan)
 
 
@@ -252,18 +232,6 @@ def _stream(seed, kind):
     return np.random.default_rng([int(seed), zlib.crc32(kind.encode())])
 
 
-def _place(plan, x, y):
-    """A place on the ground."""
-    return np.array([x, y, plan.cross_slope * x + plan.slope * y])
-
-
-def _ground(plan, length):
-    """The ground 60 m around the street."""
-    across, along = 160.0, length + 120.0
-    sides = (across, 0, plan.cross_slope * across), (0, along, plan.slope * along)
-    return rectangle(_place(plan, -80.0, -60.0), *sides, label="ground", reflectance=0.2)
-
-
 def _buildings(plan, length, seed):
     """Side, setback, start and length of each building."""
     found = []
@@ -296,9 +264,9 @@ def _poles(plan, length, seed, blocks):
             taken = np.vstack([taken, at[:2]])
             parts, truth = make(own, at, side, plan)
             if shrubby:
-                parts.append(_shrub(own, at))
+                parts.append(_bush(own, at, "shrub"))
             if hidden and abs(at[0]) >= FAR_M:
-                parts.append(_thicket(own, at, plan))
+                parts.append(_bush(own, at, "thicket"))
             yield parts, truth
 
 
@@ -310,7 +278,7 @@ def _foot(rng, kind, side, length, plan):
         across = beside if back > 0.3 * plan.far_share else far
     else:
         across = far if back < plan.far_share else near
-    return _place(plan, side * across, rng.uniform(0.0, length))
+    return np.array([side * across, rng.uniform(0.0, length), 0.0])
 
 
 def _inside(at, block):
@@ -362,105 +330,68 @@ def _sign(rng, at, side, plan):
     middle = at + [0, 0, height - size / 2] + (radius + 0.02) * front
     middle[:2] += [truth["lean_x"] * height, truth["lean_y"] * height]
     if round_:
-        plates = [surfaces.disc(middle, front, size / 2)]
+        plates = [disc(middle, front, size / 2)]
     else:
-        plates = [surfaces.board(middle, size, size, heading=heading)]
+        plates = [board(middle, size, size, heading=heading)]
     if second:
         below = middle - [0, 0, size / 2 + 0.15]
-        plates.append(surfaces.board(below, size, 0.25, heading=heading))
+        plates.append(board(below, size, 0.25, heading=heading))
     return [post, group(plates, label="board")], truth
 
 
 def _tree(rng, at, side, plan):
-    """A tree: trunk and crown, low or with branches as often as the plan says."""
-    radius, taper = rng.uniform(*plan.trunk_radius_m), rng.uniform(0.6, 0.9)
-    crown_radius, crown_height = (
-        rng.uniform(*plan.crown_radius_m),
-        rng.uniform(*plan.crown_height_m),
-    )
+    """A tree: trunk and crown, which is low as often as the plan says."""
+    radius, taper = rng.uniform(0.06, 0.2), rng.uniform(0.6, 0.9)
+    crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(2.5, 5.0)
     base = rng.uniform(0.7, 1.5) if rng.random() < plan.low_crown_share else rng.uniform(2.0, 3.5)
     height = base + 0.5 * crown_height
-    trunk, truth = _shaft(rng, at, "tree", radius, radius * taper, height, plan.trunk_lean_deg)
-    seeds = rng.integers(2**31, size=8)
-    centre = at + np.array([0, 0, base + crown_height / 2])
+    trunk, truth = _shaft(rng, at, "tree", radius, radius * taper, height, lean_deg=2.5)
     radii = (crown_radius, crown_radius, crown_height / 2)
-    leaves = [_crown(centre, radii, plan.crown_density, seeds[0])]
-    branched = rng.random() < plan.low_branch_share
-    spots = rng.uniform([0.15, 0, 0.6], [0.6, 2 * np.pi, max(base, 1.6)], (5, 3))
-    sizes = rng.uniform(0.15, 0.4, (5, 1)) * [1, 1, 0.6]
-    if branched:
-        for (r, turn, z), size, seed in zip(spots, sizes, seeds[1:6], strict=True):
-            spot = at + [r * np.cos(turn), r * np.sin(turn), z]
-            leaves.append(_crown(spot, size, 1.5 * plan.crown_density, seed))
-    return [trunk, group(leaves, label="crown")], truth | {"clear_height_m": base}
+    crown = _crown(at + [0, 0, base + crown_height / 2], radii, 1.0, rng.integers(2**31))
+    return [trunk, crown], truth | {"clear_height_m": base}
 
 
 def _other(rng, at, side, plan):
-    """A traffic light, utility pole, bollard, parking meter or flagpole."""
-    which = rng.choice(5, p=[0.25, 0.2, 0.25, 0.15, 0.15])
-    low = [(0.05, 3.0), (0.1, 6.5), (0.04, 1.1), (0.025, 1.2), (0.04, 6.0)][which]
-    high = [(0.075, 3.8), (0.15, 9.0), (0.09, 1.4), (0.04, 1.5), (0.06, 8.0)][which]
-    radius, height = rng.uniform(low, high)
-    taper = rng.uniform(0.6, 1.0) if which in (1, 4) else 1.0
+    """A utility pole or the post of a traffic light; four times in ten a bollard or a meter."""
+    if rng.random() < 0.6:
+        radius, height, taper = rng.uniform([0.05, 3.0, 0.6], [0.15, 9.0, 1.0])
+    else:
+        radius, height, taper = *rng.uniform([0.025, 1.1], [0.09, 1.5]), 1.0
     post, truth = _shaft(rng, at, "other", radius, radius * taper, height)
-    if which == 0:
-        return [post, box(at + [0, 0.15, height - 1.0], (0.25, 0.2, 0.85), label="signal")], truth
-    if which == 3:
-        return [post, box(at + [0, 0, height], (0.2, 0.15, 0.3), label="meter")], truth
     return [post], truth
 
 
 def _crown(centre, radii, density, seed, label="crown"):
     """Foliage of a density that counts leaves met along the way, not leaves."""
     volume = 4 / 3 * np.pi * np.prod(radii)
-    per_m3 = density * LEAVES_PER_M * 2 / (np.pi * LEAF_RADIUS_M**2)
-    n = max(int(volume * per_m3), 1)
+    n = max(int(volume * density * LEAVES_PER_M * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
     return foliage(centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label)
 
 
-def _shrub(rng, at):
-    """A shrub around a foot: 0.3-0.7 m in radius, 0.5-1.5 m high."""
-    radius, height = rng.uniform(0.3, 0.7), rng.uniform(0.5, 1.5)
-    shift = np.array([*rng.normal(0, 0.15, 2), height / 2])
-    density = rng.uniform(1.5, 4.0)
-    radii = (radius, radius, height / 2)
-    return _crown(at + shift, radii, density, int(rng.integers(2**31)), "shrub")
-
-
-def _thicket(rng, at, plan):
-    """Undergrowth around a foot, 1-2 m in radius, as high and as dense as the plan says."""
-    radius, height = rng.uniform(1.0, 2.0), rng.uniform(*plan.thicket_height_m)
-    shift = np.array([*rng.normal(0, 0.3, 2), 0.45 * height])
-    density = rng.uniform(*plan.thicket_density)
-    radii = (radius, radius, 0.55 * height)
-    return _crown(at + shift, radii, density, int(rng.integers(2**31)), "thicket")
+def _bush(rng, at, kind):
+    """A shrub or undergrowth around a foot."""
+    radius, height, density = rng.uniform(*BUSHES[kind])
+    middle = at + [*rng.normal(0, 0.2, 2), height / 2]
+    return _crown(middle, (radius, radius, height / 2), density, rng.integers(2**31), kind)
 
 
 def _clutter(plan, length, seed):
-    """Cars, people, billboards and hedges, at distances from the path in metres."""
-    kinds = {
-        "car": (_car, 2.6, 3.2),
-        "pedestrian": (_pedestrian, 4, 9),
-        "billboard": (_billboard, 5, 12),
-        "hedge": (_hedge, 7.5, 13),
-    }
+    """Cars, people and hedges, at distances from the path in metres."""
+    kinds = {"car": (_car, 2.6, 3.2), "pedestrian": (_pedestrian, 4, 9), "hedge": (_hedge, 7.5, 13)}
     for kind, (make, low, high) in kinds.items():
         rng = _stream(seed, kind)
         for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             x, y = own.choice([-1, 1]) * own.uniform(low, high), own.uniform(0, length)
-            yield make(own, _place(plan, x, y))
+            yield make(own, np.array([x, y, 0.0]))
 
 
 def _hedge(rng, at):
     """A dense hedge along the street, 6-18 m long."""
-    length, height, depth = rng.uniform(6, 18), rng.uniform(1.2, 2.4), rng.uniform(0.5, 0.9)
-    seeds = rng.integers(2**31, size=max(int(length / 1.5), 1))
+    length, height, depth = rng.uniform([6, 1.2, 0.5], [18, 2.4, 0.9])
+    middles = at + [[0, y, height / 2] for y in np.arange(0.75, length - 0.75, 1.5)]
     radii = (depth / 2, 1.1, height / 2)
-    parts = [
-        _crown(at + [0, 1.5 * k + 0.75, height / 2], radii, 5.0, seed)
-        for k, seed in enumerate(seeds)
-    ]
+    parts = [_crown(middle, radii, 5.0, rng.integers(2**31)) for middle in middles]
     return group(parts, label="hedge")
 
 
@@ -475,23 +406,16 @@ def _car(rng, at):
 
 
 def _pedestrian(rng, at):
-    """A person: a body and a head."""
-    height, width, turn = rng.uniform(1.55, 1.9), rng.uniform(0.2, 0.27), rng.random() < 0.5
-    radii = (width, 0.16, 0.43 * height) if turn else (0.16, width, 0.43 * height)
-    body = surfaces.ellipsoid(at + [0, 0, 0.43 * height], radii)
-    head = surfaces.ellipsoid(at + [0, 0, height - 0.12], (0.1, 0.1, 0.13))
-    return group([body, head], label="pedestrian")
+    """A person: a body that widens upwards, and a head."""
+    height, width = rng.uniform([1.55, 0.18], [1.9, 0.25])
+    neck, top = at + [0, 0, height - 0.28], at + [0, 0, height]
+    body = cylinder(at, neck, 0.7 * width, top_radius=width)
+    return group([body, cylinder(neck, top, 0.1)], label="pedestrian")
 
 
-def _billboard(rng, at):
-    """A board on the ground, square to the street or along it."""
-    width, height = rng.uniform(1.2, 3.0), rng.uniform(1.8, 3.0)
-    size = (width, 0.15, height) if rng.random() < 0.6 else (0.15, width, height)
-    return box(at, size, label="billboard")
-
-
-def _building(rng, at, length, plan, side):
-    """A facade along +y from ``at``, with windows, balconies, columns and pipes; its two ends."""
+def _building(rng, side, setback, start, length, plan):
+    """A facade along the street with windows, columns and pipes, and the two ends of its house."""
+    at = np.array([side * setback, start, -0.2])
     floors, rise = int(rng.integers(1, 5)), 3.0
     height = floors * rise + 0.8
     pitch, reveal = rng.uniform(1.5, 3.2), rng.uniform(0.05, 0.3)
@@ -502,45 +426,15 @@ def _building(rng, at, length, plan, side):
     first, along = (length, -length) if side > 0 else (0, length)
     made = []
     for floor in range(floors):
-        low = np.array([at[0], at[1], at[2] + floor * rise]) + [0, first, 0]
-        size = rise + 0.8 * (floor == floors - 1)
+        low, size = at + [0, first, floor * rise], rise + 0.8 * (floor == floors - 1)
         look = {"openings": openings, "reveal": reveal, "label": "facade"}
-        made += surfaces.wall(low, (0, along, 0), size, **look)
-    deep = np.array([side * 10.0, 0, 0])
+        made += wall(low, (0, along, 0), size, **look)
     for end in (at, at + [0, length, 0]):
-        made.append(rectangle(end, deep, (0, 0, height), label="facade"))
-    made += _balconies(rng, at, places, floors, plan.balcony_share, side)
-    return made + _uprights(rng, at, length, height, plan, side)
-
-
-def _balconies(rng, at, places, floors, share, side):
-    """Slab, parapet and separating walls of each balcony."""
-    depth, made = rng.uniform(1.1, 1.8), []
-    taken = rng.random((5, 60)) < share
-    separated = rng.random((5, 60)) < 0.7
-    for floor in range(1, floors):
-        for k in np.flatnonzero(taken[floor, np.arange(len(places[1::2])) % 60]):
-            place = places[1::2][k]
-            middle = at + [-side * depth / 2, place, 3.0 * floor - 0.15]
-            front = at + [-side * depth, place, 3.0 * floor]
-            parts = [box(middle, (depth, 2.6, 0.15)), box(front, (0.05, 2.6, 1.0))]
-            if separated[floor, k % 60]:
-                ends = (middle + [0, end, 0.15] for end in (-1.3, 1.3))
-                parts += [box(end, (depth, 0.12, 2.7)) for end in ends]
-            made.append(group(parts, label="balcony"))
-    return made
-
-
-def _uprights(rng, at, length, height, plan, side):
-    """Columns in front of the facade and rain pipes on it."""
-    made = []
-    n_columns = rng.poisson(plan.columns_per_100m * length / 100)
-    n_pipes = rng.poisson(plan.pipes_per_100m * length / 100)
-    for y in rng.uniform(0.5, length - 0.5, n_columns):
-        foot = at + [-side * rng.uniform(0.2, 1.2), y, 0]
-        radius = rng.uniform(0.1, 0.2)
+        made.append(rectangle(end, (side * 10, 0, 0), (0, 0, height), label="facade"))
+    for y in rng.uniform(0.5, length - 0.5, rng.poisson(plan.columns_per_100m * length / 100)):
+        foot, radius = at + [-side * rng.uniform(0.2, 1.2), y, 0], rng.uniform(0.1, 0.2)
         made.append(cylinder(foot, foot + [0, 0, 2.8], radius, label="column"))
-    for y in rng.uniform(0.2, length - 0.2, n_pipes):
+    for y in rng.uniform(0.2, length - 0.2, rng.poisson(plan.pipes_per_100m * length / 100)):
         foot = at + [-side * 0.09, y, 0]
         made.append(cylinder(foot, foot + [0, 0, height], 0.05, label="pipe"))
     return made

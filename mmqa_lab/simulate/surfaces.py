@@ -469,7 +469,6 @@ def wall(
     openings: Sequence[tuple[float, float, float, float]] = (),
     reveal: float = 0.2,
     label: str = "wall",
-    reflectance: float = 0.5,
 ) -> list[Surface]:
     """Return a wall with openings, their reveals and the panes behind them.
 
@@ -482,23 +481,23 @@ def wall(
     height : float
         Metres.
     openings : list of (float, float, float, float)
-        Distance along, height above the lower edge, width and height of each, metres.
+        Distance along, height above the lower edge, width and height of each, metres; beside each
+        other.
     reveal : float
         Depth from the wall to the panes, metres; 0 for a flat front.
     label : str
-        Of the wall; the others are called ``"reveal"`` and ``"pane"``.
-    reflectance : float
-        Of wall and reveals; panes have 0.1.
+        Of the wall; the others are called ``"reveal"`` and ``"pane"``. Wall and reveals have a
+        reflectance of 0.5, panes of 0.1.
 
     Returns
     -------
     list of Surface
-        The wall; then, opening by opening, its four reveals as one surface, and its pane.
+        The wall, all reveals, all panes.
 
     Raises
     ------
     ValueError
-        If an opening does not lie within the wall.
+        If an opening does not lie within the wall or two are not beside each other.
 
     Examples
     --------
@@ -509,26 +508,29 @@ def wall(
     (['pane', 'wall'], [5.2, 5.0])
     """
     corner, along = _vector(corner, "corner"), _vector(along, "along")
-    up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
+    height = check_positive(height, "height", unit="m")
     length = np.linalg.norm(along)
-    inward = check_number(reveal, "reveal", low=0, unit="m") * np.cross(along / length, [0, 0, 1])
-    holes, parts = [], []
-    for opening in openings:
-        s, z, w, h = opening
-        if min(s, z) <= 0 or min(w, h) <= 0 or s + w >= length or z + h >= height:
+    level, upward = along / length, np.array([0.0, 0.0, 1.0])
+    inward = check_number(reveal, "reveal", low=0, unit="m") * np.cross(level, upward)
+    front, reveals, panes, end = [], [], [], 0.0
+    for s, z, width, rise in sorted(openings):
+        if min(s - end, z, width, rise) <= 0 or s + width >= length or z + rise >= height:
             raise ValueError(
-                f"Invalid opening {opening}. Must lie within {length:.3f} m x {height} m of wall."
+                f"Invalid opening {s, z, width, rise}. Must lie beside the others "
+                f"within {length:.3f} m x {height} m of wall."
             )
-        low = corner + s / length * along + [0, 0, z]
-        side, rise = w / length * along, np.array([0.0, 0.0, h])
-        holes.append([low, low + side, low + side + rise, low + rise])
-        if reveal:
-            starts = [(low, side), (low + rise, side), (low, rise), (low + side, rise)]
-            faces = [rectangle(p, edge, inward, reflectance=reflectance) for p, edge in starts]
-            parts.append(group(faces, label="reveal"))
-        parts.append(rectangle(low + inward, side, rise, label="pane", reflectance=0.1))
-    outline = [corner, corner + along, corner + along + up, corner + up]
-    return [polygon(outline, holes=holes, label=label, reflectance=reflectance), *parts]
+        low, side, up = corner + s * level + z * upward, width * level, rise * upward
+        lintel = height - z - rise
+        front.append(rectangle(corner + end * level, (s - end) * level, height * upward))
+        front.append(rectangle(low - z * upward, side, z * upward))
+        front.append(rectangle(low + up, side, lintel * upward))
+        starts = [(low, side), (low + up, side), (low, up), (low + side, up)] if reveal else []
+        reveals += [rectangle(start, edge, inward) for start, edge in starts]
+        panes.append(rectangle(low + inward, side, up, reflectance=0.1))
+        end = s + width
+    front.append(rectangle(corner + end * level, (length - end) * level, height * upward))
+    parts = {label: front, "reveal": reveals, "pane": panes}
+    return [group(part, label=name) for name, part in parts.items() if part]
 
 
 def kerb(line, height=0.12, *, label="kerb"):

@@ -426,7 +426,7 @@ def comparison(quick: bool = False) -> Comparison:
         One short street instead of four.
     """
     seeds, length = ((5001,), 60.0) if quick else ((7341, 7342, 7343, 7344), 100.0)
-    cases = grid(plan=["table-4-1"] if quick else ["table-4-1", "balconies"], length=length)
+    cases = grid(plan=["table-4-1"] if quick else ["table-4-1", "facades"], length=length)
     return Comparison(
         cases,
         dict(METHODS),

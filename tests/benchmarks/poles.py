@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import other_street
 
 LENGTH_M = 60.0
-GREEN = (("balconies", 8211), ("green", 8212), ("balconies", 8213), ("green", 8214))
+GREEN = (("facades", 8211), ("green", 8212), ("facades", 8213), ("green", 8214))
 SEEDS = {
     "own": range(8201, 8207),
     "dense": range(8201, 8204),
@@ -94,7 +94,7 @@ def rated(count):
         for kind in DAMAGES:
             yield f"the same, {kind}", *damaged(kind, cloud, truth), path
     for plan, seed in GREEN[:count]:
-        yield "own generator, balconies and green", *own(plan, seed, 40.0)
+        yield "own generator, facades and green", *own(plan, seed, 40.0)
     for seed in SEEDS["dense"][:count]:
         cloud, truth, path = own("table-4-1", seed, 40.0, "dense-profiler")
         yield "976 kHz, 5 % of the points", *damaged("5 % of the points", cloud, truth), path
