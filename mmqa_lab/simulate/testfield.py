@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import box, cylinder, kerb, polygon, rectangle
+from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.trajectories import measured, straight
 
 ROAD_HALF_M = 5.0
@@ -198,21 +197,13 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
         cloud = scan_all(street.scene, heads, path, **choices)
         cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
         if system.lever_arm_error_m:
-            cloud = _with_wrong_lever_arm(cloud, known, system.lever_arm_error_m)
+            error = np.array(system.lever_arm_error_m)[cloud["head"]]
+            turned = np.einsum("nij,nj->ni", known.at(cloud["gps_time"])[1], error)
+            cloud = replace(cloud, points=cloud.points + turned)
         cloud = system.delivered(cloud, share=share)
         cloud.columns["drive"] = np.full(len(cloud), number, np.uint8)
         drives.append((cloud, known))
     return drives
-
-
-def _with_wrong_lever_arm(cloud, path, error):
-    """The cloud as computed with lever arms that are off by ``error`` (heads, 3)."""
-    shift = np.empty_like(cloud.points)
-    for first in range(0, len(cloud), 200_000):
-        part = slice(first, first + 200_000)
-        rotation = path.at(cloud["gps_time"][part])[1]
-        shift[part] = np.einsum("nij,nj->ni", rotation, np.array(error)[cloud["head"][part]])
-    return Cloud(cloud.points + shift, cloud.columns, cloud.name)
 
 
 def _curb_offset(y, length):
@@ -228,20 +219,17 @@ def _bays(length):
 
 
 def _road(length):
-    """Road, curbs and pavements on both sides, with build-outs; open ground on the left."""
-    beyond = 30.0
-    edges = [(-beyond, ROAD_HALF_M)]
-    for bay in _bays(length):
-        edges += zip(bay.repeat(2), ROAD_HALF_M - np.array([0, 2, 2, 0]), strict=True)
-    edges += [(length + beyond, ROAD_HALF_M)]
-    span = length + 2 * beyond
-    corner, across = (-ROAD_HALF_M, -beyond, 0), (2 * ROAD_HALF_M, 0, 0)
+    """Road, pavement on the right, open ground on the left, and their build-outs, all as boxes."""
+    span, middle = length + 60.0, length / 2
+    corner, across = (-ROAD_HALF_M, middle - span / 2, 0), (2 * ROAD_HALF_M, 0, 0)
     yield rectangle(corner, across, (0, span, 0), label="road", reflectance=0.15)
+    look = {"label": "pavement", "reflectance": 0.3}
     for sign, end in ((-1, OPEN_M), (1, ROAD_HALF_M + PAVEMENT_M)):
-        outline = [(sign * x, y, CURB_M) for y, x in edges]
-        outline += [(sign * end, length + beyond, CURB_M), (sign * end, -beyond, CURB_M)]
-        yield polygon(outline, label="pavement", reflectance=0.3)
-        yield from kerb([(sign * x, y, 0) for y, x in edges], CURB_M, label="curb")
+        base = sign * (ROAD_HALF_M + end) / 2, middle, 0
+        yield box(base, (end - ROAD_HALF_M, span, CURB_M), **look)
+        for low, high in _bays(length):
+            base = sign * (ROAD_HALF_M - 1), (low + high) / 2, 0
+            yield box(base, (2, high - low, CURB_M), **look)
 
 
 def _houses(length, rng):
