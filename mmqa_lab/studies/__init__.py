@@ -41,7 +41,6 @@ class Study:
         """The imported module of the study."""
         return import_module(f"mmqa_lab.studies.{self.stem}")
 
-
     def bench(self, *, quick=False):
         """The study's comparison of methods, for a quick look with few seeds and small parameters.
 
