@@ -25,6 +25,7 @@ __all__ = [
     "mean_reach",
     "median_interval",
     "median_ratio_interval",
+    "strips",
     "wilson",
 ]
 __dir__ = __all__.copy
@@ -288,6 +289,37 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     return column * side + row
 
 
+def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
+    """Number the points by strips along a direction, and by strips across it.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Coordinates in a plane.
+    direction : float
+        Degrees counter-clockwise from the first axis: that of scan lines, each of which lies in a
+        strip as a whole.
+    count : int
+        Strips each way.
+
+    Returns
+    -------
+    array of int, shape (2, n)
+        A block for the functions below: points depend on those of their strip along and across.
+
+    Examples
+    --------
+    >>> strips([[0, 0], [4, 0], [4, 4]], 0, count=2).tolist()
+    [[0, 0, 1], [0, 1, 1]]
+    """
+    turn = np.radians(direction)
+    along = np.array([np.cos(turn), np.sin(turn)])
+    place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
+    place -= place.min(axis=0)
+    place *= count / np.where(np.ptp(place, axis=0) > 0, np.ptp(place, axis=0), 1)
+    return np.minimum(place.astype(np.int64), count - 1).T
+
+
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     """Return half the 95 % interval of a mean of values that depend on their neighbours.
 
@@ -297,8 +329,8 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     Parameters
     ----------
     values : array_like, shape (n,)
-    block : array_like of int, shape (n,)
-        The block of each value, see :func:`blocks`.
+    block : array_like of int, shape (n,) or (2, n)
+        The block of each value, see :func:`blocks` and :func:`strips`.
 
     Returns
     -------
@@ -310,15 +342,8 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     >>> bool(mean_reach([1.0, 3.0, 1.0, 3.0], [0, 0, 1, 1]) == 0)  # each block has the mean
     True
     """
-    from scipy.special import stdtrit
-
     values = np.asarray(values, dtype=np.float64)
-    count = len(np.unique(block))
-    if count < 2:
-        return np.nan
-    sums = np.bincount(block, values - values.mean())
-    size = np.sqrt(count / (count - 1)) * np.linalg.norm(sums) / len(values)
-    return float(stdtrit(count - 1, 0.975) * size)
+    return float(_reach((values - values.mean())[None] / len(values), block)[0])
 
 
 def median_interval(
@@ -334,8 +359,8 @@ def median_interval(
     ----------
     values : array_like, shape (n,)
         NaN where not measurable; infinity is a large value.
-    block : array_like of int, shape (n,)
-        The block of each value, see :func:`blocks`.
+    block : array_like of int, shape (n,) or (2, n)
+        The block of each value, see :func:`blocks` and :func:`strips`.
     share : float
         0.5 for the median; 0.9 for the value that 90 % are below.
 
@@ -356,14 +381,11 @@ def median_interval(
     >>> bool(low < 5 < high), bool(high - low < 0.2)
     (True, True)
     """
-    from scipy.special import stdtrit
-
     known = ~np.isnan(values)
-    values, block = np.asarray(values)[known], np.asarray(block)[known]
-    scores = _scores(values, block, share)
-    if len(scores) < 2:
+    values, block = np.asarray(values)[known], np.asarray(block)[..., known]
+    reach = _reach(_influence(values[None], share), block)[0] if len(values) else np.nan
+    if np.isnan(reach):
         return np.nan, np.nan
-    reach = stdtrit(len(scores) - 1, 0.975) * np.linalg.norm(scores)
     shares = np.clip([share - reach, share + reach], 0, 1)
     low, high = np.quantile(values, shares, method="nearest")
     return float(low), float(high)
@@ -381,8 +403,8 @@ def median_ratio_interval(
     ----------
     top, bottom : array_like, shape (n,)
         Positive; NaN where not measurable.
-    block : array_like of int, shape (n,)
-        See :func:`blocks`.
+    block : array_like of int, shape (n,) or (2, n)
+        See :func:`blocks` and :func:`strips`.
     share : float
         Of other quantiles than medians, see :func:`median_interval`.
 
@@ -399,16 +421,17 @@ def median_ratio_interval(
     (2.0, 2.0)
     """
     known = ~(np.isnan(top) | np.isnan(bottom))
-    top, bottom, block = (np.asarray(given)[known] for given in (top, bottom, block))
-    ends = np.array([median_interval(values, block, share=share) for values in (top, bottom)])
+    both, block = np.array([top, bottom])[:, known], np.asarray(block)[..., known]
+    ends = np.array([median_interval(values, block, share=share) for values in both])
     if not (np.isfinite(ends) & (ends > 0)).all():
         return np.nan, np.nan
-    above, below = np.log(ends[:, 1] / ends[:, 0]) / 2
-    scores = [_scores(values, block, share) for values in (top, bottom)]
-    lengths = np.prod(np.linalg.norm(scores, axis=1))
-    together = scores[0] @ scores[1] / lengths if lengths > 0 else 0.0
-    reach = np.sqrt(max(above**2 + below**2 - 2 * together * above * below, 0.0))
-    ratio = _quantile(top, share) / _quantile(bottom, share)
+    halves = np.log(ends[:, 1] / ends[:, 0]) / 2
+    first, second = _influence(both, share)
+    apart, summed = _reach(np.array([first - second, first + second]), block) ** 2
+    lengths = 4 * np.prod(_reach(np.array([first, second]), block))
+    together = np.clip((summed - apart) / lengths, -1, 1) if lengths > 0 else 0.0
+    reach = np.sqrt(max(halves @ halves - 2 * together * np.prod(halves), 0.0))
+    ratio = _quantile(both[0], share) / _quantile(both[1], share)
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
@@ -417,12 +440,33 @@ def _quantile(values, share):
     return np.median(values) if share == 0.5 else np.quantile(values, share)
 
 
-def _scores(values, block, share):
-    """What each block adds to the error of the share of values below their quantile."""
-    if not len(values):
-        return np.empty(0)
+def _influence(rows, share):
+    """What each value adds to the error of the share of its row below the quantile."""
+    signs = np.array([np.sign(values - _quantile(values, share)) / 2 for values in rows])
+    return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
+
+
+def _reach(rows, block):
+    """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks.
+
+    Where blocks go two ways, variances by either way are added, and that by both is taken off
+    (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136).
+    """
+    from scipy.special import stdtrit
+
+    ways = np.atleast_2d(block)
+    least = min(len(np.unique(way)) for way in ways)
+    if least < 2:
+        return np.full(len(rows), np.nan)
+    variance = sum(_variance(rows, way) for way in ways)
+    if len(ways) == 2:
+        by_both = _variance(rows, ways[0] * (ways[1].max() + 1) + ways[1])
+        variance = np.maximum(variance - by_both, by_both)
+    return stdtrit(least - 1, 0.975) * np.sqrt(variance)
+
+
+def _variance(rows, block):
+    """Variance of each row's sum, from its sums over blocks."""
     numbers, places = np.unique(block, return_inverse=True)
-    sizes = np.bincount(places)
-    sums = np.bincount(places, np.sign(values - _quantile(values, share)) / 2)
-    count = len(numbers)
-    return (sums - sizes * sums.sum() / len(values)) / len(values) * np.sqrt(count / (count - 1))
+    sums = np.array([np.bincount(places, row) for row in rows])
+    return (sums**2).sum(axis=1) * len(numbers) / (len(numbers) - 1)
