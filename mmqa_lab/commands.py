@@ -934,8 +934,8 @@ def studies(
     /,
     *,
     quick: bool = False,
-    timeout: float | None = None,
     workers: int | None = None,
+    store: bool = False,
     out: Path | None = None,
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
@@ -950,26 +950,28 @@ def studies(
         Stems of studies; all without.
     quick
         Small parameters, for a first look.
-    timeout
-        Seconds for each study.
     workers
         Studies at the same time; as many as cores, memory permitting.
+    store
+        Put the outputs into the notebooks and their thumbnails beside them: for the repository.
     out
         Folder for the results.
     """
     from mmqa_lab.run import notebooks, pages
+    from mmqa_lab.run import store as storing
     from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
     wanted = chosen(names or [])
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
-    outcomes, workers = [], workers or _fitting_workers()
-    how = {"quick": quick, "timeout": timeout}
-    for study, outcome in _run_studies(notebooks.run_study, wanted, folder, workers, how):
+    outcomes = []
+    for study, outcome in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
         outcomes.append(outcome)
         print(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}", flush=True)
         pages.write_pages(folder, STUDIES)
+    if store:
+        storing.store(notebooks_folder(), folder, wanted)
     return 0 if all(one.ok and (one.quick or one.true) for one in outcomes) else 1
 
 
@@ -983,20 +985,20 @@ def _fitting_workers():
     return max(1, min(cores, int(free / GB_A_STUDY)))
 
 
-def _run_studies(run_study, studies, folder, workers, how):
-    """Run studies in so many processes; yield each with its outcome as it ends."""
+def _run_studies(run_study, studies, folder, quick, workers):
+    """Run each study in a process, so many at a time; yield it with its outcome as it ends."""
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import get_context
 
-    if workers == 1 or len(studies) == 1:
-        yield from ((study, run_study(study, folder, **how)) for study in studies)
-        return
-    context = get_context("spawn")
+    workers = min(workers or _fitting_workers(), len(studies))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
-    with ProcessPoolExecutor(min(workers, len(studies)), mp_context=context) as pool:
-        tasks = {pool.submit(run_study, study, folder, **how): study for study in studies}
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
         for task in as_completed(tasks):
             yield tasks[task], task.result()
+    finally:  # where it is interrupted, those that wait do not begin
+        pool.shutdown(cancel_futures=True)
 
 
 @app.command
@@ -1007,6 +1009,7 @@ def student(
     *,
     quick: bool = False,
     sheets: Path | None = None,
+    checks: Path | None = None,
 ):
     """Write copies of the notebooks for a class: without the answers, with checks of the work.
 
@@ -1019,15 +1022,19 @@ def student(
     quick
         Small parameters, so that a class reaches the first exercise soon.
     sheets
-        Folder for the teacher's solutions and lesson plans, one HTML page.
+        Folder for the teacher's solutions, answers by number and lesson plans, an HTML page each.
+    checks
+        Folder for the copies with their checks; those of the class then have none.
     """
     from mmqa_lab.run import students
     from mmqa_lab.studies import chosen
 
     wanted = chosen(names or [])
-    paths = students.write_student_notebooks(wanted, out, quick=quick)
+    paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
+    if checks is not None:
+        paths += students.write_student_notebooks(wanted, checks, quick=quick)
     if sheets is not None:
-        paths += students.write_solutions(wanted, sheets)
+        paths += students.write_solutions(wanted, sheets, quick=quick)
     print(*paths, sep="\n")
 
 

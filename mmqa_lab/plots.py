@@ -103,10 +103,7 @@ STYLE = {
     "mathtext.it": "sans:italic",
     "mathtext.cal": "sans:italic",
     "font.size": 8.0,
-    "axes.labelsize": 8.0,
-    "axes.titlesize": 8.0,
-    "figure.labelsize": 8.0,
-    "figure.titlesize": 8.0,
+    **dict.fromkeys(("axes.titlesize", "figure.labelsize", "figure.titlesize"), "medium"),
     "xtick.labelsize": 7.0,
     "ytick.labelsize": 7.0,
     "legend.fontsize": 7.0,
@@ -183,9 +180,7 @@ def _lettering(journal):
         warnings.warn(f"Fonts not installed: {asked}. DejaVu Sans is used instead.", stacklevel=4)
     size = journal.lettering_pt
     small = dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), min(size, 7))
-    texts = ("font.size", "axes.labelsize", "axes.titlesize", "figure.labelsize")
-    large = dict.fromkeys(texts, size)
-    return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], **large, **small}
+    return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], "font.size": size, **small}
 
 
 def subplots(
@@ -271,7 +266,7 @@ def draw_points(
     if values is None:
         ax.scatter(x, y, s=size, color=COLOURS["blue"], lw=0, rasterized=True)
     else:
-        low, high = limits if limits is not None else (None, None)
+        low, high = limits or (None, None)
         shades = {"c": values, "vmin": low, "vmax": high, "cmap": cmap}
         dots = ax.scatter(x, y, s=size, lw=0, rasterized=True, **shades)
         ax.figure.colorbar(dots, ax=ax, label=label, shrink=0.85)

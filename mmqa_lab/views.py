@@ -102,15 +102,11 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     local, values = points - points.min(axis=0), np.asarray(values, dtype=np.float64)
     if not can_render():
         return _figure(local, values, label)
-    import pyvista
 
     if is_headless():
         return _plotter(local, values, label).show(jupyter_backend="static", return_viewer=True)
     # it would download code from the network when the first view opens
     sys.modules.setdefault("trame.widgets.vtklocal", None)
-    if hub := os.environ.get("JUPYTERHUB_SERVICE_PREFIX"):
-        pyvista.global_theme.trame.server_proxy_enabled = True
-        pyvista.global_theme.trame.server_proxy_prefix = f"{hub}proxy/"
     plotter, folded = _plotter(local, values, label), {"collapse_menu": True}
     return plotter.show(jupyter_backend="server", return_viewer=True, jupyter_kwargs=folded)
 

@@ -27,7 +27,7 @@ from mmqa_lab._checks import check_choice, check_points, check_polygon
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.chart_image.rules import MARKS, check_marks
-from mmqa_lab.io import write_atomically, write_polygon
+from mmqa_lab.io import write_atomically
 from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.spacing import quadrants
 from mmqa_lab.srgb import encode
@@ -235,10 +235,6 @@ class SelectionTool:
         """Move the polygon, shape (m, 3), and evaluate what it selects."""
         self._selector.verts = self._to_plane(check_polygon(polygon)).tolist()
         self._moved(self._selector.verts)
-
-    def save(self, path: str | os.PathLike) -> None:
-        """Write the polygon as GeoJSON for ``mmqa evaluate --polygon``."""
-        write_polygon(path, self.vertices)
 
     def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
         """Show what a function displays of the selection, now and after every change; a decorator.
@@ -532,8 +528,6 @@ class JuryForm:
         Who marks.
     file : path
         CSV with ``juror``, ``element``, ``mark``; shared by all jurors, made when missing.
-    order : sequence of str, optional
-        Names of the crops in the order shown; the order of ``crops`` when not given.
 
     Attributes
     ----------
@@ -543,7 +537,7 @@ class JuryForm:
     Raises
     ------
     ValueError
-        If a name in ``order`` is no crop or repeats, or the file has no marks.
+        If the juror has no name, or the file has no marks.
 
     Examples
     --------
@@ -555,33 +549,18 @@ class JuryForm:
     (['a'], True)
     """
 
-    def __init__(
-        self,
-        crops: Mapping[str, Any],
-        *,
-        juror: str,
-        file: str | os.PathLike,
-        order: Sequence[str] | None = None,
-    ):
-        self._crops = dict(crops)
-        self._order = list(self._crops if order is None else order)
-        for name in self._order:
-            check_choice(name, "crop in order", tuple(self._crops))
-        if len(set(self._order)) < len(self._order):
-            raise ValueError("Invalid order: a crop repeats. Must show each once.")
-        if not str(juror).strip():
+    def __init__(self, crops: Mapping[str, Any], *, juror: str, file: str | os.PathLike):
+        self._juror, self._file, self._crops = juror.strip(), Path(file), dict(crops)
+        if not self._juror:
             raise ValueError(f"Invalid juror {juror!r}. Must have a name.")
-        self._juror, self._file = str(juror).strip(), Path(file)
         self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
         self._line = ipywidgets.Label()
-        self._buttons = {
-            mark: ipywidgets.Button(description=text) for mark, text in MEANINGS.items()
-        }
-        for mark, button in self._buttons.items():
+        self._buttons = [ipywidgets.Button(description=text) for text in MEANINGS.values()]
+        for mark, button in zip(MEANINGS, self._buttons, strict=True):
             button.on_click(lambda _, mark=mark: self.mark(mark))
         self._back = ipywidgets.Button(description="back", icon="arrow-left")
         self._back.on_click(lambda _: self.back())
-        row = ipywidgets.HBox([*self._buttons.values(), self._back])
+        row = ipywidgets.HBox([*self._buttons, self._back])
         self.box = ipywidgets.VBox([self._line, row, self._picture])  # buttons stay in place
         self._show()
 
@@ -597,21 +576,19 @@ class JuryForm:
         """Name of the crop shown; None when all are marked."""
         marks = self.marks
         done = set(marks.loc[marks["juror"] == self._juror, "element"])
-        return next((name for name in self._order if name not in done), None)
+        return next((name for name in self._crops if name not in done), None)
 
     def mark(self, mark: str) -> None:
         """Give the crop shown a mark, write it down and show the next one."""
         check_choice(mark, "mark", MARKS)
-        element = self.element
-        if element is None:
-            return
-        row = {"juror": self._juror, "element": element, "mark": mark}
-        self._write(pd.concat([self.marks, pd.DataFrame([row])]))
+        if (element := self.element) is not None:
+            row = {"juror": self._juror, "element": element, "mark": mark}
+            self._write(pd.concat([self.marks, pd.DataFrame([row])]))
 
     def back(self) -> None:
         """Take this juror's last mark back and show its crop again."""
         marks = self.marks
-        own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._order)]
+        own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._crops)]
         if len(own):
             self._write(marks.drop(own[-1]))
 
@@ -627,17 +604,14 @@ class JuryForm:
 
     def _show(self):
         """Bring the form up to date."""
-        element, total = self.element, len(self._order)
-        place = total if element is None else self._order.index(element)
-        for button in self._buttons.values():
+        element, names = self.element, list(self._crops)
+        place = len(names) if element is None else names.index(element)
+        for button in self._buttons:
             button.disabled = element is None
         self._back.disabled = place == 0
-        if element is None:
-            self._line.value = f"{self._juror}: all {total} are marked, thank you."
-            self._picture.value = b""
-        else:
-            self._line.value = f"{self._juror}: {place + 1} of {total}"
-            self._picture.value = _png(self._crops[element])
+        state = f"{place + 1} of {len(names)}" if element else "all are marked, thank you."
+        self._line.value = f"{self._juror}: {state}"
+        self._picture.value = _png(self._crops[element]) if element else b""
 
 
 def _png(crop):

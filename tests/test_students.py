@@ -1,6 +1,7 @@
 """Copies for a class: answers gone, checks kept, sheets to print."""
 
 import re
+from types import SimpleNamespace
 
 import nbformat
 import pytest
@@ -139,26 +140,58 @@ def test_what_is_asked_for_names_every_answer(study):
             assert set(names) <= set(asked.replace(",", " ").replace(";", " ").split())
 
 
-def test_solutions_have_tasks_answers_and_the_lesson_plan(tmp_path):
-    studies = [study for study in STUDIES if study.stem == "anisotropy"]
-    (page,) = (path.read_text() for path in write_solutions(studies, tmp_path))
-    for words in ("Two heads cross at a right angle", "rounding in the last digit", "Lesson plan"):
+EXERCISES = (
+    nbformat.v4.new_markdown_cell("# Squares\n\nn: the notebook sets it."),
+    nbformat.v4.new_code_cell("side = 2", metadata={"tags": ["parameters"]}),
+    nbformat.v4.new_code_cell("raise RuntimeError('nothing needs this')"),
+    nbformat.v4.new_markdown_cell("## Exercise 1\n\nHow long is n sides?"),
+    nbformat.v4.new_code_cell("number = 1  # yours", metadata={"tags": ["number"]}),
+    nbformat.v4.new_code_cell(
+        "# 1: by counting\n# asked for: long_m, a number\nlong_m = number * side\n"
+        "# check\nassert long_m == number * side",
+        metadata={"tags": ["solution"]},
+    ),
+    nbformat.v4.new_markdown_cell("## Lesson plan", metadata={"tags": ["lesson"]}),
+)
+
+
+@pytest.fixture
+def squares(tmp_path):
+    """A study of one exercise, in a folder of its own."""
+    study = SimpleNamespace(path=tmp_path / "99_squares.ipynb", title="Squares", quick={"side": 3})
+    study.notebook = study.path.stem
+    nbformat.write(nbformat.v4.new_notebook(cells=list(EXERCISES)), study.path)
+    return study
+
+
+def test_solutions_have_tasks_answers_by_number_and_the_lesson_plan(squares, tmp_path):
+    table = students.answer_table(squares, quick=True)
+    assert table["n"].tolist() == list(range(1, 31))
+    assert table["1: long_m"].tolist() == [str(3 * n) for n in range(1, 31)]
+    (page,) = (path.read_text() for path in write_solutions([squares], tmp_path / "mine"))
+    for words in ("How long is n sides?", "by counting", "Lesson plan", "<td>60</td>"):
         assert words in page
     assert "assert" not in page  # the test is for the program
     assert "All studies" not in page
+
+
+def test_checks_can_be_kept_apart_and_students_set_their_number(squares, tmp_path):
+    (path,) = write_student_notebooks([squares], tmp_path / "course", checks=False)
+    text = path.read_text()
+    assert "check_answer" not in text
+    assert "set it in the next cell" in text
+    (path,) = write_student_notebooks([squares], tmp_path / "checks")
+    assert "check_answer" in path.read_text()
 
 
 def test_words_of_the_glossary_are_the_notebooks_own():
     rows = glossary_rows()
     assert all(all(row.values()) for row in rows)
     assert len({row["english"].lower() for row in rows}) == len(rows)
-    for study in STUDIES:
-        cells = nbformat.read(study.path, as_version=4).cells
-        text = " ".join(" ".join(cell.source.lower().split()) for cell in cells)
-        for row in rows:
-            if study.stem in row["studies"].split():
-                forms = re.findall(r"[^,()]+", row["english"].lower())
-                assert any(form.strip() in text for form in forms), (study.stem, row["english"])
+    cells = [c for study in STUDIES for c in nbformat.read(study.path, as_version=4).cells]
+    text = " ".join(" ".join(cell.source.lower().split()) for cell in cells)
+    forms = {row["english"]: re.findall(r"[^,()]+", row["english"].lower()) for row in rows}
+    assert [word for word, f in forms.items() if not any(one.strip() in text for one in f)] == []
 
 
 def test_a_class_can_have_small_parameters(tmp_path):
@@ -199,7 +232,8 @@ def test_a_students_work_is_not_overwritten(tmp_path, capsys):
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_the_lesson_plan_takes_the_notebooks_minutes(study):
     cells = nbformat.read(study.path, as_version=4).cells
-    stated = next(found for cell in cells if (found := re.search(r"(\d+) minutes", cell.source)))
+    spoken = r"(?:(\d+) x )?(\d+) minutes"
+    times, each = next(one for cell in cells for one in re.findall(spoken, cell.source))
     (plan,) = [cell.source for cell in cells if "lesson" in cell.metadata.get("tags", [])]
     steps = re.findall(r"^\| (\d+) \|", plan, re.MULTILINE)
-    assert sum(map(int, steps)) == int(stated[1])
+    assert sum(map(int, steps)) == int(times or 1) * int(each)

@@ -1,17 +1,14 @@
 """The polygon and the list of planes without a browser: what they compute, keep and say."""
 
 import io as streams
-import json
 from contextlib import redirect_stdout
 
-import ipywidgets
 import numpy as np
 import pytest
 from matplotlib.backend_bases import MouseEvent
 
 from mmqa_lab import widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
-from mmqa_lab.io import read_polygon
 from mmqa_lab.planes import fit_plane
 
 # of ipympl's own toolbar
@@ -77,14 +74,6 @@ def test_too_few_points_are_a_sentence_and_nothing_else(wall):
     assert "Invalid points inside the polygon: 0 given" in tool.text.value
 
 
-def test_the_saved_polygon_selects_the_same(wall, tmp_path):
-    tool = widgets.SelectionTool(wall)
-    tool.save(tmp_path / "polygon.geojson")
-    polygon = read_polygon(tmp_path / "polygon.geojson")
-    assert evaluate_cloud(wall, polygon=polygon).n == tool.quality.n
-    assert json.loads((tmp_path / "polygon.geojson").read_text())
-
-
 @pytest.fixture
 def clouds(rng, wall):
     """A corner of two planes, and the wall."""
@@ -119,9 +108,3 @@ def test_without_a_screen_the_tool_is_two_pictures(clouds):
 def test_a_cloud_without_planes_is_refused(rng):
     with pytest.raises(ValueError, match="Invalid cloud noise: no plane of 2 m"):
         widgets.SurfaceTool({"noise": rng.random((9, 3))}, size=2)
-
-
-def test_explorers_are_labelled(screen):
-    speed = widgets.slider("speed", 10, 1, 20, 1, unit="m/s")
-    assert isinstance(speed, ipywidgets.IntSlider)
-    assert speed.description == "speed (m/s)"

@@ -9,7 +9,7 @@ import platform
 import re
 import subprocess
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from IPython import get_ipython
 
 from mmqa_lab import __version__, plots, samples
 from mmqa_lab._figures import finish_figure, say_kind
+from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
 
 if TYPE_CHECKING:
@@ -31,6 +33,9 @@ __dir__ = __all__.copy
 
 FORMATS = ("pdf", "svg", "png")
 RECORD = "run.json"
+
+LICENCE = "CC BY 4.0"
+"""Of the figures."""
 
 SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefig.dpi")
 """Settings of the house style that matter when a figure is saved."""
@@ -45,8 +50,7 @@ KINDS = ("published", "predicted", "fitted", "measured")
 """What a number can be: printed in a paper, from specifications alone, from parameters chosen so
 that it comes close, or taken from a real or simulated cloud or image."""
 
-PLAIN = (bool, int, float, str, tuple, list, dict, range, type(None))
-"""Types of values that are recorded as parameters where no notebook names them."""
+DIGITS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
 @dataclass(frozen=True)
@@ -110,8 +114,7 @@ class Run:
         The study's stem; results go to ``<results_folder()>/<stem>/``.
     parameters : dict
         The notebook's ``globals()``. The record keeps the names that the cell tagged
-        ``parameters`` of ``NN_<stem>.ipynb`` in the working folder sets; where there is no such
-        notebook, all names with plain values.
+        ``parameters`` of the notebook ``*<stem>*.ipynb`` in the working folder sets.
 
     Examples
     --------
@@ -129,11 +132,13 @@ class Run:
         self.folder = results_folder() / stem
         self._began = time.time()
         self._values, self._kinds, self._checks = {}, {}, {}
+        notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"))
+        names = parameter_names(notebooks[0]) if notebooks else []
         self._record = {
             "study": stem,
             "finished": False,
             "answer": {"sentence": "", "figure": ""},
-            "parameters": _parameters(stem, parameters),
+            "parameters": {name: parameters.get(name) for name in names},
             "seconds": 0.0,
             "checks": 0,
             "checks_passed": 0,
@@ -146,7 +151,8 @@ class Run:
         for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, _files_of(self.folder))]:
             left.unlink(missing_ok=True)  # of an earlier run, or one that was killed
         self._write_record()
-        _show_tables_whole()
+        if get_ipython() is not None:
+            pd.set_option("display.max_colwidth", None, "display.float_format", four_digits)
 
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
@@ -189,8 +195,8 @@ class Run:
         ``data``, a DataFrame of what it shows, is written as ``<name>.csv``. Its panels get
         letters. The kind of its numbers, ``kind`` or that of ``data`` or of the table of this name,
         stands in its lower right corner where its texts do not say it. ``seen`` says in a sentence
-        what one sees, a caption and for readers without the picture; without it the axes' labels
-        and the legends do.
+        what one sees: a caption, kept with the licence in ``captions.csv``, and for readers without
+        the picture. Without it the axes' labels do.
         """
         if name not in self._kinds or data is not None:
             self._remove(name, ("csv", "tex"))
@@ -208,41 +214,18 @@ class Run:
             "width_mm": round(25.4 * figure.get_figwidth(), 1),
         }
         with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
-            layout = figure.get_layout_engine()
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
             for form in FORMATS:
                 self._write(
                     f"{name}.{form}",
                     lambda path, form=form: figure.savefig(path, metadata=details[form]),
                 )
-                if layout is not None:  # one for all formats: it takes as long as drawing
-                    figure.set_layout_engine("none")
-            if layout is not None:
-                figure.set_layout_engine(layout)
+        captions = {name: one["seen"] for name, one in self._record["figures"].items()}
+        rows = pd.DataFrame(captions.items(), columns=["figure", "caption"])
+        self._write_table(rows.assign(licence=LICENCE), "captions")
         if data is not None:
             self._write_table(data, name)
-
-    def save_report(
-        self,
-        *,
-        title: str,
-        sentences: Sequence[str] = (),
-        tables: Mapping[str, pd.DataFrame] | None = None,
-        figures: Mapping[str, Figure] | None = None,
-        files: Sequence[str | os.PathLike] = (),
-    ) -> Path:
-        """Write ``report.html``, as :func:`mmqa_lab.run.pages.write_report` does, with parameters.
-
-        Returns
-        -------
-        Path
-        """
-        from mmqa_lab.run.pages import write_report
-
-        set_here = pd.DataFrame(self._record["parameters"].items(), columns=["parameter", "value"])
-        whole = {**(tables or {}), "Parameters": set_here.astype(str)}
-        content = {"sentences": sentences, "tables": whole, "figures": figures, "files": files}
-        self._write("report.html", lambda path: write_report(path, title=title, **content))
-        return self.folder / "report.html"
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
         """Keep a named number of a kind in ``values.csv``, and as a macro in ``values.tex``."""
@@ -324,7 +307,7 @@ class Run:
     def _write_record(self):
         """Write the run record as it stands."""
         self._record["seconds"] = round(time.time() - self._began, 1)
-        write_text(self.folder / RECORD, json.dumps(self._record, indent=1))
+        write_text(self.folder / RECORD, json.dumps(self._record, indent=1, default=_plain))
 
 
 def _files_of(folder):
@@ -334,11 +317,9 @@ def _files_of(folder):
 
 def _macro(name, value, unit, kind):
     """A named number as a LaTeX macro: letters alone, digits as words."""
-    digits = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-    spelled = re.sub(r"\d", lambda digit: f"_{digits[int(digit[0])]}_", name)
+    spelled = re.sub(r"\d", lambda digit: f"_{DIGITS[int(digit[0])]}_", name)
     camel = "".join(part.capitalize() for part in re.split(r"[^A-Za-z]+", spelled))
-    number = four_digits(value)
-    return f"\\newcommand{{\\mmqa{camel}}}{{{number}}} % {unit}, {kind}"
+    return f"\\newcommand{{\\mmqa{camel}}}{{{four_digits(value)}}} % {unit}, {kind}"
 
 
 def read_record(folder):
@@ -382,18 +363,6 @@ def parameter_names(notebook):
     return [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
 
 
-def _parameters(stem, given):
-    """What is recorded of a notebook's names."""
-    notebooks = sorted(Path.cwd().glob(f"*{stem}.ipynb"))
-    if notebooks:
-        return {name: _plain(given.get(name)) for name in parameter_names(notebooks[0])}
-    return {
-        name: _plain(value)
-        for name, value in given.items()
-        if isinstance(value, PLAIN) and not name.startswith("_")
-    }
-
-
 def _environment():
     """Version and commit of the package, of Python and of the libraries it asks for."""
     asked = metadata.requires("mmqa_lab") or []
@@ -434,35 +403,19 @@ def _worked_out(checks):
 
 
 def _described(figure):
-    """What the axes of a figure show: titles, labels, legends, and how far the data reach."""
-    said = []
+    """What the axes of a figure show: their titles and labels."""
+    shown = []
     for ax in figure.axes:
-        seen = " over ".join(filter(None, [_reach(ax.yaxis), _reach(ax.xaxis)]))
-        if ax.get_legend():
-            names = ", ".join(text.get_text() for text in ax.get_legend().get_texts())
-            seen = f"{seen} of {names}".lstrip()
-        said.append(": ".join(filter(None, [ax.get_title().replace("\n", " "), seen])))
-    text = "; ".join(filter(None, said))
+        over = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
+        shown.append(": ".join(filter(None, [ax.get_title().replace("\n", " "), over])))
+    text = "; ".join(filter(None, dict.fromkeys(shown)))
     return re.sub(r"\\mathrm|[$\\{}]", "", text)  # without the marks of LaTeX
-
-
-def _reach(axis):
-    """An axis' label with the ends of its data, or of its names."""
-    label = axis.get_label_text()
-    low, high = axis.get_data_interval()
-    if not label or axis.have_units() or not np.isfinite([low, high]).all():  # units: names
-        return label
-    return f"{label} from {low:.3g} to {high:.3g}"
 
 
 def _latex(frame):
     """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
     names = ["_".join(filter(None, map(str, np.atleast_1d(name)))) for name in frame.columns]
-    shown = frame.set_axis(names, axis=1)
-    for name in shown.select_dtypes("floating"):
-        if name.split("_")[-1] != "p":  # a probability may be that small; others are rounding
-            shown[name] = shown[name].where(~(shown[name].abs() < 1e-12), 0.0)
-    shown = shown.rename(columns=_heading)
+    shown = frame.set_axis([_heading(name) for name in names], axis=1)
     text = shown.to_latex(index=False, escape=True, na_rep="--", float_format=_typeset)
     for plain, typeset in LATEX.items():
         text = text.replace(plain, typeset)
@@ -470,17 +423,10 @@ def _latex(frame):
 
 
 def _heading(name):
-    """A column's name in words, and its unit in brackets, wherever it stands in the name."""
-    from mmqa_lab.bench import split_unit
-
-    parts = name.split("_")
-    for end in range(len(parts), 1, -1):
-        plain, unit = split_unit("_".join(parts[:end]))
-        if unit == "1" or parts[-1] == "missing":  # shares and counts have none
-            break
-        if unit and (unit != "s" or end == len(parts)):  # the s of s_r_low is no second
-            return f"{' '.join([*plain.split('_'), *parts[end:]])} ({unit})"
-    return name.replace("_", " ")
+    """A column's name in words, and its unit in brackets; shares have none."""
+    plain, unit = split_unit(name)
+    words = (name if unit in ("", "1") else plain).replace("_", " ")
+    return words if unit in ("", "1") else f"{words} ({unit})"
 
 
 def _typeset(number):
@@ -503,42 +449,8 @@ def _kind_of(frame):
     return f"{kinds} (simulated)" if kinds and "simulated" in said else kinds
 
 
-def _show_tables_whole():
-    """Let the notebook show tables with whole texts, without -0.0, and p below 0.001 as such."""
-    from IPython import get_ipython
-
-    if (shell := get_ipython()) is not None:
-        formatter = shell.display_formatter.formatters["text/html"]
-        formatter.for_type(pd.DataFrame, _whole)
-        formatter.for_type(pd.Series, lambda column: _whole(column.to_frame(column.name or "")))
-
-
-def _whole(frame):
-    """A table as HTML for a notebook."""
-    with pd.option_context("display.max_colwidth", None):
-        return _readable(frame)._repr_html_()
-
-
-def _readable(frame):
-    """A copy of a table whose zeros have no sign and whose small p are words."""
-    frame = frame.copy()
-    for place, name in enumerate(frame.columns):
-        column = frame.iloc[:, place]
-        if str(name).split("_")[-1] == "p" and column.dtype.kind == "f":
-            frame.isetitem(place, column.map(lambda p: "< 0.001" if p < 0.001 else four_digits(p)))
-        elif column.dtype.kind == "f":
-            frame.isetitem(place, column + 0.0)
-        elif column.dtype.kind == "O":
-            frame.isetitem(place, column.map(lambda v: v + 0.0 if isinstance(v, float) else v))
-    return frame
-
-
 def _plain(value):
-    """A value as JSON knows it."""
-    if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, tuple | list | set | range):
-        return [_plain(one) for one in value]
+    """What JSON does not know, as what it does."""
     if hasattr(value, "tolist"):  # of NumPy
         return value.tolist()
-    return value if isinstance(value, PLAIN) else str(value)
+    return list(value) if isinstance(value, range | set) else str(value)

@@ -39,7 +39,6 @@ WIDGET = "application/vnd.jupyter.widget-view+json"
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
-
 SENTENCE = re.compile(r"<td>(?=[^<]*[A-Za-z]{3})")
 """Begins a cell of words; numbers stand on the right."""
 
@@ -79,10 +78,7 @@ class Outcome:
 def read_outcome(folder):
     """Return the outcome that a run left in a study's folder, or None."""
     file = Path(folder) / OUTCOME
-    if not file.is_file():
-        return None
-    kept = json.loads(file.read_text(encoding="utf-8"))
-    return Outcome(**{name: kept[name] for name in Outcome.__dataclass_fields__ if name in kept})
+    return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
 
 def write_pages(folder, studies):
@@ -95,25 +91,16 @@ def write_pages(folder, studies):
     studies : list of mmqa_lab.studies.Study
         Those that were never run are left out.
     """
-    folder = Path(folder)
-    stored = _stored_answers()
-    cards = [
-        _card(study, folder / study.stem, stored.get(study.stem, ""))
-        for study in studies
-        if read_outcome(folder / study.stem) is not None
-    ]
+    folder, file = Path(folder), notebooks_folder() / ANSWERS
+    stored = dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
+    ran = [study for study in studies if read_outcome(folder / study.stem) is not None]
+    cards = [_card(study, folder / study.stem, stored.get(study.stem, "")) for study in ran]
     ledger = _ledger(folder, studies)
     if ledger is not None:
         write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
     write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
     shown = {"cards": cards, "ledger": ledger, "formats": FORMATS}
     write_text(folder / "index.html", filled("index.html", **shown))
-
-
-def _stored_answers():
-    """The answers of the last full run that the repository keeps, by study."""
-    file = notebooks_folder() / ANSWERS
-    return dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
 
 
 def glossary_rows():
@@ -239,24 +226,21 @@ def filled(name, **values):
 
 def _card(study, folder, stored):
     """What the index shows of one study, from what its run left on the disk."""
-    record, outcome = read_record(folder), read_outcome(folder)
-    file, files = folder / "checks.csv", record.get("files", [])
+    record, outcome, file = read_record(folder), read_outcome(folder), folder / "checks.csv"
     checks = pd.read_csv(file, keep_default_na=False) if file.is_file() else pd.DataFrame()
-    figures = [name.removesuffix(".png") for name in files if name.endswith(".png")]
-    answer = record.get("answer", {"sentence": "", "figure": ""})
-    shown = answer["figure"] or (figures or [""])[-1]  # the last one where no answer was reached
+    figures, answer = record.get("figures", {}), record.get("answer", {})
+    shown = answer.get("figure") or next(reversed(figures), "")  # where no answer was reached
     return {
         "study": study,
         "outcome": outcome,
-        "said": outcome.verdict,
         "stored": stored if outcome.quick else "",
         "page": (folder / f"{study.stem}.html").is_file(),
         "record": record,
-        "answer": answer["sentence"],
+        "answer": answer.get("sentence", ""),
         "figure": shown,
-        "seen": record.get("figures", {}).get(shown, {}),
-        "figures": figures,
-        "tables": [name for name in files if name.endswith(".csv")],
+        "seen": figures.get(shown, {}),
+        "figures": list(figures),
+        "tables": [name for name in record.get("files", []) if name.endswith(".csv")],
         "checks": checks.to_dict("records"),
     }
 
@@ -276,11 +260,10 @@ def _ledger(folder, studies):
 
 
 def _shown(row):
-    """What the ledger's page shows of a row."""
+    """A row of the ledger with its numbers as texts."""
     ours, low, high = (four_digits(row[name]) for name in ("ours", "ours_low", "ours_high"))
-    interval = "" if low == "nan" or high == "nan" else f" ({low} to {high})"
-    return {
-        **{name: row[name] for name in ("source", "role", "kind", "study", "verdict", "note")},
+    interval = "" if "nan" in (low, high) else f" ({low} to {high})"
+    return row | {
         "printed number": f"{row['table']}: {row['cell']}",
         "printed": f"{row['printed']} {row['unit']}",
         "ours": "" if ours == "nan" else ours + interval,

@@ -5,23 +5,29 @@ cells tagged ``lesson`` are for the teacher. A student's copy has the test compr
 cannot be read at a glance, and no stored outputs; a check that fails does not stop *Run All*. The
 cell tagged ``number`` sets the student's number in the class, from which exercises take their
 numbers: everyone has another answer. The first exercise stands behind what it needs, so that a
-class reaches it at once.
+class reaches it at once. A teacher gets the solutions with a table of answers by number.
 """
 
 import ast
 import base64
+import contextlib
+import io
 import json
 import math
+import re
+import tempfile
 import textwrap
 import zlib
 from pathlib import Path
 
 import nbformat
 import numpy as np
+import pandas as pd
+from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run.notebooks import inject
+from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
 ASKED = "# asked for: "
@@ -44,6 +50,15 @@ SCALES = (
 
 UNITS = {"deg": "degrees", "percent": "%"}
 """Units as a sentence has them."""
+
+SET_HERE = re.compile(r"the (notebook|next cell) sets it")
+"""What the notebook says of n; in a copy it is the student who sets it."""
+
+NUMBERS = range(1, 31)
+"""The numbers of a class, in the table of answers."""
+
+FEW = 6
+"""Numbers of an answer that a table of answers has room for."""
 
 PYTHON = {"name": "python", "pygments_lexer": "ipython3"}
 
@@ -188,24 +203,30 @@ def _exercise(source):
         yield cell
 
 
-def _student_notebook(notebook):
+def _student_notebook(notebook, checks):
     """Return a copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
     for cell in notebook.cells:
         tags = _tags(cell)
         if "solution" in tags:
-            cells += _exercise(cell.source)
+            cells += list(_exercise(cell.source))[: 2 if checks else 1]
         elif NUMBER in tags:
             blank = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
             cells.append(nbformat.v4.new_code_cell(blank, metadata=cell.metadata))
         elif cell.cell_type == "code":
             cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
         elif "lesson" not in tags:
-            cells.append(cell)
+            cells.append(_told_to_set(cell))
     return nbformat.from_dict({**notebook, "cells": cells})
 
 
-def write_student_notebooks(studies, folder, *, quick=False):
+def _told_to_set(cell):
+    """A text for students: they set n, the notebook does not."""
+    text = SET_HERE.sub("set it in the next cell", cell.source)
+    return nbformat.from_dict({**cell, "source": text})
+
+
+def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     """Write students' copies of studies' notebooks into a folder.
 
     Parameters
@@ -215,6 +236,8 @@ def write_student_notebooks(studies, folder, *, quick=False):
         Made where missing.
     quick : bool
         With each study's small parameters.
+    checks : bool
+        With the sealed checks; without them the copies only ask.
 
     Returns
     -------
@@ -241,21 +264,23 @@ def write_student_notebooks(studies, folder, *, quick=False):
             "Must be a folder without notebooks of these names."
         )
     for study, target in zip(studies, targets, strict=True):
-        copy = _student_notebook(nbformat.read(study.path, as_version=4))
+        copy = _student_notebook(nbformat.read(study.path, as_version=4), checks)
         if quick:
             inject(copy, study.quick)
         write_atomically(target, lambda path, copy=copy: nbformat.write(copy, path))
     return targets
 
 
-def write_solutions(studies, folder):
-    """Write the solutions of each study with its lesson plan: a page to read and print.
+def write_solutions(studies, folder, *, quick=False):
+    """Write each study's solutions with answers by number and lesson plan: a page to print.
 
     Parameters
     ----------
     studies : list of mmqa_lab.studies.Study
     folder : path
         The teacher's; made where missing.
+    quick : bool
+        Answers for each study's small parameters.
 
     Returns
     -------
@@ -269,9 +294,11 @@ def write_solutions(studies, folder):
         above = dict.fromkeys(max(place for place in texts if place < k) for k in tagged)
         tasks = ["## " + cells[k].source.rpartition("## ")[2] for k in above]
         exercises = [nbformat.v4.new_markdown_cell(task) for task in tasks]
-        answers = [
-            nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}\n")[0]) for k in tagged
-        ]
+        answers = [nbformat.v4.new_code_cell(_work(cells[k].source)) for k in tagged]
+        answers.append(nbformat.v4.new_markdown_cell("## Answers by number"))
+        shown = {"text/html": answer_table(study, quick=quick).to_html(index=False, na_rep="")}
+        output = nbformat.v4.new_output("display_data", data=shown)
+        answers.append(nbformat.v4.new_code_cell("", outputs=[output]))
         lesson = [cell for cell in cells if "lesson" in _tags(cell)]
         chosen = [cells[0], *exercises, *answers, *lesson]
         book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
@@ -279,6 +306,117 @@ def write_solutions(studies, folder):
         written.append(Path(folder) / f"{study.notebook}_solutions.html")
         write_atomically(written[-1], page)
     return written
+
+
+def answer_table(study, *, quick=False):
+    """Return the answers that are numbers, for each number of the class.
+
+    Only the cells that the answers need are run.
+
+    Parameters
+    ----------
+    study : mmqa_lab.studies.Study
+    quick : bool
+        With its small parameters.
+
+    Returns
+    -------
+    DataFrame
+        ``n``, and a column for each answer that depends on it.
+
+    Raises
+    ------
+    RuntimeError
+        If a cell fails.
+    """
+    notebook = nbformat.read(study.path, as_version=4)
+    if quick:
+        inject(notebook, study.quick)
+    sources = [cell.source for cell in notebook.cells if "solution" in _tags(cell)]
+    tasks = {}
+    for source in sources:
+        work = ast.parse(_work(source))
+        if NUMBER in _names(work, ast.Load):
+            blanks = re.findall(r"^(\w+) = \.\.\.", student_cell(source), re.MULTILINE)
+            tasks[source.split(":")[0].lstrip("# ")] = ast.unparse(work), blanks
+    call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
+    tail = nbformat.v4.new_code_cell(call)
+    plain = [cell for cell in notebook.cells if "solution" not in _tags(cell)]
+    wanted = {name for code, _ in tasks.values() for name in _names(ast.parse(code), ast.Load)}
+    notebook.cells = [*needed_cells(plain, wanted), tail]
+    with tempfile.TemporaryDirectory() as folder:
+        failure = execute(notebook, study.path.parent, results=folder)
+    if failure:
+        raise RuntimeError(f"{study.notebook}: {failure}")
+    table = pd.DataFrame(json.loads(tail.outputs[-1]["text"]))
+    return table.dropna(axis=1, thresh=2)
+
+
+def work_out(tasks, scope):
+    """Return the answers that are numbers for each number of the class, as JSON.
+
+    Parameters
+    ----------
+    tasks : dict
+        Code and names of answers by the exercise's number.
+    scope : dict
+        A notebook's ``globals()``.
+
+    Examples
+    --------
+    >>> work_out({"1": ("side = number / 2", ["side"])}, {})[:56]
+    '[{"n": 1, "1: side": "0.5"}, {"n": 2, "1: side": "1"}, {'
+    """
+    rows = {number: {"n": number} for number in NUMBERS}
+    for task, (code, names) in tasks.items():
+        for number, row in rows.items():
+            scope[NUMBER] = number
+            with contextlib.redirect_stdout(io.StringIO()):
+                exec(code, scope)
+            row |= {f"{task}: {name}": _short(scope[name]) for name in names}
+            if not any(row[f"{task}: {name}"] for name in names):
+                break  # a table or a curve
+    return json.dumps(list(rows.values()))
+
+
+def _short(answer):
+    """A number, or a few, as text; None for what is more than that."""
+    try:
+        values = np.atleast_1d(np.asarray(answer))
+    except ValueError:  # a list of unlike things
+        return None
+    if values.ndim > 1 or len(values) > FEW or values.dtype.kind not in "fiub":
+        return None
+    return ", ".join(f"{value:.4g}" for value in values.astype(float))
+
+
+def needed_cells(cells, names):
+    """Return the code cells that some names come from, with the cells that these need.
+
+    Examples
+    --------
+    >>> cells = [nbformat.v4.new_code_cell(code) for code in ("a = 1", "b = 2", "c = a")]
+    >>> [cell.source for cell in needed_cells(cells, {"c"})]
+    ['a = 1', 'c = a']
+    """
+    kept, needed = [], set(names)
+    for cell in reversed(cells):
+        if cell.cell_type != "code":
+            continue
+        nodes = list(ast.walk(ast.parse(TransformerManager().transform_cell(cell.source))))
+        stored = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Store)]
+        made = {getattr(getattr(node, "value", node), "id", "") for node in stored}
+        made |= {node.asname or node.name for node in nodes if isinstance(node, ast.alias)}
+        made |= {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+        if made & needed:
+            needed |= {node.id for node in nodes if isinstance(node, ast.Name)}
+            kept.insert(0, cell)
+    return kept
+
+
+def _work(source):
+    """An answer without the test of it."""
+    return source.split(f"\n{CHECK}\n")[0]
 
 
 def _tags(cell):
