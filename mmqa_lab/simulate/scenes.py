@@ -1,32 +1,22 @@
 """Scenes: surfaces side by side, the search tree over them, and the rays that meet them.
 
 Ray casting is exact and compiled. Rays descend a bounding volume hierarchy near child first, and
-every hit solves the primitive's own equation: no mesh, no marching. Curved primitives are solved
-about the ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
+every hit solves the primitive's own equation: no mesh, no marching. Shafts are solved about the
+ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads
-from mmqa_lab.simulate.surfaces import (
-    ELLIPSE,
-    ELLIPSOID,
-    FRUSTUM,
-    PARALLELOGRAM,
-    Surface,
-    flattened,
-    merged,
-)
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from mmqa_lab.simulate.surfaces import DISC, SHAFT, Surface, group
 
 LEAF_SIZE = 4
 DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
@@ -42,10 +32,8 @@ class Hits(NamedTuple):
     range_m : array, shape (n,)
     surface : array of int, shape (n,)
         Ids in the order of the scene's surfaces.
-    normal : array, shape (n, 3)
-        Unit normals, towards the ray's origin.
-    incidence_deg : array, shape (n,)
-        Angle between ray and normal, 0 to 90.
+    cosine : array, shape (n,)
+        Of the angle of incidence, between ray and normal; see ``incidence_deg``.
     reflectance : array, shape (n,)
 
     Examples
@@ -58,9 +46,13 @@ class Hits(NamedTuple):
 
     range_m: np.ndarray
     surface: np.ndarray
-    normal: np.ndarray
-    incidence_deg: np.ndarray
+    cosine: np.ndarray
     reflectance: np.ndarray
+
+    @property
+    def incidence_deg(self) -> np.ndarray:
+        """Angle between ray and normal, 0 to 90."""
+        return np.degrees(np.arccos(np.minimum(self.cosine, 1)))
 
 
 class Scene:
@@ -69,8 +61,7 @@ class Scene:
     Parameters
     ----------
     surfaces : iterable of Surface
-        Lists of surfaces (a wall with its reveals) may stand in it. The place in the flattened
-        list is the surface's id.
+        The place in the list is the surface's id.
 
     Attributes
     ----------
@@ -94,18 +85,18 @@ class Scene:
     """
 
     def __init__(self, surfaces: Iterable[Surface]):
-        self.surfaces = list(flattened(surfaces))
+        self.surfaces = list(surfaces)
         if not self.surfaces:
             raise ValueError("Invalid surfaces: none given. Must be one or more.")
-        parts = merged(self.surfaces)
-        self.origin = np.round(parts["centre"].mean(axis=0))
-        parts["centre"] = parts["centre"] - self.origin
+        whole = group(self.surfaces, label="")
+        self.origin = np.round(whole.centre.mean(axis=0))
+        centre = whole.centre - self.origin
+        order, *nodes = _hierarchy(centre - whole.half, centre + whole.half, centre)
+        self.tree = Tree(*nodes, whole.kind[order], centre[order], whole.shape[order])
         ids = np.repeat(np.arange(len(self.surfaces), dtype=np.int32), [*map(len, self.surfaces)])
-        low, high = parts["centre"] - parts["half"], parts["centre"] + parts["half"]
-        order, *nodes = _hierarchy(low, high, parts["centre"])
-        named = parts | {"surface": ids}
-        rows = (named[name][order] for name in Tree._fields[5:11])
-        self.tree = Tree(*nodes, *rows, parts["edges"], parts["reflectance"])
+        # the last entry, -1, is of rays that meet nothing
+        self._surface = np.append(ids[order], np.int32(-1))
+        self._reflectance = np.append(whole.reflectance[order], np.nan)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the ``Hits`` of rays.
@@ -120,36 +111,36 @@ class Scene:
         Raises
         ------
         ValueError
-            If a direction has no length or the shapes do not fit.
+            If a direction has no length.
         """
         directions = check_points(directions, name="directions")
-        origins = check_points(np.atleast_2d(origins), name="origins")
-        n = len(directions)
-        if len(origins) not in (1, n):
-            raise ValueError(f"Invalid origins: {len(origins)} given. Must be 1 or {n}.")
-        length = np.linalg.norm(directions, axis=1)
+        length = np.linalg.norm(directions, axis=1, keepdims=True)
         if not length.all():
             raise ValueError(f"Invalid direction in row {np.argmin(length)}. Must be > 0 m long.")
-        unit = directions / length[:, None]
-        local = np.ascontiguousarray(np.broadcast_to(origins - self.origin, unit.shape))
-        ranges, surface = np.full(n, np.inf), np.full(n, -1, np.int32)
-        normal, reflectance = np.full((n, 3), np.nan), np.full(n, np.nan)
-        found = ranges, surface, normal, reflectance
-        in_threads(_cast, n, self.tree, local, unit, *found, least=RAYS_A_THREAD)
-        cosine = np.einsum("ij,ij->i", normal, unit)
-        normal *= -np.sign(cosine)[:, None]
-        ranges[surface < 0] = np.nan
-        incidence = np.degrees(np.arccos(np.clip(np.abs(cosine), 0, 1)))
-        return Hits(ranges, surface, normal, incidence, reflectance)
+        unit = directions / length
+        local = np.broadcast_to(check_points(np.atleast_2d(origins)) - self.origin, unit.shape)
+        return Hits(*(values[:, 0] for values in self.cast_beams(local[:, None], unit[:, None])))
+
+    def cast_beams(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """Return the ``Hits`` (n, k) of n beams of k rays that stay close together, (n, k, 3).
+
+        Starts count from the scene's origin, directions have the length 1.
+        """
+        shape = directions.shape[:2]
+        ranges, cosine = np.empty(shape), np.full(shape, np.nan)
+        hit = np.empty(shape, np.int64)
+        rays = np.concatenate([origins, directions], axis=2)
+        in_threads(_cast, shape[0], self.tree, rays, ranges, hit, cosine, least=RAYS_A_THREAD)
+        ranges[hit < 0] = np.nan
+        return Hits(ranges, self._surface[hit], cosine, self._reflectance[hit])
 
 
 class Tree(NamedTuple):
     """Primitives in the order of their bounding volume hierarchy.
 
-    The numbers of ``shape`` are, for planar kinds, the dual vectors p and q (local coordinates
-    s = p.x, t = q.x from the centre) and the unit normal; for a frustum its unit axis, half length,
-    radius at the centre, growth of the radius along the axis, whether it is capped; for an
-    ellipsoid the rows of the matrix that maps it to the unit sphere.
+    The numbers of ``shape`` are, for rectangles and discs, the dual vectors p and q (local
+    coordinates s = p.x, t = q.x from the centre) and the unit normal; for a shaft its unit axis,
+    half length, radius at the centre, growth of the radius along the axis, whether it is capped.
     """
 
     low: np.ndarray  # (nodes, 3) corner of each node's box
@@ -160,11 +151,6 @@ class Tree(NamedTuple):
     kind: np.ndarray  # (n,)
     centre: np.ndarray  # (n, 3) from the origin of the scene
     shape: np.ndarray  # (n, 9)
-    surface: np.ndarray  # (n,) id of the surface a primitive belongs to
-    outline: np.ndarray  # (n, 2) first and last edge of a polygon
-    cells: np.ndarray  # (n, 3) first reflectance, rows, columns
-    edges: np.ndarray  # (m, 4) s, t of the start and the end of each polygon edge
-    reflectance: np.ndarray  # (k,) of the cells
 
 
 @njit(cache=True)
@@ -215,31 +201,8 @@ def _cut(members, centre, depth):
     return axis, len(members) // 2
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _planar(tree, i, ox, oy, oz, dx, dy, dz, best):
-    """Range to a planar primitive, inf beyond ``best``; ``ox`` ... is the start from the centre."""
-    s = tree.shape[i]
-    t = -(s[6] * ox + s[7] * oy + s[8] * oz) / (s[6] * dx + s[7] * dy + s[8] * dz)
-    if not 0.0 < t < best:
-        return np.inf
-    x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
-    u = s[0] * x + s[1] * y + s[2] * z
-    v = s[3] * x + s[4] * y + s[5] * z
-    kind = tree.kind[i]
-    if kind == PARALLELOGRAM:
-        return t if abs(u) <= 1.0 and abs(v) <= 1.0 else np.inf
-    if kind == ELLIPSE:
-        return t if u * u + v * v <= 1.0 else np.inf
-    inside = False
-    for e in range(tree.outline[i, 0], tree.outline[i, 1]):
-        a, b, c, d = tree.edges[e, 0], tree.edges[e, 1], tree.edges[e, 2], tree.edges[e, 3]
-        if (b > v) != (d > v) and u < a + (c - a) * (v - b) / (d - b):
-            inside = not inside
-    return t if inside else np.inf
-
-
 @njit(cache=True, error_model="numpy")
-def _frustum(shape, ox, oy, oz, dx, dy, dz):
+def _shaft(shape, ox, oy, oz, dx, dy, dz):
     """Range to a cone frustum: its mantle, and its caps where it has them."""
     ax, ay, az, half, radius, growth = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
     shift = -(ox * dx + oy * dy + oz * dz)
@@ -269,43 +232,22 @@ def _frustum(shape, ox, oy, oz, dx, dy, dz):
     return best
 
 
-@njit(cache=True, error_model="numpy")
-def _ellipsoid(s, ox, oy, oz, dx, dy, dz):
-    """Range to an ellipsoid, solved on the unit sphere."""
-    px, py, pz = mapped(s, ox, oy, oz)
-    ex, ey, ez = mapped(s, dx, dy, dz)
-    a = ex * ex + ey * ey + ez * ez
-    shift = -(px * ex + py * ey + pz * ez) / a
-    px, py, pz = px + shift * ex, py + shift * ey, pz + shift * ez
-    root = (1.0 - px * px - py * py - pz * pz) / a
-    if root < 0.0:
-        return np.inf
-    root = np.sqrt(root)
-    if shift - root > 0.0:
-        return shift - root
-    return shift + root if shift + root > 0.0 else np.inf
-
-
-@njit(cache=True)
-def mapped(s, x, y, z):
-    """The rows of ``s`` as a matrix, applied."""
-    return (
-        s[0] * x + s[1] * y + s[2] * z,
-        s[3] * x + s[4] * y + s[5] * z,
-        s[6] * x + s[7] * y + s[8] * z,
-    )
-
-
 @njit(cache=True, error_model="numpy", inline="always")
 def _range_to(tree, i, rays, k, best):
     """Range along unit ray ``k`` to primitive ``i``, inf where it misses or is beyond ``best``."""
-    c, dx, dy, dz = tree.centre, rays[k, 3], rays[k, 4], rays[k, 5]
+    c, s, dx, dy, dz = tree.centre, tree.shape[i], rays[k, 3], rays[k, 4], rays[k, 5]
     ox, oy, oz = rays[k, 0] - c[i, 0], rays[k, 1] - c[i, 1], rays[k, 2] - c[i, 2]
-    if tree.kind[i] == FRUSTUM:
-        return _frustum(tree.shape[i], ox, oy, oz, dx, dy, dz)
-    if tree.kind[i] == ELLIPSOID:
-        return _ellipsoid(tree.shape[i], ox, oy, oz, dx, dy, dz)
-    return _planar(tree, i, ox, oy, oz, dx, dy, dz, best)
+    if tree.kind[i] == SHAFT:
+        return _shaft(s, ox, oy, oz, dx, dy, dz)
+    t = -(s[6] * ox + s[7] * oy + s[8] * oz) / (s[6] * dx + s[7] * dy + s[8] * dz)
+    if not 0.0 < t < best:
+        return np.inf
+    x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
+    u = s[0] * x + s[1] * y + s[2] * z
+    v = s[3] * x + s[4] * y + s[5] * z
+    if tree.kind[i] == DISC:
+        return t if u * u + v * v <= 1.0 else np.inf
+    return t if abs(u) <= 1.0 and abs(v) <= 1.0 else np.inf
 
 
 @njit(cache=True)
@@ -367,13 +309,12 @@ def nearest(tree, stack, rays, best, hit):
 
 
 @njit(cache=True, error_model="numpy")
-def describe(tree, ray, t, i):
-    """Unit normal and reflectance of primitive ``i`` where a ray meets it at ``t``."""
-    c = tree.centre[i]
-    x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
-    s = tree.shape[i]
-    kind = tree.kind[i]
-    if kind == FRUSTUM:
+def _cosine(tree, ray, t, i):
+    """Cosine of the angle at which a ray meets primitive ``i`` at ``t``."""
+    s, c = tree.shape[i], tree.centre[i]
+    nx, ny, nz = s[6], s[7], s[8]
+    if tree.kind[i] == SHAFT:
+        x, y, z = ray[0] - c[0] + t * ray[3], ray[1] - c[1] + t * ray[4], ray[2] - c[2] + t * ray[5]
         h = x * s[0] + y * s[1] + z * s[2]
         r = s[4] + s[5] * h
         mx, my, mz = x - h * s[0], y - h * s[1], z - h * s[2]
@@ -382,41 +323,19 @@ def describe(tree, ray, t, i):
             nx, ny, nz = s[0], s[1], s[2]
         else:
             nx, ny, nz = mx - r * s[5] * s[0], my - r * s[5] * s[1], mz - r * s[5] * s[2]
-    elif kind == ELLIPSOID:
-        px, py, pz = mapped(s, x, y, z)
-        nx = s[0] * px + s[3] * py + s[6] * pz
-        ny = s[1] * px + s[4] * py + s[7] * pz
-        nz = s[2] * px + s[5] * py + s[8] * pz
-    else:
-        nx, ny, nz = s[6], s[7], s[8]
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx / length, ny / length, nz / length, _cell(tree, i, x, y, z)
-
-
-@njit(cache=True)
-def _cell(tree, i, x, y, z):
-    """Reflectance of the cell a point lies in."""
-    first, rows, columns = tree.cells[i]
-    if rows * columns == 1:
-        return tree.reflectance[first]
-    s = tree.shape[i]
-    u, v = s[0] * x + s[1] * y + s[2] * z, s[3] * x + s[4] * y + s[5] * z
-    column = min(max(int(0.5 * (u + 1.0) * columns), 0), columns - 1)
-    row = min(max(int(0.5 * (v + 1.0) * rows), 0), rows - 1)
-    return tree.reflectance[first + row * columns + column]
+    return abs(nx * ray[3] + ny * ray[4] + nz * ray[5]) / length
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(begin, end, tree, origins, directions, ranges, surface, normal, reflectance):
-    """Range, surface, normal and reflectance where unit rays first meet a primitive."""
-    stack, ray = np.empty(STACK, np.int64), np.empty((1, 9))
-    best, hit = np.empty(1), np.empty(1, np.int64)
-    for k in range(begin, end):
-        for j in range(3):
-            ray[0, j], ray[0, 3 + j] = origins[k, j], directions[k, j]
-        nearest(tree, stack, ray, best, hit)
-        t, i = best[0], hit[0]
-        if i >= 0:
-            nx, ny, nz, reflectance[k] = describe(tree, ray[0], t, i)
-            normal[k, 0], normal[k, 1], normal[k, 2] = nx, ny, nz
-            ranges[k], surface[k] = t, tree.surface[i]
+def _cast(begin, end, tree, beams, ranges, hit, cosine):
+    """Write range, primitive and cosine of incidence of rays, (n, k), inf and -1 where none."""
+    stack, rays = np.empty(STACK, np.int64), np.empty((beams.shape[1], 9))
+    for n in range(begin, end):
+        for k in range(len(rays)):
+            for j in range(6):
+                rays[k, j] = beams[n, k, j]
+        nearest(tree, stack, rays, ranges[n], hit[n])
+        for k in range(len(rays)):
+            if hit[n, k] >= 0:
+                cosine[n, k] = _cosine(tree, rays[k], ranges[n, k], hit[n, k])

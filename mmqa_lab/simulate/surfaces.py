@@ -1,32 +1,25 @@
-"""Surfaces with known geometry, reflectance, label and id.
+"""Surfaces with known geometry, reflectance, label and id: rectangles, discs, round shafts.
 
 A surface is one thing with one id; it may consist of many primitives (a box of six faces, a crown
 of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Lengths are metres.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab import charts
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.planes import across
 
-PARALLELOGRAM, ELLIPSE, POLYGON, FRUSTUM, ELLIPSOID = range(5)
+RECTANGLE, DISC, SHAFT = range(3)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
-
-CELL_MM = 10.0
-"""Cells of the printed chart; a scanner sees their mean reflectance."""
-
-BRIGHT, DARK = 0.8, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Primitives that share an id, a label and a way of reflecting.
+    """Primitives that share an id and a label.
 
     Made by the functions of this module (``rectangle``, ``cylinder``, ...), not by hand.
 
@@ -37,13 +30,8 @@ class Surface:
     kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
         Kind of each primitive, its centre, its shape numbers (``scenes.Tree``), the half
         extents of its box.
-    outline, cells : arrays of int, shapes (n, 2), (n, 3)
-        Where each primitive's edges begin and end in ``edges``; where its cells begin in
-        ``reflectance``, and how many rows and columns of them there are.
-    edges : array, shape (m, 4)
-        Edges of the outline and the holes of a polygon, in its own plane.
-    reflectance : array, shape (k,)
-        Of all cells, between 0 and 1; one cell where a primitive is plain.
+    reflectance : array, shape (n,)
+        Between 0 and 1.
 
     Examples
     --------
@@ -57,22 +45,18 @@ class Surface:
     centre: np.ndarray
     shape: np.ndarray
     half: np.ndarray
-    outline: np.ndarray
-    cells: np.ndarray
-    edges: np.ndarray
     reflectance: np.ndarray
 
     def __len__(self):
         return len(self.kind)
 
 
-def group(surfaces, *, label):
+def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
     """Return one surface, with one id, of several.
 
     Parameters
     ----------
-    surfaces : iterable of Surface
-        Lists of them may stand in it.
+    surfaces : sequence of Surface
     label : str
 
     Returns
@@ -81,11 +65,13 @@ def group(surfaces, *, label):
 
     Examples
     --------
-    >>> lamp = group([cylinder((0, 0, 0), (0, 0, 5), 0.1), ellipsoid((0, 0, 5), 0.3)], label="lamp")
+    >>> mast = [cylinder((0, 0, 0), (0, 0, 5), 0.1), box((0, 0, 5), (0.3, 0.3, 0.2))]
+    >>> lamp = group(mast, label="lamp")
     >>> len(lamp), lamp.label
-    (2, 'lamp')
+    (7, 'lamp')
     """
-    return Surface(label=label, **merged(list(flattened(surfaces))))
+    names = [field.name for field in fields(Surface)[1:]]
+    return Surface(label, *(np.concatenate([getattr(s, name) for s in surfaces]) for name in names))
 
 
 def rectangle(
@@ -94,7 +80,7 @@ def rectangle(
     up: ArrayLike,
     *,
     label: str = "wall",
-    reflectance: ArrayLike = 0.5,
+    reflectance: float = 0.5,
 ) -> Surface:
     """Return a rectangle or parallelogram from a corner and the two sides that leave it.
 
@@ -103,8 +89,7 @@ def rectangle(
     corner, along, up : array_like, shape (3,)
         Metres.
     label : str
-    reflectance : float or array_like, shape (rows, columns)
-        Of the whole, or of cells: rows from the corner upwards, columns along.
+    reflectance : float
 
     Returns
     -------
@@ -113,19 +98,18 @@ def rectangle(
     Raises
     ------
     ValueError
-        If the sides are parallel or a reflectance lies outside 0 to 1.
+        If the sides are parallel or the reflectance lies outside 0 to 1.
 
     Examples
     --------
     >>> from mmqa_lab.simulate import Scene
-    >>> halves = Scene([rectangle((0, 5, 0), (2, 0, 0), (0, 0, 1), reflectance=[[0.1, 0.9]])])
-    >>> halves.cast([[0.5, 0, 0.5], [1.5, 0, 0.5]], [[0, 1, 0]] * 2).reflectance.tolist()
-    [0.1, 0.9]
+    >>> wall = Scene([rectangle((0, 5, 0), (2, 0, 0), (0, 0, 1))])
+    >>> wall.cast([[1.9, 0, 0.5], [2.1, 0, 0.5]], [[0, 1, 0]] * 2).range_m.tolist()
+    [5.0, nan]
     """
     u, v = _vector(along, "along") / 2, _vector(up, "up") / 2
-    centre = _vector(corner, "corner") + u + v
-    shape, half = _planar_shape(u, v), np.abs(u) + np.abs(v)
-    return _surface(label, PARALLELOGRAM, centre, shape, half, reflectance)
+    centre, half = _vector(corner, "corner") + u + v, np.abs(u) + np.abs(v)
+    return _surface(label, RECTANGLE, centre, _planar_shape(u, v), half, reflectance)
 
 
 def ground(
@@ -147,11 +131,6 @@ def ground(
     -------
     Surface
 
-    Raises
-    ------
-    ValueError
-        If the height is not finite or a size is not above zero.
-
     Examples
     --------
     >>> from mmqa_lab.simulate import Scene
@@ -159,8 +138,8 @@ def ground(
     >>> float(flat.cast([0, 0, 2], [[0, 0, -1]]).range_m[0])
     2.5
     """
-    a, b = (check_positive(side, "size", unit="m") for side in size)
-    low = (centre[0] - a / 2, centre[1] - b / 2, check_number(height, "height", unit="m"))
+    a, b = size
+    low = centre[0] - a / 2, centre[1] - b / 2, height
     return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=0.2)
 
 
@@ -171,7 +150,7 @@ def board(
     *,
     heading: float = 0.0,
     label: str = "board",
-    reflectance: ArrayLike = 0.8,
+    reflectance: float = 0.8,
 ) -> Surface:
     """Return a rectangular board that faces ``heading``.
 
@@ -184,17 +163,11 @@ def board(
     heading : float
         Horizontal direction its front looks to, degrees clockwise from +y (north).
     label : str
-    reflectance : float or array_like, shape (rows, columns)
-        Rows from the bottom up, columns from left to right as one looks at the front.
+    reflectance : float
 
     Returns
     -------
     Surface
-
-    Raises
-    ------
-    ValueError
-        If a size is not above zero or an angle is not finite.
 
     Examples
     --------
@@ -214,11 +187,6 @@ def disc(centre, normal, radius):
     -------
     Surface
 
-    Raises
-    ------
-    ValueError
-        If the radius or the normal's length is not above zero.
-
     Examples
     --------
     >>> from mmqa_lab.simulate import Scene
@@ -226,65 +194,7 @@ def disc(centre, normal, radius):
     >>> sign.cast([[0.29, 0, 2], [0.31, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
     [0, -1]
     """
-    normal = _vector(normal, "normal")
-    if not normal.any():
-        raise ValueError(f"Invalid normal {normal.tolist()}. Must be > 0 m long.")
-    normal = normal / np.linalg.norm(normal)
-    radius = check_positive(radius, "radius", unit="m")
-    shape = _planar_shape(*radius * across(normal[None])[0])
-    half = radius * np.sqrt(1 - normal**2)
-    return _surface("board", ELLIPSE, _vector(centre, "centre"), shape, half, 0.5)
-
-
-def polygon(
-    vertices: ArrayLike,
-    *,
-    holes: Sequence[ArrayLike] = (),
-    label: str = "wall",
-    reflectance: float = 0.5,
-) -> Surface:
-    """Return a flat polygon with holes.
-
-    Parameters
-    ----------
-    vertices : array_like, shape (n, 3)
-        The outline in order, metres, closed by itself; convex or not.
-    holes : list of array_like, shape (m, 3)
-        Outlines of holes in the same plane.
-    label : str
-    reflectance : float
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three vertices, on a line, or off one plane by more than 1e-6 m.
-
-    Examples
-    --------
-    >>> from mmqa_lab.simulate import Scene
-    >>> square, hole = np.array([[0, 5, 0], [4, 5, 0], [4, 5, 4], [0, 5, 4.0]]), [1, 0, 1]
-    >>> front = Scene([polygon(square, holes=[square / [2, 1, 2] + hole])])
-    >>> front.cast([[2, 0, 2], [0.5, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
-    [-1, 0]
-    """
-    rings = [check_points(ring, name="vertices", minimum=3) for ring in (vertices, *holes)]
-    middle = rings[0].mean(axis=0)
-    normal = _plane_normal(rings[0] - middle)
-    u, v = across(normal[None])[0]
-    off = max(np.abs((ring - middle) @ normal).max() for ring in rings)
-    if off > 1e-6:
-        raise ValueError(f"Invalid vertices, {off:.2g} m off one plane. Must be flat to 1e-6 m.")
-    flat = [(ring - middle) @ np.array([u, v]).T for ring in rings]
-    edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in flat])
-    reach = np.abs(flat[0]).max(axis=0)
-    half = reach[0] * np.abs(u) + reach[1] * np.abs(v)
-    shape = np.concatenate([u, v, normal])
-    made = _surface(label, POLYGON, middle, shape, half, reflectance)
-    return replace(made, edges=edges, outline=np.array([[0, len(edges)]]))
+    return _discs("board", centre, _vector(normal, "normal")[None], radius, 0.5)
 
 
 def cylinder(
@@ -327,7 +237,7 @@ def cylinder(
     4.5
     """
     base, top = _vector(base, "base"), _vector(top, "top")
-    radius = check_positive(radius, "radius", unit="m")
+    check_positive(radius, "radius", unit="m")
     end = radius if top_radius is None else check_number(top_radius, "top_radius", low=0, unit="m")
     length = np.linalg.norm(top - base)
     if length == 0:
@@ -335,7 +245,7 @@ def cylinder(
     axis = (top - base) / length
     shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
     half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
-    return _surface(label, FRUSTUM, (base + top) / 2, shape, half, reflectance)
+    return _surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
 
 
 def box(
@@ -363,11 +273,6 @@ def box(
     -------
     Surface
 
-    Raises
-    ------
-    ValueError
-        If a size is not above zero or the heading is not finite.
-
     Examples
     --------
     >>> from mmqa_lab.simulate import Scene
@@ -376,45 +281,14 @@ def box(
     8.0
     """
     base = _vector(base, "base")
-    width, length, height = (check_positive(s, "size", unit="m") for s in size)
-    h = np.radians(check_number(heading, "heading", unit="degrees"))
+    width, length, height = size
+    h = np.radians(heading)
     a = width * np.array([np.cos(h), -np.sin(h), 0])
     b = length * np.array([np.sin(h), np.cos(h), 0])
     c = np.array([0, 0, height])
     low, high = base - a / 2 - b / 2, base + a / 2 + b / 2 + c
     faces = [(low, a, b), (low, b, c), (low, a, c), (high, -a, -b), (high, -b, -c), (high, -a, -c)]
     return group([rectangle(*face, reflectance=reflectance) for face in faces], label=label)
-
-
-def ellipsoid(centre, radii):
-    """Return a solid ellipsoid with axes along x, y, z.
-
-    Parameters
-    ----------
-    centre : array_like, shape (3,)
-        Metres.
-    radii : float or array_like, shape (3,)
-        Half axes, metres.
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError
-        If a half axis is not above zero.
-
-    Examples
-    --------
-    >>> from mmqa_lab.simulate import Scene
-    >>> ball = Scene([ellipsoid((0, 5, 0), (1, 2, 1))])
-    >>> round(float(ball.cast([0, 0, 0], [[0, 1, 0]]).range_m[0]), 9)
-    3.0
-    """
-    centre, radii = _vector(centre, "centre"), _radii(radii)
-    shape = np.diag(1 / radii).ravel()
-    return _surface("sphere", ELLIPSOID, centre, shape, radii, 0.5)
 
 
 def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
@@ -438,11 +312,6 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
     -------
     Surface
 
-    Raises
-    ------
-    ValueError
-        If there are no leaves or a size is not above zero.
-
     Examples
     --------
     >>> crown = foliage((0, 0, 5), 2.0, leaves=500, leaf_radius=0.1, seed=1)
@@ -451,14 +320,10 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
     """
     rng = np.random.default_rng(seed)
     n = check_count(leaves, "leaves")
-    radius = check_positive(leaf_radius, "leaf_radius", unit="m")
-    ball = _unit_rows(rng.standard_normal((n, 3))) * rng.random((n, 1)) ** (1 / 3)
-    normal = _unit_rows(rng.standard_normal((n, 3)))
-    dual = across(normal) / radius
-    shape = np.concatenate([dual[:, 0], dual[:, 1], normal], axis=1)
-    half = radius * np.sqrt(np.maximum(1 - normal**2, 0))
-    points = _vector(centre, "centre") + ball * _radii(radii)
-    return _surface(label, ELLIPSE, points, shape, half, 0.4)
+    way, places = rng.standard_normal((n, 3)), rng.random((n, 1)) ** (1 / 3)
+    ball = places * way / np.linalg.norm(way, axis=1, keepdims=True)
+    normals = rng.standard_normal((n, 3))
+    return _discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
 
 
 def wall(
@@ -516,8 +381,8 @@ def wall(
     for s, z, width, rise in sorted(openings):
         if min(s - end, z, width, rise) <= 0 or s + width >= length or z + rise >= height:
             raise ValueError(
-                f"Invalid opening {s, z, width, rise}. Must lie beside the others "
-                f"within {length:.3f} m x {height} m of wall."
+                f"Invalid opening {s, z, width, rise}. Must lie within {length:.3f} m x {height} m "
+                f"of wall, beside the others."
             )
         low, side, up = corner + s * level + z * upward, width * level, rise * upward
         lintel = height - z - rise
@@ -533,90 +398,18 @@ def wall(
     return [group(part, label=name) for name, part in parts.items() if part]
 
 
-def kerb(line, height=0.12, *, label="kerb"):
-    """Return the upright faces of a kerb along a line: a surface for each of its stretches.
-
-    Parameters
-    ----------
-    line : array_like, shape (n, 3)
-        Points at the foot of the kerb, two or more, metres.
-    height : float
-        Metres.
-    label : str
-
-    Returns
-    -------
-    list of Surface
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two points, two in a row are the same, or the height is not > 0.
-
-    Examples
-    --------
-    >>> len(kerb([(4, 0, 0), (4, 20, 0), (3, 22, 0)]))
-    2
-    """
-    line = check_points(line, name="line", minimum=2)
-    up = (0, 0, check_positive(height, "height", unit="m"))
-    look = {"label": label, "reflectance": 0.4}
-    return [rectangle(start, end - start, up, **look) for start, end in pairwise(line)]
-
-
-def chart(centre: ArrayLike, *, heading: float, layout: charts.Layout | None = None) -> Surface:
-    """Return the point chart as it is printed, as a surface that scanners and cameras see.
-
-    Parameters
-    ----------
-    centre : array_like, shape (3,)
-        Metres.
-    heading : float
-        Where its front looks to, degrees clockwise from +y.
-    layout : Layout, optional
-        What is printed; by default :func:`mmqa_lab.charts.point_chart`.
-
-    Returns
-    -------
-    Surface
-        With the mean reflectance of each cell of 10 mm; 0.8 is white and 0.1 black.
-
-    References
-    ----------
-    Pfeifer et al. 2021, section 3.3 (doi:10.3390/rs13020237); the random cells are this package's.
-
-    Examples
-    --------
-    >>> from mmqa_lab.simulate import Scene
-    >>> there = Scene([chart((5, 0, 1), heading=-90)])
-    >>> corners = [[0, 0.35, 0.65], [0, -0.35, 0.65]]  # the plain squares below, left and right
-    >>> there.cast(corners, [[1, 0, 0]] * 2).reflectance.round(6).tolist()
-    [0.1, 0.8]
-    """
-    layout = charts.point_chart() if layout is None else layout
-    tones = charts.reflectance(layout, cell=CELL_MM).astype(np.float64)
-    size = layout.width / 1000, layout.height / 1000
-    pattern = DARK + (BRIGHT - DARK) * tones
-    return board(centre, *size, heading=heading, label="chart", reflectance=pattern)
-
-
 def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
     """Return the corners of a chart of 1 m, from the lower left around, as one looks at its front.
 
     Parameters
     ----------
     centre, heading
-        See :func:`chart`.
+        See :func:`board`.
 
     Returns
     -------
     array, shape (4, 3)
         Metres.
-
-    Raises
-    ------
-    ValueError
-        If the heading is not finite.
 
     Examples
     --------
@@ -628,38 +421,21 @@ def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
 
 
 def _surface(label, kind, centre, shape, half, reflectance):
-    """A surface of primitives of one kind that share their cells."""
-    centre, shape, half = (np.atleast_2d(np.asarray(a, np.float64)) for a in (centre, shape, half))
-    cells = np.atleast_2d(np.asarray(reflectance, dtype=np.float64))
-    if not ((cells >= 0) & (cells <= 1)).all():
-        raise ValueError(f"Invalid reflectance {reflectance}. Must be between 0 and 1.")
+    """A surface of primitives of one kind."""
+    check_number(reflectance, "reflectance", low=0, high=1)
+    centre, shape, half = (np.atleast_2d(numbers) for numbers in (centre, shape, half))
     n = len(centre)
-    kinds, outline = np.full(n, kind, np.int8), np.zeros((n, 2), np.int64)
-    places = np.tile([0, *cells.shape], (n, 1))
-    no_edges = np.zeros((0, 4))
-    return Surface(label, kinds, centre, shape, half, outline, places, no_edges, cells.ravel())
+    return Surface(label, np.full(n, kind), centre, shape, half, np.full(n, float(reflectance)))
 
 
-def merged(surfaces):
-    """The arrays of several surfaces as one, with their places in the shared ones shifted."""
-    names = ("kind", "centre", "shape", "half", "edges", "reflectance")
-    arrays = {name: np.concatenate([getattr(s, name) for s in surfaces]) for name in names}
-    edge = np.cumsum([0, *(len(s.edges) for s in surfaces)])
-    cell = np.cumsum([0, *(len(s.reflectance) for s in surfaces)])
-    outline = [s.outline + first for s, first in zip(surfaces, edge, strict=False)]
-    cells = [s.cells + [first, 0, 0] for s, first in zip(surfaces, cell, strict=False)]
-    return arrays | {"outline": np.concatenate(outline), "cells": np.concatenate(cells)}
-
-
-def flattened(surfaces):
-    """Surfaces out of nested lists."""
-    for item in surfaces:
-        if isinstance(item, Surface):
-            yield item
-        elif isinstance(item, str | bytes) or not hasattr(item, "__iter__"):
-            raise TypeError(f"Invalid surface {item!r}. Must be a Surface or a list of them.")
-        else:
-            yield from flattened(item)
+def _discs(label, centres, normals, radius, reflectance):
+    """A surface of discs."""
+    check_positive(radius, "radius", unit="m")
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    dual = across(normals) / radius
+    shape = np.concatenate([dual[:, 0], dual[:, 1], normals], axis=1)
+    half = radius * np.sqrt(np.maximum(1 - normals**2, 0))
+    return _surface(label, DISC, np.asarray(centres, float), shape, half, reflectance)
 
 
 def _vector(values, name):
@@ -667,23 +443,11 @@ def _vector(values, name):
     return check_points(np.atleast_2d(values), name=name)[0]
 
 
-def _radii(values):
-    """Three half axes above zero."""
-    values = np.broadcast_to(values, 3).astype(float)
-    return np.array([check_positive(radius, "radii", unit="m") for radius in values.tolist()])
-
-
 def _board_sides(centre, width, height, heading):
     """Lower left corner of a board as one looks at its front, and the sides from there."""
     h = np.radians(check_number(heading, "heading"))
-    along = check_positive(width, "width", unit="m") * np.array([-np.cos(h), np.sin(h), 0])
-    up = np.array([0.0, 0.0, check_positive(height, "height", unit="m")])
+    along, up = width * np.array([-np.cos(h), np.sin(h), 0]), np.array([0.0, 0.0, height])
     return _vector(centre, "centre") - along / 2 - up / 2, along, up
-
-
-def _unit_rows(vectors):
-    """Rows of length one."""
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _planar_shape(u, v):
@@ -694,11 +458,3 @@ def _planar_shape(u, v):
         raise ValueError(f"Invalid sides {2 * u} and {2 * v}. Must not be parallel or zero.")
     normal = normal / area
     return np.concatenate([np.cross(v, normal) / area, np.cross(normal, u) / area, normal])
-
-
-def _plane_normal(ring):
-    """Unit normal (Newell) of a closed outline."""
-    normal = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
-    if np.linalg.norm(normal) <= 1e-12 * np.abs(ring).max() ** 2:
-        raise ValueError("Invalid vertices on one line. Must span a plane.")
-    return normal / np.linalg.norm(normal)

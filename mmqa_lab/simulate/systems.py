@@ -13,14 +13,68 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
 
 from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate.scan import MatchingCamera, MultiBeamScanner, ProfileScanner, match, scan
+from mmqa_lab.simulate.point_patterns import hard_core_points
+from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import chart, chart_corners
+from mmqa_lab.simulate.surfaces import board, chart_corners
 from mmqa_lab.simulate.trajectories import NavigationErrors, straight
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchingCamera:
+    """A camera whose images are matched along the track, opposite a chart.
+
+    Points lie at random on the chart but not closer than a hard core; their depths have the error
+    of stereo matching, which grows with the square of the distance and is shared by neighbours.
+
+    Parameters
+    ----------
+    focal_px : float
+        Principal distance in pixels.
+    base_m : float
+        Distance between the two exposures matched, metres.
+    points_per_px : float
+        Points per pixel that come out of matching and filtering.
+    hard_core : float
+        Smallest distance of two points, as a share of their mean distance; 0 for a Poisson
+        pattern, at most 0.56 (Matern's second process cannot be packed more densely).
+    resampled_per_m2 : float
+        Points per square metre after resampling in object space; 0 for none. Fewer where matching
+        gives fewer.
+    noise_px : float
+        Standard deviation of the disparity; the depth errs by depth^2 / (base x focal) times it.
+    floor_m : float
+        Standard deviation of the part of the depth's error that does not grow with the depth.
+    correlated_share : float
+        Share of that variance which neighbours have in common.
+    correlation_px : float
+        Distance in the image over which they have it (standard deviation of a Gaussian kernel).
+
+    Raises
+    ------
+    ValueError
+        If the hard core or the share is out of its range.
+    """
+
+    focal_px: float
+    base_m: float
+    points_per_px: float
+    hard_core: float
+    resampled_per_m2: float
+    noise_px: float
+    floor_m: float
+    correlation_px: float
+    correlated_share: float = 0.7
+
+    def __post_init__(self):
+        check_number(self.hard_core, "hard_core", low=0, high=0.56)
+        check_number(self.correlated_share, "correlated_share", low=0, high=1)
 
 
 @dataclass(frozen=True)
@@ -86,18 +140,12 @@ class System:
 
 def _crowded(points, fewest, radius):
     """Which points have so many others within the radius."""
-    from scipy.spatial import cKDTree
-
-    if len(points) <= fewest:
-        return np.zeros(len(points), dtype=bool)
-    local = points - points.min(axis=0)
-    # all points of one cube lie within the radius of each other
-    cube = np.floor(local / (radius / np.sqrt(3))).astype(np.int64)
+    # all points of one cube lie within the radius of each other: only the others are counted
+    cube = np.floor((points - points.min(axis=0)) / (radius / np.sqrt(3))).astype(np.int64)
     _, which, counts = np.unique(cube, axis=0, return_inverse=True, return_counts=True)
     crowded = counts[which.ravel()] > fewest
-    loose = np.flatnonzero(~crowded)
-    choices = {"k": [fewest + 1], "distance_upper_bound": radius}
-    crowded[loose] = np.isfinite(cKDTree(local).query(local[loose], **choices)[0][:, 0])
+    distance, _ = cKDTree(points).query(points[~crowded], k=[fewest + 1])
+    crowded[~crowded] = distance[:, 0] <= radius
     return crowded
 
 
@@ -105,9 +153,8 @@ def _with_scanners(entries, known=()):
     """Scanners by name, known ones and those of entries, each perhaps ``like`` one before it."""
     found = dict(known)
     for name, entry in entries.items():
-        kind = MultiBeamScanner if "elevations_deg" in entry else ProfileScanner
         like = entry.pop("like", None)
-        found[name] = replace(found[like], **entry) if like else kind(**entry)
+        found[name] = replace(found[like], **entry) if like else Scanner(**entry)
     return found
 
 
@@ -207,17 +254,13 @@ the distance: it takes more than two points per pixel at 10 m, so several pairs,
 
 
 def pass_chart(
-    sensor: ProfileScanner | MultiBeamScanner | MatchingCamera,
-    distance: float,
-    *,
-    seed: int,
-    height: float = 0.0,
+    sensor: Scanner | MatchingCamera, distance: float, *, seed: int, height: float = 0.0
 ) -> Cloud:
     """Return the points of a chart that a sensor drives past.
 
     Parameters
     ----------
-    sensor : ProfileScanner, MultiBeamScanner or MatchingCamera
+    sensor : Scanner or MatchingCamera
     distance : float
         From the path to the chart, metres.
     seed : int
@@ -228,8 +271,8 @@ def pass_chart(
     Returns
     -------
     Cloud
-        The chart's centre lies at (distance, 0, 0), the path runs along +y. As of ``scan`` or
-        ``match``; a camera takes its images opposite the chart.
+        The chart's centre lies at (distance, 0, 0), the path runs along +y. As of ``scan``; of a
+        camera ``range_m``, ``incidence_deg`` and ``range_noise_m``.
 
     Examples
     --------
@@ -239,44 +282,56 @@ def pass_chart(
     """
     distance = check_positive(distance, "distance", unit="m")
     height = check_number(height, "height", unit="m")
-    scene = Scene([chart((distance, 0, 0), heading=FACING_THE_ROAD)])
     if isinstance(sensor, MatchingCamera):
-        path = straight(2.0, SPEED, start=(0, -1, height))
-        return next(match(scene, sensor, path, times=[path.duration_s / 2], seed=seed))
+        return _matched(sensor, distance, height, np.random.default_rng(seed))
+    scene = Scene([board((distance, 0, 0), 1, 1, heading=FACING_THE_ROAD, label="chart")])
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
     path = straight(2 * REACH * distance, SPEED, start=(0, shift - REACH * distance, height))
-    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
-    return scan_chart(scene, sensor, path, corners, seed=seed)
-
-
-def scan_chart(scene, scanner, path, corners, **options):
-    """Scan from a straight drive what lies about a chart: pulses that cannot meet it are not cast.
-
-    Parameters
-    ----------
-    scene, scanner, path, **options
-        As :func:`mmqa_lab.simulate.scan` takes them.
-    corners : array, shape (4, 3)
-        Of the chart, metres.
-    """
     parts = []
-    for between, angles in _views(scanner, path, corners):
-        looking = replace(scanner, field_of_view_deg=angles)
-        parts += scan(scene, looking, path, between=between, block_s=1.0, **options)
+    for k, (between, angles) in enumerate(_views(sensor, path, distance)):
+        looking = replace(sensor, field_of_view_deg=angles)
+        parts.append(scan(scene, looking, path, seed=[seed, k], between=between))
     return Cloud.concatenate(parts)
 
 
-def _views(scanner, path, corners):
-    """Parts of a drive from which beams reach a chart (s), and the scan angles they need."""
+def _views(scanner, path, distance):
+    """Parts of a drive from which beams reach the chart (s), and the scan angles they need."""
+    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
     times = np.linspace(0, path.duration_s, 40 * REACH + 1)
     vectors = corners - path.at(times)[0][:, None]
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     seen = (elevation.min(axis=1) <= high + 1) & (elevation.max(axis=1) >= low - 1)
-    steps = np.flatnonzero(seen[:-1] | seen[1:])
-    for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1):
-        for k in range(0, len(run), STEPS_A_VIEW):
-            first, last = run[k], run[min(k + STEPS_A_VIEW, len(run)) - 1] + 1
-            ends = angle[first : last + 1]
-            view = np.clip([ends.min() - 5, ends.max() + 5], -180, 180)
-            yield (times[first], times[last]), tuple(view)
+    for first in range(0, len(times) - 1, STEPS_A_VIEW):
+        part = slice(first, first + STEPS_A_VIEW + 1)
+        if seen[part].any():
+            view = np.clip([angle[part].min() - 5, angle[part].max() + 5], -180, 180)
+            yield (times[part][0], times[part][-1]), tuple(view)
+
+
+def _matched(camera, distance, height, rng):
+    """Points of the chart from images that are taken opposite it."""
+    supply = camera.points_per_px * (camera.focal_px / distance) ** 2
+    density = min(camera.resampled_per_m2 or supply, supply)
+    places = hard_core_points(np.ones(2), density, camera.hard_core, rng)
+    rays = np.column_stack([np.full(len(places), distance), places - [0.5, 0.5 + height]])
+    stereo = distance**2 / (camera.base_m * camera.focal_px) * camera.noise_px
+    common = np.sqrt(camera.correlated_share) * _shared(camera, distance, places, rng)
+    alone = np.sqrt(1 - camera.correlated_share) * rng.standard_normal(len(places))
+    depth = distance + np.hypot(stereo, camera.floor_m) * (common + alone)
+    scale = np.linalg.norm(rays, axis=1) / distance
+    columns = {
+        "range_m": distance * scale,
+        "incidence_deg": np.degrees(np.arccos(1 / scale)),
+        "range_noise_m": (depth - distance) * scale,
+    }
+    return Cloud(depth[:, None] / distance * rays + [0, 0, height], columns)
+
+
+def _shared(camera, distance, places, rng):
+    """Normal numbers that neighbours on the chart have in common, those of a smoothed field."""
+    step = camera.correlation_px / 2 * distance / camera.focal_px
+    cells = int(np.ceil(1 / step)) + 1
+    white = rng.standard_normal((cells + 16, cells + 16))
+    field = gaussian_filter(white, 2.0)[8:-8, 8:-8] * 4 * np.sqrt(np.pi)
+    return map_coordinates(field, (places / step).T, order=3, mode="nearest")
