@@ -751,7 +751,7 @@ def _corners(text):
 
 @table
 def radiometry(
-    measure: Literal["edge", "star", "bars", "sharpness", "calibrate", "reflect"],
+    measure: Literal["edge", "star", "sharpness", "calibrate", "reflect"],
     images: list[Path],
     /,
     *,
@@ -760,14 +760,14 @@ def radiometry(
 ):
     """Measure a camera in your own images: resolution, sensor and reflectance, band by band.
 
-    edge, star and bars measure resolution on targets, sharpness does without any; calibrate fits
+    edge and star measure resolution on targets, sharpness does without any; calibrate fits
     gain and offset of the sensor to targets of known radiance, reflect turns digital numbers into
     reflectance by the empirical line (EuroSDR 2013, image radiometry). Intervals are 95 %.
 
     A row of the targets has image (name of the file; without the column it is in every one), name,
     and for edge, calibrate and reflect x_px, y_px, width_px, height_px (a region); for star x_px,
-    y_px, radius_px, cycles; for bars x_px, y_px, period_px, bars, angle_deg; for calibrate
-    radiance, for reflect reflectance (empty where sought), or radiance_1, radiance_2, ... by band.
+    y_px, radius_px, cycles; for calibrate radiance, for reflect reflectance (empty where sought),
+    or radiance_1, radiance_2, ... by band.
 
     Parameters
     ----------

@@ -28,7 +28,6 @@ REGION = ("x_px", "y_px", "width_px", "height_px")
 NEEDED = {
     "edge": REGION,
     "star": ("x_px", "y_px", "radius_px", "cycles"),
-    "bars": ("x_px", "y_px", "period_px", "bars", "angle_deg"),
     "sharpness": (),
     "calibrate": REGION,
     "reflect": REGION,
@@ -53,8 +52,8 @@ def measure(
     ----------
     values : array_like, shape (bands, rows, columns)
         In the type of the file: 8 bits are decoded from sRGB unless they are linear.
-    what : {"edge", "star", "bars", "sharpness", "calibrate", "reflect"}
-        ``edge``, ``star``, ``bars``: resolution on targets; ``sharpness``: of the whole image;
+    what : {"edge", "star", "sharpness", "calibrate", "reflect"}
+        ``edge``, ``star``: resolution on targets; ``sharpness``: of the whole image;
         ``calibrate``: gain and offset from targets of known radiance; ``reflect``: reflectance of
         targets without one by the empirical line of those with one.
     targets : DataFrame
@@ -103,9 +102,9 @@ def measure(
 
 def _resolutions(band, what, targets):
     """A row for each target of one kind."""
-    of_kind = {"edge": _edge, "star": _star, "bars": _bars}[what]
     for number, target in enumerate(targets.to_dict("records"), start=1):
-        yield {"target": target.get("name", number)} | of_kind(band, target)
+        found = (_edge if what == "edge" else _star)(band, target)
+        yield {"target": target.get("name", number)} | found
 
 
 def _region(band, target):
@@ -127,42 +126,25 @@ def _edge(band, target):
 
 
 def _star(band, target):
-    """MTF50, MTF10 and full width at half maximum of a star."""
+    """MTF50 and MTF10 of a star."""
     centre, radius = (target["x_px"], target["y_px"]), target["radius_px"]
     star = mtf.measure_star(band, centre, cycles=int(target["cycles"]), radius_px=radius)
     reach = 1.96 * star.mtf50_sigma
     figures = _interval("mtf50", "_per_px", star.mtf50, reach)
-    figures |= _interval("fwhm", "_px", star.fwhm_px, reach / star.mtf50 * star.fwhm_px)
     missing = "the star does not show the frequency of MTF50"
     return figures | {"mtf10_per_px": star.mtf10, "remark": missing * bool(np.isnan(star.mtf50))}
 
 
-def _bars(band, target):
-    """Whether a group of bars is resolved."""
-    reach = int((target["bars"] / 2 + 1) * target["period_px"])
-    corner = round(target["x_px"]) - reach, round(target["y_px"]) - reach
-    place = dict(zip(REGION, (*corner, 2 * reach + 1, 2 * reach + 1), strict=True))
-    around = _region(band, place)
-    low, high = np.percentile(around, [2, 98])
-    diagonal = around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]
-    noise = max(float(np.median(np.abs(diagonal))) * 1.4826 / 2, 1e-6 * (high - low))
-    group = pd.DataFrame([target])
-    found = mtf.read_bars(band, group, dark=low, bright=high, noise=noise).iloc[0]
-    figures = {name: found[name] for name in ("contrast", "counted", "resolved")}
-    return {"period_px": target["period_px"]} | figures | {"remark": found["reason"]}
-
-
 def _sharpness(band):
     """Median of the local sharpness of an image, with the interval of a median."""
-    found, figures = mtf.haar_sharpness(band), {"target": "image"}
-    for name in ("sharpness", "along_x", "along_y"):
-        blocks = found[name].values[np.isfinite(found[name].values)]
-        quartiles = np.quantile(blocks, [0.25, 0.5, 0.75]) if len(blocks) else np.full(3, np.nan)
-        reach = 1.57 * (quartiles[2] - quartiles[0]) / max(len(blocks), 1) ** 0.5
-        figures |= _interval(name, "", quartiles[1], reach)
+    found = mtf.haar_sharpness(band)
+    blocks = found["sharpness"].values[np.isfinite(found["sharpness"].values)]
+    quartiles = np.quantile(blocks, [0.25, 0.5, 0.75]) if len(blocks) else np.full(3, np.nan)
+    reach = 1.57 * (quartiles[2] - quartiles[0]) / max(len(blocks), 1) ** 0.5
     missing = found.attrs["not_measurable"]
-    figures |= {"blocks": found["sharpness"].size}
-    return figures | {"remark": f"{missing} blocks without detail" if missing else ""}
+    remark = f"{missing} blocks without detail" if missing else ""
+    figures = {"target": "image"} | _interval("sharpness", "", quartiles[1], reach)
+    return figures | {"blocks": found["sharpness"].size, "remark": remark}
 
 
 def _patches(band, targets, name, number):
@@ -207,6 +189,7 @@ def _reflectances(band, targets, number):
         value = np.nan if saturated else float(line.reflectance(row.mean_dn))
         reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
         said = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
+        said += [line.remark] * bool(line.remark)
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
         yield figures | {"references": line.n, "remark": "; ".join(said)}
 

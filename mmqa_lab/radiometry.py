@@ -44,7 +44,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import median_abs_deviation, t
+from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_columns, check_count, check_number, check_positive
 from mmqa_lab._results import Shown
@@ -72,17 +72,20 @@ UNDETERMINED = (
 
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
 
-FREE, FIXED = np.inf, 0.0
-"""Deviations of a prior: the parameter is left to the images, or keeps its value."""
+HUBER, SHADOW = 1.5, 6.0
+"""Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009), and next to nothing."""
 
-HUBER = 1.5
-"""Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009)."""
+LARGEST_SHADOW = 0.01
+"""Share of observations that weigh next to nothing beyond which it is said."""
+
+ROUNDS = 50
+"""Most iterations."""
 
 CONTRADICTION = 3.0
 """Standard deviations by which a target of known reflectance may differ from what others say."""
 
-REWEIGHTINGS = 6
-"""Weights are computed anew in so many iterations and then stay; more would change little."""
+HUBER_ROUNDS, REWEIGHTINGS = 8, 16
+"""Weights are computed anew in so many iterations, at first by Huber, and then stay."""
 
 CONVERGED = 1e-7
 """Largest change of a gain, coefficient or relative reflectance in the last iteration."""
@@ -130,12 +133,6 @@ class SensorFit(Shown):
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def p_values(self) -> np.ndarray:
-        """Two-sided p-values of (gain, offset) being zero, Student's t; NaN where fixed."""
-        with np.errstate(invalid="ignore"):
-            return 2 * t.sf(np.abs([self.gain, self.offset]) / self.std, self.freedom)
-
-    @property
     def freedom(self) -> int:
         """Degrees of freedom: targets less the coefficients that were fitted."""
         return self.n - 1 - int(self.std[1] > 0)
@@ -146,14 +143,11 @@ class SensorFit(Shown):
         return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row: both coefficients with standard errors and p-values, R2 and counts."""
-        (s_gain, s_offset), (p_gain, p_offset) = self.std, self.p_values
-        row = {
-            **{"gain": self.gain, "gain_std": s_gain, "gain_p": p_gain},
-            **{"offset_dn": self.offset, "offset_std_dn": s_offset, "offset_p": p_offset},
-            **{"r_squared": self.r_squared, "n": self.n, "saturated": self.saturated},
-        }
-        return pd.DataFrame([row])
+        """Return one row: both coefficients with standard errors, R2 and counts."""
+        figures = {"gain": self.gain, "gain_std": self.std[0]}
+        figures |= {"offset_dn": self.offset, "offset_std_dn": self.std[1]}
+        counts = {"r_squared": self.r_squared, "n": self.n, "saturated": self.saturated}
+        return pd.DataFrame([figures | counts])
 
 
 def relative_exposure(
@@ -333,41 +327,11 @@ def coarse_pairs(image, reference):
     return tuple(median_filter(one, 3).ravel() for one in (coarse, np.asarray(reference, float)))
 
 
-def relative_response(images):
-    """Return how even a sensor is: images of even ground, shape (n, rows, columns), one band.
-
-    A dict of numbers: ``radial``, the share of light lost in the corners, and its standard
-    deviation; ``uneven_percent``, by how much pixels differ besides; ``defects``, pixels off by
-    more than six of these deviations.
-    """
-    mean = np.asarray(images, dtype=np.float64).mean(axis=0)
-    y, x = (np.arange(side) - (side - 1) / 2 for side in mean.shape)
-    radius2 = np.add.outer(y**2, x**2) / (y[-1] ** 2 + x[-1] ** 2)
-    design = np.stack([np.ones(mean.size), radius2.ravel()], axis=1)
-    values, weight = mean.ravel(), np.ones(mean.size)
-    for _ in range(REWEIGHTINGS):
-        (centre, slope), _, _, _ = np.linalg.lstsq(
-            design * weight[:, None], values * weight, rcond=None
-        )
-        off = values - design @ (centre, slope)
-        spread = max(float(median_abs_deviation(off, scale="normal")), 1e-12 * abs(centre))
-        weight = (np.abs(off) <= 6 * spread).astype(float)
-    covariance = spread**2 * np.linalg.inv(design.T @ design)
-    # of the ratio slope / centre
-    by = np.array([slope / centre**2, -1 / centre])
-    return {
-        "radial": float(-slope / centre),
-        "radial_std": float(np.sqrt(by @ covariance @ by)),
-        "uneven_percent": float(100 * spread / centre),
-        "defects": int((weight == 0).sum()),
-    }
-
-
 def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
     """Say how well the parameters of one setting fit the images of another.
 
     Digital numbers that one setting gives for known radiances are turned into radiance with the
-    parameters of another. If exposure time and f-number did what their labels say, and nothing
+    parameters of another. If exposure time and f-number were what their records say, and nothing
     changed in between, all differences would be zero.
 
     Parameters
@@ -438,6 +402,11 @@ class EmpiricalLine(Shown):
     def n(self) -> int:
         """Number of targets."""
         return len(self.residuals)
+
+    @property
+    def remark(self) -> str:
+        """What the standard deviations cannot contain; empty if nothing."""
+        return "two references cannot check each other" if self.n == 2 else ""
 
     def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
         """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
@@ -552,7 +521,7 @@ def empirical_line(
 
     Notes
     -----
-    With two targets the line passes through both: errors of the targets are not seen, and
+    With two targets the line passes through both: their errors are not seen (``remark``), and
     reflectance beyond the brighter one is extrapolated.
 
     Examples
@@ -734,7 +703,7 @@ class BlockAdjustment(Shown):
     >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
     >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
     ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
-    >>> block = adjust_block(seen, anisotropy_std=FIXED)
+    >>> block = adjust_block(seen, anisotropy=False)
     >>> corrected = block.correct(seen)
     >>> bool(np.allclose(corrected[:2], corrected[2:]))
     True
@@ -777,18 +746,17 @@ def adjust_block(
     observations: pd.DataFrame,
     *,
     control: pd.DataFrame | None = None,
-    gain_std: float = FREE,
-    anisotropy_std: float = FREE,
-    radial: tuple[float, float] = (0.0, FIXED),
+    anisotropy: bool = True,
+    radial: tuple[float, float] = (0.0, 0.0),
     haze: tuple[float, float] | None = None,
     relative_std: float = 0.02,
-    rounds: int = 50,
 ) -> BlockAdjustment:
     """Adjust the radiometry of a block of overlapping images.
 
     Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse.
-    Observations that fit badly are weighed down (Huber). A prior is a value and a standard
-    deviation: 0 (``FIXED``) keeps the value, infinity (``FREE``) leaves it to the images.
+    Observations that fit badly are weighed down (Huber), and those far off, as in shadow, do not
+    count. A prior is a value and a standard deviation: 0 keeps the value, infinity leaves it to the
+    images.
 
     Parameters
     ----------
@@ -801,10 +769,8 @@ def adjust_block(
     control : DataFrame, optional
         ``tie``, ``reflectance``, ``std``: targets of known nadir reflectance. Two or more of
         different brightness are needed to estimate haze.
-    gain_std : float
-        Of the natural logarithm of each image's gain about 0.
-    anisotropy_std : float
-        Of b1 and b2 about 0.
+    anisotropy : bool
+        Estimate b1 and b2 of each surface; else they are 0.
     radial : (float, float)
         Value and deviation, as from a flat-field calibration.
     haze : (float, float), optional
@@ -812,8 +778,6 @@ def adjust_block(
         be told from a brighter ground.
     relative_std : float
         Standard deviation of an observation, as a share of its radiance.
-    rounds : int
-        Most iterations.
 
     Returns
     -------
@@ -828,7 +792,8 @@ def adjust_block(
     Warns
     -----
     UserWarning
-        If control targets contradict each other.
+        If control targets contradict each other, or more than a hundredth of the observations do
+        not count.
 
     Notes
     -----
@@ -845,33 +810,37 @@ def adjust_block(
     >>> rows = [(0, "a", 10.0), (0, "b", 20.0), (1, "a", 11.0), (1, "b", 22.0)]
     >>> seen = pd.DataFrame(rows, columns=["image", "tie", "radiance"]).assign(
     ...     sun_zenith_deg=40.0, view_zenith_deg=10.0, azimuth_deg=0.0, radius=0.0)
-    >>> gain = adjust_block(seen, anisotropy_std=FIXED).gains["gain"]
+    >>> gain = adjust_block(seen, anisotropy=False).gains["gain"]
     >>> round(float(gain[1] / gain[0]), 6)
     1.1
     """
-    check_count(rounds, "rounds")
-    haze = haze or (0.0, FIXED if control is None else FREE)
-    block = _Block(observations, relative_std)
-    priors = ((0.0, gain_std), (0.0, anisotropy_std), radial, haze)
+    haze = haze or (0.0, 0.0 if control is None else np.inf)
+    block = _Block(observations)
+    check_positive(relative_std, "relative_std")
+    priors = ((0.0, np.inf), (0.0, np.inf if anisotropy else 0.0), radial, haze)
     value, std = block.priors(priors, control)
     free, images = std > 0, len(block.images)
     with np.errstate(divide="ignore"):
-        prior_weight = np.where(free, std, np.inf)[free] ** -2.0
+        prior_weight = std[free] ** -2.0
     estimate = block.start(value, std)
     # without control only ratios of gains are determined: their sum stays
     together = sparse.csc_matrix(np.ones((images, images)) * (control is None))
     ties, parameters = len(block.ties), int(free.sum()) - len(block.ties)
-    for iteration in range(rounds):
+    for iteration in range(ROUNDS):
         misfit, jacobian = block.linearised(estimate)
-        scaled, jacobian = misfit / block.std, jacobian[:, free]
+        # a share of what is expected: of what is seen, shadows would weigh more
+        noise = relative_std * np.maximum(block.signal - misfit, block.signal / 10)
+        scaled, jacobian = misfit / noise, jacobian[:, free]
         if iteration < REWEIGHTINGS:
-            limit = HUBER * _misfit_scale(scaled)
-            weight = np.minimum(1, limit / np.maximum(np.abs(scaled), 1e-12)) / block.std**2
+            size = np.abs(scaled) / _misfit_scale(scaled)
+            weight = np.minimum(1, HUBER / np.maximum(size, 1e-12)) / noise**2
+            if iteration >= HUBER_ROUNDS:  # once medians are about right
+                weight = (1 + (size / SHADOW) ** 2) ** -2 / noise**2
         normal = jacobian.T @ sparse.diags(weight) @ jacobian + sparse.diags(prior_weight)
-        if control is None and gain_std > 0:
+        if control is None:
             gauge = together * (normal.diagonal()[:parameters].sum() / images**2)
-            size = parameters + ties - images
-            normal = normal + sparse.block_diag([gauge, sparse.csc_matrix((size, size))])
+            rest = parameters + ties - images
+            normal = normal + sparse.block_diag([gauge, sparse.csc_matrix((rest, rest))])
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
         change = _factor(normal).solve(right)
         estimate[free] += change
@@ -879,10 +848,11 @@ def adjust_block(
         if np.abs(change).max() <= CONVERGED:
             inverse = _covariance(normal, parameters)
             _warn_of_control(block, estimate, value, std, scaled)
+            _warn_of_shadow((np.abs(scaled) > SHADOW * _misfit_scale(scaled)).mean())
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
             return replace(adjusted, absolute=control is not None)
     raise ValueError(
-        f"Invalid block: still changing after {rounds} iterations. Must have tie points that "
+        f"Invalid block: still changing after {ROUNDS} iterations. Must have tie points that "
         "determine the parameters."
     )
 
@@ -896,9 +866,8 @@ def _tie_spread(values, tie):
 class _Block:
     """Arrays of the observations, and indices of their images, ties and surfaces."""
 
-    def __init__(self, observations, relative_std):
+    def __init__(self, observations):
         check_columns(observations, COLUMNS, "observations")
-        check_positive(relative_std, "relative_std")
         self.signal = observations["radiance"].to_numpy(dtype=np.float64)
         if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):
             raise ValueError(f"Invalid radiance {np.nanmin(self.signal)}. Must be > 0 and finite.")
@@ -913,7 +882,6 @@ class _Block:
         self.group_of_image[self.image] = self.group
         if (self.group_of_image[self.image] != self.group).any():
             raise ValueError("Invalid group: two in one image. Must be the same in its rows.")
-        self.std = relative_std * self.signal
         self.terms, self.sun = _view_terms(observations), _sun_cosine(observations)
         self.radius2 = observations["radius"].to_numpy(dtype=np.float64) ** 2
 
@@ -925,10 +893,10 @@ class _Block:
     def priors(self, priors, control):
         """Values and standard deviations of all parameters, the ties' reflectances last."""
         for _, std in priors:
-            if std != FREE:
+            if np.isfinite(std):
                 check_number(std, "prior's standard deviation", low=0)
         counts = *self.sizes, len(self.ties)
-        value, std = np.repeat([*priors, (0.0, FREE)], counts, axis=0).T.copy()
+        value, std = np.repeat([*priors, (0.0, np.inf)], counts, axis=0).T.copy()
         if control is not None:
             place = pd.Index(self.ties).get_indexer(control["tie"])
             if (place < 0).any() or not (control["std"] > 0).all():
@@ -1041,9 +1009,19 @@ def _warn_of_control(block, estimate, value, std, scaled):
         )
 
 
+def _warn_of_shadow(share):
+    """Warn where many observations do not count."""
+    if share > LARGEST_SHADOW:
+        warnings.warn(
+            f"{share:.0%} of the observations contradict the others, as those in shadow do: they "
+            "do not count.",
+            stacklevel=3,
+        )
+
+
 def _misfit_scale(scaled):
     """Robust standard deviation of the scaled misfit."""
-    return max(median_abs_deviation(scaled, scale="normal"), 1e-12)
+    return max(median_abs_deviation(scaled, scale="normal"), 1e-6)
 
 
 def _view_terms(observations):

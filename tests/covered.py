@@ -28,7 +28,6 @@ from mmqa_lab.radiometry import (
     empirical_line,
     fit_sensor,
     ndvi,
-    relative_response,
 )
 from mmqa_lab.repeatability import repeatability
 from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate, scan_lattice
@@ -302,14 +301,6 @@ def index(seed, correlation):
     return {"NDVI": around(*map(float, found), 0.37 / 0.53)}
 
 
-def falloff(seed, n):
-    """The share of light lost in the corners, n images of even ground, 1 % of noise."""
-    rng, side = np.random.default_rng(seed), np.linspace(-1, 1, 40)
-    light = 1 - 0.1 * np.add.outer(side**2, side**2) / 2
-    found = relative_response(light + 0.01 * rng.standard_normal((n, 40, 40)))
-    return {"radial": around(found["radial"], found["radial_std"], 0.1)}
-
-
 def block(seed, noise):
     """Gains and haze of a block of 8 images, and the anisotropy of its ground."""
     rng = np.random.default_rng(seed)
@@ -484,7 +475,6 @@ ESTIMATES = (
     Estimate("sensor calibration", sensor, bench.grid(n=(5, 12)), 10, 300),
     Estimate("reflectance", reflectance, bench.grid(n=(4, 12), stated=(True, False)), 10, 300),
     Estimate("NDVI", index, bench.grid(correlation=(0.0, 0.8)), 20, 500),
-    Estimate("light falloff", falloff, bench.grid(n=(1, 10)), 5, 200),
     Estimate("radiometric block", block, bench.grid(noise=(0.02,)), 2, 100),
     Estimate("mounting, exact paths", mounting, ({"drift": False, "stated": True},), 1, 200),
     Estimate("mounting, drift stated", mounting, ({"drift": True, "stated": True},), 0, 200),

@@ -5,14 +5,7 @@ import pandas as pd
 import pytest
 from rendered import slanted_edge, true_mtf50
 
-from mmqa_lab.mtf import (
-    blur_dependence,
-    fit_edge,
-    haar_sharpness,
-    measure_star,
-    read_bars,
-    resolving_power,
-)
+from mmqa_lab.mtf import fit_edge, haar_sharpness, measure_star, read_bars, resolving_power
 from mmqa_lab.simulate.targets import (
     PointSpread,
     _render,
@@ -96,7 +89,6 @@ def test_star_within_two_hundredths(half, sigma, rng):
     assert np.abs(star.mtf - spread.mtf_mean(star.frequency))[low].max() < 0.02
     assert np.hypot(star.centre[0] - 94.8, star.centre[1] - 94.3) < 0.15
     assert star.mtf10 > star.mtf50
-    assert star.fwhm_px == pytest.approx(spread.fwhm(0), rel=0.05)
     # rendered levels; the middle of the sectors does not reach them under the wider blur
     assert star.levels == pytest.approx((0.1, 0.6), abs=0.002)
 
@@ -169,30 +161,15 @@ def test_bars_are_resolved_down_to_a_width_and_no_further():
     ].item()
 
 
-def test_sharpness_falls_with_blur_and_motion_shows_in_its_direction(rng):
+def test_sharpness_falls_with_blur(rng):
     scene = 200 * texture((256, 256), seed=3)
     values = []
     for sigma in (0.4, 0.7, 1.0, 1.5):
         image = blur_over_image(scene, np.full(scene.shape, sigma)) + rng.normal(0, 2, scene.shape)
         values.append(float(haar_sharpness(image, noise_std=2.0)["sharpness"].median()))
     assert np.all(np.diff(values) < 0)
-    moved = (scene[:-2] + scene[1:-1] + scene[2:])[:252] / 3
-    found = haar_sharpness(moved[:, :252], noise_std=0.0, block=36)
-    assert float(found["along_y"].median()) < 0.8 * float(found["along_x"].median())
     plain = haar_sharpness(np.full((64, 64), 5.0), noise_std=1.0)
     assert plain.attrs["not_measurable"] == 1
-
-
-def test_dependence_is_exact_where_variances_add():
-    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-1000, 1000, 5), np.linspace(-800, 800, 5)))
-    x, y = np.tile(x, 2), np.tile(y, 2)
-    angle = np.repeat([10.0, 100.0], 25)
-    along = np.cos(np.radians(angle) - np.arctan2(y, x)) ** 2
-    r2 = x**2 + y**2
-    square = 2 + 3e-7 * r2 * along + 1e-7 * r2 * (1 - along)
-    square += 0.4 * np.sin(np.radians(angle)) ** 2
-    frame = pd.DataFrame({"x_px": x, "y_px": y, "angle_deg": angle, "fwhm_px": np.sqrt(square)})
-    assert np.allclose(blur_dependence(frame)["estimate"], [2, 3e-7, 1e-7, 0.4], rtol=1e-8)
 
 
 def test_rejects():

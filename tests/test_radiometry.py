@@ -4,10 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.optimize import least_squares
-from scipy.stats import linregress
 
 from mmqa_lab.radiometry import (
-    FREE,
     adjust_block,
     empirical_line,
     fit_sensor,
@@ -16,7 +14,6 @@ from mmqa_lab.radiometry import (
     patch_statistics,
     reflectance_factor,
     relative_exposure,
-    relative_response,
     stability,
     walthall_terms,
 )
@@ -31,14 +28,6 @@ def test_sensor_fit_is_ordinary_least_squares_where_weights_are_equal(rng):
     assert fit.gain == pytest.approx(gain, rel=1e-9)
     assert fit.offset == pytest.approx(offset, rel=1e-9)
     assert np.allclose(fit.radiance(dn), radiance + fit.residuals / fit.gain)
-    assert fit.p_values[0] < 1e-10
-
-
-def test_p_values_of_few_targets_are_those_of_student(rng):
-    radiance = np.array([20.0, 60.0, 110.0, 180.0])
-    dn = 60 + 0.2 * radiance + rng.normal(0, 5, 4)
-    expected = linregress(radiance, dn).pvalue
-    assert fit_sensor(radiance, dn).p_values[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_two_standard_errors_hold_95_percent(rng):
@@ -104,6 +93,7 @@ def test_empirical_line_passes_two_targets_and_allows_for_their_anisotropy():
     assert line.reflectance(300.0) == pytest.approx(0.055, abs=1e-12)
     assert line.reflectance(1500.0, anisotropy=1.05) == pytest.approx(0.40, abs=1e-12)
     assert np.isnan(line.covariance).all()
+    assert "cannot check" in line.remark
 
 
 def test_propagated_deviation_of_reflectance_and_ndvi_agrees_with_monte_carlo(rng):
@@ -147,7 +137,7 @@ def block(rng, noise=0.005, images=8, ties=120):
     return table, ground, gain
 
 
-PRIORS = {"radial": (0.1, 0.0), "haze": (0.0, FREE)}
+PRIORS = {"radial": (0.1, 0.0), "haze": (0.0, np.inf)}
 
 
 def test_a_control_target_in_shadow_is_doubted(rng, recwarn):
@@ -158,6 +148,19 @@ def test_a_control_target_in_shadow_is_doubted(rng, recwarn):
     dark = np.where(table["tie"] == 3, 0.6, 1.0)
     with pytest.warns(UserWarning, match=r"Control targets .*3.* contradict the others"):
         adjust_block(table.assign(radiance=dark * table["radiance"]), control=control, **PRIORS)
+
+
+def test_shadowed_observations_do_not_move_the_gains(rng):
+    table, ground, gain = block(rng)
+    control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 0.002})
+    shadow = (rng.random(len(table)) < 0.05) & (table["tie"] > 7)
+    dark = table["radiance"] * np.where(shadow, 0.35, 1.0)
+    with pytest.warns(UserWarning, match="of the observations contradict the others"):
+        found = adjust_block(table.assign(radiance=dark), control=control, **PRIORS)
+    off = found.gains["gain"] / gain - 1
+    std = found.gains["gain_std_percent"] / 100
+    assert np.abs(off).max() < 0.02
+    assert (np.abs(off) < 1.96 * std).mean() > 0.8
 
 
 def test_block_recovers_the_truth_without_noise(rng):
@@ -193,18 +196,6 @@ def test_a_line_through_zero_is_the_ratio_of_sums():
     fit = fit_sensor(radiance, dn, through_zero=True)
     assert fit.gain == pytest.approx((radiance @ dn) / (radiance @ radiance))
     assert (fit.offset, fit.std[1], fit.freedom) == (0, 0, 3)
-    assert np.isnan(fit.p_values[1])
-
-
-def test_even_ground_shows_falling_light_and_defects(rng):
-    y, x = np.indices((60, 90)) - np.array([29.5, 44.5])[:, None, None]
-    light = 1000 * (1 - 0.15 * (x**2 + y**2) / (29.5**2 + 44.5**2))
-    images = light + 4 * rng.standard_normal((25, 60, 90))
-    images[:, 5, [10, 50]] *= 0.8
-    found = relative_response(images)
-    assert found["radial"] == pytest.approx(0.15, abs=4 * found["radial_std"])
-    assert found["uneven_percent"] == pytest.approx(100 * 4 / 5 / 1000, rel=0.1)
-    assert found["defects"] == 2
 
 
 def test_block_agrees_with_a_dense_solution(rng):
