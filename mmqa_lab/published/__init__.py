@@ -31,6 +31,8 @@ from importlib import resources
 
 import pandas as pd
 
+from mmqa_lab._checks import check_choice
+
 __all__ = ["number", "raw", "table"]
 __dir__ = ["ledger", *__all__].copy
 
@@ -65,7 +67,7 @@ def table(source: str, name: str) -> pd.DataFrame:
     [3.9, 3.9, 2.0, 2.0]
     >>> table("pfeifer2021", "table_3")
     Traceback (most recent call last):
-    ValueError: Invalid table 'table_3' of pfeifer2021. Must be one of table_1, table_2, criteria,
+    ValueError: Invalid table of pfeifer2021 'table_3'. Must be one of table_1, table_2, criteria,
     systems, numbers, derived.
     """
     frame = raw(source, name)
@@ -100,9 +102,9 @@ def raw(source: str, name: str) -> pd.DataFrame:
     >>> raw("poreba2013", "table_1")["detection_rate_percent"].iloc[0]
     '99.90'
     """
-    _check(source, _strings("sources")["source"].tolist(), "source")
-    known = _strings("contents").query("source == @source")["table"].tolist()
-    _check(name, known, "table", of=f" of {source}")
+    check_choice(source, "source", tuple(_strings("sources")["source"]))
+    known = _strings("contents").query("source == @source")["table"]
+    check_choice(name, f"table of {source}", tuple(known))
     return _strings(f"{source}/{name}").copy()
 
 
@@ -133,9 +135,9 @@ def number(source: str, key: str) -> dict:
     >>> precision["relation"], precision["value"], precision["unit"]
     ('about', 0.3, 'm')
     """
-    _check(source, _strings("sources")["source"].tolist(), "source")
+    check_choice(source, "source", tuple(_strings("sources")["source"]))
     rows = {row["id"]: row for row in _numbers(source) if row["id"]}
-    _check(key, list(rows), "number", of=f" of {source}")
+    check_choice(key, f"number of {source}", tuple(rows))
     return rows[key]
 
 
@@ -166,9 +168,3 @@ def _numbers(source):
         frame = table(source, name)
         if "id" in frame:
             yield from frame.assign(table=name).to_dict("records")
-
-
-def _check(word, known, what, of=""):
-    """Refuse a word that is not known."""
-    if word not in known:
-        raise ValueError(f"Invalid {what} {word!r}{of}. Must be one of {', '.join(known)}.")

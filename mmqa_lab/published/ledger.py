@@ -27,12 +27,14 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import published
+from mmqa_lab._checks import check_choice
 
 __all__ = ["cells", "collect", "entry", "summary", "verdict"]
 __dir__ = __all__.copy
 
 KINDS = ("predicted", "measured", "fitted")
 VERDICTS = ("reproduced", "consistent", "differs", "not comparable", "not run")
+NUMBER = ("relation", "printed", "value", "low", "high")
 COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
@@ -105,8 +107,7 @@ def entry(
     ('A 5 m d1', 'measured')
     >>> entry("pfeifer2021", "table_2", "D 5 m d1", 4.2, kind="measured")
     Traceback (most recent call last):
-    ValueError: Invalid cell 'D 5 m d1' of pfeifer2021 table_2. Must be one that cells() lists, such
-    as 'A 5 m density'.
+    ValueError: Invalid cell pfeifer2021 table_2 D 5 m d1. Must be one that cells() lists.
     """
     row = dict(zip(COLUMNS, (source, table, cell, value, low, high, kind, note), strict=True))
     _check_entry(row)
@@ -245,7 +246,7 @@ def _cell(row, layout, measure, column):
         "table": layout["table"],
         "cell": " ".join(name.split()),
         "role": row.get("role") or layout["role"],
-        **number,
+        **dict(zip(NUMBER, number, strict=True)),
         "unit": column["unit"] or row["unit"],
         "section": row["section"],
     }
@@ -253,40 +254,23 @@ def _cell(row, layout, measure, column):
 
 def _number(row, measure):
     """Relation, printed string, value and rounding interval of one cell; None where it is empty."""
-    if row.get("status") == "not_resolved":
-        return _dash(row)
+    if row.get("status") == "not_resolved":  # a dash: coarser than the chart, or not measurable
+        bound = (COARSEST_MM[row["direction"]], np.inf)
+        bound = bound if row["quantity"] == "line-pair width" else (np.nan, np.nan)
+        return "=", row["printed"], np.nan, *bound
+    if row.get("relation") == "range":
+        low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
+        return "range", f"{row['low']} to {row['high']}", np.nan, low, high
     if "low" in row:
-        return _low_high(row)
+        value = (row["low"] or row["high"]) if row["relation"] else ""
+        row, measure = {"relation": row["relation"], "value": value}, "value"
     digits = MARKS.get(row.get("printed"), row[measure])
     if digits == "":
         return None
     relation = row.get("relation") or "="
     sign = "" if relation == "=" else f"{relation} "
     printed = row.get(f"{measure}_printed") or row.get("printed") or sign + row[measure]
-    low, high = _interval(digits, relation)
-    return _as_cell(relation, printed, float(digits), low, high)
-
-
-def _dash(row):
-    """A printed dash: coarser than the chart, or not measurable (then without a bound)."""
-    if row["quantity"] != "line-pair width":
-        return _as_cell("=", row["printed"], np.nan, np.nan, np.nan)
-    return _as_cell("=", row["printed"], np.nan, COARSEST_MM[row["direction"]], np.inf)
-
-
-def _low_high(row):
-    """A cell of a table with the columns ``low`` and ``high``."""
-    if row["relation"] == "":
-        return None
-    if row["relation"] == "range":
-        low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
-        return _as_cell("range", f"{row['low']} to {row['high']}", np.nan, low, high)
-    return _number({"relation": row["relation"], "value": row["low"] or row["high"]}, "value")
-
-
-def _as_cell(*parts):
-    """The part of a cell that its number gives."""
-    return dict(zip(("relation", "printed", "value", "low", "high"), parts, strict=True))
+    return relation, printed, float(digits), *_interval(digits, relation)
 
 
 def _interval(digits, relation):
@@ -320,10 +304,9 @@ def _meets(printed, low, high):
 
 def _reason(cell, rules):
     """The reason of the first rule whose patterns fit a cell."""
-    for rule in rules:
-        if all(fnmatchcase(cell[k], rule[k]) for k in ("source", "table", "cell", "role")):
-            return rule["reason"]
-    return ""
+    keys = ("source", "table", "cell", "role")
+    fitting = (rule for rule in rules if all(fnmatchcase(cell[k], rule[k]) for k in keys))
+    return next((rule["reason"] for rule in fitting), "")
 
 
 def _entries(folder):
@@ -351,23 +334,16 @@ def _read(file):
 
 @cache
 def _cell_names():
-    """The names of cells by source and table."""
-    return _cells().groupby(["source", "table"])["cell"].apply(list).to_dict()
+    """Source, table and name of every cell."""
+    return set(_cells()[["source", "table", "cell"]].itertuples(index=False, name=None))
 
 
 def _check_entry(row):
     """Refuse an entry for an unknown cell, of an unknown kind, or outside its own interval."""
-    place = f"{row['source']} {row['table']}"
-    known = _cell_names().get((row["source"], row["table"]))
-    if known is None:
-        raise ValueError(f"Invalid table {place}. Must be one with printed numbers in cells().")
-    if row["cell"] not in known:
-        raise ValueError(
-            f"Invalid cell {row['cell']!r} of {place}. Must be one that cells() lists, such as "
-            f"{known[0]!r}."
-        )
-    if row["kind"] not in KINDS:
-        raise ValueError(f"Invalid kind {row['kind']!r}. Must be one of {', '.join(KINDS)}.")
+    place = row["source"], row["table"], row["cell"]
+    if place not in _cell_names():
+        raise ValueError(f"Invalid cell {' '.join(place)}. Must be one that cells() lists.")
+    check_choice(row["kind"], "kind", KINDS)
     if row["low"] > row["value"] or row["high"] < row["value"]:
         raise ValueError(
             f"Invalid value {row['value']} of {row['cell']!r}. Must be between its own low "
