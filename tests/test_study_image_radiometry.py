@@ -14,7 +14,7 @@ from mmqa_lab.studies import image_radiometry, image_resolution
 @pytest.fixture(scope="module")
 def flown():
     block = fly_block(Flight(strips=2), seed=3)
-    seen = block.observations()
+    seen = block.observations
     truth = seen.drop_duplicates("tie").set_index("tie")["reference"].sort_values()
     chosen = truth.iloc[np.linspace(0, len(truth) - 1, 12).astype(int)]
     control = pd.DataFrame({"tie": chosen.index, "reflectance": chosen, "std": 0.002})
@@ -23,7 +23,7 @@ def flown():
 
 def test_a_block_without_disturbances_shows_the_ground():
     flight = Flight(strips=2, images=3, gain_std=0.0, radial=0.0, haze=0.0)
-    table = fly_block(flight, seed=1).observations()
+    table = fly_block(flight, seed=1).observations
     table = table[table["view_zenith_deg"] < 6]
     seen = table["radiance"] / np.cos(np.radians(table["sun_zenith_deg"]))
     ratio = seen / table["reference"]

@@ -5,9 +5,9 @@ Coordinates are pixels from the image's centre, x along columns to the right, y 
 pixels, filtered with the exact transfer function of the optics, the image motion and the square
 pixel, and read at the pixels' centres.
 
-Blocks are overlapping vertical images over flat ground: a map of fields, each with a surface class
-that has its own reflectance and its own anisotropy. Images see it with the height of the sun,
-exposure and haze of their moment, fall off to the corners, and record digital numbers with noise.
+Blocks are overlapping vertical images over flat ground of fields, each with a surface class that
+has its own reflectance and its own anisotropy. What each image shows of tie points has the height
+of the sun, exposure and haze of its moment, falls off to the corners, and has the sensor's noise.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, uniform_filter
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import j1
@@ -339,13 +339,14 @@ SURFACES = pd.DataFrame(
 )
 """Assumed reflectance in the green and Walthall's terms over nadir, for surfaces as in towns."""
 
-OFFSET_DN, GAIN_DN, BITS = 64.0, 9000.0, 12
+GAIN_DN, WINDOW_PIXELS = 9000.0, 25
+"""Of a block's observations: DN per unit of light, pixels that are averaged about a tie point."""
 
-TIE_SPACING_M, WINDOW = 20.0, 5
-"""Of a block's observations: metres between tie points, pixels along a window about each."""
+TIE_SPACING_M = 20.0
+"""Metres between tie points."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Flight:
     """How a block is flown, and what disturbs it.
 
@@ -353,10 +354,8 @@ class Flight:
     ----------
     strips, images : int
         Strips, and images in each; neighbouring strips are flown in opposite directions.
-    rows, columns : int
-        Of an image; rows along the flight.
-    gsd_m, height_m : float
-        Pixel on the ground, height of flight.
+    width_m, length_m, height_m : float
+        Ground that an image sees across and along the flight, height of flight.
     forward_overlap, side_overlap : float
     sun_zenith_deg, sun_azimuth_deg : (float, float)
         At the first and the last image.
@@ -370,9 +369,8 @@ class Flight:
 
     strips: int = 4
     images: int = 7
-    rows: int = 120
-    columns: int = 180
-    gsd_m: float = 2.0
+    width_m: float = 360.0
+    length_m: float = 240.0
     height_m: float = 300.0
     forward_overlap: float = 0.6
     side_overlap: float = 0.4
@@ -385,119 +383,93 @@ class Flight:
 
 @dataclass(frozen=True, eq=False)
 class ImageBlock:
-    """Images, what is known of them, and the truth.
+    """What the images of a block show of its tie points, and the truth.
 
     Parameters
     ----------
-    dn : array, shape (n, rows, columns)
-        Digital numbers.
+    observations : DataFrame
+        As ``adjust_block`` wants it, a row for each image of each tie point: ``image``,
+        ``sun_zenith_deg``, ``view_zenith_deg``, ``azimuth_deg``, ``radius``, ``surface``, ``x_m``,
+        ``y_m``, ``tie``, ``radiance`` (DN over gain and labelled exposure), and the truth:
+        ``reference``, the nadir reflectance.
     stations : DataFrame
-        One row an image: ``image``, ``x_m``, ``y_m`` of its centre, ``exposure`` (the label),
+        One row an image: ``image``, ``centre_x_m``, ``centre_y_m``, ``exposure`` (the label),
         ``sun_zenith_deg``, ``sun_azimuth_deg``, and the truth: ``gain``.
     flight : Flight
-    reflectance, surface : array, shape (height, width)
-        Truth at nadir and number of the surface class, one cell a ground pixel; row 0 at y = 0.
     """
 
-    dn: np.ndarray
+    observations: pd.DataFrame
     stations: pd.DataFrame
     flight: Flight
-    reflectance: np.ndarray
-    surface: np.ndarray
-
-    def pixels(self, image, row, column):
-        """What the adjustment needs to know of pixels.
-
-        Parameters
-        ----------
-        image, row, column : array_like of int, shape (n,)
-
-        Returns
-        -------
-        DataFrame
-            ``image``, ``sun_zenith_deg``, ``view_zenith_deg``, ``azimuth_deg``, ``radius``,
-            ``surface``, ``x_m``, ``y_m``.
-        """
-        station = self.stations.iloc[np.asarray(image)].reset_index(drop=True)
-        view = _view(station, np.asarray(row), np.asarray(column), self.flight)
-        names = SURFACES["surface"].to_numpy()[self.surface[_cells(view, self.flight)]]
-        sun = station[["image", "sun_zenith_deg"]]
-        return pd.concat([sun, pd.DataFrame(view)], axis=1).assign(surface=names)
-
-    def radiance(self, image, row, column, *, window=1):
-        """Mean radiance (DN less offset, over gain and labelled exposure) in windows of pixels."""
-        smooth = [uniform_filter(dn, window, mode="nearest") for dn in self.dn]
-        exposure = self.stations["exposure"].to_numpy()[np.asarray(image)]
-        return (np.stack(smooth)[image, row, column] - OFFSET_DN) / (GAIN_DN * exposure)
-
-    def observations(self):
-        """Return what every image shows of a grid of tie points, as ``adjust_block`` wants it.
-
-        Tie points are 20 m apart, those left out whose window of 5 x 5 pixels is not of one surface
-        class. ``reference`` is the true nadir reflectance, the mean over the window.
-        """
-        half = WINDOW // 2 + 1
-        flight, gsd = self.flight, self.flight.gsd_m
-        high, wide = self.surface.shape
-        step = TIE_SPACING_M / gsd
-        y, x = np.meshgrid(np.arange(half, high - half, step), np.arange(half, wide - half, step))
-        y, x = y.ravel().astype(int), x.ravel().astype(int)
-        around = WINDOW + 2
-        even = maximum_filter(self.surface, around) == minimum_filter(self.surface, around)
-        reference = uniform_filter(self.reflectance, WINDOW)
-        y, x = y[even[y, x]], x[even[y, x]]
-        parts = []
-        for image, station in enumerate(self.stations.itertuples()):
-            row = np.round((station.y_m / gsd - 0.5 - y) + (flight.rows - 1) / 2).astype(int)
-            column = np.round((x + 0.5 - station.x_m / gsd) + (flight.columns - 1) / 2).astype(int)
-            seen = (row >= half) & (row < flight.rows - half)
-            seen &= (column >= half) & (column < flight.columns - half)
-            place = np.full(seen.sum(), image), row[seen], column[seen]
-            part = self.pixels(*place).assign(tie=y[seen] * wide + x[seen])
-            part["reference"] = reference[y[seen], x[seen]]
-            part["row"], part["column"] = place[1:]
-            parts.append(part)
-        table = pd.concat(parts, ignore_index=True)
-        places = table["image"].to_numpy(), table["row"], table["column"]
-        table["radiance"] = self.radiance(*places, window=WINDOW)
-        often = table.groupby("tie")["image"].transform("nunique") > 1
-        return table[often].reset_index(drop=True)
 
 
-def fly_block(flight=None, *, seed):
-    """Return a simulated block of images.
+def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
+    """Return what a simulated block of images shows of tie points on flat ground.
 
     Parameters
     ----------
-    flight : Flight, optional
+    flight : Flight
     seed : int
 
     Returns
     -------
     ImageBlock
     """
-    flight = Flight() if flight is None else flight
     rng = np.random.default_rng(seed)
-    stations, size = _stations(flight, rng)
-    reflectance, surface = _fields(size, seed)
-    n = len(stations)
-    row, column = (v.ravel() for v in np.indices((flight.rows, flight.columns)))
-    dn = np.empty((n, flight.rows, flight.columns))
-    b = SURFACES[["b1", "b2"]].to_numpy()
-    for image in range(n):
-        station = stations.iloc[np.full(len(row), image)].reset_index(drop=True)
-        view = _view(station, row, column, flight)
-        cell = _cells(view, flight)
-        v, azimuth = np.radians(view["view_zenith_deg"]), np.radians(view["azimuth_deg"])
-        b1, b2 = b[surface[cell]].T
-        seen = reflectance[cell] * (1 + b1 * v**2 + b2 * v * np.cos(azimuth))
-        sun = np.cos(np.radians(stations["sun_zenith_deg"].iloc[image]))
-        light = (sun * seen + flight.haze) * (1 - flight.radial * view["radius"] ** 2)
-        light = light * stations["gain"].iloc[image] * stations["exposure"].iloc[image]
-        seeds = [seed, image]
-        recorded = expose(light, gain=GAIN_DN, offset=OFFSET_DN, bits=BITS, seed=seeds)
-        dn[image] = recorded.reshape(flight.rows, flight.columns)
-    return ImageBlock(dn, stations, flight, reflectance, surface)
+    stations = _stations(flight, rng)
+    seen = stations.merge(_ties(stations, flight, rng), how="cross")
+    dx, dy = seen["x_m"] - seen["centre_x_m"], seen["y_m"] - seen["centre_y_m"]
+    inside = (dx.abs() < flight.width_m / 2) & (dy.abs() < flight.length_m / 2)
+    often = inside.groupby(seen["tie"]).transform("sum") > 1
+    seen, dx, dy = (table[inside & often].reset_index(drop=True) for table in (seen, dx, dy))
+    distance, to_camera = np.hypot(dx, dy), np.degrees(np.arctan2(-dx, -dy))
+    seen["view_zenith_deg"] = np.degrees(np.arctan2(distance, flight.height_m))
+    seen["azimuth_deg"] = np.abs((to_camera - seen["sun_azimuth_deg"] + 180) % 360 - 180)
+    seen["radius"] = 2 * distance / np.hypot(flight.width_m, flight.length_m)
+    view, azimuth = np.radians(seen["view_zenith_deg"]), np.radians(seen["azimuth_deg"])
+    turned = 1 + seen["b1"] * view**2 + seen["b2"] * view * np.cos(azimuth)
+    sun = np.cos(np.radians(seen["sun_zenith_deg"]))
+    light = sun * seen["reference"] * turned + flight.haze
+    exposure = seen["gain"] * seen["exposure"]
+    dn = GAIN_DN * light * (1 - flight.radial * seen["radius"] ** 2) * exposure
+    noise = np.sqrt((dn / ELECTRONS_PER_DN + READ_NOISE_DN**2) / WINDOW_PIXELS)
+    dn += noise * rng.standard_normal(len(dn))
+    seen["radiance"] = dn / (GAIN_DN * seen["exposure"])
+    hidden = ["gain", "exposure", "b1", "b2", "centre_x_m", "centre_y_m", "sun_azimuth_deg"]
+    return ImageBlock(seen.drop(columns=hidden), stations, flight)
+
+
+def _stations(flight, rng):
+    """Images of the flight in the order of time."""
+    strips, images = check_count(flight.strips, "strips"), check_count(flight.images, "images")
+    base = flight.length_m * (1 - flight.forward_overlap)
+    strip, k = (v.ravel() for v in np.indices((strips, images)))
+    n = strips * images
+    exposure = np.round(np.exp(rng.normal(0, 0.1, n)) * 20) / 20
+    return pd.DataFrame(
+        {
+            "image": np.arange(n),
+            "centre_x_m": flight.width_m * (0.5 + strip * (1 - flight.side_overlap)),
+            "centre_y_m": flight.length_m / 2 + base * np.where(strip % 2 == 0, k, images - 1 - k),
+            "exposure": exposure,
+            "sun_zenith_deg": np.linspace(*flight.sun_zenith_deg, n),
+            "sun_azimuth_deg": np.linspace(*flight.sun_azimuth_deg, n),
+            "gain": np.exp(rng.normal(0, flight.gain_std, n)),
+        }
+    )
+
+
+def _ties(stations, flight, rng, fields=60):
+    """A grid of tie points: each has the surface of the nearest of some fields, and details."""
+    size = stations[["centre_x_m", "centre_y_m"]].max() + [flight.width_m / 2, flight.length_m / 2]
+    x, y = np.meshgrid(*(np.arange(TIE_SPACING_M / 2, side, TIE_SPACING_M) for side in size))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    kind = rng.permutation(np.arange(fields) % len(SURFACES))
+    level = np.exp(rng.normal(0, 0.15, fields))
+    nearest = cKDTree(rng.uniform(0, size, (fields, 2))).query(places)[1]
+    ties = SURFACES.iloc[kind[nearest]].reset_index(drop=True)
+    ties["reference"] = ties.pop("reflectance") * level[nearest] * rng.normal(1, 0.045, len(ties))
+    return ties.assign(tie=ties.index, x_m=places[:, 0], y_m=places[:, 1])
 
 
 def _render(shape, spread, distance, low=0.1, high=0.6):
@@ -517,62 +489,3 @@ def _render(shape, spread, distance, low=0.1, high=0.6):
     begin = margin * FINE
     image = seen[begin : begin + rows * FINE : FINE, begin : begin + columns * FINE : FINE]
     return low + (high - low) * image
-
-
-def _stations(flight, rng):
-    """Images of the flight in the order of time, and the ground's size in cells."""
-    strips, images = check_count(flight.strips, "strips"), check_count(flight.images, "images")
-    high, wide = flight.rows * flight.gsd_m, flight.columns * flight.gsd_m
-    base, gap = high * (1 - flight.forward_overlap), wide * (1 - flight.side_overlap)
-    strip, k = (v.ravel() for v in np.indices((strips, images)))
-    order = np.where(strip % 2 == 0, k, images - 1 - k)
-    n = strips * images
-    share = np.linspace(0, 1, n)
-    exposure = np.round(np.exp(rng.normal(0, 0.1, n)) * 20) / 20
-    stations = pd.DataFrame(
-        {
-            "image": np.arange(n),
-            "x_m": wide / 2 + strip * gap,
-            "y_m": high / 2 + order * base,
-            "exposure": exposure,
-            "sun_zenith_deg": np.interp(share, [0, 1], flight.sun_zenith_deg),
-            "sun_azimuth_deg": np.interp(share, [0, 1], flight.sun_azimuth_deg),
-            "gain": np.exp(rng.normal(0, flight.gain_std, n)),
-        }
-    )
-    size = (high + (images - 1) * base, wide + (strips - 1) * gap)
-    return stations, tuple(int(np.ceil(length / flight.gsd_m)) + 1 for length in size)
-
-
-def _view(station, row, column, flight):
-    """Ground position and viewing geometry of pixels."""
-    dx = (column - (flight.columns - 1) / 2) * flight.gsd_m
-    dy = ((flight.rows - 1) / 2 - row) * flight.gsd_m
-    distance = np.hypot(dx, dy)
-    corner = np.hypot(flight.columns - 1, flight.rows - 1) / 2 * flight.gsd_m
-    to_camera = np.degrees(np.arctan2(-dx, -dy))
-    azimuth = np.abs((to_camera - station["sun_azimuth_deg"].to_numpy() + 180) % 360 - 180)
-    return {
-        "view_zenith_deg": np.degrees(np.arctan2(distance, flight.height_m)),
-        "azimuth_deg": azimuth,
-        "radius": distance / corner,
-        "x_m": station["x_m"].to_numpy() + dx,
-        "y_m": station["y_m"].to_numpy() + dy,
-    }
-
-
-def _cells(view, flight):
-    """Rows and columns of the ground that pixels see."""
-    return tuple((view[name] / flight.gsd_m).astype(int) for name in ("y_m", "x_m"))
-
-
-def _fields(size, seed, fields=60):
-    """Reflectance and surface class of the ground: fields nearest to random centres, textured."""
-    rng = np.random.default_rng([seed, 1])
-    centres = rng.uniform(0, size, (fields, 2))
-    kind = rng.permutation(np.arange(fields) % len(SURFACES))
-    level = SURFACES["reflectance"].to_numpy()[kind] * np.exp(rng.normal(0, 0.15, fields))
-    cells = np.stack(np.indices(size), axis=-1).reshape(-1, 2)
-    nearest = cKDTree(centres).query(cells)[1].reshape(size)
-    detail = 1 + 0.3 * (texture(size, seed=seed) - 0.5)
-    return level[nearest] * detail, kind[nearest]
