@@ -5,6 +5,8 @@
 (doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2.
 """
 
+import operator
+
 import numpy as np
 import pandas as pd
 
@@ -15,23 +17,10 @@ from mmqa_lab.chart_image.rules import MARKS
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
 
-__all__ = [
-    "COVERAGE",
-    "CRITERIA",
-    "SETS",
-    "published_criteria",
-    "published_results",
-    "qualification",
-    "verdicts",
-]
+__all__ = ["published_criteria", "published_results", "qualification", "verdicts"]
 __dir__ = __all__.copy
 
-RELATIONS = {
-    ">=": lambda value, threshold: value >= threshold,
-    ">": lambda value, threshold: value > threshold,
-    "<=": lambda value, threshold: value <= threshold,
-    "<": lambda value, threshold: value < threshold,
-}
+RELATIONS = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
 
 VERDICTS = ("met", "exempt", "not met", "undecided", "not measured")
 
@@ -151,14 +140,12 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
         open_ones = ["undecided", "not measured"]
-        verdict = (
-            "fails" if counts["not met"] else "open" if counts[open_ones].any() else "qualifies"
-        )
+        verdict = "open" if counts[open_ones].any() else "qualifies"
+        verdict = "fails" if counts["not met"] else verdict
         deciding = part[part["verdict"].isin(["not met"] if verdict == "fails" else open_ones)]
         because = ", ".join(deciding["criterion"].drop_duplicates())
-        rows.append(
-            (system, verdict, *counts, because, _sentence(system, verdict, counts, deciding))
-        )
+        sentence = _sentence(system, verdict, counts, deciding)
+        rows.append((system, verdict, *counts, because, sentence))
     names = [verdict.replace(" ", "_") for verdict in VERDICTS]
     return pd.DataFrame(rows, columns=["system", "verdict", *names, "because", "sentence"])
 
@@ -214,9 +201,8 @@ def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFr
     table["quantity"] = height.where(text, table["quantity"].replace(names))
     table["threshold"] = table["threshold"].astype(object).where(~text, table["printed"])
     cloud = table["quantity"].isin(["density_per_m2", "sigma_mad_mm", "f"])
-    table["distance_m"] = table["distance_m"].mask(
-        cloud & table["distance_m"].isna(), cloud_distance_m
-    )
+    unknown = cloud & table["distance_m"].isna()
+    table["distance_m"] = table["distance_m"].mask(unknown, cloud_distance_m)
     table["view"] = np.where(text & table["views"].str.startswith("orthogonal"), "orthogonal", "")
     rho0 = float(table.loc[table["quantity"] == "density_per_m2", "threshold"].iloc[0])
     table["rho0_per_m2"] = np.where(table["quantity"] == "f", rho0, np.nan)

@@ -7,40 +7,48 @@ curve of sRGB and show letters as outlines, so that no font is missing. Here are
 Pfeifer et al. 2021, 1 m x 1 m, from one description.
 """
 
+from __future__ import annotations
+
+import csv
+import dataclasses
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from io import BytesIO, StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count
-from mmqa_lab.charts.elements import (
-    BLACK,
-    GREY,
-    WHITE,
-    Bar,
-    Cells,
-    Layout,
-    LinePairs,
-    Marker,
-    Text,
-    layout_of,
-    reflectance,
-)
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.srgb import encode
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path as Outline
 
 __all__ = [
-    "Bar",
-    "Layout",
-    "LinePairs",
-    "Marker",
-    "Text",
-    "imaging_chart",
-    "layout_of",
-    "point_chart",
-    "read_layout",
-    "reflectance",
+    *("Bar", "Layout", "LinePairs", "Marker", "Text"),
+    *("imaging_chart", "layout_of", "point_chart", "read_layout", "reflectance"),
 ]
 __dir__ = __all__.copy
+
+BLACK, GREY, WHITE = 0.0, 0.5, 1.0
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Shares of red, green and blue in a grey tone (ITU-R BT.709)."""
+
+POINTS_PER_MM = 72 / 25.4
+
+STYLE = {
+    "figure.constrained_layout.use": False,
+    "figure.autolayout": False,
+    "savefig.bbox": None,
+    "savefig.dpi": "figure",
+    "svg.hashsalt": "mmqa_lab",
+    "pdf.compression": 4,
+}
+"""A style that someone set must not change the size of the page."""
+
 
 SIDE_MM = 1000.0
 
@@ -51,6 +59,377 @@ TONES = {"grey": GREY, "black": BLACK}
 
 NAMES = {"grey": {}, "black": {"horizontal_bar": "black"}, "revised": {"revised": True}}
 """Imaging charts by their names."""
+
+
+class _Element:
+    """What has a lower left corner, a width and a height."""
+
+    def corners(self):
+        """Return the corners from the lower left, counterclockwise, mm, shape (4, 2)."""
+        share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        return np.array([self.x, self.y]) + share * [float(self.width), float(self.height)]
+
+
+class _Square(_Element):
+    """What has one side for its width and height."""
+
+    @property
+    def width(self):
+        """Side, mm."""
+        return self.size
+
+    height = width
+
+
+@dataclass(frozen=True)
+class Bar(_Element):
+    """A plain rectangle: long bars, panels, patches.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    width, height : float
+        Size, mm.
+    tone, ground : float or (float, float, float)
+        Reflectance of the bar and of what is around it.
+
+    Examples
+    --------
+    >>> x, y, tones = Bar("a", 10, 10, 5, 30).grid()
+    >>> x.tolist(), y.tolist(), tones.tolist()
+    ([10, 15], [10, 40], [[0.0]])
+    """
+
+    name: str
+    x: float
+    y: float
+    width: float
+    height: float
+    tone: float | tuple[float, float, float] = BLACK
+    ground: float | tuple[float, float, float] = WHITE
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
+        x = np.array([self.x, self.x + self.width])
+        return x, np.array([self.y, self.y + self.height]), np.array([[self.tone]])
+
+
+@dataclass(frozen=True)
+class LinePairs(_Element):
+    """Equal black and white bars; ``pair`` is the width w of one black and one white bar.
+
+    ``direction`` says along what the pairs follow each other: ``"h"`` is standing bars, read in
+    horizontal direction, ``"v"`` lying bars. It begins with black at the low end.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    pair : float
+        Width of a black and a white bar together, mm.
+    direction : {"h", "v"}
+    repeats : int
+        Pairs.
+    length : float
+        Of the bars, mm.
+    ground : float
+        Reflectance around them.
+
+    Examples
+    --------
+    >>> pairs = LinePairs("w 4", 0, 0, 4.0, "h", repeats=2)
+    >>> pairs.grid()[0].tolist(), pairs.grid()[2].tolist()
+    ([0.0, 2.0, 4.0, 6.0, 8.0], [[0.0, 1.0, 0.0, 1.0]])
+    """
+
+    name: str
+    x: float
+    y: float
+    pair: float
+    direction: str
+    repeats: int = 8
+    length: float = 80.0
+    ground: float = WHITE
+
+    @property
+    def extent(self) -> float:
+        """Length across all bars, mm."""
+        return self.pair * self.repeats
+
+    @property
+    def width(self) -> float:
+        """Size along x, mm."""
+        return self.extent if self.direction == "h" else self.length
+
+    @property
+    def height(self) -> float:
+        """Size along y, mm."""
+        return self.length if self.direction == "h" else self.extent
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the edges in x and y and the tones between them."""
+        steps = np.arange(2 * self.repeats + 1) * self.pair / 2
+        tones = np.tile([BLACK, WHITE], self.repeats)
+        if self.direction == "h":
+            return self.x + steps, np.array([self.y, self.y + self.length]), tones[None, :]
+        return np.array([self.x, self.x + self.length]), self.y + steps, tones[:, None]
+
+
+@dataclass(frozen=True)
+class Marker(_Square):
+    """A coded square target of an OpenCV dictionary, black border included.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    size : float
+        Side, mm.
+    dictionary : str
+        Name in OpenCV, such as ``"DICT_4X4_50"``.
+    identifier : int
+        Number in the dictionary.
+    ground : float
+        Reflectance around it.
+
+    Raises
+    ------
+    ValueError
+        If the dictionary is unknown or has no such number, once the target is drawn.
+
+    Examples
+    --------
+    >>> _, _, tones = Marker("target", 0, 0, 60, "DICT_4X4_50", 0).grid()
+    >>> tones.shape, float(tones[0].max())  # four modules and a black border
+    ((6, 6), 0.0)
+    """
+
+    name: str
+    x: float
+    y: float
+    size: float
+    dictionary: str
+    identifier: int
+    ground: float = WHITE
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the edges in x and y and the tones between them."""
+        bits = _marker_bits(self.dictionary, self.identifier)
+        edges = np.linspace(0, self.size, len(bits) + 1)
+        return self.x + edges, self.y + edges, bits[::-1]
+
+
+@dataclass(frozen=True)
+class Cells(_Square):
+    """A square of black and white cells, ``bits`` in hexadecimal, row by row from below.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Lower left corner, mm.
+    size : float
+        Side, mm.
+    count : int
+        Cells along a side.
+    bits : str
+        1 is white.
+    ground : float
+        Reflectance around it.
+
+    Examples
+    --------
+    >>> Cells("four", 0, 0, 100, 2, "90").grid()[2].tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    """
+
+    name: str
+    x: float
+    y: float
+    size: float
+    count: int
+    bits: str
+    ground: float = WHITE
+
+    def grid(self):
+        """Return the edges in x and y and the tones between them."""
+        packed = np.frombuffer(bytes.fromhex(self.bits), dtype=np.uint8)
+        tones = np.unpackbits(packed, count=self.count**2).reshape(self.count, self.count)
+        edges = np.linspace(0, self.size, self.count + 1)
+        return self.x + edges, self.y + edges, tones.astype(float)
+
+
+@dataclass(frozen=True)
+class Text(_Element):
+    """A line of text from its lower left corner on the base line; ``cap`` is the height of H.
+
+    Parameters
+    ----------
+    name : str
+    x, y : float
+        Left end of the base line, mm.
+    text : str
+    cap : float
+        Height of the capitals, mm.
+    tone, ground : float or (float, float, float)
+        Reflectance of the letters and of what is around them.
+    font : str
+        Name of a TrueType file that matplotlib brings along, such as ``"DejaVuSerif"``.
+    stretch : float
+        Width of the letters as a share of the font's: below 1 for narrow ones.
+
+    Raises
+    ------
+    ValueError
+        If the font is unknown or lacks a letter, once the text is drawn or measured.
+
+    Examples
+    --------
+    >>> one, two = Text("a", 0, 0, "HH", 20.0), Text("b", 0, 0, "HH", 40.0)
+    >>> one.height, round(two.width / one.width, 6)
+    (20.0, 2.0)
+    """
+
+    name: str
+    x: float
+    y: float
+    text: str
+    cap: float
+    tone: float | tuple[float, float, float] = BLACK
+    ground: float | tuple[float, float, float] = WHITE
+    font: str = "DejaVuSans"
+    stretch: float = 1.0
+
+    @property
+    def width(self) -> float:
+        """From the start of the base line to the right end of the letters, mm."""
+        vertices = _letters(self.text, self.font).vertices
+        return float(vertices[:, 0].max(initial=0)) * self.cap * self.stretch
+
+    @property
+    def height(self) -> float:
+        """Height of the capitals, mm; accents and descenders reach beyond."""
+        return self.cap
+
+    def outline(self) -> Outline:
+        """Return the letters' outline as a matplotlib Path, mm, to be filled."""
+        from matplotlib.transforms import Affine2D
+
+        place = Affine2D().scale(self.stretch * self.cap, self.cap).translate(self.x, self.y)
+        return place.transform_path(_letters(self.text, self.font))
+
+
+POSITIVE = ("width", "height", "pair", "length", "size", "cap", "stretch", "repeats", "count")
+"""Fields that are above zero."""
+
+KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
+
+COLUMNS = (
+    *("kind", "name", "x", "y", "width", "height", "size", "pair", "direction", "repeats"),
+    *("length", "text", "cap", "font", "stretch", "dictionary", "identifier", "count", "bits"),
+    *("tone", "ground"),
+)
+"""Of a table of elements."""
+
+
+@dataclass(frozen=True)
+class Layout(_Element):
+    """A chart: its size in mm and its elements, each with a name of its own.
+
+    Parameters
+    ----------
+    name : str
+    width, height : float
+        Size of the chart, mm.
+    elements : tuple of Bar, Cells, LinePairs, Marker, Text
+        Later ones cover earlier ones.
+
+    Raises
+    ------
+    ValueError
+        If two elements share a name, or one reaches over the chart's edge.
+
+    Examples
+    --------
+    >>> chart = Layout("two bars", 100, 50, (Bar("a", 10, 10, 5, 30), Bar("b", 60, 10, 5, 30)))
+    >>> chart["b"].x, layout_of(chart.to_csv(), name="two bars", width=100, height=50) == chart
+    (60, True)
+    >>> chart.to_pdf()[:5], b'<g id="a">' in chart.to_svg()
+    (b'%PDF-', True)
+    """
+
+    name: str
+    width: float
+    height: float
+    elements: tuple
+    x = y = 0.0
+
+    def __post_init__(self):
+        check_positive(self.width, "chart width", unit="mm")
+        check_positive(self.height, "chart height", unit="mm")
+        if len(self._by_name) < len(self.elements):
+            raise ValueError(f"Invalid chart {self.name!r}: a name repeats. Must be distinct.")
+        for element in self.elements:
+            _check_element(element)
+            high = element.x + element.width, element.y + element.height
+            if min(element.x, element.y) < 0 or high[0] > self.width or high[1] > self.height:
+                raise ValueError(
+                    f"Invalid element {element.name!r}: ends at {high[0]:.1f}, {high[1]:.1f} mm. "
+                    f"Must lie within {self.width} mm x {self.height} mm."
+                )
+
+    @cached_property
+    def _by_name(self):
+        return {element.name: element for element in self.elements}
+
+    def __getitem__(self, name):
+        return self._by_name[check_choice(name, "element", tuple(self._by_name))]
+
+    def of_kind(self, kind: type) -> list:
+        """Return the elements of one class, in order."""
+        return [element for element in self.elements if isinstance(element, kind)]
+
+    def to_pdf(self) -> bytes:
+        """Return the chart as a PDF of one page at true size; letters are outlines."""
+        return self._drawn("pdf", {"CreationDate": None, "Title": self.name})
+
+    def to_svg(self) -> bytes:
+        """Return the chart as SVG at true size, bytes; each element is a named group."""
+        return self._drawn("svg", {"Date": None, "Title": self.name})
+
+    def to_csv(self) -> str:
+        """Return the table of elements as CSV, which :func:`read_layout` reads back unchanged."""
+        rows = []
+        for element in self.elements:
+            fields = {"kind": type(element).__name__, **dataclasses.asdict(element)}
+            rows.append({name: _cell(value) for name, value in fields.items()})
+        stream = StringIO()
+        table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+        return stream.getvalue()
+
+    def _drawn(self, form, metadata):
+        """The chart in a file format, at true size."""
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+        from matplotlib.patches import PathPatch
+        from matplotlib.transforms import Affine2D
+
+        size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
+        page, place = Figure(figsize=size, frameon=False, dpi=72), Affine2D().scale(POINTS_PER_MM)
+        for element in self.elements:
+            for tone, outline in _shapes(element).items():
+                look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
+                page.add_artist(PathPatch(outline, transform=place, **look))
+        stream = BytesIO()
+        with mpl.rc_context(STYLE):
+            page.savefig(stream, format=form, metadata=metadata)
+        return stream.getvalue()
 
 
 def imaging_chart(*, revised: bool = False, horizontal_bar: str | None = None) -> Layout:
@@ -182,3 +561,246 @@ def point_chart(*, seed: int = 0) -> Layout:
         Bar("white", SIDE_MM - BORDER_MM - SQUARE_MM, BORDER_MM, SQUARE_MM, SQUARE_MM, WHITE),
     )
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
+
+
+def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1000.0) -> Layout:
+    """Return the layout that a table of elements describes.
+
+    Parameters
+    ----------
+    table : str
+        CSV text with a row for each element: its ``kind`` and its fields, lengths in mm; colours
+        are three numbers with spaces between. What a kind does not have is empty.
+    name : str
+        Of the chart.
+    width, height : float
+        Size of the chart, mm.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    ValueError
+        If a kind is unknown, or a field of it is missing or no number.
+
+    Examples
+    --------
+    >>> table = "kind,name,x,y,width,height\\nBar,a,10,10,5,30\\n"
+    >>> layout_of(table, name="one bar", width=100, height=50)["a"].height
+    30.0
+    """
+    elements = []
+    for row in csv.DictReader(StringIO(table)):
+        kind = KINDS[check_choice(row.get("kind"), "kind", tuple(KINDS))]
+        try:
+            given = {field: text for field, text in row.items() if text and field != "kind"}
+            elements.append(kind(**{field: _value(field, text) for field, text in given.items()}))
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"Invalid element {row.get('name')!r} of a chart: {error}. Must have the fields "
+                f"of {kind.__name__}."
+            ) from None
+    return Layout(name, width, height, tuple(elements))
+
+
+def _cell(value):
+    """A field as it stands in a table."""
+    if isinstance(value, tuple):
+        return " ".join(f"{share:g}" for share in value)
+    return f"{value:.10g}" if isinstance(value, float) else value
+
+
+def _value(field, text):
+    """A field from what stands in a table."""
+    if field in ("name", "direction", "text", "font", "dictionary", "bits"):
+        return text
+    if field in ("repeats", "identifier", "count"):
+        return int(text)
+    numbers = tuple(float(part) for part in text.split())
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
+    """Return the mean tone of each square cell of a chart.
+
+    Everything but letters consists of rectangles, whose share of a cell is a product of two
+    overlaps and therefore exact. Of letters matplotlib measures the share, to 1/255.
+
+    Parameters
+    ----------
+    layout : Layout
+    cell : float
+        Side of a cell, mm. The last column and row may reach beyond the chart: white there.
+    colour : bool
+        Red, green and blue instead of grey, which is their luminance.
+
+    Returns
+    -------
+    array of float32, shape (rows, columns) or (rows, columns, 3)
+        The first row lies at the lower edge of the chart.
+
+    Raises
+    ------
+    ValueError
+        If the cell is not positive or so small that the image had more than 1e9 cells.
+
+    Examples
+    --------
+    >>> from mmqa_lab.charts import Bar, Layout
+    >>> reflectance(Layout("bar", 4, 2, (Bar("a", 0.5, 0, 2, 1),)), cell=1).tolist()
+    [[0.5, 0.0, 0.5, 1.0], [1.0, 1.0, 1.0, 1.0]]
+    """
+    cell = check_positive(cell, "cell", unit="mm")
+    columns, rows = (int(np.ceil(side / cell - 1e-9)) for side in (layout.width, layout.height))
+    check_count(columns * rows, "number of cells")
+    if columns * rows > 1e9:
+        raise ValueError(f"Invalid cell {cell} mm: {columns * rows} cells. Must be 1e9 or fewer.")
+    if colour:
+        return np.stack([_painted(layout, (rows, columns), cell, w) for w in np.eye(3)], axis=2)
+    return _painted(layout, (rows, columns), cell, LUMINANCE)
+
+
+def _painted(layout, shape, cell, weights):
+    """The image of a chart as a sensor sees it that weighs red, green and blue."""
+    image = np.full(shape, WHITE, dtype=np.float32)
+    for element in layout.elements:
+        element = _seen(element, weights)
+        if isinstance(element, Text):
+            _add_text(image, element, cell)
+        else:
+            _add_grid(image, element, cell)
+    return image
+
+
+def _seen(element, weights):
+    """An element with grey tones in place of its colours."""
+    tones = {name: getattr(element, name, None) for name in ("tone", "ground")}
+    colours = {name: tone for name, tone in tones.items() if isinstance(tone, tuple)}
+    grey = {name: float(np.dot(weights, tone)) for name, tone in colours.items()}
+    return dataclasses.replace(element, **grey) if grey else element
+
+
+def _ink(tone):
+    """The colour of a tone in a file: a grey stays a grey."""
+    coded = encode(np.array(tone, dtype=float), "srgb")
+    return tuple(coded) if coded.ndim else str(float(coded))
+
+
+def _check_element(element):
+    """Every number of an element, named."""
+    for field, value in vars(element).items():
+        name = f"{field} of element {element.name!r}"
+        if field in ("tone", "ground"):
+            for share in value if isinstance(value, tuple) else (value,):
+                check_number(share, name, low=0, high=1)
+        elif field in ("x", "y"):
+            check_number(value, name)
+        elif field in POSITIVE:
+            check_positive(value, name, unit="mm")
+        elif field == "direction":
+            check_choice(value, name, ("h", "v"))
+    if isinstance(element, Marker):
+        _marker_bits(element.dictionary, element.identifier)
+
+
+@lru_cache(maxsize=128)
+def _letters(text, font):
+    """Outline of a text from the start of its base line, in heights of its capitals."""
+    from matplotlib import get_data_path
+    from matplotlib.font_manager import FontProperties, get_font
+    from matplotlib.path import Path as Outline
+    from matplotlib.textpath import TextPath
+
+    file = os.path.join(get_data_path(), "fonts", "ttf", f"{font}.ttf")
+    if not os.path.isfile(file):
+        raise ValueError(f"Invalid font {font!r}. Must be one of matplotlib's, like DejaVuSans.")
+    missing = [letter for letter in text if not get_font(file).get_char_index(ord(letter))]
+    if missing:
+        raise ValueError(f"Invalid text {text!r}. Must do without {missing[0]!r}: not in the font.")
+    face = FontProperties(fname=file)
+    cap = TextPath((0, 0), "H", size=1, prop=face).get_extents().ymax
+    # matplotlib flattens curves to half a unit: here a two thousandth of the capitals
+    outline = TextPath((0, 0), text, size=1000 / cap, prop=face).cleaned(curves=False)
+    drawn = outline.codes != Outline.STOP
+    return Outline(outline.vertices[drawn] / 1000, outline.codes[drawn])
+
+
+@lru_cache
+def _marker_bits(dictionary, identifier):
+    """The modules of a coded target from above, border included: 0 black, 1 white."""
+    import cv2
+
+    known = tuple(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    number = getattr(cv2.aruco, check_choice(dictionary, "dictionary", known))
+    book = cv2.aruco.getPredefinedDictionary(number)
+    if not 0 <= identifier < len(book.bytesList):
+        raise ValueError(
+            f"Invalid target {identifier} of {dictionary}. Must be below {len(book.bytesList)}."
+        )
+    side = book.markerSize + 2
+    return cv2.aruco.generateImageMarker(book, identifier, side) / 255.0
+
+
+def _shapes(element):
+    """The outline of each tone that differs from white; neighbours of a tone are one shape."""
+    import shapely
+    from matplotlib.path import Path as Outline
+
+    if isinstance(element, Text):
+        return {element.tone: element.outline()}
+    x, y, tones = element.grid()
+    low, high = np.stack(np.meshgrid(x[:-1], y[:-1])), np.stack(np.meshgrid(x[1:], y[1:]))
+    boxes, outlines = shapely.box(*low, *high), {}
+    if isinstance(element, Bar):
+        return {element.tone: Outline(shapely.get_coordinates(boxes[0, 0]), closed=True)}
+    for tone in np.unique(tones):
+        if tone != WHITE or element.ground != WHITE:
+            shape = shapely.union_all(boxes[tones == tone])
+            parts = [shapely.geometry.polygon.orient(part) for part in shapely.get_parts(shape)]
+            rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+            paths = [Outline(shapely.get_coordinates(ring), closed=True) for ring in rings]
+            outlines[float(tone)] = Outline.make_compound_path(*paths)
+    return outlines
+
+
+def _add_grid(image, element, cell):
+    """Add the difference of a grid's tones to what lies below them."""
+    x, y, tones = element.grid()
+    first_column, across = _overlaps(x, cell, image.shape[1])
+    first_row, upward = _overlaps(y, cell, image.shape[0])
+    part = upward.T @ (tones - element.ground) @ across
+    rows, columns = part.shape
+    image[first_row : first_row + rows, first_column : first_column + columns] += part
+
+
+def _overlaps(edges, cell, count):
+    """The share of each cell that each interval covers, from the first cell that any covers."""
+    first = int(np.floor(edges[0] / cell))
+    last = min(int(np.ceil(edges[-1] / cell)), count)
+    low = np.arange(first, last) * cell
+    inner = np.minimum(edges[1:, None], low + cell) - np.maximum(edges[:-1, None], low)
+    return first, np.clip(inner, 0, None) / cell
+
+
+def _add_text(image, element, cell):
+    """Add the difference of letters' tone to what lies below them."""
+    from matplotlib.backends.backend_agg import RendererAgg
+    from matplotlib.transforms import Affine2D
+
+    outline = element.outline()
+    if not len(outline.vertices):
+        return
+    box = outline.get_extents().get_points() / cell
+    first = np.maximum(np.floor(box[0]).astype(int), 0)
+    last = np.minimum(np.ceil(box[1]).astype(int), image.shape[::-1])
+    renderer = RendererAgg(*(last - first), 72)
+    plain = renderer.new_gc()
+    plain.set_linewidth(0)
+    plain.set_snap(False)
+    to_cells = Affine2D().scale(1 / cell).translate(*-first)
+    renderer.draw_path(plain, outline, to_cells, (0, 0, 0))
+    share = np.asarray(renderer.buffer_rgba())[::-1, :, 3] / np.float32(255)
+    change = np.float32(element.tone - element.ground)
+    image[first[1] : last[1], first[0] : last[0]] += share * change
