@@ -988,7 +988,7 @@ def _refined(pixels, place, n, rings):
 
 def _place_of_bars(group):
     """Where the group lies in the image."""
-    from mmqa_lab.chart_image.geometry import ChartMap
+    from mmqa_lab.chart_image.placing import ChartMap
 
     period, bars = group["period_px"], group["bars"]
     turn = np.radians(group["angle_deg"])

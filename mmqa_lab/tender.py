@@ -12,8 +12,7 @@ import pandas as pd
 
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_columns, check_positive
-from mmqa_lab.chart_image.legibility import expected_marks
-from mmqa_lab.chart_image.rules import MARKS
+from mmqa_lab.chart_image.rules import MARKS, expected_marks
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
 
@@ -224,7 +223,7 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
     by_pixels : bool
         Give texts of 60 mm that were not judged the marks that their pixels per capital height
         allow: the worst one, and the interval to the best one
-        (:func:`mmqa_lab.chart_image.legibility.expected_marks`).
+        (:func:`mmqa_lab.chart_image.rules.expected_marks`).
 
     Returns
     -------

@@ -11,7 +11,7 @@
 
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
 files, :func:`mmqa_lab.io.read_image` their grey values. What stands in for a jury is in
-:mod:`mmqa_lab.chart_image.legibility`.
+:mod:`mmqa_lab.chart_image.rules`.
 
 Only the window around the chart is evaluated.
 """
@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image import reading
-from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera
-from mmqa_lab.chart_image.placing import align, locate
+from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera, align, locate
 from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,

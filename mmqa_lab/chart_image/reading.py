@@ -17,7 +17,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_image
 from mmqa_lab._results import Shown
-from mmqa_lab.chart_image.geometry import ChartMap
+from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 
 CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
@@ -56,15 +56,7 @@ LARGEST_MISCOUNT = 0.6
 """Bars by which the number seen may differ from the number printed."""
 
 HIDDEN, SURE_CONTRAST = "hidden", 0.3
-"""Reason of patterns that something hides: a finer one is resolved with this contrast, or part of
-the gaps stands out as much."""
-
-HIDDEN_SHARE, HIDDEN_PX = 0.4, 4.0
-"""That part, and the width from which on it is no play of the pixels."""
-
-STRANGE_TONE = 0.2
-"""Blur leaves the mean of black and white at a half. Where something hides a pattern, the means of
-its parts differ by more than this, or all of it is as far from a half."""
+"""Reason of patterns that something hides: a finer one is resolved with this contrast."""
 
 STRIPS, STRIP_PX = 8, 2.0
 """Strips along the bars read on their own, and their smallest height."""
@@ -365,10 +357,6 @@ def read_pattern(tones, pairs, chart_map):
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
     reason = _refusal(width_px, phase, bars, pairs.repeats, share)
     mean = float(np.nanmean(tone)) if np.isfinite(tone).any() else np.nan
-    clear = gaps >= np.maximum(SURE_CONTRAST, 3 * limits)
-    parts = width_px >= HIDDEN_PX and clear.mean() >= HIDDEN_SHARE
-    if reason and width_px >= SMALLEST_PAIR_PX and (parts or _covered(tone)):
-        reason = HIDDEN
     seen = contrast, modulation, worst, phase, bars, share
     return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
 
@@ -622,14 +610,6 @@ def _gaps(across, along, values, pairs, strips, noise):
     gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
     tone = (2 * white + black[:, :-1] + black[:, 1:]) / 4
     return gaps, limits, float(light - dark), tone
-
-
-def _covered(tone):
-    """Whether something hides a pattern, or part of it, by the mean tones of strips and gaps."""
-    known = [part[np.isfinite(part)] for part in (tone.mean(axis=0), tone.mean(axis=1))]
-    if not min(map(len, known)):
-        return False
-    return max(abs(known[0].mean() - 0.5), *map(np.ptp, known)) > STRANGE_TONE
 
 
 def _refusal(width_px, phase, bars, repeats, share):

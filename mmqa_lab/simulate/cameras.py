@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.chart_image.geometry import ChartMap, PanoramaCamera
+from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
 from mmqa_lab.charts import reflectance
 from mmqa_lab.srgb import GAMMAS, encode
 
