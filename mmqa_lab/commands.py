@@ -56,8 +56,7 @@ def table(function):
 
     @functools.wraps(function)
     def command(*files, json=False, csv=None, **choices):
-        if csv is not None and csv.is_dir():
-            raise ValueError(f"Invalid file {csv}: a folder. Must be a file.")
+        _refuse_outputs(csv, choices.get("out"), [*files, *choices.values()])
         frame = function(*files, **choices)
         if csv is not None:
             from mmqa_lab.io import write_atomically
@@ -82,6 +81,17 @@ def table(function):
     del command.__wrapped__
     app.command(command, name=function.__name__.rstrip("_"))
     return function
+
+
+def _refuse_outputs(csv, out, given):
+    """Raise before any work where a table has no place of its own."""
+    if csv is not None and (csv.suffix.lower() != ".csv" or csv.is_dir()):
+        raise ValueError(f"Invalid file {csv}. Must end in .csv.")
+    listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
+    inputs = {str(one) for one in listed if one is not out}
+    for path in (csv, out):
+        if path is not None and str(path) in inputs:
+            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
 
 
 def run(arguments):
@@ -121,24 +131,30 @@ def as_text(frame):
 
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
-    remarks = _remarks(frame)
-    frame = frame.drop(columns="remarks", errors="ignore")
-    frame = frame.replace("", None).dropna(axis=1, how="all")
+    below = _sentences(frame, "remarks")
+    frame = (
+        frame.drop(columns="remarks", errors="ignore").replace("", None).dropna(axis=1, how="all")
+    )
+    for name in frame.columns[1:]:
+        if frame[name].astype(str).str.len().max() > WIDTH / 2:
+            below = [*_sentences(frame, name), *below]
+            frame = frame.drop(columns=name)
     first = frame.columns[0]
     shown = frame.set_index(first).rename_axis(index=None, columns=first)
     style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
     text = shown.to_string(**style)
     if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
         text = shown.T.rename_axis(index=None, columns="").to_string(**style)
-    return "\n".join([text, *(textwrap.fill(remark, WIDTH - 1) for remark in remarks)])
+    return "\n".join([text, *(textwrap.fill(line, WIDTH - 1) for line in below)])
 
 
-def _remarks(frame):
-    """What the rows remark, each sentence once, behind the file that it is about."""
-    if "remarks" not in frame:
+def _sentences(frame, column):
+    """What the rows say in a column, each sentence once, behind the file that it is about."""
+    if column not in frame:
         return []
     names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
-    return (names + frame["remarks"])[frame["remarks"] != ""].unique()
+    names = names if column == "remarks" else names + f"{column}: "
+    return (names + frame[column])[frame[column].fillna("") != ""].unique()
 
 
 def _figure(value):

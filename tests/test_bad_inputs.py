@@ -8,7 +8,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from mmqa_lab import chart_cloud, io, samples, spacing
+from mmqa_lab import chart_cloud, io, plots, samples, spacing
 from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
 
@@ -19,6 +19,9 @@ COMMANDS = [
     ("info none.laz", "none.laz: no such file. Must exist."),
     ("info notes.md", "Must be one of .las, .laz"),
     ("info feet.laz", "in US survey foot"),
+    ("info --csv feet.laz zone32.laz", "Invalid file feet.laz. Must end in .csv."),
+    ("poles words.csv --csv words.csv", "words.csv: it is an input. Must be another file."),
+    ("accuracy PATCH heights.csv --out heights.csv", "heights.csv: it is an input."),
     ("evaluate cut.laz", "Must be a complete LAS or LAZ file."),
     ("evaluate lying.las", "bytes for 5 points where the header says 1000000000000"),
     ("evaluate text.laz", "Must be a complete LAS or LAZ file."),
@@ -111,6 +114,8 @@ FUNCTIONS = [
     (lambda: spacing.quadrants(SQUARE * np.nan), "4 of 4 not finite, the first in row 0"),
     (lambda: io.read_cloud(PATCH, columns=["ring"]), "no column 'ring'. Must have one."),
     (lambda: io.write_cloud("c.ply", SQUARE), "Must be one of .las, .laz."),
+    (lambda: plots.style("Nature").__enter__(), "Invalid journal 'Nature'. Must be one of"),
+    (lambda: plots.subplots(width="triple"), "Invalid width 'triple'. Must be one of"),
     (lambda: samples.path("moon"), "Invalid sample 'moon'. Must be one of"),
 ]
 

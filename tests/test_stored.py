@@ -1,8 +1,17 @@
 """What the repository keeps of a full run: outputs of this code, small, without widgets."""
 
-import nbformat
-import pytest
+import base64
+import io
+import json
 
+import nbformat
+import numpy as np
+import pytest
+from PIL import Image
+
+from mmqa_lab.run import write_text
+from mmqa_lab.run.notebooks import write_outcome
+from mmqa_lab.run.pages import Outcome
 from mmqa_lab.run.store import LARGEST_BYTES, code_hash, store
 from mmqa_lab.studies import STUDIES, notebooks_folder
 
@@ -24,3 +33,50 @@ def test_stored_outputs_are_of_this_code(study):
 def test_a_quick_run_is_not_stored(tmp_path):
     with pytest.raises(ValueError, match="Must be of a full run"):
         store(tmp_path, tmp_path, STUDIES[:1])
+
+
+def picture(pixels):
+    """A noisy picture as PNG, and in base 64."""
+    stream = io.BytesIO()
+    noise = np.random.default_rng(0).integers(0, 255, (pixels, pixels, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(stream, "png")
+    return stream.getvalue(), base64.b64encode(stream.getvalue()).decode()
+
+
+class Ran:
+    """A study of one cell in a folder of its own."""
+
+    stem, notebook = "ran", "99_ran"
+
+    def __init__(self, folder):
+        self.path = folder / "99_ran.ipynb"
+
+
+def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
+    study, results = Ran(tmp_path), tmp_path / "results" / "ran"
+    content, coded = picture(1500)
+    outputs = [
+        nbformat.v4.new_output("stream", name="stderr", text="a warning"),
+        nbformat.v4.new_output("display_data", {"application/vnd.jupyter.widget-view+json": {}}),
+        nbformat.v4.new_output("display_data", {"image/png": coded, "text/plain": "Figure"}),
+    ]
+    cells = [nbformat.v4.new_code_cell("draw()")]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
+    cells[0].outputs = outputs
+    write_text(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
+    (results / "key.png").write_bytes(content)
+    answer = {"sentence": "Yes, by 3 mm.", "figure": "key"}
+    write_text(results / "run.json", json.dumps({"answer": answer}))
+    write_outcome(Outcome("ran", False, failure=""), results)
+    store(tmp_path, results.parent, [study])
+    stored = nbformat.read(study.path, as_version=4)
+    (shown,) = stored.cells[0].outputs
+    width = Image.open(io.BytesIO(base64.b64decode(shown["data"]["image/png"]))).width
+    assert width <= 700
+    assert study.path.stat().st_size <= LARGEST_BYTES
+    assert stored.metadata["mmqa_lab"]["code"] == code_hash(stored)
+    assert (tmp_path / "answers.csv").read_text() == 'study,answer\nran,"Yes, by 3 mm."\n'
+    assert (tmp_path / "thumbnails" / "99_ran.png").is_file()
+    write_text(study.path, study.path.read_text().replace("draw()", "draw(2)"))
+    with pytest.raises(ValueError, match="the notebook changed"):
+        store(tmp_path, results.parent, [study])

@@ -50,25 +50,27 @@ def store(notebooks, folder, studies):
     """
     from mmqa_lab.published.ledger import collect, summary
 
-    folder, notebooks, answers = Path(folder), Path(notebooks), []
+    folder, notebooks = Path(folder), Path(notebooks)
+    kept = notebooks / ANSWERS
+    answers = dict(pd.read_csv(kept).to_numpy()) if kept.is_file() else {}
     for study in studies:
         outcome = read_outcome(folder / study.stem)
         if outcome is None or outcome.quick or not outcome.ok:
             raise ValueError(f"Invalid results of {study.stem}. Must be of a full run to its end.")
         ran = nbformat.read(folder / study.stem / f"{study.stem}.ipynb", as_version=4)
-        kept = nbformat.read(study.path, as_version=4)
-        if [cell.source for cell in ran.cells] != [cell.source for cell in kept.cells]:
+        plain = nbformat.read(study.path, as_version=4)
+        if [cell.source for cell in ran.cells] != [cell.source for cell in plain.cells]:
             raise ValueError(
                 f"Invalid results of {study.stem}: the notebook changed. Run it again."
             )
-        write_atomically(study.path, nbformat.writes(_lightened(ran, kept)) + "\n")
+        write_atomically(study.path, nbformat.writes(_lightened(ran, plain)) + "\n")
         answer = read_record(folder / study.stem)["answer"]
-        answers.append((study.stem, answer["sentence"]))
-        figure = answer["figure"]
-        picture = Image.open(folder / study.stem / f"{figure}.png").convert("RGB")
+        answers[study.stem] = answer["sentence"]
+        picture = Image.open(folder / study.stem / f"{answer['figure']}.png")
         _save(picture, notebooks / "thumbnails" / f"{study.notebook}.png", THUMBNAIL_PX, colours=64)
-    table = pd.DataFrame(answers, columns=["study", "answer"])
-    write_atomically(notebooks / ANSWERS, table)
+    write_atomically(kept, pd.DataFrame(answers.items(), columns=["study", "answer"]))
+    if not (folder / KEY_FIGURE).is_file():
+        return
     _save(Image.open(folder / KEY_FIGURE), notebooks / "key_figure.png", 1000, colours=128)
     figure = _ledger_figure(summary(collect(folder)))
     write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=120))

@@ -1,6 +1,5 @@
 """JupyterLab on copies of the study notebooks, driven by Chromium."""
 
-import ast
 import json
 import os
 import shutil
@@ -13,9 +12,9 @@ import urllib.request
 
 import nbformat
 import pytest
-from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run.notebooks import inject
+from mmqa_lab.run.students import needed_cells
 from mmqa_lab.studies import chosen, notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -101,7 +100,7 @@ def lab(lab_folder):
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
         inject(notebook, chosen([name])[0].quick)
-        notebook.cells = explorers(notebook.cells)
+        notebook.cells = needed_cells(notebook.cells, {"widgets"})
         nbformat.write(notebook, copies / f"{name}.ipynb")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -125,23 +124,6 @@ def lab(lab_folder):
         finally:
             server.terminate()
             server.wait(30)
-
-
-def explorers(cells):
-    """The cells with controls, and those that they need."""
-    kept, needed = [], {"widgets"}
-    for cell in reversed(cells):
-        if cell.cell_type == "code":
-            code = ast.parse(TransformerManager().transform_cell(cell.source))
-            names = [node for node in ast.walk(code) if isinstance(node, ast.Name)]
-            named = {node.id for node in names}
-            made = {node.id for node in names if isinstance(node.ctx, ast.Store)}
-            made |= {node.asname or node.name for node in ast.walk(code) if hasattr(node, "asname")}
-            made |= {node.name for node in ast.walk(code) if isinstance(node, ast.FunctionDef)}
-            if "widgets" in named or made & needed:
-                needed |= named
-                kept.insert(0, cell)
-    return kept
 
 
 def _environment(folder):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.published.ledger import entry
-from mmqa_lab.run import Check, Run, notebooks, pages
+from mmqa_lab.run import Run, notebooks, pages
 from mmqa_lab.run.students import PYTHON
 from mmqa_lab.studies import STUDIES
 
@@ -38,14 +38,13 @@ def write_study(study, folder):
     figure, ax = plt.subplots(figsize=(3.3, 2.4))
     ax.plot([1, 2])
     run.save_figure(figure, "seen", seen="A line.")
-    report = run.save_report(
-        title="Report", tables={"F": pd.DataFrame({"f": [2.0]})}, figures={"A line": figure}
-    )
+    tables, figures = {"F": pd.DataFrame({"f": [2.0]})}, {"A line": figure}
+    pages.write_report(folder / "report.html", title="Report", tables=tables, figures=figures)
     plt.close(figure)
-    assert report.is_file()
     run.save_answer("f is 2 on a lattice that is stretched by 2. " * 5, figure="seen")
     run.save_ledger([entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", note="A.")])
-    run.save_checks([Check("f is 2.", True, "f = 2.0", "digits"), Check("g is 2.", False, "3", "")])
+    run.check("f is 2.", True, "f = 2.0", "digits")
+    run.check("g is 2.", False, "3", "")
     run.finish()
     table = {"text/html": pd.DataFrame({f"column_{k}_m": [k] for k in range(40)}).to_html()}
     output = nbformat.v4.new_output("display_data", data=table)
@@ -54,7 +53,9 @@ def write_study(study, folder):
     notebook = nbformat.v4.new_notebook(cells=cells, metadata={"language_info": PYTHON})
     page = pages.notebook_page(notebook, study.title, figures={})
     (folder / f"{study.stem}.html").write_text(page, encoding="utf-8")
-    notebooks._write(pages.Outcome(study.stem, False, failure="", checks=2, passed=1), folder)
+    notebooks.write_outcome(
+        pages.Outcome(study.stem, False, failure="", checks=2, passed=1), folder
+    )
 
 
 @pytest.fixture
