@@ -76,22 +76,18 @@ def test_gauss_markov_forgets_at_the_correlation_time(rng):
     assert np.mean(values[:-50] * values[50:]) == pytest.approx(np.exp(-1), abs=0.04)
 
 
-def test_navigation_errors_are_kept_apart_from_the_truth():
-    path = simulate.straight(1200, 10)
-    errors = NavigationErrors(
-        bias_m=(0.03, -0.02, 0.05), white_m=0.01, white_deg=(0.1, 0.2, 0.3), bias_deg=1.0
-    )
+def test_navigation_errors_have_their_size_and_drift_slowly():
+    path = simulate.straight(12_000, 10)
+    errors = NavigationErrors(drift_m=(0.1, 0.0, 0.2), drift_deg=(0, 0, 0.3), correlation_s=5)
     known = simulate.measured(path, errors, seed=1)
-    truth = path.at(known.time)[0]
-    shift = known.position - truth
-    assert np.allclose(shift.mean(axis=0), [0.03, -0.02, 0.05], atol=4 * 0.01 / np.sqrt(len(shift)))
-    assert np.allclose(shift.std(axis=0), 0.01, rtol=0.05)
-    assert known.heading.std() == pytest.approx(0.3, rel=0.05)
-    assert known.roll.mean() == pytest.approx(1.0, abs=0.01)
-    assert path.position.tolist() == [[0, 0, 0], [0, 1200, 0]]
-    drift = simulate.measured(path, NavigationErrors(drift_m=0.1, correlation_s=5), seed=1)
-    jump = np.diff(drift.position[:, 0])
-    assert jump.std() == pytest.approx(0.1 * np.sqrt(2 * 0.01 / 5), rel=0.05)  # smooth
+    shift = known.position - path.at(known.time)[0]
+    # 1200 s are 120 times twice the correlation time
+    assert np.allclose(shift.std(axis=0), [0.1, 0, 0.2], rtol=0.2)
+    assert known.heading.std() == pytest.approx(0.3, rel=0.2)
+    assert not known.roll.any()
+    jump = np.diff(shift[:, 0])
+    assert jump.std() == pytest.approx(0.1 * np.sqrt(2 * 0.01 / 5), rel=0.05)
+    assert path.position.tolist() == [[0, 0, 0], [0, 12_000, 0]]
 
 
 @pytest.mark.parametrize(

@@ -22,15 +22,7 @@ from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
 from mmqa_lab.charts import reflectance
 from mmqa_lab.srgb import GAMMAS, encode
 
-__all__ = [
-    "ChartMap",
-    "Optics",
-    "PanoramaCamera",
-    "Photo",
-    "Sensor",
-    "chart_view",
-    "photograph",
-]
+__all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
 SUPERSAMPLING = 6
 """Samples along each side of a pixel."""
@@ -57,9 +49,6 @@ class Optics:
 
     def __post_init__(self):
         check_number(self.sigma_px, "sigma_px", low=0, unit="pixels")
-        check_number(self.defocus_px, "defocus_px", low=0, unit="pixels")
-        for step in self.travel:
-            check_number(step, "travel")
 
 
 @dataclass(frozen=True)
@@ -94,16 +83,9 @@ class Sensor:
     jpeg_quality: int | None = None
 
     def __post_init__(self):
-        check_number(self.black, "black", low=0, high=1)
         check_number(self.white, "white", low=self.black, high=1)
-        check_number(self.noise, "noise", low=0)
-        check_number(self.shot_share, "shot_share", low=0, high=1)
         check_choice(self.gamma, "gamma", GAMMAS)
-        check_choice(self.bits, "bits", (8, 16, None))
-        if self.jpeg_quality is not None:
-            check_number(self.jpeg_quality, "jpeg_quality", low=1, high=100)
-            if self.bits != 8:
-                raise ValueError(f"Invalid bits {self.bits}. Must be 8 for JPEG.")
+        check_choice(self.bits, "bits", (8, 16, None) if self.jpeg_quality is None else (8,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +227,7 @@ def _window(layout, chart_map, margin):
     low = np.floor(pixels.min(axis=0)).astype(int) - margin
     high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
     if chart_map.camera is not None:
-        limit = np.array([chart_map.camera.width, chart_map.camera.height])
+        limit = chart_map.camera.width, chart_map.camera.height
         low, high = np.maximum(low, 0), np.minimum(high, limit)
     size = high - low
     if (size < 2).any() or size.prod() > 1e9:

@@ -102,10 +102,7 @@ def point_pattern(
     density = check_positive(density, "density", unit="points per m2")
     size = check_positive(size, "size", unit="m")
     ratio = check_number(ratio, "ratio", low=1)
-    angle = check_number(angle, "angle", unit="degrees")
-    noise = check_number(noise, "noise", low=0, unit="m")
-    rounding = check_number(rounding, "rounding", low=0, unit="m")
-    jitter = check_number(jitter, "jitter", low=0)
+    check_number(noise, "noise", low=0, unit="m")
     rng = np.random.default_rng(seed)
     reach = size * np.sqrt(0.5) + 5 * noise
     lines = kind in ("scan_lines", "two_heads")
@@ -245,27 +242,15 @@ def hard_core_points(size, density, hard_core, rng):
     Illian, Penttinen, Stoyan & Stoyan 2008, Statistical Analysis and Modelling of Spatial Point
     Patterns, section 6.5.2.
     """
-    core, needed = matern(density, hard_core)
-    low, high = np.array([-core, -core]), size + core
-    points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
-    points = points[~older_within(points, core)]
-    return points[((points >= 0) & (points < size)).all(axis=1)]
-
-
-def matern(density, hard_core):
-    """Core radius, and Poisson density of which ``density`` remains after thinning."""
     core = hard_core / np.sqrt(density)
     disc = np.pi * core**2
-    return core, density if core == 0 else -np.log(1 - density * disc) / disc
-
-
-def older_within(points, core):
-    """Which points have an older one, that is an earlier one, within the core."""
-    younger = np.zeros(len(points), dtype=bool)
+    needed = -np.log(1 - density * disc) / disc if core else density
+    low, high = np.array([-core, -core]), size + core
+    points = rng.uniform(low, high, (rng.poisson(needed * np.prod(high - low)), 2))
     if core:
         pairs = cKDTree(points).query_pairs(core, output_type="ndarray")
-        younger[pairs.max(axis=1)] = True
-    return younger
+        points = np.delete(points, pairs.max(axis=1), axis=0)
+    return points[((points >= 0) & (points < size)).all(axis=1)]
 
 
 def _placed(drawn, rng, density, reach, ratio, angle):
