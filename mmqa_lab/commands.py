@@ -367,8 +367,7 @@ def plan(
     }
     setup = _setup(scanner, speed, {name: one for name, one in given.items() if one is not None})
     lattice = scan_pattern.scan_lattice(setup, target.patch(setup))
-    rows = {name: float(lattice.quantity(name)) for name in scan_pattern.QUANTITIES}
-    frame = pd.DataFrame({"quantity": rows.keys(), "predicted": rows.values()})
+    frame = lattice.to_frame().T.reset_index().set_axis(["quantity", "predicted"], axis=1)
     if sigma:
         pairs = [re.fullmatch(r"(\w+)=([\d.eE+-]+)", text) for text in sigma]
         if not all(pairs):
@@ -404,8 +403,6 @@ def pattern(
     /,
     *,
     polygon: str | None = None,
-    mirror_frequency: float | None = None,
-    pulse_rate: float | None = None,
 ):
     """Measure the scan pattern of a planar patch: profile spacing, profile angle, point spacing.
 
@@ -418,21 +415,16 @@ def pattern(
         LAS, LAZ, COPC, PLY or text.
     polygon
         Of the patch: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
-    mirror_frequency
-        Revolutions a second, if known.
-    pulse_rate
-        Pulses a second, if known.
     """
     import pandas as pd
 
     from mmqa_lab import io, scan_pattern
 
-    rates = {"mirror_frequency_hz": mirror_frequency, "pulse_rate_hz": pulse_rate}
     rows = []
     for file in _progress(clouds, "cloud"):
         cloud = _within(io.read_cloud(file), polygon)
         numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
-        found = scan_pattern.measure_pattern(cloud, **numbers, **rates)
+        found = scan_pattern.measure_pattern(cloud, **numbers)
         frame = found.to_frame()
         frame.insert(0, "file", file.name)
         rows.append(frame)

@@ -122,11 +122,12 @@ def pole(seed, known, n):
 
 def pattern(seed, by):
     """The scan pattern of a wall, 1 m x 1 m, from a vehicle whose speed wanders by 1 %."""
-    cloud, truth = simulate_patch(SETUP, WALL, size=1.0, seed=seed)
+    cloud, driven = simulate_patch(SETUP, WALL, size_m=1.0, seed=seed)
+    truth = scan_lattice(driven, WALL)
     table = measure_pattern(cloud, reference=truth.beam, **{by: cloud[by]}).to_frame()
     return {
-        row.quantity.rsplit("_", 1)[0]: around(row.measured, row.std, truth.quantity(row.quantity))
-        for row in table.itertuples()
+        row.quantity.rsplit("_", 1)[0]: around(row.measured, row.std, getattr(truth, row.quantity))
+        for row in table.dropna().itertuples()  # without time there is no point spacing
     }
 
 
@@ -143,7 +144,7 @@ def prediction(seed, plan):
     wall = Target(heading_deg=5, tilt_deg=3, range_m=5 + off["range_m"])
     lattice = scan_lattice(setup, wall.patch(setup))
     return {
-        row.quantity: (row.low, row.high, float(lattice.quantity(row.quantity)))
+        row.quantity: (row.low, row.high, float(getattr(lattice, row.quantity)))
         for row in table.itertuples()
         if np.isfinite(row.low) and row.quantity.split("_")[0] in ("profile", "point", "density")
     }

@@ -34,7 +34,7 @@ def test_monte_carlo_agrees_with_derivatives_by_differences():
             replace(MIMIC, **{name: getattr(MIMIC, name) + step * sigma / 10}) for step in (-1, 1)
         ]
         low, high = (scan_lattice(end, target.patch(MIMIC)) for end in ends)
-        change = [float(high.quantity(q) - low.quantity(q)) for q in smooth]
+        change = [float(getattr(high, q) - getattr(low, q)) for q in smooth]
         squares += (5 * np.array(change)) ** 2
     drawn = propagate(MIMIC, target, sigmas=sigmas, draws=20_000, seed=3).set_index("quantity")
     # a standard deviation from 20,000 draws is good to 0.5 %; 4 sigma and second order: 3 %
@@ -49,7 +49,7 @@ def test_largest_speed_keeps_the_limit_and_no_larger_one_does(quantity, limit):
     target = Target(range_m=5)
     speed = largest_speed(setup, target, quantity=quantity, limit=limit)
     at = replace(setup, speed_m_s=speed * np.array([1.0, 1.0001, 1.05, 1.5, 3.0]))
-    values = scan_lattice(at, target.patch(at)).quantity(quantity)
+    values = getattr(scan_lattice(at, target.patch(at)), quantity)
     assert values[0] == pytest.approx(limit, rel=1e-6)
     assert ((values[1:] < limit) if quantity == "density_per_m2" else (values[1:] > limit)).all()
 
@@ -63,13 +63,13 @@ def test_largest_speed_has_the_closed_form_of_density():
 def test_explained_errors_are_errors_that_they_explain():
     target = Target(heading_deg=-20, tilt_deg=10, range_m=9, height_difference_m=1)
     quantity = "profile_spacing_vertical_m"
-    now = float(scan_lattice(MIMIC, target.patch(MIMIC)).quantity(quantity))
+    now = float(getattr(scan_lattice(MIMIC, target.patch(MIMIC)), quantity))
     table = explain_error(MIMIC, target, quantity=quantity, measured=now + 0.002)
     change = table.set_index("input")["change"]
     for name in ("scanner_heading_deg", "scanner_tilt_deg", "mirror_frequency_hz", "speed_m_s"):
         changed = replace(MIMIC, **{name: getattr(MIMIC, name) + change[name]})
         patch = target.patch(MIMIC)
-        assert scan_lattice(changed, patch).quantity(quantity) == pytest.approx(now + 0.002)
+        assert getattr(scan_lattice(changed, patch), quantity) == pytest.approx(now + 0.002)
     assert change["speed_m_s"] > 0 > change["mirror_frequency_hz"]
     with pytest.raises(ValueError, match="Invalid quantity 'f'"):
         explain_error(MIMIC, target, quantity="f", measured=2.0)

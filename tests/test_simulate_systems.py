@@ -52,9 +52,8 @@ def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
     lattice = scan_lattice(setup, Patch([distance, 0, 0], [1, 0, 0]))
     # counts of 1000 to 2400 points by lines of 10 to 25: 2 %; off the middle ranges grow by 0.5 %
     assert quality.density_polygon_per_m2 == pytest.approx(lattice.density_per_m2, rel=0.025)
-    d = 1000 * lattice.distances_m
-    assert quality.d1_mm == pytest.approx(d[0], rel=0.02)
-    assert quality.d4_mm == pytest.approx(d[3], rel=0.02)
+    assert quality.d1_mm == pytest.approx(lattice.d1_mm, rel=0.02)
+    assert quality.d4_mm == pytest.approx(lattice.d4_mm, rel=0.02)
 
 
 def test_density_of_system_b_does_not_depend_on_its_spin():

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares, nnls
 
 from mmqa_lab.boresight.features import COMMON, OWN_PARAMETERS, measured, near_own
 from mmqa_lab.planes import CONSISTENT_SCALE, sigma_mad
-from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.scan_pattern import rotations
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Of each head: boresight, then what is to be added to the assumed lever arm."""

@@ -8,34 +8,40 @@ counter-clockwise positive: a target of positive heading is turned towards the v
 positive tilt leans away from it. This reading of Cahalane et al. 2014
 (doi 10.3390/s140609471, equation 1) is the one that gives their Table 3.
 
-The core is the scan lattice of two steps on the surface: to the next pulse, and to the same mirror
-angle one revolution later. Start here::
+The core is the scan lattice of two steps on the surface: to the next pulse, and to the next
+profile. Start here::
 
-    from mmqa_lab import scan_pattern
+    from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
 
-    setup = scan_pattern.ScanSetup(
+    setup = ScanSetup(
         pulse_rate_hz=300_000, mirror_frequency_hz=100, speed_m_s=10,
         scanner_heading_deg=45, scanner_tilt_deg=45,
     )
-    wall = scan_pattern.Target(heading_deg=15, range_m=5).patch(setup)
-    lattice = scan_pattern.scan_lattice(setup, wall)
+    lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5))
     lattice.profile_spacing_horizontal_m, lattice.density_per_m2, lattice.f
 
-Measured patterns: :func:`measure_pattern` on planar patches with time or scan lines.
+Planning: :func:`largest_speed`, :func:`propagate`, :func:`explain_error`. Measured patterns:
+:func:`measure_pattern`. The paper's own equations: :mod:`mmqa_lab.scan_pattern.mimic`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import brentq
+
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern import mimic
-from mmqa_lab.scan_pattern.lattice import (
-    QUANTITIES,
-    Patch,
-    ScanSetup,
-    Target,
-    explain_error,
-    largest_speed,
-    propagate,
-    scan_lattice,
-)
-from mmqa_lab.scan_pattern.measure import measure_pattern, revolutions_from_time
+from mmqa_lab.scan_pattern.measure import LEVEL, measure_pattern, revolutions_from_time
+from mmqa_lab.scan_pattern.mimic import check_values, rotations, target_normal, turned
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "QUANTITIES",
@@ -48,6 +54,659 @@ __all__ = [
     "mimic",
     "propagate",
     "revolutions_from_time",
+    "rotations",
     "scan_lattice",
 ]
 __dir__ = __all__.copy
+
+# Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
+SMOOTH = (
+    *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
+    *("profile_angle_deg", "point_spacing_m", "density_per_m2"),
+)
+QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
+"""What a lattice predicts, in the order of its table."""
+
+EXPLAINED = (
+    *(f"{side}_{turn}_deg" for side in ("scanner", "target") for turn in ("heading", "tilt")),
+    *("mirror_frequency_hz", "speed_m_s"),
+)
+"""The inputs of Table 6."""
+
+TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
+FEWEST = 100  # pulses a revolution: with fewer a step of the mirror is no small step on the surface
+SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the last that will do is refined, m/s
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSetup:
+    """A profile scanner on a vehicle that drives along Y: MIMIC's five numbers.
+
+    Every number may be an array; arrays broadcast, so that a sweep or a Monte-Carlo draw is one
+    set-up.
+
+    Parameters
+    ----------
+    pulse_rate_hz : float
+        Pulses per second (PRR).
+    mirror_frequency_hz : float
+        Revolutions per second, one profile each (Mf). Pulses run upwards on the +X side.
+    speed_m_s : float
+        Speed along Y (v).
+    scanner_heading_deg, scanner_tilt_deg : float
+        Mounting (MIMIC's alpha_scan and gamma_scan), counter-clockwise positive about Z and X;
+        tilt first.
+
+    Raises
+    ------
+    ValueError
+        If a rate or the speed is not above zero, a number is not finite, a revolution has fewer
+        than 100 pulses, or the scan plane contains the direction of travel.
+
+    Examples
+    --------
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> setup.rotation[:, 1].round(4).tolist()  # the normal of the scan plane
+    [-0.5, 0.5, 0.7071]
+    """
+
+    pulse_rate_hz: float
+    mirror_frequency_hz: float
+    speed_m_s: float
+    scanner_heading_deg: float = 0.0
+    scanner_tilt_deg: float = 0.0
+
+    def __post_init__(self):
+        for name in SETUP_NAMES:
+            check_values(getattr(self, name), name, positive=not name.endswith("_deg"))
+        if np.min(np.divide(self.pulse_rate_hz, self.mirror_frequency_hz)) < FEWEST:
+            raise ValueError(
+                f"Invalid pulse_rate_hz {self.pulse_rate_hz} for mirror_frequency_hz "
+                f"{self.mirror_frequency_hz}. Must be {FEWEST} pulses a revolution or more."
+            )
+        if (np.abs(self.rotation[..., 1, 1]) < 1e-9).any():
+            raise ValueError(
+                f"Invalid scanner_heading_deg {self.scanner_heading_deg} with scanner_tilt_deg "
+                f"{self.scanner_tilt_deg}. Must turn the scan plane off the direction of travel."
+            )
+
+    @classmethod
+    def of_scanner(cls, scanner: Any, *, speed_m_s: float) -> ScanSetup:
+        """Return the set-up of a simulated profile scanner, driven at a speed.
+
+        Its boresight and lever arm are left out. A head of several layers, as Sensei's, counts as
+        one: the layer of its own ``tilt_deg``.
+
+        Parameters
+        ----------
+        scanner : object
+            Has ``pulse_rate_hz``, ``mirror_frequency_hz``, ``heading_deg`` and ``tilt_deg``, as
+            ``simulate.ProfileScanner`` does.
+        speed_m_s : float
+        """
+        return cls(
+            pulse_rate_hz=scanner.pulse_rate_hz,
+            mirror_frequency_hz=scanner.mirror_frequency_hz,
+            speed_m_s=speed_m_s,
+            scanner_heading_deg=scanner.heading_deg,
+            scanner_tilt_deg=scanner.tilt_deg,
+        )
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation (..., 3, 3); its columns: level and normal of the scan plane, upward in it."""
+        return turned(z=self.scanner_heading_deg, x=self.scanner_tilt_deg)
+
+
+SETUP_NAMES = tuple(field.name for field in fields(ScanSetup))
+
+
+class Patch(NamedTuple):
+    """Small pieces of any surface, each by its place and its normal.
+
+    Parameters
+    ----------
+    points : array_like, shape (..., 3)
+        X and Z from the scanner in metres; Y is free, for the scan comes past every Y.
+    normals : array_like, shape (..., 3)
+        Of any length.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """MIMIC's target: a plane at a distance, tilted, then turned.
+
+    Parameters
+    ----------
+    heading_deg : float
+        alpha_targ: positive turns the wall towards the vehicle, negative away.
+    tilt_deg : float
+        beta_targ: positive leans its top away from the vehicle.
+    range_m : float
+        Horizontal range (Hr): X of the plane where the horizontal pulse of the level vehicle
+        strikes it. That pulse is ``range_m / cos(scanner heading)`` long.
+    height_difference_m : float
+        Height of the evaluated spot above the scanner (h_targ - h_scan).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or the range is not above zero.
+
+    Examples
+    --------
+    >>> wall = Target(heading_deg=15, tilt_deg=30, range_m=5)
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10)
+    >>> wall.patch(setup).normals.round(4).tolist()
+    [-0.8365, -0.2241, 0.5]
+    """
+
+    heading_deg: float = 0.0
+    tilt_deg: float = 0.0
+    range_m: float
+    height_difference_m: float = 0.0
+
+    def __post_init__(self):
+        for name in ("heading_deg", "tilt_deg", "height_difference_m"):
+            check_values(getattr(self, name), f"target {name}")
+        check_values(self.range_m, "range_m", positive=True)
+
+    def patch(self, setup: ScanSetup) -> Patch:
+        """Return the spot of the plane that is evaluated.
+
+        Raises
+        ------
+        ValueError
+            If the horizontal pulse does not meet the plane's front.
+        """
+        level, _, upward = np.moveaxis(setup.rotation, -1, 0)
+        normal = target_normal(self.heading_deg, self.tilt_deg)
+        facing = _dot(normal, level)
+        if (np.minimum(facing, level[..., 0]) < 1e-9).any():
+            raise ValueError(
+                f"Invalid target heading {self.heading_deg} and tilt {self.tilt_deg} for a scanner "
+                f"heading of {setup.scanner_heading_deg}. Must let the horizontal pulse strike the "
+                "front: headings less than 90 degrees apart, tilt less than 90."
+            )
+        lift = self.height_difference_m / upward[..., 2]
+        along = self.range_m / level[..., 0] - lift * _dot(normal, upward) / facing
+        return Patch(along[..., None] * level + lift[..., None] * upward, -normal)
+
+
+TARGET_NAMES = {"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"}
+TARGET_NAMES |= {name: name for name in ("range_m", "height_difference_m")}
+INPUTS = (*SETUP_NAMES, *TARGET_NAMES)  # names of what may be in error
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice(Shown):
+    """Steps on the surface from pulse to pulse and from profile to profile.
+
+    Parameters
+    ----------
+    beam : array, shape (..., 3)
+        From the scanner to the spot, metres.
+    incidence_deg : array
+        Angle between beam and normal, 0 to 90.
+    axes : array, shape (..., 2, 3)
+        The horizontal line of the surface and its line of greatest slope; on a level surface,
+        across the track and along it.
+    a : array, shape (..., 2)
+        Step along ``axes`` from a pulse to the next, m; the spot is halfway in time.
+    b : array, shape (..., 2)
+        Step to the next profile, the spot halfway in time: to the same mirror angle where PRR / Mf
+        is whole, else to the pulse nearest to it.
+    profile_spacing_perpendicular_m : array
+        Gap between neighbouring profiles.
+    profile_spacing_horizontal_m, profile_spacing_vertical_m : array
+        Gap along the horizontal line (d_PrSH) and along the slope (d_PrSV); inf along profiles, NaN
+        if level.
+    profile_angle_deg : array
+        Angle between profiles and the horizontal line, 0 to 90 (theta_PrA); NaN if level.
+    point_spacing_m : array
+        Distance to the next point of the profile (d_PS).
+    density_per_m2 : array
+        PRR cos(i) / (2 pi R v |Y.n_scan|), in which the mirror frequency does not appear.
+    d1_mm, d4_mm, f : array
+        Quadrant distances of the chart's metric along ``axes`` and f = d4 / d1. In a lattice
+        d2 = d1 and d3 = d4, for it looks the same from behind.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
+    >>> scanner = {"pulse_rate_hz": 1e6, "mirror_frequency_hz": 200, "scanner_tilt_deg": 45}
+    >>> found = scan_lattice(ScanSetup(**scanner, speed_m_s=10), Target(range_m=5))
+    >>> float(found.density_per_m2.round(6)), float(found.profile_spacing_horizontal_m.round(6))
+    (4501.581581, 0.05)
+    """
+
+    beam: np.ndarray
+    incidence_deg: np.ndarray
+    axes: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    profile_spacing_perpendicular_m: np.ndarray
+    profile_spacing_horizontal_m: np.ndarray
+    profile_spacing_vertical_m: np.ndarray
+    profile_angle_deg: np.ndarray
+    point_spacing_m: np.ndarray
+    density_per_m2: np.ndarray
+    d1_mm: np.ndarray
+    d4_mm: np.ndarray
+    f: np.ndarray
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a DataFrame of ``QUANTITIES``, a row per spot."""
+        return pd.DataFrame({name: np.ravel(getattr(self, name)) for name in QUANTITIES})
+
+    def points(self, half_width: float = 0.25) -> np.ndarray:
+        """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
+        reach = np.abs(np.linalg.inv(np.array([self.a, self.b]).T)).sum(axis=1) * half_width
+        i, j = np.meshgrid(*(np.arange(-r, r + 1) for r in np.minimum(np.ceil(reach), 2000)))
+        xy = np.multiply.outer(i, self.a) + np.multiply.outer(j, self.b)
+        return xy[(np.abs(xy) <= half_width).all(axis=-1)]
+
+    def plot(self, *, ax: Axes | None = None, half_width: float = 0.25) -> Axes:
+        """Draw the points about a single spot and the two steps, millimetres; return the axes."""
+        from mmqa_lab.plots import COLOURS, subplots
+
+        ax = ax or subplots()[1]
+        ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
+        for step, name in ((self.a, "a"), (self.b, "b")):
+            colour = COLOURS["vermilion" if name == "a" else "blue"]
+            ax.plot(*zip((0, 0), 1000 * step, strict=True), "-", color=colour, lw=1.5)
+            ax.annotate(name, 1000 * step, (4, 4), textcoords="offset points", color=colour)
+        ends = (-1000 * half_width, 1000 * half_width)
+        ax.set(xlim=ends, ylim=ends, aspect="equal")
+        ax.set(xlabel="along the level line (mm)", ylabel="up the slope (mm)")
+        return ax
+
+
+def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
+    """Return the scan lattice on each piece of a surface.
+
+    The piece is struck when the scan plane comes past it. The pulses half a step before and after,
+    and those half a revolution before and after, are intersected with the piece's plane in closed
+    form, each from where the scanner then is.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+    patch : Patch or Target
+        Its shape and the set-up's broadcast.
+
+    Returns
+    -------
+    Lattice
+        NaN where a pulse does not meet the plane.
+
+    Raises
+    ------
+    ValueError
+        If a place or normal is not finite, a normal has no length, or shapes do not fit.
+
+    Notes
+    -----
+    The lattice is local: over a wall of some metres range and incidence change, and so do the
+    steps. Laid about the spot they are those of the spot; a step from the spot to the next pulse
+    differs by half of what spacing changes from step to step (0.2 to 2 %), upwards and downwards
+    with opposite signs. 1 / |a x b| is the density up to the square of the mirror's step (1e-5).
+
+    References
+    ----------
+    Cahalane et al. 2014, equations 2-10. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5))
+    >>> round(lattice.profile_spacing_horizontal_m.item(), 6)
+    0.08165
+    """
+    points, normal = _checked(patch.patch(setup) if isinstance(patch, Target) else patch)
+    pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
+    speed = np.asarray(setup.speed_m_s, dtype=np.float64)
+    level, plane, upward = np.moveaxis(setup.rotation, -1, 0)
+    # from where the scanner is when its plane comes past the points
+    beam = points - (_dot(points, plane) / plane[..., 1])[..., None] * TRAVEL
+    scan_angle = np.arctan2(_dot(beam, upward), _dot(beam, level))
+
+    def strike(seconds, turns):
+        """Where the pulse some time and turns of the mirror later meets the plane."""
+        angle = scan_angle + 2 * np.pi * turns
+        aim = np.cos(angle)[..., None] * level + np.sin(angle)[..., None] * upward
+        start = (speed * seconds)[..., None] * TRAVEL
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = _dot(beam - start, normal) / _dot(aim, normal)
+        ahead = np.isfinite(reach) & (reach > 0)
+        return start + np.where(ahead, reach, np.nan)[..., None] * aim
+
+    def step(pulses):
+        """Step along the axes over some pulses, the spot in the middle, whole turns left out."""
+        seconds, turns = pulses / pulse_rate, pulses * mirror / pulse_rate
+        turns = turns - np.round(turns)
+        ends = [strike(side * seconds, side * turns) for side in (-0.5, 0.5)]
+        return (axes @ (ends[1] - ends[0])[..., None])[..., 0]
+
+    axes, flat = _axes(normal)
+    a, b = step(1.0), step(np.round(pulse_rate / mirror))
+    length, reach = np.linalg.norm(a, axis=-1), np.linalg.norm(beam, axis=-1)
+    cosine = np.abs(_dot(beam, normal)) / reach
+    density = pulse_rate * cosine / (2 * np.pi * reach * speed * np.abs(plane[..., 1]))
+    d1, d4 = lattice_distances(a, b)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cell = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+        along, up = np.moveaxis(np.where(flat[..., None], np.nan, np.abs(a)), -1, 0)
+        return Lattice(
+            beam=beam,
+            incidence_deg=np.degrees(np.arccos(np.minimum(cosine, 1))),
+            axes=axes,
+            a=a,
+            b=b,
+            profile_spacing_perpendicular_m=cell / length,
+            profile_spacing_horizontal_m=cell / up,
+            profile_spacing_vertical_m=cell / along,
+            profile_angle_deg=np.degrees(np.arctan2(up, along)),
+            point_spacing_m=length,
+            density_per_m2=np.broadcast_to(density, length.shape)[()],
+            d1_mm=1000 * d1,
+            d4_mm=1000 * d4,
+            f=d4 / d1,
+        )
+
+
+def lattice_distances(a, b):
+    """Return d1 = d2 and d3 = d4 of an endless lattice: nearest points of its quadrants.
+
+    The quadrants are half open, each without the axis on its counter-clockwise side. The basis is
+    reduced (Lagrange); the nearest point of each quadrant is then within three steps.
+
+    Parameters
+    ----------
+    a, b : array_like, shape (..., 2)
+        Two steps that span the lattice, in the axes of the quadrants.
+
+    Returns
+    -------
+    tuple of array
+        In the unit of the steps; NaN where a step is not finite or the two are parallel.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> [round(d.item(), 6) for d in lattice_distances([0.004, 0], [0.001, 0.047])]
+    [0.004, 0.047096]
+    """
+    a, b = np.broadcast_arrays(*(np.asarray(step, dtype=np.float64) for step in (a, b)))
+    area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    with np.errstate(invalid="ignore"):
+        spans = area > 1e-12 * np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    short, long = _reduced(
+        np.where(spans[..., None], a, [1.0, 0.0]), np.where(spans[..., None], b, [0.0, 1.0])
+    )
+    i, j = np.mgrid[-3:4, -3:4].reshape(2, -1, 1)
+    near = i * short[..., None, :] + j * long[..., None, :]
+    length = np.linalg.norm(near, axis=-1)
+    x, y = np.moveaxis(np.where(np.abs(near) <= 1e-9 * length[..., None], 0, near), -1, 0)
+    nearest = [
+        np.where(inside, length, np.inf).min(axis=-1)
+        for inside in ((x > 0) & (y >= 0), (x <= 0) & (y > 0))
+    ]
+    return tuple(np.where(spans, each, np.nan) for each in np.sort(nearest, axis=0))
+
+
+def _checked(patch):
+    """Places and unit normals of a patch, or the sentence that says what is wrong."""
+    points, normals = check_values(patch.points, "points"), check_values(patch.normals, "normals")
+    if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,):
+        raise ValueError(
+            f"Invalid patch of points {points.shape} and normals {normals.shape}. "
+            "Must have shapes (..., 3)."
+        )
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    if not length.all():
+        raise ValueError("Invalid normals: one is zero. Must be > 0 long.")
+    return points, normals / length
+
+
+def _axes(normal):
+    """Level line and line of greatest slope, and where a surface has no level line of its own."""
+    flat = np.hypot(normal[..., 0], normal[..., 1]) < LEVEL
+    level = np.where(flat[..., None], np.cross(TRAVEL, normal), np.cross([0.0, 0.0, 1.0], normal))
+    level /= np.linalg.norm(level, axis=-1, keepdims=True)
+    return np.stack([level, np.cross(normal, level)], axis=-2), flat
+
+
+def _dot(a, b):
+    """Inner products over the last axis."""
+    return np.sum(a * b, axis=-1)
+
+
+def _reduced(a, b):
+    """The shortest basis of the lattice, the shorter step first (Lagrange)."""
+    for _ in range(64):
+        swap = (_dot(a, a) > _dot(b, b))[..., None]
+        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        times = np.round(_dot(a, b) / _dot(a, a))
+        if not times.any():
+            break
+        b = b - times[..., None] * a
+    return a, b
+
+
+def largest_speed(
+    setup: ScanSetup, target: Target | Patch, *, quantity: str, limit: float
+) -> float:
+    """Return the largest speed at which a predicted quantity still keeps to a limit.
+
+    Density must be the limit or more, spacings, distances and f the limit or less. The speeds
+    between 0.01 and 100 m/s are tried in steps of 0.23 %, and the last one that will do is refined
+    to 1e-9 m/s; so the answer is right also for f, which may rise, fall and rise again with speed.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers; its own speed does not matter.
+    target : Target or Patch
+        A single spot.
+    quantity : str
+        One of ``QUANTITIES`` except the profile angle.
+    limit : float
+        In the quantity's unit.
+
+    Returns
+    -------
+    float
+        m/s.
+
+    Raises
+    ------
+    ValueError
+        If no speed in the range keeps to the limit, or the fastest still does.
+
+    Notes
+    -----
+    A density has the closed form PRR cos(i) / (2 pi density R |Y.n_s|), and a perpendicular profile
+    spacing is spacing x Mf |n_s x n_t| / |Y.n_s| up to the motion of the scan plane during a
+    revolution.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=1e6, mirror_frequency_hz=200, speed_m_s=1,
+    ...                   scanner_tilt_deg=45)
+    >>> speed = largest_speed(setup, Target(range_m=5), quantity="density_per_m2", limit=3000)
+    >>> round(3.6 * speed)
+    54
+    """
+    check_choice(quantity, "quantity", [q for q in QUANTITIES if q != "profile_angle_deg"])
+    limit = check_positive(limit, "limit")
+
+    def margin(speed):
+        """How far the quantity keeps to its limit, as a share of it; -1 if not defined."""
+        values = getattr(scan_lattice(replace(setup, speed_m_s=speed), target), quantity)
+        share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
+        return np.where(np.isnan(share), -1.0, share)
+
+    kept = np.flatnonzero(margin(SPEEDS) >= 0)
+    if not len(kept) or kept[-1] == len(SPEEDS) - 1:
+        fails = "is kept" if len(kept) else "fails"
+        raise ValueError(
+            f"Invalid limit {limit} for {quantity}: it {fails} at every speed tried. Must be "
+            f"reached between {SPEEDS[0]:g} and {SPEEDS[-1]:g} m/s."
+        )
+    return float(brentq(margin, *SPEEDS[kept[-1] : kept[-1] + 2], xtol=1e-9))
+
+
+def propagate(
+    setup: ScanSetup,
+    target: Target,
+    *,
+    sigmas: dict[str, float],
+    draws: int = 2_000,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Propagate errors of set-up and target to the prediction, by Monte Carlo.
+
+    Independent normal errors are drawn, and the pattern is predicted each time. The plane stays
+    where the nominal set-up finds it; a turned target turns about that spot.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers.
+    target : Target
+    sigmas : dict of str to float
+        Standard deviation of inputs by their names: fields of ``ScanSetup``;
+        ``target_heading_deg``, ``target_tilt_deg``, ``range_m``, ``height_difference_m``.
+    draws, seed : int
+
+    Returns
+    -------
+    DataFrame
+        A row per quantity: ``quantity``, ``predicted``, ``std``, ``low`` and ``high`` (2.5 % and
+        97.5 %), ``n`` draws.
+
+    Raises
+    ------
+    ValueError
+        If an input is unknown, a deviation negative, or ``draws`` below 100.
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> table = propagate(setup, Target(range_m=8), sigmas={"speed_m_s": 0.1})
+    >>> print(table.set_index("quantity").loc["profile_spacing_horizontal_m", "std"].round(4))
+    0.001
+    """
+    for name, sigma in sigmas.items():
+        check_choice(name, "input", INPUTS)
+        check_number(sigma, f"sigma of {name}", low=0)
+    draws, rng = check_count(draws, "draws", low=100), np.random.default_rng(seed)
+    errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
+    drawn = _with_errors(setup, target, errors).to_frame()
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
+    table = {"quantity": list(QUANTITIES), "predicted": predicted, "std": drawn.std().to_numpy()}
+    return pd.DataFrame({**table, "low": low, "high": high, "n": draws})
+
+
+def explain_error(
+    setup: ScanSetup,
+    target: Target,
+    *,
+    quantity: str,
+    measured: float,
+    inputs: Sequence[str] = EXPLAINED,
+) -> pd.DataFrame:
+    """Return the change of each input, one at a time, that turns the prediction into a measurement.
+
+    What Table 6 of Cahalane et al. 2014 gives for an error of 2 mm: of the changes that do it, the
+    smallest, found within a tenth of a rate, 15 degrees or a fifth of a range.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers.
+    target : Target
+    quantity : str
+        One of the spacings, the angle or the density, see :func:`propagate`.
+    measured : float
+        In the quantity's unit.
+    inputs : sequence of str
+        As for :func:`propagate`; those of Table 6 where left out.
+
+    Returns
+    -------
+    DataFrame
+        ``input``, ``change`` (signed, in the input's unit; NaN where no change in the range will
+        do), ``predicted`` and ``measured``.
+
+    Raises
+    ------
+    ValueError
+        If quantity or input is unknown, or the measured value not finite.
+
+    References
+    ----------
+    Cahalane et al. 2014, section 4.3, Table 6. doi:10.3390/s140609471
+
+    Examples
+    --------
+    >>> from mmqa_lab.scan_pattern import ScanSetup, Target
+    >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
+    ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
+    >>> table = explain_error(setup, Target(range_m=8), measured=0.102,
+    ...                       quantity="profile_spacing_horizontal_m", inputs=["speed_m_s"])
+    >>> print(table["change"].round(6).item())
+    0.2
+    """
+    check_choice(quantity, "quantity", SMOOTH)
+    check_number(measured, "measured")
+    changes = [_change(setup, target, quantity, measured, name) for name in inputs]
+    predicted = float(getattr(scan_lattice(setup, target), quantity))
+    table = {"input": list(inputs), "change": changes}
+    return pd.DataFrame({**table, "predicted": predicted, "measured": measured})
+
+
+def _change(setup, target, quantity, measured, name):
+    """The smallest change of an input that does it; NaN where none does or all do."""
+    check_choice(name, "input", INPUTS)
+    given = getattr(target, TARGET_NAMES[name]) if name in TARGET_NAMES else getattr(setup, name)
+    reach = 15.0 if name.endswith("_deg") else 0.2 * abs(given) or 1.0
+
+    def lack(change):
+        """By how much the prediction exceeds the measurement once the input is changed."""
+        return getattr(_with_errors(setup, target, {name: change}), quantity) - measured
+
+    tried = np.linspace(-reach, reach, 601)
+    values = lack(tried)
+    crossed = np.flatnonzero(np.sign(values[1:]) * np.sign(values[:-1]) <= 0)
+    if not len(crossed) or np.ptp(values) < 1e-12:
+        return np.nan
+    nearest = crossed[np.argmin(np.abs(tried[crossed] + tried[crossed + 1]))]
+    return float(brentq(lack, tried[nearest], tried[nearest + 1]))
+
+
+def _with_errors(setup, target, errors):
+    """The lattice with errors added to the named inputs, the plane where it was found."""
+    changed = {name: getattr(setup, name) + errors[name] for name in errors if name in SETUP_NAMES}
+    moved = {
+        field: getattr(target, field) + errors.get(name, 0.0)
+        for name, field in TARGET_NAMES.items()
+    }
+    normal = -target_normal(moved.pop("heading_deg"), moved.pop("tilt_deg"))
+    points = replace(target, **moved).patch(setup).points
+    return scan_lattice(replace(setup, **changed), Patch(points, normal))

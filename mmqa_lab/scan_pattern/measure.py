@@ -14,19 +14,25 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._checks import check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import TUKEY, Plane, fit_plane, sigma_mad
-from mmqa_lab.scan_pattern.lattice import LEVEL, QUANTITIES
 
+# A surface closer to level than 0.1 degree has no horizontal line of its own.
+LEVEL = np.sin(np.radians(0.1))
 PAUSE = 20  # of the typical step of time: longer ones separate runs of points
 FEW = 16  # runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 MANY = 150  # points from which on curvature and the turning of the beam are fitted too
 BLOCKS = 16  # of profiles, left out in turn
-UNSURE = 0.2  # scatter of steps about whole pulses, in pulses, above which they do not count
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
 LONGEST_S = 300_000.0  # times farther apart have passed the end of a GPS week
+CROSSED = 0.3  # points off their profiles by this share of the gap, or left out, are no profiles
+UNEVEN = 0.2  # what the median gap between neighbours may differ from the mean
+MEASURED = (
+    *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
+    *("profile_angle_deg", "point_spacing_m"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +96,6 @@ def measure_pattern(
     *,
     gps_time: ArrayLike | None = None,
     scan_line: ArrayLike | None = None,
-    mirror_frequency_hz: float | None = None,
-    pulse_rate_hz: float | None = None,
     reference: ArrayLike | None = None,
 ) -> PatternMeasurement:
     """Measure the scan pattern of a planar patch.
@@ -99,19 +103,18 @@ def measure_pattern(
     Profiles are numbered by ``scan_line`` or from ``gps_time``. One direction, one curvature and
     one way of sliding along the beam (range noise moves points off the plane and across the
     profiles at the same time) are fitted to all profiles at once; the gap is the slope of their
-    offsets. Points along a profile are counted by time, else by rounding their steps, and their
-    spacing is the slope of place over count at the reference point.
+    offsets. Pulses are counted by time, and the spacing of points is the slope of place over count
+    at the reference point.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
         One planar patch, one pass of one scanner head, metres.
     gps_time : array_like, shape (n,), optional
-        Seconds.
+        Seconds. Without it, or where its clock is coarser than the pulses, there is no point
+        spacing.
     scan_line : array_like of int, shape (n,), optional
         Counts profiles; missing ones must be missing in it too.
-    mirror_frequency_hz, pulse_rate_hz : float, optional
-        Estimated from time where left out.
     reference : array_like, shape (3,), optional
         Where angle and point spacing are given; the centroid where left out.
 
@@ -123,8 +126,8 @@ def measure_pattern(
     ------
     ValueError
         If there is neither time nor scan line, times pass the end of a week, columns are not as
-        long as the points, or fewer than two profiles of three points and twelve points in all are
-        found.
+        long as the points, fewer than two profiles of three points and twelve points in all are
+        found, or the points do not lie on one family of parallel profiles.
 
     Notes
     -----
@@ -142,7 +145,8 @@ def measure_pattern(
     --------
     >>> along, line = np.meshgrid(np.arange(-20, 21) * 0.02, np.arange(-6, 7))
     >>> wall = np.stack([0 * along, 0.05 * line, along + 0.007 * line], axis=-1).reshape(-1, 3)
-    >>> found = measure_pattern(wall, scan_line=line.ravel())
+    >>> time = line * 0.01 + np.arange(41) * 1e-5
+    >>> found = measure_pattern(wall, gps_time=time.ravel())
     >>> round(found.profile_spacing_perpendicular_m, 6), round(found.point_spacing_m, 6)
     (0.05, 0.02)
     """
@@ -159,27 +163,23 @@ def measure_pattern(
     centre = local[near].mean(axis=0)
     if reference is not None:
         centre = check_points([reference], name="reference")[0] - points.mean(axis=0)
-    if line is not None:
-        numbers, numbering = line.astype(np.int64), "scan_line"
-    else:
-        numbers = np.full(len(points), -1)
-        numbers[near] = revolutions_from_time(time[near], mirror_frequency_hz=mirror_frequency_hz)
-        numbering = "gps_time"
+    numbers = np.full(len(points), -1)
+    numbers[near] = revolutions_from_time(time[near]) if line is None else line[near]
     used = _without_strays(local, numbers, np.flatnonzero(near))
-    local, numbers = local[used], numbers[used]
-    pulse = _pulses(local, numbers, None if time is None else time[used], pulse_rate_hz)
-    values, along = _figures(local, numbers, pulse, centre)
     profile = np.full(len(points), -1)
-    profile[used] = numbers
+    profile[used] = numbers[used]
+    rows = local[used], numbers[used], _pulses(time, numbers, used)
+    fit = _fitted(*rows[:2], centre)
+    _check_one_head(fit, len(used) / near.sum())
     return PatternMeasurement(
         plane=plane,
-        direction=along,
-        numbering=numbering,
+        direction=fit.along,
+        numbering="gps_time" if line is None else "scan_line",
         profile=profile,
-        profiles=len(np.unique(numbers)),
+        profiles=len(fit.numbers),
         points=len(used),
-        std=dict(zip(QUANTITIES, _jackknifed(local, numbers, pulse, centre), strict=False)),
-        **dict(zip(QUANTITIES, values, strict=False)),
+        std=dict(zip(MEASURED, _jackknifed(*rows, centre), strict=True)),
+        **dict(zip(MEASURED, _figures(*rows, centre), strict=True)),
     )
 
 
@@ -199,22 +199,17 @@ def _column(values, name, n):
 def _without_strays(local, numbers, kept):
     """Rows of profiles of three points or more, without those that stray from their profile."""
     for _ in range(3):
-        kept = kept[_full(numbers[kept])]
-        present = len(np.unique(numbers[kept]))
-        if present < 2:
-            raise ValueError(f"Invalid patch: {present} profiles of 3 or more points. Must be 2.")
-        residuals = _fitted(local[kept], numbers[kept], local[kept].mean(axis=0)).found.residuals
-        inside = np.abs(residuals) <= OFF_LINE * max(sigma_mad(residuals), 1e-9)
+        _, group, counts = np.unique(numbers[kept], return_inverse=True, return_counts=True)
+        kept = kept[counts[group] >= 3]
+        if (counts >= 3).sum() < 2:
+            full = (counts >= 3).sum()
+            raise ValueError(f"Invalid patch: {full} profiles of 3 or more points. Must be 2.")
+        off = np.abs(_fitted(local[kept], numbers[kept], local[kept].mean(axis=0)).beside)
+        inside = off <= OFF_LINE * max(sigma_mad(off), 1e-9)
         if inside.all():
             break
         kept = kept[inside]
     return kept
-
-
-def _full(numbers):
-    """Which points belong to profiles of three points or more."""
-    _, place, counts = np.unique(numbers, return_inverse=True, return_counts=True)
-    return counts[place] >= 3
 
 
 class _Fit(NamedTuple):
@@ -225,83 +220,69 @@ class _Fit(NamedTuple):
     off: np.ndarray  # from the plane
     group: np.ndarray  # place of each point's profile in numbers
     numbers: np.ndarray
-    found: NamedTuple  # of solve_groups: the offsets are its constants
+    offsets: np.ndarray  # of the profiles across
+    beside: np.ndarray  # how far points lie beside their profile
     along: np.ndarray  # unit vectors in space along the profiles, and the plane's normal
     normal: np.ndarray
 
+    @property
+    def gap(self):
+        """The mean gap between neighbours: the slope of offsets over numbers."""
+        weights = np.sqrt(np.bincount(self.group))
+        return abs(np.polyfit(self.numbers - self.numbers[0], self.offsets, 1, w=weights)[0])
+
 
 def _fitted(local, numbers, centre):
-    """Plane, and one direction for all profiles."""
+    """Plane, and one direction for all profiles, their curvature and slide shared."""
     flat = fit_plane(local)
-    uv = flat.project(local) - flat.project(centre)
+    uv, off = flat.project(local) - flat.project(centre), flat.residuals
     present, group = np.unique(numbers, return_inverse=True)
-    turn = _first_direction(uv, group)
-    for _ in range(20):
-        x, y = _along(uv, turn)
-        found = solve_groups(_shared_terms(x, y, flat.residuals), y, group)
-        turn += np.arctan(found.coefficients[0])
-        if abs(found.coefficients[0]) < 1e-9:
-            break
-    along = _along(np.eye(2), turn)[0] @ flat.axes
-    return _Fit(x, y, flat.residuals, group, present, found, along, flat.normal)
+    about = uv - group_means(uv, group)[group]
+    first = np.linalg.eigh(about.T @ about)[1][:, 1]  # the largest scatter within profiles
+    turn = np.arctan2(first[1], first[0])
+    for _ in range(4):
+        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        x, y = axes @ uv.T
+        terms = [x, off]
+        if len(x) >= MANY:
+            terms += [off * x, off * y, x**2, x * y]
+        slopes, offsets, beside = solve_groups(np.stack(terms, axis=1), y, group)
+        turn += np.arctan(slopes[0])
+    return _Fit(x, y, off, group, present, offsets, beside, axes[0] @ flat.axes, flat.normal)
 
 
-def _first_direction(uv, profile):
-    """Direction of the largest pooled scatter within profiles, radians from the first axis."""
-    about = uv - group_means(uv, profile)[profile]
-    _, vectors = np.linalg.eigh(about.T @ about)
-    return np.arctan2(vectors[1, 1], vectors[0, 1])
+def _check_one_head(fit, share):
+    """Refuse points that are not on one family of parallel profiles, numbered evenly."""
+    gap = fit.gap
+    steps = np.abs(np.diff(fit.offsets) / np.diff(fit.numbers))
+    crossed = np.std(fit.beside) > CROSSED * gap or share < 1 - CROSSED
+    if crossed or abs(np.median(steps) / gap - 1) > UNEVEN:
+        raise ValueError(
+            f"Invalid patch: points lie {np.std(fit.beside):.3g} m beside profiles {gap:.3g} m "
+            "apart. Must be one pass of one head, its profiles numbered one by one."
+        )
 
 
-def _aligned(uv, off, profile, turn):
-    """Turn the axes until the profiles' slope is zero; the solution in the last ones."""
-    for _ in range(20):
-        x, y = _along(uv, turn)
-        found = solve_groups(_shared_terms(x, y, off), y, profile)
-        slope = found.coefficients[0]
-        if abs(slope) < 1e-9:
-            break
-        turn += np.arctan(slope)
-    return turn, x, y, found
-
-
-def _along(uv, turn):
-    """Coordinates along a direction and across it."""
-    c, s = np.cos(turn), np.sin(turn)
-    return uv @ [c, s], uv @ [-s, c]
-
-
-def _shared_terms(x, y, off):
-    """What all profiles share: slope and slide; turning of the beam, curvature and twist."""
-    terms = [x, off]
-    if len(x) >= MANY:
-        terms += [off * x, off * y, x**2, x * y]
-    return np.stack(terms, axis=1)
+def _figures(local, numbers, pulse, centre):
+    """The five figures."""
+    fit = _fitted(local, numbers, centre)
+    level = np.cross([0.0, 0.0, 1.0], fit.normal)
+    size, angle, spacing = np.linalg.norm(level), np.nan, np.nan
+    if size >= LEVEL:
+        angle = np.arccos(min(abs(fit.along @ level) / size, 1.0))
+    if np.isfinite(pulse).all():
+        slopes = solve_groups(_place_terms(fit.x, fit.y, fit.off), pulse, fit.group)[0]
+        spacing = abs(1 / slopes[0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spacings = [fit.gap, fit.gap / np.sin(angle), fit.gap / np.cos(angle)]
+    return [float(one) for one in (*spacings, np.degrees(angle), spacing)]
 
 
 def _place_terms(x, y, off):
     """What pulses are a polynomial of: place, to a degree that the points bear, and the slide."""
-    degree = 1 if len(x) < MANY else 3 if len(x) < 4 * MANY else 5
+    degree = 1 if len(x) < MANY else 3
     terms = [x**i * y**j for i in range(1, degree + 1) for j in range(degree + 1 - i)]
-    return np.stack([*terms, off, off * x, off * y][: len(terms) + 1 + 2 * (degree > 3)], axis=1)
-
-
-def _figures(local, numbers, pulse, centre):
-    """The five figures, and the direction of the profiles."""
-    fit = _fitted(local, numbers, centre)
-    weights = np.sqrt(np.bincount(fit.group))
-    gap = abs(np.polyfit(fit.numbers - fit.numbers[0], fit.found.constants, 1, w=weights)[0])
-    level = np.cross([0.0, 0.0, 1.0], fit.normal)
-    size, angle = np.linalg.norm(level), np.nan
-    if size >= LEVEL:
-        angle = np.arccos(min(abs(fit.along @ level) / size, 1.0))
-    spacing = np.nan
-    if np.isfinite(pulse).all():
-        slopes = solve_groups(_place_terms(fit.x, fit.y, fit.off), pulse, fit.group)
-        spacing = abs(1 / slopes.coefficients[0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spacings = [gap, gap / np.sin(angle), gap / np.cos(angle)]
-    return [float(one) for one in (*spacings, np.degrees(angle), spacing)], fit.along
+    return np.stack([*terms, off], axis=1)
 
 
 def _jackknifed(local, numbers, pulse, centre):
@@ -312,51 +293,21 @@ def _jackknifed(local, numbers, pulse, centre):
         return [np.nan] * 5
     block = (group * count) // len(present)
     left = [
-        _figures(local[block != k], numbers[block != k], pulse[block != k], centre)[0]
+        _figures(local[block != k], numbers[block != k], pulse[block != k], centre)
         for k in range(count)
     ]
     return np.sqrt((count - 1) * np.var(left, axis=0)).tolist()
 
 
-def _pulses(local, numbers, time, pulse_rate_hz):
-    """Pulse counts of points within their profiles; NaN where they cannot be counted."""
-    group = np.unique(numbers, return_inverse=True)[1]
-    if time is not None:
-        rate = pulse_rate_hz and check_positive(pulse_rate_hz, "pulse_rate_hz", unit="Hz")
-        period = 1 / rate if rate else pulse_period(time, group)
-        if np.isfinite(period):
-            return (time - time.min()) / period
-    fit = _fitted(local, numbers, local.mean(axis=0))
-    spacing, slide = _first_spacing(fit.x, fit.off, group)
-    place = fit.x - slide * fit.off
-    order = np.lexsort((place, group))
-    same = np.diff(group[order]) == 0
-    count = np.diff(place[order]) / spacing
-    if not np.std((count - np.round(count))[same]) < UNSURE:
-        return np.full(len(local), np.nan)
-    pulse = np.empty(len(local))
-    pulse[order] = np.append(0.0, np.cumsum(np.where(same, np.round(count), 0.0)))
-    return pulse
+def _pulses(time, numbers, used):
+    """Pulses since the first point by time; NaN where the clock is too coarse to count them."""
+    if time is None:
+        return np.full(len(used), np.nan)
+    since = time[used] - time[used].min()
+    return since / pulse_period(since, np.unique(numbers[used], return_inverse=True)[1])
 
 
-def _first_spacing(x, off, profile):
-    """Median step between neighbours, slid along the beam, and that slide."""
-    slide = 0.0
-    for _ in range(4):
-        order = np.lexsort((x - slide * off, profile))
-        same = np.diff(profile[order]) == 0
-        step, shift = np.diff(x[order])[same], np.diff(off[order])[same]
-        if len(step) < 8:
-            return np.nan, 0.0
-        straight = step - slide * shift
-        single = np.abs(straight - np.median(straight)) <= 2.5 * max(sigma_mad(straight), 1e-12)
-        about = shift[single] - shift[single].mean()
-        if about @ about > 1e-18 * len(about):
-            slide = float(about @ step[single] / (about @ about))
-    return float(np.median(step - slide * shift)), slide
-
-
-def pulse_period(time, profile):
+def pulse_period(time, group):
     """Return the time from pulse to pulse, seconds, from the times of the points of profiles.
 
     NaN where points of a profile share times: the clock is then coarser than the pulses.
@@ -367,50 +318,35 @@ def pulse_period(time, profile):
     >>> round(pulse_period(time, np.zeros(7, dtype=int)), 9)
     1e-05
     """
-    order = np.lexsort((time, profile))
-    since, group = (time - time.min())[order], np.unique(profile[order], return_inverse=True)[1]
+    order = np.lexsort((time, group))
+    since, group = time[order], group[order]
     step, same = np.diff(since), np.diff(group) == 0
     if not same.any() or np.mean(step[same] > 0) < 1 - TIES:
         return np.nan
     period = np.quantile(step[same & (step > 0)], 0.25)
     for _ in range(5):
-        count = np.where(same, np.round(step / period), 0.0)
-        pulse = np.append(0.0, np.cumsum(count))
-        period = solve_groups(pulse[:, None], since, group).coefficients[0]
+        pulse = np.append(0.0, np.cumsum(np.where(same, np.round(step / period), 0.0)))
+        period = solve_groups(pulse[:, None], since, group)[0][0]
     return float(period)
-
-
-class GroupSolution(NamedTuple):
-    """Least squares with a constant for each group."""
-
-    coefficients: np.ndarray
-    constants: np.ndarray
-    means: np.ndarray
-    covariance: np.ndarray
-    residuals: np.ndarray
-    variance: float
 
 
 def solve_groups(terms, values, group):
     """Least squares of ``values`` on shared terms and one constant for each group.
 
-    Terms without any spread (distances from a plane without noise) get coefficient and variance 0.
+    Terms without any spread (distances from a plane without noise) get coefficient 0.
+
+    Returns
+    -------
+    tuple of array
+        Coefficients, the groups' constants, residuals.
     """
     means, level = group_means(terms, group), group_means(values, group)
     about, target = terms - means[group], values - level[group]
     scale = np.sqrt(np.mean(about**2, axis=0))
     scale[scale <= 1e-9 * scale.max()] = np.inf
     about /= scale
-    inverse = np.linalg.pinv(about.T @ about, rcond=1e-12)
-    scaled = inverse @ (about.T @ target)
-    residuals = target - about @ scaled
-    free = max(len(values) - len(level) - np.isfinite(scale).sum(), 1)
-    variance = residuals @ residuals / free
-    coefficients = scaled / scale
-    covariance = variance * inverse / np.outer(scale, scale)
-    return GroupSolution(
-        coefficients, level - means @ coefficients, means, covariance, residuals, variance
-    )
+    scaled = np.linalg.pinv(about.T @ about, rcond=1e-12) @ (about.T @ target)
+    return scaled / scale, level - means @ (scaled / scale), target - about @ scaled
 
 
 def group_means(values, group):
@@ -420,9 +356,7 @@ def group_means(values, group):
     return np.bincount(group, values) / np.bincount(group)
 
 
-def revolutions_from_time(
-    time: ArrayLike, *, mirror_frequency_hz: float | None = None
-) -> np.ndarray:
+def revolutions_from_time(time: ArrayLike) -> np.ndarray:
     """Return the number of the revolution of each point, from 0.
 
     Revolutions are cut in the longest pause of their phase: while the beam is off the patch.
@@ -431,8 +365,6 @@ def revolutions_from_time(
     ----------
     time : array_like, shape (n,)
         Seconds.
-    mirror_frequency_hz : float, optional
-        ``mirror_frequency`` of the times where left out.
 
     Returns
     -------
@@ -441,7 +373,7 @@ def revolutions_from_time(
     Raises
     ------
     ValueError
-        If the frequency is not above zero, or none shows in the times.
+        If no frequency of a mirror shows in the times.
 
     Examples
     --------
@@ -450,12 +382,7 @@ def revolutions_from_time(
     [0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 3, 3, 3, 3, 3]
     """
     since = np.asarray(time, dtype=np.float64) - np.min(time)
-    if mirror_frequency_hz is None:
-        frequency = mirror_frequency(since)
-    else:
-        frequency = check_positive(mirror_frequency_hz, "mirror_frequency_hz", unit="Hz")
-    number = np.floor(since * frequency - _longest_pause(since, frequency)[1]).astype(np.int64)
-    return number - number.min()
+    return _numbered(since, mirror_frequency(since))
 
 
 def mirror_frequency(time):
@@ -479,18 +406,20 @@ def mirror_frequency(time):
     periods = np.unique(np.subtract.outer(begins, begins))
     periods = periods[periods > 0]
     if not len(periods):
-        raise ValueError(
-            "Invalid time without pauses between profiles. Must have a mirror_frequency_hz or a "
-            "scan_line with it."
-        )
+        raise ValueError("Invalid time without pauses between profiles. Must have a scan_line.")
     pauses = np.array([_longest_pause(order, 1 / period)[0] for period in periods])
-    frequency = 1 / np.median(periods[pauses > 0.95 * pauses.max()])
-    number = revolutions_from_time(order, mirror_frequency_hz=frequency)
+    number = _numbered(order, 1 / np.median(periods[pauses > 0.95 * pauses.max()]))
     first = np.flatnonzero(np.diff(number, prepend=-1))
     last = np.append(first[1:], len(order)) - 1
     whole = slice(1, -1) if len(first) > 3 else slice(None)
     middles = (order[first] + order[last]) / 2
     return float(1 / np.polyfit(number[first][whole], middles[whole], 1)[0])
+
+
+def _numbered(since, frequency):
+    """Revolutions since the first point, cut in the longest pause."""
+    number = np.floor(since * frequency - _longest_pause(since, frequency)[1]).astype(np.int64)
+    return number - number.min()
 
 
 def _longest_pause(since, frequency):

@@ -1,73 +1,86 @@
 """MIMIC's own equations (Cahalane et al. 2014), as printed and as they must be read.
 
-Sensors 14(6), 9471-9488, doi:10.3390/s140609471. Names follow the paper's symbols; notebook 05
-lists them, and what had to be settled before the equations could be used. In them the scan plane
-stands still while the mirror turns; in ``scan_lattice`` it moves. Angles in degrees.
+MIMIC is the MobIle Mapping poInt density Calculator. Sensors 14(6), 9471-9488,
+doi:10.3390/s140609471. Names follow the paper's symbols; notebook 05 lists them, and what had to be
+settled before the equations could be used. In them the scan plane stands still while the mirror
+turns; in ``scan_lattice`` it moves. Angles in degrees.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice
-from mmqa_lab.scan_pattern.lattice import check_values, turned
 
-# Equation 1 read with row vectors (the one that gives Table 3), and with column vectors.
-READINGS = ("tilt_first", "heading_first")
+def rotations(roll, pitch, heading):
+    """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
+
+    Examples
+    --------
+    >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
+    [1.0, 0.0, 0.0]
+    """
+    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
+    (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
+    rows = [
+        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
+        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
+        [-cp * sr, sp, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def scanner_normal(alpha_scan, gamma_scan, *, reading="tilt_first"):
+def turned(*, z=0.0, x=0.0, y=0.0):
+    """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
+
+    Examples
+    --------
+    >>> (turned(z=90) @ [1, 0, 0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    return rotations(np.radians(y), np.radians(x), -np.radians(z))
+
+
+def scanner_normal(alpha_scan, gamma_scan):
     """Equation 1 for the scan plane: its normal, Y before rotation, (..., 3).
+
+    Read with row vectors, tilt before heading: the reading that gives Table 3.
 
     Parameters
     ----------
     alpha_scan, gamma_scan : float or array_like
         Horizontal and vertical rotation of the scanner, degrees.
-    reading : {"tilt_first", "heading_first"}
-        Of the order of rotations that the paper leaves open.
 
     Returns
     -------
     array, shape (..., 3)
-
-    Raises
-    ------
-    ValueError
-        If the reading is another.
 
     Examples
     --------
     >>> scanner_normal(45, 45).round(4).tolist()
     [-0.5, 0.5, 0.7071]
     """
-    return _rotation(alpha_scan, reading, x=gamma_scan)[..., :, 1]
+    return turned(z=alpha_scan, x=gamma_scan)[..., :, 1]
 
 
-def target_normal(alpha_targ, beta_targ, *, reading="tilt_first"):
+def target_normal(alpha_targ, beta_targ):
     """Equation 1 for the target plane: its normal, X before rotation, (..., 3).
 
     Parameters
     ----------
     alpha_targ, beta_targ : float or array_like
         Horizontal and vertical rotation of the target, degrees.
-    reading : {"tilt_first", "heading_first"}
-        Of the order of rotations that the paper leaves open.
 
     Returns
     -------
     array, shape (..., 3)
-
-    Raises
-    ------
-    ValueError
-        If the reading is another.
+        It points away from the vehicle.
 
     Examples
     --------
     >>> target_normal(0, 30).round(3).tolist()
     [0.866, 0.0, -0.5]
     """
-    return _rotation(alpha_targ, reading, y=beta_targ)[..., :, 0]
+    return turned(z=alpha_targ, y=beta_targ)[..., :, 0]
 
 
 def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
@@ -166,28 +179,27 @@ def profile_spacing_vertical(d_prsh, theta_pra):
     return d_prsh * np.tan(np.radians(theta_pra))
 
 
-def pulse_angle(pulse_rate_hz, mirror_frequency_hz, *, field_of_view_deg=360.0):
+def pulse_angle(pulse_rate_hz, mirror_frequency_hz):
     """Equation 5: theta_A, the field of view over the pulses in it (PpM), degrees.
 
-    PpM is not printed: PRR / Mf for a field of view of 360 degrees, and its share of a smaller one.
+    PpM is not printed: PRR / Mf for 360 degrees and its share of a smaller field of view, so that
+    the field of view drops out.
 
     Parameters
     ----------
-    pulse_rate_hz, mirror_frequency_hz : float
-    field_of_view_deg : float
+    pulse_rate_hz, mirror_frequency_hz : float or array_like
 
     Returns
     -------
-    float
+    float or array
         Degrees.
 
     Examples
     --------
-    >>> round(pulse_angle(300_000, 100), 6)
+    >>> float(pulse_angle(300_000, 100))
     0.12
     """
-    pulses = pulse_rate_hz / mirror_frequency_hz * field_of_view_deg / 360
-    return field_of_view_deg / pulses
+    return 360 * np.divide(mirror_frequency_hz, pulse_rate_hz)
 
 
 class PointSpacing(NamedTuple):
@@ -292,14 +304,6 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     return PointSpacing(theta_a, r1, theta_scan, d2, r2, theta_o, d_ps)
 
 
-def _rotation(heading, reading, **tilt):
-    """Equation 1 in either reading: about the tilt axis first, or about Z first."""
-    check_choice(reading, "reading", READINGS)
-    return (
-        turned(z=heading, **tilt) if reading == READINGS[0] else turned(**tilt) @ turned(z=heading)
-    )
-
-
 def _check_strike(alpha_scan, alpha_targ):
     """Refuse angles at which the horizontal pulse misses the target's front."""
     scan = check_values(alpha_scan, "alpha_scan")
@@ -309,3 +313,15 @@ def _check_strike(alpha_scan, alpha_targ):
             f"Invalid alpha_targ {alpha_targ} for alpha_scan {alpha_scan}. "
             "Must lie less than 90 degrees from it."
         )
+
+
+def check_values(values, name, *, positive=False):
+    """Return finite float64 numbers of any shape, above zero if they must be."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")
+    bad = ~np.isfinite(array) | (positive & (array <= 0))
+    if bad.any():
+        must = "> 0 and finite" if positive else "finite"
+        raise ValueError(f"Invalid {name} {array[bad].flat[0]}. Must be {must}.")
+    return array.astype(np.float64)

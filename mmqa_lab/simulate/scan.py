@@ -19,7 +19,7 @@ from tqdm.auto import tqdm
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import across
-from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.scan_pattern import rotations
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import Trajectory
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.scan_pattern import rotations
 
 
 @dataclass(frozen=True, eq=False)

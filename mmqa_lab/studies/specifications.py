@@ -246,8 +246,8 @@ def closed_form(names, values):
     points = np.zeros((len(values), 2, 3))
     points[..., 0], points[..., 2] = (5.0, 10.0), -given["height_m"]
     lattice = scan_lattice(setup, Patch(points, [1, 0, 0]))
-    d1, _, _, d4 = np.moveaxis(1000 * lattice.distances_m, -1, 0)
-    return np.stack([lattice.density_per_m2, d1, d4, d4 / d1], axis=-1)
+    figures = lattice.density_per_m2, lattice.d1_mm, lattice.d4_mm, lattice.f
+    return np.stack(figures, axis=-1)
 
 
 def simulated(system, seed, distances, names, values):

@@ -13,7 +13,7 @@ import pandas as pd
 from mmqa_lab import bench, published
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.published import ledger
-from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.scan_pattern import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import SimulatedField, drive_testfield, make_testfield
 from mmqa_lab.stats import errors
