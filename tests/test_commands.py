@@ -27,7 +27,7 @@ CASES = {
     "tender": ("tender pfeifer2021:2 pfeifer2021", 3, None),
     "lhd": ("lhd course.csv model.csv", None, None),
     "plan": ("plan --scanner vq-450 --speed 14 --range 8", None, None),
-    "pattern": ("pattern PATCH", None, None),
+    "pattern": ("pattern head.laz", 5, None),
     "poles": ("poles street.xyz --method itc", 1, None),
     "map": ("map PATCH --out m.nc --cell 1", None, "m.nc"),
     "accuracy": ("accuracy PATCH levelled.csv --out differences.csv", 2, "differences.csv"),
@@ -53,6 +53,9 @@ def folder(tmp_path_factory):
     post = np.stack([5 + 0.05 * np.cos(turn), 5 + 0.05 * np.sin(turn), turn / 48], axis=1)
     floor = np.stack([*np.mgrid[0:10:0.2, 0:10:0.2].reshape(2, -1), np.zeros(2500)], axis=1)
     np.savetxt(folder / "street.xyz", np.vstack([post, floor]))
+    road = io.read_cloud(samples.path("road_patch"))
+    first = road["gps_time"] < road["gps_time"].mean()  # the other head came later
+    io.write_cloud(folder / "head.laz", road[first])
     rows = (f"{1423215.0 + 0.05 * k:.2f},4189097.6,67.88\n" for k in range(30))
     (folder / "levelled.csv").write_text("x,y,z\n" + "".join(rows))
     return folder

@@ -23,6 +23,7 @@ LEVEL = np.sin(np.radians(0.1))
 PAUSE = 20  # of the typical step of time: longer ones separate runs of points
 FEW = 16  # runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
+LEAST_OFF_M = 1e-4  # but not if they lie as near as that
 MANY = 150  # points from which on curvature and the turning of the beam are fitted too
 BLOCKS = 16  # of profiles, left out in turn
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
@@ -165,12 +166,12 @@ def measure_pattern(
         centre = check_points([reference], name="reference")[0] - points.mean(axis=0)
     numbers = np.full(len(points), -1)
     numbers[near] = revolutions_from_time(time[near]) if line is None else line[near]
-    used = _without_strays(local, numbers, np.flatnonzero(near))
+    used, share = _without_strays(local, numbers, np.flatnonzero(near))
     profile = np.full(len(points), -1)
     profile[used] = numbers[used]
     rows = local[used], numbers[used], _pulses(time, numbers, used)
     fit = _fitted(*rows[:2], centre)
-    _check_one_head(fit, len(used) / near.sum())
+    _check_one_head(fit, share)
     return PatternMeasurement(
         plane=plane,
         direction=fit.along,
@@ -197,19 +198,20 @@ def _column(values, name, n):
 
 
 def _without_strays(local, numbers, kept):
-    """Rows of profiles of three points or more, without those that stray from their profile."""
+    """Rows of profiles of three points or more, without those that stray, and their share."""
+    whole = 0
     for _ in range(3):
         _, group, counts = np.unique(numbers[kept], return_inverse=True, return_counts=True)
-        kept = kept[counts[group] >= 3]
-        if (counts >= 3).sum() < 2:
-            full = (counts >= 3).sum()
+        kept, full = kept[counts[group] >= 3], (counts >= 3).sum()
+        if full < 2:
             raise ValueError(f"Invalid patch: {full} profiles of 3 or more points. Must be 2.")
+        whole = whole or len(kept)
         off = np.abs(_fitted(local[kept], numbers[kept], local[kept].mean(axis=0)).beside)
-        inside = off <= OFF_LINE * max(sigma_mad(off), 1e-9)
+        inside = off <= max(OFF_LINE * sigma_mad(off), LEAST_OFF_M)
         if inside.all():
             break
         kept = kept[inside]
-    return kept
+    return kept, len(kept) / whole
 
 
 class _Fit(NamedTuple):
@@ -258,8 +260,9 @@ def _check_one_head(fit, share):
     crossed = np.std(fit.beside) > CROSSED * gap or share < 1 - CROSSED
     if crossed or abs(np.median(steps) / gap - 1) > UNEVEN:
         raise ValueError(
-            f"Invalid patch: points lie {np.std(fit.beside):.3g} m beside profiles {gap:.3g} m "
-            "apart. Must be one pass of one head, its profiles numbered one by one."
+            f"Invalid patch: points lie {np.std(fit.beside):.2g} m beside profiles {gap:.2g} m "
+            f"apart, {share:.0%} of them near. Must be one pass of one head, profiles numbered "
+            "one by one."
         )
 
 
