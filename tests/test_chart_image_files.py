@@ -47,21 +47,6 @@ def test_targets_and_corners_find_the_same_chart(panorama):
         assert (row["w_h_mm"], row["w_v_mm"]) == (rows[0]["w_h_mm"], rows[0]["w_v_mm"])
 
 
-@pytest.mark.parametrize("bits", [8, 16])
-def test_grey_values_keep_their_type_and_colour_becomes_light(tmp_path, bits):
-    kind = np.uint8 if bits == 8 else np.uint16
-    image = np.random.default_rng(0).integers(0, 2**bits, (40, 50)).astype(kind)
-    for ending in (".png", ".tif"):
-        cv2.imwrite(str(tmp_path / f"a{ending}"), image)
-        grey = io.read_image(tmp_path / f"a{ending}")
-        assert grey.dtype == kind
-        assert (grey == image).all()
-    colour = np.zeros((9, 9, 3), dtype=np.uint8)
-    colour[:, :, 1] = 200  # green
-    cv2.imwrite(str(tmp_path / "c.png"), colour)
-    assert io.read_image(tmp_path / "c.png").mean() == pytest.approx(0.587 * 200, abs=1)
-
-
 def test_windows_are_the_same_pixels_at_the_same_places(panorama):
     file, view = panorama
     corners = view.pixels(CHART.corners())

@@ -32,12 +32,6 @@ def test_kappa_equals_fleiss_by_hand():
     assert found.unanimous_share == 0.5
 
 
-def test_kappa_of_juries_that_always_and_never_agree():
-    assert chart_image.agreement(votes("aaa", "ccc")).fleiss_kappa == pytest.approx(1)
-    # two marks used equally by two who never agree: (0 - 1/2) / (1 - 1/2)
-    assert chart_image.agreement(votes("ab", "ba")).fleiss_kappa == pytest.approx(-1)
-
-
 def test_kappa_of_one_mark_is_not_defined():
     assert np.isnan(chart_image.agreement(votes("aaa", "aaa")).fleiss_kappa)
 
@@ -47,15 +41,6 @@ def test_kappa_leaves_out_elements_that_a_juror_did_not_mark():
     found = chart_image.agreement(marks)
     assert found.fleiss_kappa == pytest.approx(1)
     assert found.verdict["n"].tolist() == [3, 3, 2]
-
-
-def test_order_of_votes_does_not_matter(rng):
-    marks = votes("aab", "bbc", "ccc", "abb")
-    mixed = marks.iloc[rng.permutation(len(marks))]
-    one, two = (chart_image.agreement(m) for m in (marks, mixed))
-    tables = [found.to_frame().set_index("element").sort_index() for found in (one, two)]
-    pd.testing.assert_frame_equal(*tables)
-    assert one.fleiss_kappa == pytest.approx(two.fleiss_kappa)
 
 
 @pytest.mark.parametrize(
@@ -96,14 +81,6 @@ def test_crops_hold_one_text_each_at_its_height():
             assert not ink[0].any()
             assert not ink[-1].any()
             assert ink.any(axis=0).mean() > 0.5
-
-
-def test_crops_over_the_edge_are_left_out():
-    layout, taken = photo(30)
-    names = {c.name for c in chart_image.text_crops(taken.image, layout, taken.chart_map)}
-    cut = taken.image[:75]
-    left = {c.name for c in chart_image.text_crops(cut, layout, taken.chart_map)}
-    assert left < names
 
 
 def judged():
