@@ -8,7 +8,6 @@ matplotlib's settings for good: use ``with style():`` for some figures, or matpl
 import contextlib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 
 __all__ = [
-    "Journal",
     "draw_points",
     "style",
     "subplots",
@@ -35,38 +33,10 @@ WIDTHS = ("single", "double")
 """One column, and the whole width of the page's text."""
 
 
-@dataclass(frozen=True)
-class Journal:
-    """What a publisher asks of a figure.
-
-    Parameters
-    ----------
-    widths_mm : tuple of 2 float
-        Of one column and of the whole text, mm.
-    fonts : tuple of str
-        In the order of preference.
-    lettering_pt : float
-        Size of the letters, points.
-    source : str
-        Where the publisher says so.
-
-    Examples
-    --------
-    >>> elsevier = JOURNALS["elsevier"]
-    >>> elsevier.widths_mm[0], elsevier.fonts[0]
-    (90.0, 'Arial')
-    """
-
-    widths_mm: tuple
-    fonts: tuple
-    lettering_pt: float
-    source: str
-
-
-JOURNALS = {
-    name: Journal(**one) for name, one in _tables(Path(__file__).with_suffix(".toml")).items()
-}
-"""Widths, fonts and lettering by publisher; other publishers join with their source."""
+JOURNALS = _tables(Path(__file__).with_suffix(".toml"))
+"""What a publisher asks of a figure: widths of one column and of the whole text, fonts in the order
+of preference, size of the letters, and where the publisher says so. Others join with their source.
+"""
 
 COLOURS = {
     "blue": "#0072B2",
@@ -126,7 +96,7 @@ _in_use = {"single": 85.0, "double": 178.0, "default": 85.0}
 
 
 @contextlib.contextmanager
-def style(journal: str = "house", *, width: str = "single") -> Iterator[Journal]:
+def style(journal: str = "house", *, width: str = "single") -> Iterator[dict]:
     """Draw figures as a publisher asks, for the lines of a ``with`` or, above it, of a function.
 
     Widths, fonts and lettering are those of ``JOURNALS``; matplotlib's settings are as they were
@@ -145,7 +115,8 @@ def style(journal: str = "house", *, width: str = "single") -> Iterator[Journal]
 
     Yields
     ------
-    Journal
+    dict
+        Of ``JOURNALS``.
 
     Raises
     ------
@@ -162,7 +133,7 @@ def style(journal: str = "house", *, width: str = "single") -> Iterator[Journal]
     """
     chosen = JOURNALS[check_choice(journal, "journal", tuple(JOURNALS))]
     check_choice(width, "width", WIDTHS)
-    widths = dict(zip(WIDTHS, chosen.widths_mm, strict=True))
+    widths = dict(zip(WIDTHS, chosen["widths_mm"], strict=True))
     before = dict(_in_use)
     with mpl.rc_context(STYLE | _lettering(chosen)):
         _in_use.update(widths, default=widths[width])
@@ -175,12 +146,12 @@ def style(journal: str = "house", *, width: str = "single") -> Iterator[Journal]
 def _lettering(journal):
     """Settings for the letters that a publisher asks for."""
     installed = {font.name for font in font_manager.fontManager.ttflist}
-    if not installed & set(journal.fonts):
-        asked = " and ".join(journal.fonts)
+    if not installed & set(journal["fonts"]):
+        asked = " and ".join(journal["fonts"])
         warnings.warn(f"Fonts not installed: {asked}. DejaVu Sans is used instead.", stacklevel=4)
-    size = journal.lettering_pt
+    size = journal["lettering_pt"]
     small = dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), min(size, 7))
-    return {"font.sans-serif": [*journal.fonts, "DejaVu Sans"], "font.size": size, **small}
+    return {"font.sans-serif": [*journal["fonts"], "DejaVu Sans"], "font.size": size, **small}
 
 
 def subplots(

@@ -251,7 +251,7 @@ class SelectionTool:
         def again(_=None):
             """What it displays, in place of the last."""
             with output:
-                output.clear_output(wait=True)
+                output.clear_output(wait=not button)
                 display(HTML(self.text.value)) if self.quality is None else function(self)
 
         def waits():

@@ -1,27 +1,17 @@
-"""Each parameter of each notebook reaches a table, and any run with others comes to its end.
-
-The flow of names through the cells is followed without running them. Set MMQA_LONG=1 to change
-each parameter in a run of its own with small parameters (about 80 runs, two hours).
-"""
+"""Each parameter of each notebook reaches a table: its name is followed through the cells."""
 
 import ast
-import filecmp
-import json
-import os
 
 import nbformat
 import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 
-from mmqa_lab.run import notebooks, parameter_names, read_record
-from mmqa_lab.studies import SMALL, STUDIES
+from mmqa_lab.run import parameter_names
+from mmqa_lab.studies import STUDIES
 
 SAVES = {"save_table", "save_value", "save_figure", "save_answer"}
 
 PARAMETERS = [(study, name) for study in STUDIES for name in parameter_names(study.path)]
-
-WORDS = {"principal": "horizontal", "table-4-1": "facades", "roamer": "vq-450", "C": "B"}
-"""What a parameter that is a word becomes."""
 
 
 def statements(path):
@@ -106,51 +96,3 @@ def test_parameter_reaches_a_table(study, name):
 )
 def test_the_flow_of_names(code, expected):
     assert reaches_a_table("p", ast.parse(code).body) == expected
-
-
-def other(value):
-    """Another value of the same kind."""
-    if isinstance(value, str):
-        return WORDS.get(value, value)
-    if isinstance(value, int):
-        return value + 1 if value < 100 else 2 * value
-    if isinstance(value, float):
-        return 0.9 * value
-    if isinstance(value, dict):
-        return {key: other(one) for key, one in value.items()}
-    return type(value)(value[:-1] if len(value) > 1 else map(other, value))
-
-
-def run_with(study, parameters, folder, monkeypatch):
-    """The folder of a run with some small parameters changed; every cell must have run."""
-    monkeypatch.setitem(SMALL, study.stem, study.quick | parameters)
-    outcome = notebooks.run_study(study, folder, quick=True)
-    assert outcome.failure == ""
-    return folder / study.stem
-
-
-@pytest.fixture(scope="module")
-def usual(tmp_path_factory):
-    """The folders of runs with small parameters, each made once."""
-    folder = tmp_path_factory.mktemp("usual")
-
-    def results(study):
-        if not (folder / study.stem).exists():
-            assert notebooks.run_study(study, folder, quick=True).failure == ""
-        return folder / study.stem
-
-    return results
-
-
-@pytest.mark.timeout(0)
-@pytest.mark.skipif(not os.environ.get("MMQA_LONG"), reason="takes two hours: set MMQA_LONG=1")
-@pytest.mark.parametrize(("study", "name"), PARAMETERS, ids=lambda one: getattr(one, "stem", one))
-def test_a_changed_parameter_changes_a_table(study, name, usual, tmp_path, monkeypatch):
-    before = usual(study)
-    record = read_record(before)
-    value = other(record["parameters"][name])
-    after = run_with(study, {name: value}, tmp_path, monkeypatch)
-    assert read_record(after)["parameters"][name] == json.loads(json.dumps(value))
-    tables = [file for file in record["files"] if file.endswith(".csv") and file != "checks.csv"]
-    _, different, missing = filecmp.cmpfiles(before, after, tables, shallow=False)
-    assert different or missing

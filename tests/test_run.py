@@ -250,9 +250,9 @@ def test_files_have_the_width_that_the_journal_asks_for(journal, width, run):
     plt.close(figure)
     box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (run.folder / "page.pdf").read_bytes())
     points = float(box.group(1).split()[2])
-    wanted = plots.JOURNALS[journal].widths_mm[plots.WIDTHS.index(width)]
+    wanted = plots.JOURNALS[journal]["widths_mm"][plots.WIDTHS.index(width)]
     assert points / 72 * 25.4 == pytest.approx(wanted, abs=0.1)  # a third of a point
-    assert plots.JOURNALS[journal].source
+    assert plots.JOURNALS[journal]["source"]
     shown = re.sub(r"\s+", " ", plots.style.__doc__)
     assert f"{wanted:g}" in shown
     assert journal in shown
