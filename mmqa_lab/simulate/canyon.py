@@ -12,7 +12,7 @@ from itertools import chain, pairwise
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines import lengths
 from mmqa_lab.simulate.trajectories import gauss_markov
@@ -237,13 +237,13 @@ def canyon_faces(scene):
         A corner of each rectangle and the ends of both its sides from there, m.
     street : array of int, shape (m,)
     """
-    rows = []
+    places, streets = [], []
     for (street, _), row in scene.buildings.groupby(["street", "side"]):
         houses = list(row.itertuples())
-        places = [face for house in houses for face in _house_faces(house)]
-        places += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
-        rows += [(street, place) for place in places]
-    streets, places = zip(*rows, strict=True)
+        faces = [face for house in houses for face in _house_faces(house)]
+        faces += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
+        places += faces
+        streets += [street] * len(faces)
     streets = np.array(streets)
     return _located(streets, np.array(places)), streets
 
@@ -284,7 +284,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     Raises
     ------
     ValueError
-        If the survey is unknown, the density is not positive, or the noise is negative.
+        If the survey is unknown or the density is not positive.
 
     Notes
     -----
@@ -299,8 +299,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     """
     check_choice(survey, "survey", SURVEYS)
     density = check_positive(density, "density", unit="per m2")
-    noise = check_number(noise, "noise", low=0, unit="m")
-    rng = np.random.default_rng(check_count(seed, "seed", low=0))
+    rng = np.random.default_rng(seed)
     faces, streets = canyon_faces(scene)
     corner, along, up = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
     area = np.linalg.norm(np.cross(along, up), axis=1)
@@ -341,10 +340,9 @@ def _building_edges(house, rng):
     """The edges of a facade that a detector can find, as ``_outline`` gives them."""
     left, right, top, offset = _extent(house)
     level = rng.uniform(3.5, 4.5)
-    foot, eave, *corners = _outline(house)
-    candidates = [foot, eave, ((left, offset, level), (right, offset, level)), *corners]
-    pairs = zip(candidates, EDGE_SHARES, strict=True)
-    lines = [line for line, share in pairs if rng.random() < share]
+    lines = _outline(house)
+    lines.insert(2, ((left, offset, level), (right, offset, level)))
+    lines = [line for line, share in zip(lines, EDGE_SHARES, strict=True) if rng.random() < share]
     for _ in range(rng.poisson(JAMBS)):
         station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
         head = sill + rng.uniform(1.5, 2.5)

@@ -2,8 +2,8 @@
 
 Coordinates are pixels from the image's centre, x along columns to the right, y along rows downwards
 (the flight). Edges, Siemens stars and line bars are drawn on a grid several times finer than the
-pixels, filtered with the exact transfer function of the optics, the image motion and the square
-pixel, and read at the pixels' centres.
+pixels, filtered with the exact transfer function of lens and square pixel, and read at the pixels'
+centres.
 
 Blocks are overlapping vertical images over flat ground of fields, each with a surface class that
 has its own reflectance and its own anisotropy. What each image shows of tie points has the height
@@ -35,21 +35,14 @@ READ_NOISE_DN, ELECTRONS_PER_DN = 2.0, 10.0
 
 @dataclass(frozen=True)
 class PointSpread:
-    """The point spread function of a camera at one place of its image.
+    """The point spread function of a camera: a round lens and a square pixel.
 
     Parameters
     ----------
     sigma_px : float
-        Standard deviation of the Gaussian blur along ``angle_deg``.
-    sigma_across_px : float, optional
-        Across it; the same where left out.
-    angle_deg : float
-        Direction of ``sigma_px`` from x towards y.
-    motion_px : float
-        Length by which the image moves along y while it is exposed.
+        Width of the lens: standard deviation of a Gaussian, radius of a disc, or one over the
+        highest frequency that diffraction lets through, pixels.
     lens : {"gaussian", "disc", "diffraction"}
-        Of these, ``sigma_px`` is the deviation, the disc's radius, or one over the highest
-        frequency; discs and diffraction are alike in all directions.
 
     Examples
     --------
@@ -59,42 +52,25 @@ class PointSpread:
     """
 
     sigma_px: float
-    sigma_across_px: float = None
-    angle_deg: float = 0.0
-    motion_px: float = 0.0
     lens: str = "gaussian"
 
     def __post_init__(self):
         check_positive(self.sigma_px, "sigma_px", unit="px")
         check_choice(self.lens, "lens", ("gaussian", "disc", "diffraction"))
-        if self.sigma_across_px is not None:
-            check_positive(self.sigma_across_px, "sigma_across_px", unit="px")
-        check_number(self.motion_px, "motion_px", low=0, unit="px")
-
-    @property
-    def blur(self):
-        """Covariance matrix (2, 2) of the Gaussian along x and y, px2."""
-        across = self.sigma_px if self.sigma_across_px is None else self.sigma_across_px
-        c, s = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
-        turn = np.array([[c, -s], [s, c]])
-        return turn @ np.diag([self.sigma_px**2, across**2]) @ turn.T
 
     def mtf(self, fx, fy):
-        """Transfer function of optics, motion and pixel at frequencies in cycles per pixel."""
-        fx, fy = np.asarray(fx, np.float64), np.asarray(fy, np.float64)
-        return self._optics(fx, fy) * np.sinc(self.motion_px * fy) * np.sinc(fx) * np.sinc(fy)
+        """Transfer function of lens and pixel at frequencies in cycles per pixel."""
+        return self._optics(np.hypot(fx, fy) * self.sigma_px) * np.sinc(fx) * np.sinc(fy)
 
-    def _optics(self, fx, fy):
-        """Transfer function of the lens alone."""
-        x = np.hypot(fx, fy) * self.sigma_px
+    def _optics(self, x):
+        """Transfer function of the lens alone, at frequencies over one over its width."""
         if self.lens == "disc":
             turn = 2 * np.pi * np.maximum(x, 1e-9)
             return 2 * j1(turn) / turn
         if self.lens == "diffraction":
             x = np.minimum(x, 1)
             return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-        (xx, xy), (_, yy) = self.blur
-        return np.exp(-2 * np.pi**2 * (xx * fx**2 + 2 * xy * fx * fy + yy * fy**2))
+        return np.exp(-2 * np.pi**2 * x**2)
 
     def mtf_mean(self, f):
         """Transfer function averaged over all directions."""
@@ -117,7 +93,7 @@ class PointSpread:
             """Line spread function at a distance, less half of its peak."""
             return np.trapezoid(mtf * (np.cos(2 * np.pi * f * d) - 0.5), f)
 
-        return float(2 * brentq(above_half, 0, 6 * np.sqrt(self.blur.max()) + 2))
+        return float(2 * brentq(above_half, 0, 6 * self.sigma_px + 2))
 
 
 def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, **levels):
@@ -475,7 +451,7 @@ def _ties(stations, flight, rng, fields=60):
 def _render(shape, spread, distance, low=0.1, high=0.6):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
-    margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * np.sqrt(spread.blur.max())))
+    margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * spread.sigma_px))
     fine = [next_fast_len((size + 2 * margin) * FINE, real=True) for size in (rows, columns)]
     y, x = (
         np.arange(count)[:, None] / FINE - margin - (size - 1) / 2
