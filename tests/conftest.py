@@ -26,9 +26,10 @@ TOGETHER = ("poles", "browser")
 """Files with these words are one share: one process compiles the detectors, one starts a server."""
 
 SLOW = (
-    *("poles", "browser", "[test_field]", "[chart_tables]", "[image_radiometry]"),
-    *("[repeatability]", "test_lines_edges.py", "[anisotropy]", "[chart_images]", "[mimic]"),
-    *("[lhd_weight]", "[poles]", "test_bench.py", "test_chart_image.py"),
+    *("poles", "browser", "[test_field]", "[chart_tables]", "[image_resolution]"),
+    *("[specifications]", "[image_radiometry]", "[repeatability]", "test_lines_edges.py"),
+    *("[anisotropy]", "[chart_images]", "[mimic]", "[lhd_weight]", "[poles]"),
+    *("test_chart_image.py", "test_commands.py", "test_students.py"),
 )
 """How the names of shares end that take long: they come first, so that all processes end together.
 

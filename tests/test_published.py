@@ -31,34 +31,6 @@ def within(value, low, high):
     return (low - 1e-9 <= value) & (value <= high + 1e-9)
 
 
-def test_pfeifer_table_1_has_its_marks_numbers_and_dashes():
-    table = published.table("pfeifer2021", "table_1")
-    counts = table.groupby(["quantity", "status"]).size().to_dict()
-    assert counts == {
-        ("legibility", "printed"): 12,
-        ("legibility", "not_evaluated"): 6,
-        ("pixel size", "printed"): 23,
-        ("pixel size", "not_resolved"): 1,
-        ("pixel size", "not_evaluated"): 12,
-        ("line-pair width", "printed"): 22,
-        ("line-pair width", "not_resolved"): 2,
-        ("line-pair width", "not_evaluated"): 12,
-    }
-    numbers = table[table["quantity"] != "legibility"]
-    assert (numbers["value"].notna() == (numbers["status"] == "printed")).all()
-    assert ((table["printed"] == "") == (table["status"] == "not_evaluated")).all()
-    empty = table[table["status"] == "not_evaluated"]
-    assert (empty["distance_m"] == 5).all()
-    assert set(empty["view"]) == {"forward", "backward"}
-
-
-def test_pfeifer_table_1_numbers_equal_their_printed_strings():
-    table = published.table("pfeifer2021", "table_1").dropna(subset="value")
-    assert (table["printed"].astype(float) == table["value"]).all()
-    widths = table.query("quantity == 'line-pair width'")["value"]
-    assert set(widths) <= {40, 30, 20, 15, 10, 8, 6, 4, 2}
-
-
 def test_pfeifer_table_2_f_is_d4_over_d1_within_rounding():
     table = published.table("pfeifer2021", "table_2")
     low = (table["d4_mm"] - 0.5) / (table["d1_mm"] + 0.5) - 0.05
@@ -66,99 +38,6 @@ def test_pfeifer_table_2_f_is_d4_over_d1_within_rounding():
     assert within(table["f"], low, high).all()
     printed = table["density_per_m2_printed"].str.replace(",", "").astype(float)
     assert (printed == table["density_per_m2"]).all()
-
-
-@pytest.mark.parametrize("name", ["table_1", "table_2"])
-def test_poreba_detection_rates_follow_from_the_counts(name):
-    table = published.table("poreba2013", name)
-    errors = table["false_negative"] + table["false_positive"]
-    rate = 100 * (1 - errors / (table["p_test_segments"] * table["q_model_segments"]))
-    off = table[(rate - table["detection_rate_percent"]).abs() > 0.005 + 1e-9]
-    slips = [] if name == "table_1" else [("Course3-TLS", "right", 99.54)]
-    columns = ["comparison", "position_in_cell", "detection_rate_percent"]
-    assert [tuple(row) for row in off[columns].to_numpy()] == slips
-
-
-@pytest.mark.parametrize("name", ["table_1", "table_2"])
-def test_poreba_asterisk_stands_at_the_larger_distance(name):
-    for _, pair in published.table("poreba2013", name).groupby("comparison"):
-        starred = pair.loc[pair["final_lhd_asterisk"], "olhd_m"]
-        assert starred.tolist() == [pair["olhd_m"].max()]
-        assert pair["position_in_cell"].tolist() == ["left", "right"]
-
-
-def test_poreba_sets_have_one_size():
-    both = pd.concat([published.table("poreba2013", n) for n in ("table_1", "table_2")])
-    first = both[both["comparison"] != "Course1-Course3 second"]
-    sides = [
-        first[["test_set", "p_test_segments"]].set_axis(["set", "n"], axis=1),
-        first[["model_set", "q_model_segments"]].set_axis(["set", "n"], axis=1),
-    ]
-    sizes = pd.concat(sides).groupby("set")["n"].unique().map(list).to_dict()
-    assert sizes == {"Course1": [36], "Course2": [28], "Course3": [41], "TLS": [64]}
-
-
-@pytest.mark.parametrize("name", ["table_3", "table_4"])
-def test_cahalane_error_is_mimic_less_cad(name):
-    table = published.table("cahalane2014", name)
-    off = (table["mimic_m"] - table["cad_m"]).abs() - table["error_m"]
-    assert (off.abs() <= 0.001).all()  # three rounded numbers: at most a unit and a half
-
-
-def test_cahalane_table_2_error_is_measured_less_mimic():
-    table = published.table("cahalane2014", "table_2").set_index("result")
-    for profile in ("profile_1_m", "profile_2_m"):
-        off = abs(table.loc["Measured (Average)", profile] - table.loc["MIMIC", profile])
-        assert off == pytest.approx(table.loc["Error", profile], abs=0.0005)
-
-
-def test_cahalane_table_3_follows_from_the_projected_spacing():
-    table = published.table("cahalane2014", "table_3")
-    scan, turned = np.radians(45), np.radians(table["alpha_targ_deg"])
-    spacing = 0.1 * np.cos(scan) / np.cos(scan - turned)
-    assert (np.abs(spacing - table["mimic_m"]) <= 0.0005 + 1e-9).all()
-
-
-def test_cahalane_table_5_is_ordered():
-    table = published.table("cahalane2014", "table_5")
-    assert ((table["min_m"] <= table["mean_m"]) & (table["mean_m"] <= table["max_m"])).all()
-    assert (table.loc[table["test"] == "Constructed", "max_m"] == 0).all()
-
-
-def test_table_3_4_rmse_follows_from_mean_and_std():
-    table = published.table("eurosdr2013_mls", "table_3_4")
-    correction = (table["n"] - 1) / table["n"]
-
-    def rmse(shift):
-        mean, std = table["mean_cm"] + shift, table["std_cm"] + shift
-        return np.sqrt(mean**2 + std**2 * correction)
-
-    assert within(table["rmse_cm"], rmse(-0.05) - 0.05, rmse(0.05) + 0.05).all()
-    assert ((table["min_cm"] < table["mean_cm"]) & (table["mean_cm"] < table["max_cm"])).all()
-
-
-def test_table_3_3_extremes_lie_beyond_the_spread():
-    table = published.table("eurosdr2013_mls", "table_3_3")
-    assert (table["min_cm"] < -table["std_cm"]).all()
-    assert (table["max_cm"] > table["std_cm"]).all()
-    narrow = table["system"].isin(["RIEGL VMX-250", "Streetmapper 360", "Optech Lynx"])
-    assert (table["search_radius_m"] == np.where(narrow, 0.2, 0.5)).all()
-    assert (table["n"] <= published.table("eurosdr2013_mls", "reference_data")["value"].max()).all()
-
-
-@pytest.mark.parametrize(
-    ("count", "n", "rate"),
-    [("trees_found", 127, 59.1), ("signs_found", 79, 82.3), ("lamp_posts_found", 46, 95.7)]
-    + [("found_12_5_m", 190, 71.6)],
-)
-def test_derived_pole_counts_are_the_only_ones_that_round_to_the_rates(count, n, rate):
-    fits = [k for k in range(n + 1) if round(100 * k / n, 1) == rate]
-    derived = published.table("eurosdr2013_mls", "derived").set_index("id")["value"]
-    assert fits == [derived[count]]
-    tables = ["poles_text", "table_4_1"]
-    printed = pd.concat([published.table("eurosdr2013_mls", t) for t in tables])
-    printed = printed["value"].fillna(printed["value_percent"])[printed["n"] == n]
-    assert rate in printed.tolist()
 
 
 def test_derived_numbers_of_pfeifer():
@@ -193,26 +72,7 @@ def test_derived_numbers_of_poreba():
     assert derived["null_rate_upper"] == pytest.approx(null.max(), abs=0.05)
 
 
-@pytest.mark.parametrize("targets", ["xp1_1_6", "lynx_a_7_11", "lynx_b_12_16"])
-def test_derived_angular_steps_of_cahalane(targets):
-    system, first, last = targets.rsplit("_", 2)
-    rate = published.number("cahalane2014", f"targets_{system}_prr")["value"] * 1000
-    frequency = published.number("cahalane2014", f"targets_{system}_mf")["value"]
-    step = published.table("cahalane2014", "derived").set_index("id")["value"]
-    assert step[f"step_targets_{first}_{last}"] == pytest.approx(360 * frequency / rate)
-
-
 # The loader
-
-
-def test_status_says_why_a_number_is_missing():
-    known = {"printed", "not_resolved", "not_evaluated", "not_applicable"}
-    known |= {"not_available", "not_printed"}
-    for source, name in TABLES:
-        table = published.table(source, name)
-        if "status" in table:
-            assert set(table["status"]) <= known
-            assert table.loc[table["status"] != "printed", "value"].isna().all()
 
 
 def test_a_table_is_a_new_frame_each_time():

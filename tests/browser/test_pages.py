@@ -1,7 +1,6 @@
-"""The pages of a run in Chromium: WCAG 2.1 AA by axe, and the answers on the first screen."""
+"""The pages of a run in Chromium: answers on the first screen, ledger and glossary on a phone."""
 
 import shutil
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import nbformat
@@ -12,8 +11,6 @@ from mmqa_lab.published.ledger import entry
 from mmqa_lab.run import Run, notebooks, pages
 from mmqa_lab.run.students import PYTHON
 from mmqa_lab.studies import STUDIES
-
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]
 
 CODE = "import pandas as pd\npd.DataFrame({'a': [x for x in range(3) if x in (1, 2)]})  # why"
 
@@ -73,25 +70,6 @@ def opened(browser, site):
     page.close()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "index.html",
-        "ledger.html",
-        "glossary.html",
-        "chart_tables/chart_tables.html",
-        "chart_tables/report.html",
-    ],
-)
-def test_axe_finds_nothing(opened, name):
-    axe = pytest.importorskip("axe_playwright_python", reason="needs axe-playwright-python")
-    page = opened(name)
-    page.evaluate((Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8"))
-    found = page.evaluate("rules => axe.run(document, {runOnly: rules})", RULES)
-    assert len(found["passes"]) > 5
-    assert [(one["id"], one["nodes"][0]["html"]) for one in found["violations"]] == []
-
-
 def test_all_answers_are_on_the_first_screen(opened):
     page = opened("index.html")
     answers = page.locator(".answers li")
@@ -100,11 +78,8 @@ def test_all_answers_are_on_the_first_screen(opened):
     assert lowest < 1000
 
 
-def test_the_index_is_worked_by_keys(opened):
-    page = opened("index.html")
-    page.keyboard.press("Tab")
-    seen = set()
-    for _ in range(4):
-        page.keyboard.press("Tab")
-        seen.add(page.evaluate("document.activeElement.getAttribute('href')"))
-    assert "#chart_tables" in seen
+@pytest.mark.parametrize("name", ["index.html", "ledger.html", "glossary.html"])
+def test_pages_are_as_wide_as_a_phone(opened, name):
+    page = opened(name)
+    page.set_viewport_size({"width": 390, "height": 800})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
