@@ -295,38 +295,29 @@ def ledger_table(sizes, widths, legibility, repeats_px):
         As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
     """
     told = NOTES["chart_images"]
-    renamed = {"predicted_mm": "value", "low_mm": "low", "high_mm": "high"}
+    predicted = {"predicted_mm": "value", "low_mm": "low", "high_mm": "high"}
     known = sizes["system"].map(told["pixels"]).where(sizes["published_mm"] > 0, told["dash"])
-    parts = [
-        sizes.rename(columns=renamed).assign(what="pixel size", kind="predicted", note=known),
-        widths.rename(columns=renamed).assign(
-            what="line-pair width", kind="predicted", note=told["width"]
+    fitted = widths[[*ROW, "direction"]].assign(value=widths["fitted_mm"], note=told["fit"])
+    marks = legibility["fitted_mark"].map({"a": 1.0, "b": 2.0, "c": 3.0})
+    marks = legibility[ROW].assign(direction="", value=marks, note=told["mark"])
+    parts = {
+        ("pixel size", "predicted"): sizes.rename(columns=predicted).assign(note=known),
+        ("line-pair width", "predicted"): widths.rename(columns=predicted).assign(
+            note=told["width"]
         ),
-        widths[[*ROW, "direction"]].assign(
-            what="line-pair width", kind="fitted", note=told["fit"], value=widths["fitted_mm"]
-        ),
-        legibility[ROW].assign(
-            direction="",
-            what="legibility",
-            kind="fitted",
-            note=told["mark"],
-            value=legibility["fitted_mark"].map({"a": 1.0, "b": 2.0, "c": 3.0}),
-        ),
-    ]
-    table = pd.concat(parts, ignore_index=True)
-    words = [
-        f"{row.system} {row.distance_m:.0f} m {row.view} {row.direction} {row.what}".split()
-        for row in table.itertuples()
-    ]
-    table = table.assign(source="pfeifer2021", table="table_1", cell=[" ".join(w) for w in words])
-    largest = float(np.max(repeats_px))
-    repeated = pd.DataFrame({"cell": ["bar_std", "bar_difference_max"], "value": [1.0, 4.0]})
-    note = told["repeats"] + "; " + repeated["value"].map("{:g} standard deviations.".format)
-    repeated = repeated.assign(
-        source="pfeifer2021", table="numbers", kind="measured", note=note
-    ).assign(value=largest * repeated["value"])
-    columns = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
-    return pd.concat([table, repeated], ignore_index=True)[columns]
+        ("line-pair width", "fitted"): fitted,
+        ("legibility", "fitted"): marks,
+    }
+    table = pd.concat([part.assign(what=what, kind=kind) for (what, kind), part in parts.items()])
+    place = table["system"] + table["distance_m"].map(" {:.0f} m ".format) + table["view"]
+    cell = (place + " " + table["direction"] + " " + table["what"]).str.split().str.join(" ")
+    table = table.assign(table="table_1", cell=cell)
+    std = float(np.max(repeats_px))
+    repeated = pd.DataFrame({"cell": ["bar_std", "bar_difference_max"], "value": [std, 4 * std]})
+    note = [f"{told['repeats']}; {times} standard deviations." for times in (1, 4)]
+    repeated = repeated.assign(table="numbers", kind="measured", note=note)
+    table = pd.concat([table, repeated], ignore_index=True).assign(source="pfeifer2021")
+    return table[["source", "table", "cell", "value", "low", "high", "kind", "note"]]
 
 
 def _steps_chart(sigma_px, blur_px):

@@ -41,11 +41,7 @@ BANDS = {"green": (1.08, 1.5), "red": (1.0, 1.0), "near infrared": (0.68, 0.4)}
 ANISOTROPY = np.array([1.03, 1.06, 1.04])
 """How much more than at nadir the reference targets reflect towards the camera, assumed."""
 
-OTHER_SURFACES = {
-    "green": (0.1, 0.2, 0.09),
-    "red": (0.11, 0.24, 0.06),
-    "near infrared": (0.13, 0.29, 0.42),
-}
+OTHERS = dict(zip(BANDS, [(0.1, 0.2, 0.09), (0.11, 0.24, 0.06), (0.13, 0.29, 0.42)], strict=True))
 """Assumed reflectances of asphalt, gravel and grass."""
 
 WATER, SURROUNDINGS = 0.015, 0.15
@@ -105,7 +101,7 @@ def surfaces_of(band):
     """Surfaces by class, with ``reference``; tarps of Hyytiälä as printed for the green."""
     tarps = table(SOURCE, "reference_targets").query("campaign == 'Hyytiälä'")["reflectance"]
     names = ["black tarp", *["bright tarps"] * 3, "uniform", "uniform", "grass"]
-    reference = [*tarps.dropna(), *OTHER_SURFACES[band]]
+    reference = [*tarps.dropna(), *OTHERS[band]]
     return pd.DataFrame({"target_class": names, "reference": reference})
 
 
@@ -125,7 +121,6 @@ def field(air, band, reference_std, seed):
     exposure = relative_exposure(0.0035, 11.0, reference=REFERENCE_SETTING)
 
     def measured(reflectance, number):
-        """Statistics of patches of these reflectances."""
         light = mean.radiance(reflectance, surroundings=SURROUNDINGS, seed=[*key, number])
         image, places = grey_wedge(light, exposure, [*key, number])
         return patch_statistics(image, places, full_scale=FULL_SCALE)

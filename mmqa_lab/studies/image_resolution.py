@@ -1,10 +1,10 @@
 """Resolution: edges of known blur, photographs, and what the report prints of resolution.
 
 The images of the report (EuroSDR 2013, image radiometry) are airborne and not published. Here all
-is simulated but the photographs of ``REAL_EDGES`` and ``PHOTOGRAPHS``.
+is simulated but the photographs of ``REAL_EDGES``.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pandas as pd
@@ -32,13 +32,6 @@ REAL_EDGES = {
 
 Those tools were given the codes of the files, not light: so are ours.
 """
-
-PHOTOGRAPHS = (
-    "images/panorama.jpg",
-    "images/street_signs_french.jpg",
-    "images/iso_chart_mono.jpg",
-    "images/line_pairs_44.png",
-)
 
 
 def noisy(image, noise, rng):
@@ -85,14 +78,10 @@ def edge_errors(found, truth):
     return {f"{name}_error_percent": 100 * (named[name] / truth[name] - 1) for name in known}
 
 
-def estimator(method):
-    """A function that measures MTF50 and the FWHM of a patch with one edge by ``fit_edge``."""
-
-    def measure(patch):
-        found = fit_edge(patch, method=method)
-        return {"mtf50": found.mtf50, "fwhm_px": found.fwhm_px}
-
-    return measure
+def estimate(patch, method):
+    """MTF50 and FWHM of a patch with one edge by ``fit_edge``."""
+    found = fit_edge(patch, method=method)
+    return {"mtf50": found.mtf50, "fwhm_px": found.fwhm_px}
 
 
 def rise(patch):
@@ -111,9 +100,9 @@ def rise(patch):
 
 METHODS = {
     "rise 10-90 %": rise,
-    "bins (ISO 12233)": estimator("binned"),
-    "Gaussian sigmoid": estimator("sigmoid"),
-    "logistic sigmoid": estimator("logistic"),
+    "bins (ISO 12233)": partial(estimate, method="binned"),
+    "Gaussian sigmoid": partial(estimate, method="sigmoid"),
+    "logistic sigmoid": partial(estimate, method="logistic"),
 }
 """Estimators of resolution: functions of a patch, grey values (rows, columns) with one edge."""
 
@@ -158,12 +147,10 @@ def ledger_table(corner):
         "simulated images and regressed on the distance. Blur (0.5 px) and places are assumed."
     )
     pixel = "One line on each pixel of 12 um prints as 83; the interval is that of 12, rounded."
-    values = {
-        "corner_factor": (corner.value, corner.low, corner.high, bars),
-        "theoretical_resolution": (1000 / 12.0, 1000 / 12.5, 1000 / 11.5, pixel),
-    }
+    values = [("corner_factor", corner.value, corner.low, corner.high, bars)]
+    values += [("theoretical_resolution", 1000 / 12.0, 1000 / 12.5, 1000 / 11.5, pixel)]
     rows = []
-    for cell, (value, low, high, note) in values.items():
+    for cell, value, low, high, note in values:
         ours = {"kind": "predicted", "low": low, "high": high, "note": note}
         rows.append(ledger.entry(SOURCE, "resolution_results", cell, value, **ours))
     return pd.DataFrame(rows)
