@@ -6,12 +6,9 @@ a 95 % interval that follows from the points themselves, see :meth:`CloudQuality
 
 from __future__ import annotations
 
-import numbers
 import warnings
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,52 +16,40 @@ import shapely
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import (
-    check_choice,
-    check_number,
-    check_points,
-    check_polygon,
-    check_positive,
-)
+from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
-from mmqa_lab.spacing import (
-    DirectionalSpacing,
-    Spacing,
-    directional,
-    exempt,
-    quadrants,
-    said_coincident,
-)
+from mmqa_lab.spacing import FEWEST, DirectionalSpacing, Spacing, exempt, line_strips, quadrants
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "CloudQuality",
-    "chart_polygon",
-    "evaluate_cloud",
-    "evaluate_clouds",
-    "inside_polygon",
-]
+__all__ = ["CloudQuality", "chart_polygon", "evaluate_cloud", "inside_polygon"]
 __dir__ = __all__.copy
 
 AXES = ("principal", "horizontal")
 
-STEEPEST = 0.5
-"""Cosine of the slope up to which a polygon in plan is laid onto the surface under it."""
+UPRIGHT = 0.7
+"""Cosine of the slope below which a surface is upright: its axes are horizontal by default."""
 
-LEAST_COSINE = 0.98
-"""Of the angle between the planes of points and polygon, about 10 degrees."""
+ALIKE = 1.1
+"""Ratio of the two largest variances of points below which principal axes turn by chance."""
 
-FAR, DENSEST = 10.0, 1e7
+FAR, DENSEST = 3.0, 1e7
 """Farther away than so many times the 90 % quantile, a point is said; points/m2 that none has."""
+
+PAIRS = 5.0
+"""Where d2 is more than so many times d1, points come in pairs: 1.7 at random, 2 on lines."""
+
+COARSE_MM = 1e-3
+"""Steps of coordinates below this are never too coarse."""
 
 FULL = 1.5
 """So many times the hull of its points, a polygon is said to be partly empty."""
+
+GRID = (np.arange(100) + 0.5) / 100
+"""Places along each side of an outline's box, whose numbers stand for areas."""
 
 OFF_PLANE = 0.05
 """A vertex may lie this share of the vertices' spread off the plane of a polygon."""
@@ -75,10 +60,6 @@ chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge
 more than twice the assumed error of a click. The paper prints neither size: they are those of
 :func:`mmqa_lab.charts.point_chart`."""
 
-BLOCKS, BLOCKS_OF_STD = 4, 3
-"""Blocks along each axis, from which intervals follow; wider ones for std, which errors of matching
-that reach over 8 cm make too certain."""
-
 
 @dataclass(frozen=True, eq=False)
 class CloudQuality(Shown):
@@ -86,24 +67,18 @@ class CloudQuality(Shown):
 
     Parameters
     ----------
-    n : int
-        Points evaluated.
     area_polygon_m2, area_hull_m2 : float
-        Area of the selection polygon projected into the plane (NaN without a polygon), and of
-        the convex hull of the projected points.
-    std_mm, sigma_mad_mm : float
+        Area of the selection polygon laid onto the plane (NaN without a polygon), and of the convex
+        hull of the points in the plane.
+    sigma_mad_mm : float
         Dispersion of the orthogonal distances from the plane.
-    incomplete_share : float
-        Share of points with an empty quadrant within the search radius.
-    coincident : int
-        Points that share their place with another one.
     axes : str
         The axes of the quadrants.
     rho0_per_m2 : float
         Density that is asked for; NaN where none is.
     remarks : tuple of str
         What a reader of the figures must know: coordinates too coarse for a figure, coincident
-        points, a polygon without heights, with holes, off its plane, and the like.
+        points, axes by chance, a polygon off its plane, and the like.
     plane : Plane
     spacing : Spacing
         Of the points in the plane along those axes, from its centre.
@@ -118,13 +93,9 @@ class CloudQuality(Shown):
     (20.0, 40.0, 2.0)
     """
 
-    n: int
     area_polygon_m2: float
     area_hull_m2: float
-    std_mm: float
     sigma_mad_mm: float
-    incomplete_share: float
-    coincident: int
     axes: str
     rho0_per_m2: float
     remarks: tuple[str, ...]
@@ -133,14 +104,19 @@ class CloudQuality(Shown):
     outline: object = field(repr=False)
 
     @property
+    def n(self) -> int:
+        """Points evaluated."""
+        return self.spacing.n
+
+    @property
     def xy(self) -> np.ndarray:
         """The points in the plane, shape (n, 2), m."""
         return self.spacing.xy
 
     @property
-    def distances_mm(self) -> np.ndarray:
-        """Sorted quadrant distances of each point, shape (n, 4), NaN where a quadrant is empty."""
-        return 1000 * self.spacing.distances
+    def std_mm(self) -> float:
+        """Standard deviation of the orthogonal distances from the plane."""
+        return 1000 * self.plane.std
 
     @property
     def d_mm(self) -> np.ndarray:
@@ -151,16 +127,6 @@ class CloudQuality(Shown):
     def d1_mm(self) -> float:
         """The smallest of ``d_mm``."""
         return float(self.d_mm[0])
-
-    @property
-    def d2_mm(self) -> float:
-        """The second of ``d_mm``."""
-        return float(self.d_mm[1])
-
-    @property
-    def d3_mm(self) -> float:
-        """The third of ``d_mm``."""
-        return float(self.d_mm[2])
 
     @property
     def d4_mm(self) -> float:
@@ -178,16 +144,9 @@ class CloudQuality(Shown):
         return self.n / self.area_hull_m2 if self.area_hull_m2 > 0 else np.nan
 
     @property
-    def linear_point_distance_mm(self) -> float:
-        """sqrt(1 / density), of the polygon where there is one, else of the hull."""
-        polygon = np.isfinite(self.area_polygon_m2)
-        density = self.density_polygon_per_m2 if polygon else self.density_hull_per_m2
-        return 1000 / np.sqrt(density)
-
-    @property
     def f(self) -> float:
         """Inhomogeneity d4 / d1; NaN where d1 is zero or either is not measurable."""
-        return float(self.d_mm[-1] / self.d1_mm) if self.d1_mm > 0 else np.nan
+        return self.spacing.f if self.d1_mm > 0 else np.nan
 
     @property
     def f_exempt(self) -> bool | None:
@@ -199,28 +158,31 @@ class CloudQuality(Shown):
             return None
         return bool(exempt(self.spacing.d[0], self.spacing.d[-1], self.rho0_per_m2))
 
-    @cached_property
+    @property
     def directional(self) -> DirectionalSpacing:
         """The spacing by direction, with the ratio g."""
-        return directional(self.xy)
+        return self.spacing.directional
 
     def intervals(self) -> pd.DataFrame:
-        """Return every figure with the 95 % interval that the pattern's own chance leaves it.
+        """Return every figure with its 95 % confidence interval.
 
         Returns
         -------
         DataFrame
-            ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN where not measurable.
+            ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN where not measurable, and for
+            fewer than 50 points.
 
         Notes
         -----
-        A grid of 4 x 4 blocks parts the points. sigma_MAD, d1..d4 and the two spacings behind g
-        are medians, f and g ratios of two: :func:`mmqa_lab.stats.median_interval` and
+        Confidence intervals of the mean over scans with the same mean pattern; another scan's
+        figure, which errs as well, falls inside in about 83 %. What a scan line shares errs for all
+        of its points: strips of whole lines, along and across them, are the blocks that count
+        (:func:`mmqa_lab.spacing.line_strips`). sigma_MAD, d1..d4 and the two spacings behind g are
+        medians, f and g ratios of two: :func:`mmqa_lab.stats.median_interval` and
         :func:`mmqa_lab.stats.median_ratio_interval`. The density and the variance behind std are
-        means: their standard errors follow from the sums over the blocks (3 x 3 for std), with
-        Student's t. The intervals say what another scan with the same mean pattern would give; the
-        operator's part is :func:`mmqa_lab.repeatability.repeatability`. Those of the density are
-        too wide for regular patterns, whose blocks make up for each other.
+        means. The operator's part is :func:`mmqa_lab.repeatability.repeatability`. Intervals of the
+        density are too wide for regular patterns, whose blocks make up for each other, and those
+        of the spacing where it grows much over the surface.
 
         Examples
         --------
@@ -231,13 +193,15 @@ class CloudQuality(Shown):
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
-        block = stats.blocks(self.xy, side=BLOCKS)
-        off = np.abs(self.plane.residuals - np.median(self.plane.residuals))
+        block, residuals_mm = line_strips(self.xy, self.directional), 1000 * self.plane.residuals
+        off = np.abs(residuals_mm - np.median(residuals_mm))
         factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
         ends = np.multiply(factor, stats.median_interval(off, block))
+        reach = stats.mean_reach(residuals_mm**2, block)
+        variances = np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)
         rows = [
             ("density", *self._density_interval(), "points/m2"),
-            ("std", self.std_mm, *self._std_interval(), "mm"),
+            ("std", self.std_mm, *np.sqrt(variances), "mm"),
             ("sigma_mad", self.sigma_mad_mm, *ends, "mm"),
         ]
         names = ["figure", "value", "low", "high", "unit"]
@@ -246,16 +210,13 @@ class CloudQuality(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units."""
-        names = (
-            *("n", "area_polygon_m2", "area_hull_m2"),
-            *("density_polygon_per_m2", "density_hull_per_m2", "linear_point_distance_mm"),
-            *("std_mm", "sigma_mad_mm"),
-        )
-        row = {name: getattr(self, name) for name in names}
+        first = ("n", "area_polygon_m2", "area_hull_m2", "density_polygon_per_m2")
+        first += ("density_hull_per_m2", "std_mm", "sigma_mad_mm")
+        row = {name: getattr(self, name) for name in first}
         row |= {f"d{k}_mm": d for k, d in enumerate(self.d_mm, 1)}
-        names = ("f", "f_exempt", "incomplete_share", "coincident", "axes")
-        row |= {name: getattr(self, name) for name in names}
-        return pd.DataFrame([row | {"remarks": " ".join(self.remarks)}])
+        row |= {"f": self.f, "f_exempt": self.f_exempt}
+        row |= {name: getattr(self.spacing, name) for name in ("incomplete_share", "coincident")}
+        return pd.DataFrame([row | {"axes": self.axes, "remarks": " ".join(self.remarks)}])
 
     def plot(self) -> Figure:
         """Draw the points, their distances from the plane, and the histograms of both.
@@ -285,79 +246,54 @@ class CloudQuality(Shown):
         residuals : Axes
             For the distances from the plane, with std and sigma_MAD to either side of zero.
         """
+        from mmqa_lab.plots import COLOURS
+
         self.spacing.plot(ax=spacings)
-        _draw_residuals(self, residuals)
-
-    def to_xarray(self) -> xr.Dataset:
-        """Return a Dataset over ``point`` and ``rank``: what the figures are made of.
-
-        Returns
-        -------
-        Dataset
-            ``distance_mm`` (point, rank), ``residual_mm`` (point), the coordinates ``x_m`` and
-            ``y_m`` in the plane; the figures of :meth:`to_frame` as attributes.
-
-        Examples
-        --------
-        >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
-        >>> points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-        >>> data = evaluate_cloud(points).to_xarray()
-        >>> data["distance_mm"].median("point").round(1).values.tolist()
-        [20.0, 20.0, 40.0, 40.0]
-        """
-        import xarray as xr
-
-        x, y = self.xy.T
-        ranks = np.arange(1, 1 + self.distances_mm.shape[1])
-        return xr.Dataset(
-            {
-                "distance_mm": (("point", "rank"), self.distances_mm),
-                "residual_mm": ("point", 1000 * self.plane.residuals),
-            },
-            coords={"x_m": ("point", x), "y_m": ("point", y), "rank": ranks},
-            attrs=self.to_frame().astype(object).iloc[0].to_dict(),
-        )
+        half = max(4 * self.sigma_mad_mm, 0.5)
+        shown = np.clip(1000 * self.plane.residuals, -half, half)
+        residuals.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
+        for value, name, colour, dash in (
+            (self.std_mm, "std", "vermilion", "-"),
+            (self.sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
+        ):
+            label = f"±{name} = {value:.1f} mm"
+            residuals.axvline(-value, color=COLOURS[colour], ls=dash)
+            residuals.axvline(value, color=COLOURS[colour], ls=dash, label=label)
+        residuals.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
+        residuals.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
 
     def _repr_html_(self):
         return self.intervals().to_html(index=False, float_format="{:.4g}".format)
 
     def _density_interval(self):
-        """Density of the outline and its interval, from counts in the blocks' parts of it."""
-        whole = self.outline
-        if whole.area == 0:
-            return np.nan, np.nan, np.nan
-        low, extent = np.array(whole.bounds[:2]), np.diff(np.reshape(whole.bounds, (2, 2)), axis=0)
-        extent = extent[0] / BLOCKS
-        column, row = np.divmod(np.arange(BLOCKS**2), BLOCKS)
-        corners = low + extent * np.column_stack([column, row])
-        boxes = shapely.box(*corners.T, *(corners + extent).T)
-        areas = shapely.area(shapely.intersection(whole, boxes))
-        place = np.clip(((self.xy - low) / extent).astype(int), 0, BLOCKS - 1)
-        counts = np.bincount(place[:, 0] * BLOCKS + place[:, 1], minlength=BLOCKS**2)
-        density = self.n / whole.area
-        off = (counts - density * areas)[areas > 0]
-        reach = stats.mean_reach(off, np.arange(len(off))) * len(off) / whole.area
+        """Density of the outline and its interval, from counts in strips of it."""
+        if self.outline.area == 0 or self.n < FEWEST:
+            return self.n / self.outline.area if self.outline.area else np.nan, np.nan, np.nan
+        density = self.n / self.outline.area
+        low_x, low_y, high_x, high_y = self.outline.bounds
+        ends = ((low_x, high_x), (low_y, high_y))
+        x, y = np.meshgrid(*(low + (high - low) * GRID for low, high in ends))
+        places = np.column_stack([x.ravel(), y.ravel()])
+        places = places[shapely.contains_xy(self.outline, *places.T)]
+        block = line_strips(np.vstack([self.xy, places]), self.directional)
+        # a point counts 1, a place of the grid takes off what is expected there
+        expected = np.full(len(places), self.n / len(places))
+        signs = np.concatenate([np.ones(self.n), -expected])
+        reach = stats.mean_reach(signs, block) * len(signs) / self.outline.area
         return density, max(density - reach, 0.0), density + reach
-
-    def _std_interval(self):
-        """Interval of std, from the sums of squares in the blocks."""
-        block = stats.blocks(self.xy, side=BLOCKS_OF_STD)
-        reach = stats.mean_reach((1000 * self.plane.residuals) ** 2, block)
-        return tuple(np.sqrt(np.clip(self.std_mm**2 + np.array([-reach, reach]), 0, None)))
 
 
 def evaluate_cloud(
-    points: Cloud | ArrayLike,
+    points: ArrayLike,
     *,
     polygon: ArrayLike | None = None,
     thickness: float = 0.1,
-    axes: str | float = "principal",
+    axes: str | float | None = None,
     radius: float = 0.5,
     scale: float = CONSISTENT_SCALE,
     rho0: float | None = None,
     sectors: int | str = 4,
     statistic: float = 50.0,
-    distinct: bool = False,
 ) -> CloudQuality:
     """Evaluate the points on one planar surface.
 
@@ -367,15 +303,16 @@ def evaluate_cloud(
 
     Parameters
     ----------
-    points : Cloud, array_like of shape (n, 3), DataFrame or path
+    points : Cloud or array_like, shape (n, 3)
         Metres; three or more after selection.
-    polygon : array_like of shape (m, 3), shapely or GeoPandas geometry, or path, optional
+    polygon : array_like of shape (m, 3), optional
         The selection, metres; see :func:`inside_polygon`.
     thickness : float
         Points up to this far from the polygon's plane are selected, m.
-    axes : {"principal", "horizontal"} or float
+    axes : {"principal", "horizontal"} or float, optional
         Axes of the quadrants: the principal axes of the selected points, the horizontal line and
         the line of greatest slope of the plane, or the principal axes turned by so many degrees.
+        When not given, horizontal on surfaces steeper than 45 degrees, else principal.
     radius : float
         Neighbours farther than this do not count, m.
     scale : float
@@ -388,8 +325,6 @@ def evaluate_cloud(
         see :func:`mmqa_lab.spacing.quadrants`.
     statistic : float
         Percentile of the distances that d1..d4 are; 50 is the median.
-    distinct : bool
-        Keep one point of those that share a place.
 
     Returns
     -------
@@ -406,8 +341,9 @@ def evaluate_cloud(
     ``resolution`` of the cloud and, where its coordinates are all multiples of 1, 2 or 5 times a
     power of ten, by that step.
 
-    Nearly square selections have principal axes that turn by chance, and f depends on the axes:
-    the same scan lines give another f when they run along an axis than when they run across both.
+    Nearly square selections have principal axes that turn by chance (which is said), and f depends
+    on the axes: the same scan lines give another f when they run along an axis than when they run
+    across both.
     A homogeneous random pattern has f = 3.257 at every density, so f < 2 asks for more regularity
     than chance gives. The hull's area is smaller than that of the surface the points were drawn
     from, by about (8/3) ln(n)/n for a square, so its density is too high. The medians are of all
@@ -432,37 +368,31 @@ def evaluate_cloud(
         polygon, inside, remarks, surface = _selected(points, polygon, thickness)
         _check_found(points, polygon, inside)
         points = points[inside]
-    if distinct:
-        points = np.unique(points, axis=0)
     plane = fit_plane(points)
+    if axes is None:
+        axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT else "principal"
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
     gaps = quadrants(xy, radius=radius, sectors=sectors, statistic=statistic)
     hull = _hull(xy)
-    outline = hull if polygon is None else _outline(polygon, framed)
+    outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    steps = resolution, _step(points), np.spacing(np.abs(points).max())
-    step_mm = 1000 * np.fmax.reduce(steps)
-    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm)
-    if polygon is not None and abs(plane.normal @ surface.normal) < LEAST_COSINE:
-        turn = np.degrees(np.arccos(min(abs(plane.normal @ surface.normal), 1.0)))
-        remarks.append(f"The plane of the points is turned by {turn:.0f} degrees from the polygon.")
+    step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
+    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull)
+    spread = np.sort(np.linalg.eigvalsh(np.cov(xy.T)))
+    if axes != "horizontal" and spread[1] < ALIKE * spread[0]:
+        remarks.append(
+            "Points spread alike in all directions: principal axes, and f, are by chance."
+        )
     if outline.area > FULL * hull.area:
         share = 100 * hull.area / outline.area
         remarks.append(
             f"Points lie on {share:.0f} % of the polygon: its density counts the rest too."
         )
-    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
-    if sectors != 4 or statistic != 50:
-        remarks.append(_remark_on_choices(sectors, gaps))
     return CloudQuality(
-        n=len(points),
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
-        std_mm=1000 * plane.std,
         sigma_mad_mm=sigma_mad_mm,
-        incomplete_share=gaps.incomplete_share,
-        coincident=gaps.coincident,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
         remarks=tuple(remarks),
@@ -472,51 +402,7 @@ def evaluate_cloud(
     )
 
 
-def evaluate_clouds(
-    clouds: Mapping[str, Cloud | ArrayLike] | Iterable[Cloud], **choices: Any
-) -> pd.DataFrame:
-    """Evaluate several clouds in the same way, for one table.
-
-    Parameters
-    ----------
-    clouds : dict of str to points, or sequence of clouds
-        Whatever :func:`evaluate_cloud` takes, by name; in a sequence clouds have their own names.
-    **choices
-        Polygon, axes, radius, sectors and so on of :func:`evaluate_cloud`.
-
-    Returns
-    -------
-    DataFrame
-        A row for each cloud: its name as ``cloud``, then the columns of
-        :meth:`CloudQuality.to_frame`.
-
-    Raises
-    ------
-    ValueError
-        If two have one name; else as :func:`evaluate_cloud`.
-
-    Examples
-    --------
-    >>> from mmqa_lab import io, samples
-    >>> clouds = [io.read_cloud(samples.path(name)) for name in ("chart_a_5m", "road_patch")]
-    >>> evaluate_clouds(clouds)[["cloud", "n", "f"]].round(1).to_numpy().tolist()
-    [['chart_a_5m', 4014, 7.0], ['road_patch', 28185, 2.2]]
-    """
-    if not isinstance(clouds, Mapping):
-        read = list(clouds)
-        clouds = {cloud.name: cloud for cloud in read}
-        if len(clouds) < len(read):
-            names = ", ".join(repr(cloud.name) for cloud in read)
-            raise ValueError(f"Invalid names of clouds: {names}. Must differ; give a dict.")
-    rows = [evaluate_cloud(cloud, **choices).to_frame() for cloud in clouds.values()]
-    table = pd.concat(rows, ignore_index=True)
-    table.insert(0, "cloud", list(clouds))
-    return table
-
-
-def inside_polygon(
-    points: Cloud | ArrayLike, polygon: ArrayLike, *, thickness: float = 0.1
-) -> np.ndarray:
+def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 0.1) -> np.ndarray:
     """Return the mask of the points inside a 3-D polygon's projection and near its plane.
 
     Parameters
@@ -591,13 +477,11 @@ def chart_polygon(
     [0.25, 0.0, 0.25]
     """
     corners = check_polygon(corners, name="corners")
-    if len(corners) != 4:
-        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
     given = np.asarray(margins, dtype=np.float64)
-    if given.ndim > 1 or given.size not in (1, 4) or (given < 0).any():
-        raise ValueError(f"Invalid margins {margins}. Must be one or four widths >= 0 m.")
-    low, right, high, left = np.broadcast_to(given, 4)
-    a, b, _, d = corners
+    if len(corners) != 4 or given.size not in (1, 4) or (given < 0).any():
+        raise ValueError(f"Invalid margins {margins}. Must be one or four widths >= 0 m, of four.")
+    low, right, high, left = np.broadcast_to(given.ravel(), 4)
+    a, b, c, d = corners
     width, height = np.linalg.norm(b - a), np.linalg.norm(d - a)
     if left + right >= width or low + high >= height:
         raise ValueError(
@@ -605,26 +489,7 @@ def chart_polygon(
         )
     u = np.array([left, width - right, width - right, left])[:, None] / width
     v = np.array([low, low, height - high, height - high])[:, None] / height
-    return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (corners[2] - a) * u * v
-
-
-def _draw_residuals(quality, ax):
-    """The distances from the plane, and two measures of their dispersion."""
-    from mmqa_lab.plots import COLOURS
-
-    residuals_mm = 1000 * quality.plane.residuals
-    half = max(4 * quality.sigma_mad_mm, 0.5)
-    shown = np.clip(residuals_mm, -half, half)
-    ax.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
-    for value, name, colour, dash in (
-        (quality.std_mm, "std", "vermilion", "-"),
-        (quality.sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),
-    ):
-        label = f"±{name} = {value:.1f} mm"
-        ax.axvline(-value, color=COLOURS[colour], ls=dash)
-        ax.axvline(value, color=COLOURS[colour], ls=dash, label=label)
-    ax.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
-    ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
+    return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (c - a) * u * v
 
 
 def _hull(xy):
@@ -635,65 +500,37 @@ def _hull(xy):
 
 def _directions(plane, axes):
     """The axes of the quadrants, shape (2, 3)."""
-    if isinstance(axes, numbers.Real) and not isinstance(axes, bool):
+    if not isinstance(axes, str):
         return turned_axes(plane.axes, check_number(axes, "axes", unit="degrees"))
     check_choice(axes, "axes", AXES)
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _remarks_on_points(gaps, step_mm, sigma_mm):
-    """Sentences on coordinates too coarse for the figures, and on coincident points."""
-    d1_mm, remarks = 1000 * gaps.d[0], []
-    if step_mm > sigma_mm or step_mm > d1_mm / 5:
-        remarks.append(
-            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
-            f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm."
-        )
+def _remarks_on_points(gaps, step_mm, sigma_mm, hull):
+    """Sentences on what the points cannot tell, or tell wrongly."""
+    d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR * np.quantile(away, 0.9)
-    if far.any():
-        remarks.append(
-            f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they may have "
-            "no true place, and turn the plane."
-        )
-    if gaps.n > DENSEST * max(_hull(gaps.xy).area, 1e-300):
-        remarks.append("More than 10 points/mm2: are the coordinates in degrees, not metres?")
-    if gaps.incomplete_share == 1:
-        remarks.append(
-            "No point has neighbours in all four quadrants within the search radius: d4 and f are "
-            "not measured."
-        )
-    if gaps.coincident:
-        remarks.append(said_coincident(gaps.coincident, gaps.n))
-    return remarks
-
-
-def _remark_on_layers(residuals_mm, step_mm):
-    """A sentence where the distances from the plane have two peaks, so that noise is not all."""
-    low, high = np.quantile(residuals_mm, [0.005, 0.995])
-    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
-    if len(residuals_mm) < 100 or not high - low > 4 * width:
-        return []
-    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
-    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
-    lower = np.minimum(before, after)
-    k = np.argmax(lower - counts)
-    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
-        return []
-    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
-    a, b = np.add(peaks, width / 2)
-    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
-
-
-def _remark_on_choices(sectors, gaps):
-    """What d1, d2, ... are where they are not those of the source."""
-    any_direction = str(sectors).startswith("nearest")
-    where = "in any direction" if any_direction else f"in each of {sectors} sectors"
-    what = "medians" if gaps.statistic == 50 else f"{gaps.statistic:g} % quantiles"
-    return (
-        f"d1..d{len(gaps.d)} are {what} of the sorted distances to the nearest points {where}, "
-        "f the ratio of the last to the first."
-    )
+    share = 100 * gaps.coincident / gaps.n
+    sentences = {
+        f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
+        f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.": (
+            step_mm > COARSE_MM and (step_mm > sigma_mm or step_mm > d1_mm / 5)
+        ),
+        f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
+        "hull, which lowers its density, and turn the plane.": far.any(),
+        "More than 10 points/mm2: are the coordinates in degrees, not metres?": (
+            gaps.n > DENSEST * max(hull.area, 1e-300)
+        ),
+        "No point has neighbours in all four quadrants within the search radius: d4 and f are "
+        "not measured.": gaps.incomplete_share == 1,
+        f"{gaps.coincident} points ({share:.3g} %) share their place with another: they raise the "
+        "density.": gaps.coincident > 0,
+        f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as by two returns of a pulse "
+        "or a scan that is there twice; density and f count both.": d2_mm > PAIRS * d1_mm,
+        f"Fewer than {FEWEST} points: no confidence intervals.": gaps.n < FEWEST,
+    }
+    return [sentence for sentence, applies in sentences.items() if applies]
 
 
 def _step(points):
@@ -725,7 +562,7 @@ def _selected(points, polygon, thickness):
         )
     near = np.abs(plane.distances(points)) <= thickness
     x, y = plane.project(points[near]).T
-    near[near] = shapely.contains_xy(_outline(vertices, plane), x, y)
+    near[near] = shapely.contains_xy(_outline(vertices, plane, plane.normal), x, y)
     return vertices, near, remarks, plane
 
 
@@ -742,9 +579,10 @@ def _check_found(points, vertices, inside):
     )
 
 
-def _outline(vertices, plane):
-    """The area of a polygon in a plane."""
-    polygon = shapely.Polygon(plane.project(vertices))
+def _outline(vertices, plane, normal):
+    """The area of a polygon laid onto a plane along a direction."""
+    reach = plane.distances(vertices) / (normal @ plane.normal)
+    polygon = shapely.Polygon(plane.project(vertices - reach[:, None] * normal))
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")

@@ -100,7 +100,7 @@ def operator_polygons(
 
 
 def evaluate_selections(
-    points: ArrayLike, polygons: ArrayLike, *, axes: str | float = "principal"
+    points: ArrayLike, polygons: ArrayLike, *, axes: str | float | None = None
 ) -> pd.DataFrame:
     """Evaluate one cloud with each of many polygons.
 

@@ -290,15 +290,15 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
 
 
 def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
-    """Number the points by strips along a direction, and by strips across it.
+    """Number the points by strips along a direction, and by strips across it, of equal numbers.
 
     Parameters
     ----------
     xy : array_like, shape (n, 2)
         Coordinates in a plane.
     direction : float
-        Degrees counter-clockwise from the first axis: that of scan lines, each of which lies in a
-        strip as a whole.
+        Degrees counter-clockwise from the first axis: that of scan lines, which lie in a strip as a
+        whole but for those on its borders.
     count : int
         Strips each way.
 
@@ -309,15 +309,14 @@ def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
 
     Examples
     --------
-    >>> strips([[0, 0], [4, 0], [4, 4]], 0, count=2).tolist()
-    [[0, 0, 1], [0, 1, 1]]
+    >>> strips([[0, 0], [4, 0], [1, 4], [5, 4]], 0, count=2).tolist()
+    [[0, 0, 1, 1], [0, 1, 0, 1]]
     """
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
     place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
-    place -= place.min(axis=0)
-    place *= count / np.where(np.ptp(place, axis=0) > 0, np.ptp(place, axis=0), 1)
-    return np.minimum(place.astype(np.int64), count - 1).T
+    rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0)
+    return rank.T * count // len(rank)
 
 
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
@@ -329,7 +328,7 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     Parameters
     ----------
     values : array_like, shape (n,)
-    block : array_like of int, shape (n,) or (2, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks` and :func:`strips`.
 
     Returns
@@ -359,7 +358,7 @@ def median_interval(
     ----------
     values : array_like, shape (n,)
         NaN where not measurable; infinity is a large value.
-    block : array_like of int, shape (n,) or (2, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks` and :func:`strips`.
     share : float
         0.5 for the median; 0.9 for the value that 90 % are below.
@@ -403,7 +402,7 @@ def median_ratio_interval(
     ----------
     top, bottom : array_like, shape (n,)
         Positive; NaN where not measurable.
-    block : array_like of int, shape (n,) or (2, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         See :func:`blocks` and :func:`strips`.
     share : float
         Of other quantiles than medians, see :func:`median_interval`.
@@ -442,7 +441,8 @@ def _quantile(values, share):
 
 def _influence(rows, share):
     """What each value adds to the error of the share of its row below the quantile."""
-    signs = np.array([np.sign(values - _quantile(values, share)) / 2 for values in rows])
+    middles = np.array([_quantile(values, share) for values in rows])[:, None]
+    signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
 
 
@@ -450,7 +450,8 @@ def _reach(rows, block):
     """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks.
 
     Where blocks go two ways, variances by either way are added, and that by both is taken off
-    (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136).
+    (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136); of several pairs of ways, the
+    one with the largest counts.
     """
     from scipy.special import stdtrit
 
@@ -458,11 +459,16 @@ def _reach(rows, block):
     least = min(len(np.unique(way)) for way in ways)
     if least < 2:
         return np.full(len(rows), np.nan)
-    variance = sum(_variance(rows, way) for way in ways)
-    if len(ways) == 2:
-        by_both = _variance(rows, ways[0] * (ways[1].max() + 1) + ways[1])
-        variance = np.maximum(variance - by_both, by_both)
-    return stdtrit(least - 1, 0.975) * np.sqrt(variance)
+    variances = [_variance(rows, way) for way in ways]
+    freedom = least - 1
+    if len(ways) > 1:
+        by_both = [
+            _variance(rows, a * (b.max() + 1) + b)
+            for a, b in zip(ways[::2], ways[1::2], strict=True)
+        ]
+        sums = np.add(variances[::2], variances[1::2])
+        variances, freedom = np.maximum(sums - by_both, by_both), len(ways) // 2 * freedom
+    return stdtrit(freedom, 0.975) * np.sqrt(np.max(variances, axis=0))
 
 
 def _variance(rows, block):

@@ -64,13 +64,55 @@ def ellipsoid(error, covariance):
     return 0.0, chi2.ppf(0.95, len(error)), error @ np.linalg.solve(covariance, error)
 
 
+BOARD_M = 0.71
+
+
+def scan_lines(rng, angle, *, along=0.005, across=0.02, growth=0.0):
+    """Scan lines over a board; each errs by 1 mm across, and their gaps grow by a share."""
+    half = 0.85 * BOARD_M
+    places = [-half + across * rng.random()]
+    while places[-1] < half:
+        places.append(places[-1] + across * (1 + growth * places[-1] / half))
+    start = np.arange(-half, half, along)
+    xy = [
+        np.column_stack([start + along * rng.random(), np.full(len(start), place)])
+        for place in places + rng.normal(0, 0.001, len(places))
+    ]
+    xy = np.concatenate(xy) + rng.normal(0, 0.0003, (len(xy) * len(start), 2))
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    xy = xy @ np.array([[c, s], [-s, c]]) + BOARD_M / 2
+    return xy[((xy > 0) & (xy < BOARD_M)).all(axis=1)]
+
+
+BOARDS = {
+    "random": lambda rng, seed: point_pattern(
+        "poisson", density=3000, size=BOARD_M, seed=seed, ratio=1
+    ),
+    "lines": lambda rng, seed: scan_lines(rng, 20),
+    "two heads": lambda rng, seed: np.vstack(
+        [scan_lines(rng, angle, along=0.01) for angle in (45, -45)]
+    ),
+    "tilted": lambda rng, seed: scan_lines(rng, 20, growth=0.1),
+    "clusters": lambda rng, seed: point_pattern(
+        "clusters", density=3000, size=BOARD_M, seed=seed, ratio=3, angle=20
+    ),
+}
+"""Points on a square board: without order, in lines, in lines of two heads, tilted, in clusters."""
+
+
 def chart(seed, kind):
-    """Every figure of a chart; the points of half a square metre on a wall, 5 mm of noise."""
-    xy = point_pattern(kind, density=3000, size=0.71, seed=seed, ratio=3, angle=20, noise=0.001)
-    off = np.random.default_rng([seed, 1]).normal(0, 0.005, len(xy))
-    corners = 0.71 * np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
-    upright = np.column_stack([xy[:, 0], off, xy[:, 1]])
-    table = evaluate_cloud(upright, polygon=corners, axes="horizontal").intervals()
+    """Every figure of a board, by its default axes; 5 mm of noise off its plane."""
+    rng = np.random.default_rng([seed, 7])
+    xy = BOARDS[kind](rng, seed)
+    off = rng.normal(0, 0.005, len(xy))
+    lean = np.radians(30 if kind == "tilted" else 0)
+    corners = BOARD_M * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    on, ring = (
+        np.column_stack([uv[:, 0], uv[:, 1] * np.sin(lean), uv[:, 1] * np.cos(lean)])
+        for uv in (xy, corners)
+    )
+    points = on + off[:, None] * [0, np.cos(lean), -np.sin(lean)]
+    table = evaluate_cloud(points, polygon=ring).intervals()
     return {row.figure: (row.low, row.high, None, row.value) for row in table.itertuples()}
 
 
@@ -433,12 +475,7 @@ DISPLACED = {
 }
 
 ESTIMATES = (
-    Estimate(
-        "figures of a chart",
-        chart,
-        tuple({"kind": kind} for kind in ("poisson", "scan_lines", "clusters")),
-        *(5, 300),
-    ),
+    *(Estimate(f"chart, {kind}", chart, ({"kind": kind},), 12, 200) for kind in BOARDS),
     Estimate("rates", rate, bench.grid(share=(0.7, 0.95), n=(20, 100)), 20, 1000),
     Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 5, 300),
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),

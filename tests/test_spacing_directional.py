@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.spacing import directional, quadrants, turned_f
+from mmqa_lab.spacing import directional, line_strips, quadrants, turned_f
 from mmqa_lab.studies.anisotropy import clark_evans, pair_contrast, structure_tensor
 
 
@@ -142,13 +142,16 @@ def test_clark_evans_published_extremes():
     assert clark_evans(pattern("clusters", size=1)) < 0.85
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: directional([[0, 0]]), "Invalid xy: 1 given. Must be 2 or more."),
-        (lambda: directional([[0, 0], [1, 1]], radius=0), "Invalid radius 0. Must be > 0"),
-    ],
-)
-def test_rejects(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
+@pytest.mark.parametrize("degrees", [0, 20, 77])
+def test_strips_have_whole_lines_whatever_their_direction(degrees):
+    x, y = np.meshgrid(np.arange(120) * 0.005, np.arange(24) * 0.02)
+    turn = np.radians(degrees)
+    c, s = np.cos(turn), np.sin(turn)
+    xy = np.column_stack([x.ravel(), y.ravel()]) @ np.array([[c, s], [-s, c]])
+    along, across = line_strips(xy)
+    lines = along.reshape(24, 120)
+    assert (lines == lines[:, :1]).mean() > 0.95
+    assert (np.bincount(along) == 360).all()
+    assert [len(set(line)) for line in across.reshape(24, 120).tolist()] == [8] * 24
+    assert len(line_strips(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
+    assert not line_strips(xy[:20]).any()

@@ -12,7 +12,6 @@ which points lie closest, divided by the spacing along it.
 from __future__ import annotations
 
 import sys
-import threading
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -41,23 +40,23 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-_ONE_AT_A_TIME = threading.Lock()
-"""Some of numba's threading layers stop the process when two threads enter them at once."""
-
 STEP_DEG = 4.0
 """Distance between the directions that are tried."""
-
-AT_ONCE = 1_000_000
-"""Neighbours that are searched together: bounds the memory."""
 
 SECTOR_STEPS = 15
 """Width of a sector in those steps: 60 degrees, a third of all directions."""
 
-FEW = 50_000
-"""Points that are searched without numba, whose import would take longest."""
+AT_ONCE = 1_000_000
+"""Neighbours that are searched together: bounds the memory."""
 
-MOST_PAIRS = 2_000_000
-"""Pairs that are compared at once up to which that is so."""
+FEW = 10_000
+"""Points that are searched by scipy, where numba is not imported yet: that would take longest."""
+
+CHANCE = 3.2
+"""95 % of random patterns of n points have a g below 1 + CHANCE / sqrt(n)."""
+
+FEWEST = 50
+"""Points that an interval needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +108,18 @@ class Spacing(Shown):
         return float(self.d[-1] / self.d[0])
 
     @cached_property
-    def intervals(self) -> np.ndarray:
-        """95 % intervals of d1..d4 (m) and f, shape (5, 2), from 4 x 4 blocks of the points.
+    def directional(self) -> DirectionalSpacing:
+        """The spacing by direction, with the ratio g."""
+        return directional(self.xy)
 
-        See :func:`mmqa_lab.stats.median_interval`.
+    @cached_property
+    def intervals(self) -> np.ndarray:
+        """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2).
+
+        From blocks of whole scan lines where there are any, see :func:`line_strips`.
         """
-        block, share = stats.blocks(self.xy), self.statistic / 100
-        ranks = self.distances.T
+        block = line_strips(self.xy, self.directional if self.n >= FEWEST else None)
+        share, ranks = self.statistic / 100, self.distances.T
         ends = [stats.median_interval(distances, block, share=share) for distances in ranks]
         ratio = stats.median_ratio_interval(ranks[-1], ranks[0], block, share=share)
         return np.array([*ends, ratio])
@@ -142,12 +146,9 @@ class Spacing(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
-        values = np.column_stack([[*self.d, self.f], self.intervals])
-        values[:-1] *= 1000
-        table = pd.DataFrame(values, columns=["value", "low", "high"])
-        ranks = len(self.d)
-        table.insert(0, "figure", [*(f"d{k + 1}" for k in range(ranks)), "f"])
-        return table.assign(unit=["mm"] * ranks + ["1"], n=[*self.counts, self.counts[-1]])
+        names = [*(f"d{k}" for k in range(1, 1 + len(self.d))), "f"]
+        table = _table(names, [*self.d, self.f], self.intervals)
+        return table.assign(n=[*self.counts, self.counts[-1]])
 
 
 def quadrant_distances(
@@ -199,7 +200,6 @@ def quadrant_distances(
     xy = flat_points(xy)
     radius = check_positive(radius, "radius", unit="m")
     angle = check_number(angle, "angle", unit="degrees")
-    _check_width(xy)
     of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
     if of.dtype != bool or of.shape != (len(xy),):
         raise ValueError(
@@ -401,8 +401,11 @@ class DirectionalSpacing(Shown):
 
         The phase of the second harmonic of log spacing, so that the whole turn has a say.
         """
+        known = np.isfinite(self.spacing)
+        largest = self.spacing[known].max(initial=0) or 1.0
         wave = np.exp(2j * np.radians(self.directions_deg))
-        return float(np.degrees(np.angle(-np.log(self._filled()) @ wave)) / 2 % 180)
+        phase = np.angle(-np.log(np.where(known, self.spacing, 2 * largest)) @ wave)
+        return float(np.degrees(phase) / 2 % 180)
 
     @property
     def along(self) -> float:
@@ -421,11 +424,11 @@ class DirectionalSpacing(Shown):
 
     @cached_property
     def intervals(self) -> np.ndarray:
-        """95 % intervals of along, across and g, shape (3, 2), from 4 x 4 blocks of the points.
+        """95 % confidence intervals of along, across and g, shape (3, 2), for that direction.
 
-        For the direction that was found. See :func:`mmqa_lab.stats.median_interval`.
+        From blocks of whole scan lines where there are any, see :func:`line_strips`.
         """
-        block = stats.blocks(self.xy)
+        block = line_strips(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
         along, across = self.nearest[:, places.round().astype(int) % len(self.directions_deg)].T
         ends = [stats.median_interval(distances, block) for distances in (along, across)]
@@ -444,22 +447,13 @@ class DirectionalSpacing(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return rows for along and across (mm) and g: value, 95 % interval, direction, points."""
-        values = np.column_stack([[self.along, self.across, self.g], self.intervals])
-        values[:2] *= 1000
-        table = pd.DataFrame(values, columns=["value", "low", "high"])
-        table.insert(0, "figure", ["along", "across", "g"])
-        return table.assign(unit=["mm", "mm", "1"], direction_deg=self.direction_deg, n=self.n)
+        values = [self.along, self.across, self.g]
+        table = _table(["along", "across", "g"], values, self.intervals)
+        return table.assign(direction_deg=self.direction_deg, n=self.n)
 
     def at(self, direction: float) -> float:
         """Spacing in a direction (degrees), between those tried."""
         return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
-
-    def _filled(self):
-        """Spacing, twice the largest one where there is none."""
-        known = np.isfinite(self.spacing)
-        if not known.any():
-            return np.ones(len(self.spacing))
-        return np.where(known, self.spacing, 2 * np.nanmax(self.spacing))
 
 
 def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
@@ -505,10 +499,54 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     xy = flat_points(xy, minimum=2)
     radius = check_positive(radius, "radius", unit="m")
     xy = np.unique(xy - xy.mean(axis=0), axis=0)
-    nearest = _nearest_by_sector(xy, radius)
-    medians = np.median(nearest, axis=0)
-    medians[np.isinf(medians)] = np.nan
-    return DirectionalSpacing(_directions(), medians, xy, nearest)
+    directions = np.arange(0, 180, STEP_DEG)
+    extent = np.ptp(xy, axis=0)
+    limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy), 1e-9)
+    medians, reach = np.array(np.inf), 16
+    while np.isinf(medians).any():  # what lies beyond the medians cannot change them
+        limit = min(limit, radius)
+        nearest = _nearest(xy, limit, reach, len(directions), _by_direction)
+        medians = np.median(nearest, axis=0)
+        if limit == radius:
+            break
+        limit, reach = 2 * limit, 4 * reach
+    return DirectionalSpacing(directions, np.where(np.isinf(medians), np.nan, medians), xy, nearest)
+
+
+def line_strips(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
+    """Number the points by strips along the scan lines and across them, the blocks of intervals.
+
+    What a whole line shares, as its distance from the next one, errs for all of its points alike.
+    The direction is that in which points lie closest. Where there is none, two pairs of strips
+    along the axes and half way between them, since the lines of two scan heads that cross on an
+    upright board have no direction.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+    found : DirectionalSpacing, optional
+        Of these points, where it is known already.
+
+    Returns
+    -------
+    array of int, shape (2, n) or (4, n)
+        See :func:`mmqa_lab.stats.strips`. One block, which has no interval, for fewer than 50
+        points and for a single place.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(16) * 0.04)
+    >>> strips, _ = line_strips(np.stack([x.ravel(), y.ravel()], axis=1))
+    >>> [len(set(line)) for line in strips.reshape(16, 40).tolist()] == [1] * 16  # each line whole
+    True
+    """
+    xy = np.asarray(xy, dtype=np.float64)
+    if len(xy) < FEWEST or not np.ptp(xy, axis=0).any():
+        return np.zeros((2, len(xy)), dtype=int)
+    found = directional(xy) if found is None else found
+    if found.g > 1 + CHANCE / np.sqrt(found.n):
+        return stats.strips(xy, found.direction_deg)
+    return np.vstack([stats.strips(xy, 0), stats.strips(xy, 45)])
 
 
 def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.ndarray:
@@ -549,22 +587,13 @@ def _count_coincident(xy):
     return int((np.append(same, False) | np.append(False, same)).sum())
 
 
-def said_coincident(count, n):
-    """A sentence on points that share their place with another one, "" without any."""
-    return (
-        f"{count} points ({100 * count / n:.3g} %) share their place with another: they raise the "
-        "density."
-        if count
-        else ""
-    )
-
-
-def _check_width(xy):
-    """Reject coordinates whose differences, squared, would overflow."""
-    with np.errstate(over="ignore"):
-        width = max(np.ptp(xy[:, 0]), np.ptp(xy[:, 1]))
-    if width >= 1e150:
-        raise ValueError(f"Invalid xy, {width:g} m wide. Must be less than 1e+150 m.")
+def _table(names, values, intervals):
+    """Rows of figures with their intervals; all but the last are lengths."""
+    numbers = np.column_stack([values, intervals])
+    numbers[:-1] *= 1000
+    table = pd.DataFrame(numbers, columns=["value", "low", "high"])
+    table.insert(0, "figure", names)
+    return table.assign(unit=["mm"] * (len(names) - 1) + ["1"])
 
 
 def _turned(xy, angle):
@@ -583,34 +612,56 @@ def _quantile(values, share):
     return float(np.quantile(values, share)) if len(values) else np.nan
 
 
-def _sector_distances(xy, radius, angle, sectors):
-    """Sorted distances to the nearest point in each sector, or to the nearest of all; NaN last."""
-    from scipy.spatial import cKDTree
+def _nearest_per_quadrant(xy, radius, of):
+    """The compiled search, but for small clouds where numba is not imported yet."""
+    if len(xy) > FEW or "numba" in sys.modules:
+        from mmqa_lab.spacing._search import nearest_per_quadrant
 
-    tree, (ranks, directed) = cKDTree(xy), _ranks(sectors)
-    found, waiting = np.empty((len(xy), ranks)), _portions(np.arange(len(xy)), 4 * ranks)
-    while waiting:
-        rows, reach = waiting.pop()
-        away, other = tree.query(xy[rows], k=np.arange(1, reach + 1))
-        away[away > radius] = np.inf
-        all_seen = np.isinf(away[:, -1])
-        away[away == 0] = np.inf
-        if directed:
-            offset = xy[np.minimum(other, len(xy) - 1)] - xy[rows, None]
-            away = _nearest_in_sectors(away, offset, angle, ranks)
-        found[rows] = np.sort(away)[:, :ranks]
-        waiting += _portions(rows[~all_seen & np.isinf(found[rows, -1])], 2 * reach)
-    found[np.isinf(found)] = np.nan
+        return nearest_per_quadrant(xy, radius, of)
+    found = _sector_distances(xy, radius, 0.0, 4)
+    found[~of] = np.nan
     return found
 
 
-def _ranks(sectors):
-    """How many distances belong to a point, and whether each is that of a sector."""
+def _sector_distances(xy, radius, angle, sectors):
+    """Sorted distances to the nearest point in each sector, or to the nearest of all; NaN last."""
     word, _, number = str(sectors).partition(" ")
     ranks = (number or "4") if word == "nearest" else word
     if not ranks.isdigit() or not 4 <= int(ranks) <= 36:
         raise ValueError(f"Invalid sectors {sectors!r}. Must be 4 to 36, or 'nearest 4' to 36.")
-    return int(ranks), word != "nearest"
+    ranks = int(ranks)
+
+    def fold(away, offset):
+        if word == "nearest":
+            return np.sort(away, axis=1)[:, :ranks]
+        return np.sort(_least(away, _sector(offset, angle, ranks), ranks), axis=1)
+
+    found = _nearest(xy, radius, 4 * ranks, ranks, fold)
+    return np.where(np.isinf(found), np.nan, found)
+
+
+def _nearest(xy, radius, reach, ranks, fold):
+    """Let ``fold`` make ``ranks`` distances of each point's neighbours, until it has found them.
+
+    It is given the distances of the nearest points (rows, k), infinite beyond the radius and for
+    the point itself, and the offsets (rows, k, 2); k grows where one of its distances is infinite.
+    """
+    from scipy.spatial import cKDTree
+
+    tree, found = cKDTree(xy), np.empty((len(xy), ranks))
+    waiting = _portions(np.arange(len(xy)), min(reach, len(xy)))
+    while waiting:
+        rows, reach = waiting.pop()
+        bound = radius * (1 + 1e-9)  # a little beyond, as scipy compares squares
+        away, other = tree.query(xy[rows], k=[*range(1, reach + 1)], distance_upper_bound=bound)
+        all_seen = np.isinf(away[:, -1]) | (reach == len(xy))
+        offset = xy[np.minimum(other, len(xy) - 1)] - xy[rows, None]
+        away = np.where(np.isinf(away), away, np.sqrt((offset**2).sum(axis=2)))
+        away[(away > radius) | (away == 0)] = np.inf
+        found[rows] = fold(away, offset)
+        is_open = ~all_seen & np.isinf(found[rows]).any(axis=1)
+        waiting += _portions(rows[is_open], min(2 * reach, len(xy)))
+    return found
 
 
 def _portions(rows, reach):
@@ -619,101 +670,27 @@ def _portions(rows, reach):
     return [(part, reach) for part in parts if len(part)]
 
 
-def _nearest_in_sectors(away, offset, angle, sectors):
-    """The least distance in each sector, shape (n, sectors)."""
-    turn = np.arctan2(offset[..., 1], offset[..., 0]) / (2 * np.pi) - angle / 360
-    sector = np.floor(turn * sectors) % sectors
-    near = [np.where(sector == k, away, np.inf).min(axis=1) for k in range(sectors)]
-    return np.column_stack(near)
+def _sector(offset, angle, count):
+    """The sector of each offset; quadrants by their signs, which are exact."""
+    dx, dy = np.moveaxis(offset, -1, 0)
+    if count == 4 and angle == 0:
+        return np.where(dy > 0, dx <= 0, np.where(dy < 0, 2 + (dx >= 0), 2 * (dx < 0))).astype(int)
+    turn = np.arctan2(dy, dx) / (2 * np.pi) - angle / 360
+    return (np.floor(turn * count) % count).astype(int)
 
 
-def _directions():
-    """The directions that are tried, degrees."""
-    return np.arange(0, 180, STEP_DEG)
+def _by_direction(away, offset):
+    """The least distance within 30 degrees of each direction that is tried, either way."""
+    from scipy.ndimage import minimum_filter1d
+
+    count = round(180 / STEP_DEG)
+    turn = np.arctan2(offset[..., 1], offset[..., 0]) / np.pi * count
+    steps = _least(away, np.floor(turn + 0.5).astype(int) % count, count)
+    return minimum_filter1d(steps, SECTOR_STEPS, axis=1, mode="wrap")
 
 
-def _nearest_per_quadrant(xy, radius, of):
-    """The compiled search, but for small clouds where numba is not imported yet."""
-    if len(xy) <= FEW and "numba" not in sys.modules:
-        found = _nearest_of_few(xy, radius, of)
-        if found is not None:
-            return found
-    from mmqa_lab.spacing._search import nearest_per_quadrant
-
-    with _ONE_AT_A_TIME:
-        return nearest_per_quadrant(xy, radius, of)
-
-
-def _nearest_of_few(xy, radius, of):
-    """What the compiled search gives, bit for bit, from points sorted into square cells.
-
-    None where that would take longer than importing numba.
-    """
-    cells = _Cells(xy)
-    found = np.full((len(xy), 4), np.inf)
-    for quadrant, towards in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
-        rows, reach = np.flatnonzero(of), 1
-        while len(rows):
-            first, count = cells.windows(rows, towards, reach)
-            if count.sum() > MOST_PAIRS:
-                return None
-            best = _nearest_in_windows(xy, rows, cells.order, first, count, quadrant)
-            found[rows, quadrant] = np.where(best <= radius, best, np.inf)
-            # cells are rounded
-            seen = (1 - 1e-9) * reach * cells.side
-            open_ = np.minimum(best, radius) >= seen
-            rows, reach = rows[open_ & (reach < cells.shape.max())], 2 * reach
-    found[np.isinf(found)] = np.nan
-    return np.sort(found, axis=1)
-
-
-class _Cells:
-    """Points sorted into square cells, two a cell on average."""
-
-    def __init__(self, xy):
-        extent, n = np.ptp(xy, axis=0), len(xy)
-        self.side = max(np.sqrt(2 / n * extent[0]) * np.sqrt(extent[1]), extent.max() / n) or 1.0
-        self.place = ((xy - xy.min(axis=0)) / self.side).astype(int)
-        self.shape = self.place.max(axis=0) + 1
-        cell = self.place @ [self.shape[1], 1]
-        self.order = np.argsort(cell, kind="stable")
-        self.starts = np.searchsorted(cell[self.order], np.arange(np.prod(self.shape) + 1))
-
-    def windows(self, rows, towards, reach):
-        """First point and number of points in each line of cells of a point's own quadrant."""
-        i, j = self.place[rows].T
-        lines = i[:, None] + towards[0] * np.arange(reach + 1)
-        inside = (lines >= 0) & (lines < self.shape[0])
-        ends = np.sort([j, j + towards[1] * reach], axis=0).clip(0, self.shape[1] - 1)
-        at = np.where(inside, lines, 0) * self.shape[1]
-        first, last = (self.starts[at + end[:, None]] for end in (ends[0], ends[1] + 1))
-        return first, np.where(inside, last - first, 0)
-
-
-def _nearest_in_windows(xy, rows, order, first, count, quadrant):
-    """The nearest point to each row in one of its quadrants; each window has the row itself."""
-    size, ends = count.sum(axis=1), np.cumsum(count)
-    shift = np.repeat(first.ravel() - (ends - count.ravel()), count.ravel())
-    offset = xy[order[np.arange(ends[-1]) + shift]] - np.repeat(xy[rows], size, axis=0)
-    dx, dy = offset.T
-    for _ in range(quadrant):  # turned back into the first quadrant
-        dx, dy = dy, -dx
-    distances = np.where((dx > 0) & (dy >= 0), np.sqrt(dx * dx + dy * dy), np.inf)
-    return np.minimum.reduceat(distances, np.cumsum(size) - size)
-
-
-def _nearest_by_sector(xy, radius):
-    """The nearest distance of each point in each sector, infinite where not found.
-
-    The search goes only as far as the medians: what lies beyond cannot change them.
-    """
-    from mmqa_lab.spacing._search import nearest_per_sector
-
-    extent = np.ptp(xy, axis=0)
-    limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy))
-    while True:
-        limit = min(limit, radius)
-        nearest = nearest_per_sector(xy, limit, len(_directions()), SECTOR_STEPS)
-        if limit == radius or (np.isfinite(nearest).mean(axis=0) > 0.5).all():
-            return nearest
-        limit *= 2
+def _least(away, place, count):
+    """The least distance of each row in each of ``count`` places, infinite where none is."""
+    found = np.full((len(away), count), np.inf)
+    np.minimum.at(found, (np.arange(len(away))[:, None], place), away)
+    return found
