@@ -33,14 +33,14 @@ def test_walls_of_the_bench_are_the_fourteen_of_the_tables():
     walls = study.cad_walls((4.0, 8.0))
     assert len(walls) == 28
     last = walls.query("table == 'table_4' and no == 9").iloc[0]
-    assert last[["alpha", "beta"]].tolist() == [-30, -30]
+    assert last[["heading_deg", "tilt_deg"]].tolist() == [-30, -30]
 
 
 def test_surfaces_keep_the_printed_limits():
     cases = study.surfaces(16)
     assert cases["range_m"].between(5, 16).all()
-    assert cases["alpha"].between(-60, 60).all()
-    assert cases["beta"].between(0, 45).all()
+    assert cases["heading_deg"].between(-60, 60).all()
+    assert cases["tilt_deg"].between(0, 45).all()
     for case in cases.to_dict("records"):
         assert 299 < scan_lattice(*study.parts(case)).density_per_m2 < 1501
 
@@ -131,7 +131,7 @@ def test_ledger_says_something_of_every_table(field):
         table_6=table_6.assign(error_fitted=0.0017, note="solved"),
     )
     assert rows.groupby("table").size().to_dict() == {
-        "table_2": 2, "table_3": 15, "table_4": 27, "table_5": 18, "table_6": 11, "numbers": 12,
+        "table_2": 2, "table_3": 15, "table_4": 43, "table_5": 18, "table_6": 11, "numbers": 12,
     }  # fmt: skip
     assert rows["value"].notna().all()
 

@@ -37,7 +37,12 @@ from scipy.optimize import brentq
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern import mimic
-from mmqa_lab.scan_pattern.measure import LEVEL, measure_pattern, revolutions_from_time
+from mmqa_lab.scan_pattern.measure import (
+    LEVEL,
+    MEASURED,
+    measure_pattern,
+    revolutions_from_time,
+)
 from mmqa_lab.scan_pattern.mimic import check_values, rotations, target_normal, turned
 
 if TYPE_CHECKING:
@@ -60,10 +65,7 @@ __all__ = [
 __dir__ = __all__.copy
 
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
-SMOOTH = (
-    *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
-    *("profile_angle_deg", "point_spacing_m", "density_per_m2"),
-)
+SMOOTH = (*MEASURED, "density_per_m2")
 QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
 """What a lattice predicts, in the order of its table."""
 
@@ -468,14 +470,10 @@ def lattice_distances(a, b):
 def _checked(patch):
     """Places and unit normals of a patch, or the sentence that says what is wrong."""
     points, normals = check_values(patch.points, "points"), check_values(patch.normals, "normals")
-    if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,):
-        raise ValueError(
-            f"Invalid patch of points {points.shape} and normals {normals.shape}. "
-            "Must have shapes (..., 3)."
-        )
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    if not length.all():
-        raise ValueError("Invalid normals: one is zero. Must be > 0 long.")
+    length = np.linalg.norm(np.atleast_1d(normals), axis=-1, keepdims=True)
+    if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,) or not length.all():
+        shapes = f"points {points.shape} and normals {normals.shape}"
+        raise ValueError(f"Invalid patch of {shapes}. Must have shapes (..., 3), no normal zero.")
     return points, normals / length
 
 

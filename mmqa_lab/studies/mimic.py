@@ -1,6 +1,6 @@
 """MIMIC's walls: scan patterns predicted by its equations and by the lattice, and measured."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -25,9 +25,9 @@ SETUP = ScanSetup(
 The mirror frequency is not printed; 0.100 m in row 2 of Table 3 needs 100 Hz."""
 
 RATES = (
-    {"pulse_rate_khz": 300.0, "mirror_hz": 100.0},
-    {"pulse_rate_khz": 125.0, "mirror_hz": 100.0},
-    {"pulse_rate_khz": 500.0, "mirror_hz": 200.0},
+    {"pulse_rate_hz": 300e3, "mirror_frequency_hz": 100.0},
+    {"pulse_rate_hz": 125e3, "mirror_frequency_hz": 100.0},
+    {"pulse_rate_hz": 500e3, "mirror_frequency_hz": 200.0},
 )
 """Of the XP1 and of two settings of the Lynx M1 (section 4.2.2)."""
 
@@ -46,11 +46,10 @@ class Scan:
 
 def cad_walls(ranges_m, *, height_m=-1.5):
     """Return the 14 walls of Tables 3 and 4 at some ranges as cases of the bench."""
-    parts = [table(SOURCE, name).assign(table=name) for name in ("table_3", "table_4")]
-    walls = pd.concat(parts).rename(columns={"alpha_targ_deg": "alpha", "beta_targ_deg": "beta"})
-    scanner = {"pulse_rate_khz": SETUP.pulse_rate_hz / 1000, "mirror_hz": 100.0}
-    scanner |= {"speed_m_s": SETUP.speed_m_s, "alpha_scan": 45.0, "gamma_scan": 45.0}
-    walls = walls[["table", "no", "alpha", "beta"]].assign(**scanner, height_m=height_m)
+    walls = pd.concat([table(SOURCE, name).assign(table=name) for name in ("table_3", "table_4")])
+    names = {"alpha_targ_deg": "heading_deg", "beta_targ_deg": "tilt_deg"}
+    walls = walls.rename(columns=names)[["table", "no", *names.values()]]
+    walls = walls.assign(**vars(SETUP), height_difference_m=height_m)
     return walls.merge(pd.DataFrame({"range_m": list(ranges_m)}), how="cross")
 
 
@@ -69,11 +68,11 @@ def surfaces(n, *, seed=1):
     )
     rows = []
     while len(rows) < n:
-        range_m, alpha, beta = rng.uniform(low, high)
+        range_m, heading, tilt = rng.uniform(low, high)
         case = {"table": "surfaces", "no": len(rows) + 1, **RATES[len(rows) % 3]}
-        case |= {"alpha": alpha, "beta": beta, "range_m": range_m, "speed_m_s": 1.0}
-        case |= {"alpha_scan": float(np.copysign(45, alpha)), "gamma_scan": 45.0}
-        case |= {"height_m": rng.uniform(-2, 2)}
+        case |= {"heading_deg": heading, "tilt_deg": tilt, "range_m": range_m, "speed_m_s": 1.0}
+        case |= {"scanner_heading_deg": float(np.copysign(45, heading)), "scanner_tilt_deg": 45.0}
+        case |= {"height_difference_m": rng.uniform(-2, 2)}
         found = scan_lattice(*parts(case))
         speed = float(found.density_per_m2 / rng.uniform(300, 1500))
         if 2 < speed < 30 and found.incidence_deg < 70:
@@ -83,15 +82,8 @@ def surfaces(n, *, seed=1):
 
 def parts(case):
     """Set-up and target of a case."""
-    setup = ScanSetup(
-        pulse_rate_hz=1000 * case["pulse_rate_khz"],
-        mirror_frequency_hz=case["mirror_hz"],
-        speed_m_s=case["speed_m_s"],
-        scanner_heading_deg=case["alpha_scan"],
-        scanner_tilt_deg=case["gamma_scan"],
-    )
-    angles = {"heading_deg": case["alpha"], "tilt_deg": case["beta"]}
-    return setup, Target(**angles, range_m=case["range_m"], height_difference_m=case["height_m"])
+    kinds = ScanSetup, Target
+    return tuple(kind(**{part.name: case[part.name] for part in fields(kind)}) for kind in kinds)
 
 
 def make(*, seed, size_m=1.0, range_noise_m=0.005, **case):
@@ -348,7 +340,7 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
         Differences of the paper's equations from rays of a vehicle that stands, ``FIGURES``, a row
         for each of the 14 walls.
     readings : dict of str to DataFrame
-        Of ``table_4``, by the note that says how they were fitted; later ones take precedence.
+        Of ``table_4``, by the note that says how they were fitted.
     field : Dataset
         Results of the bench on :func:`surfaces`.
     table_6 : DataFrame
@@ -366,7 +358,8 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
         values = np.atleast_1d(value)
         ends = {"low": np.nanmin(values), "high": np.nanmax(values)} if len(values) > 1 else {}
         middle = float(np.nanmedian(values))
-        rows[name, cell] = ledger.entry(SOURCE, name, cell, middle, kind=kind, note=note, **ends)
+        row = ledger.entry(SOURCE, name, cell, middle, kind=kind, note=note, **ends)
+        rows[name, cell, note] = row
 
     printed = table(SOURCE, "table_2").set_index("result")
     for profile in (1, 2):
