@@ -1,7 +1,7 @@
 """Charts in photographs of known truth: found, read, and whether aliases are accepted.
 
 ``PYTHONPATH=tests:tests/benchmarks python tests/benchmarks/images.py`` writes its sections of
-RESULTS.md; ``--seeds`` and ``--patterns`` make it smaller.
+RESULTS.md; ``--seeds``, ``--patterns`` and ``--draws`` make it smaller, 0 leaves a section out.
 """
 
 import argparse
@@ -9,10 +9,12 @@ import argparse
 import numpy as np
 import pandas as pd
 from camera import CONDITIONS, shoot
+from covered import ESTIMATES, shares, simulated
 from rendered import pattern_case
 from results import write_section
 
-from mmqa_lab import chart_image, charts, io, samples
+from mmqa_lab import bench, chart_image, charts, io, samples
+from mmqa_lab.studies import image_resolution
 
 CHART = charts.imaging_chart()
 
@@ -25,6 +27,13 @@ CLASSES = {
     "blurred away, noise 5 %": lambda r: {"width_px": 3.0, "sigma": 2.0, "noise": 0.032},
     "6, 7, 9 or 12 bars": lambda r: {"width_px": 6.0, "seen": int(r.choice([6, 7, 9, 12]))},
 }
+
+
+INTERVALS = (
+    *("edge of an image", "Siemens star", "sensor calibration", "reflectance"),
+    "radiometric block",
+)
+"""Estimates of images."""
 
 
 def photograph(condition, pixel_mm, seed, background):
@@ -53,15 +62,11 @@ def photograph(condition, pixel_mm, seed, background):
     return row | {"squares": (errors**2).sum()}
 
 
-def main():
-    """Photograph, read, and write both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--patterns", type=int, default=60)
-    options = parser.parse_args()
+def photographs(seeds):
+    """Charts of the tests' camera: found, read, lengths covered."""
     real = samples.has_real("images")
     background = io.read_image(samples.real_path("images/panorama.jpg")) if real else None
-    cases = [(c, p, s) for p in (2.7, 5.4, 8, 10) for c in CONDITIONS for s in range(options.seeds)]
+    cases = [(c, p, s) for p in (2.7, 5.4, 8, 10) for c in CONDITIONS for s in range(seeds)]
     rows = pd.DataFrame(filter(None, (photograph(*case, background) for case in cases)))
     total = pd.concat([rows.groupby("pixel_mm").sum(), rows.sum().to_frame("all").T.iloc[:, 1:]])
     table = total[["charts", "found", "widths", "aliases"]].astype(int)
@@ -69,13 +74,40 @@ def main():
     table["lengths covered"] = total["covered"] / total["bars"]
     table["length error (px, rms)"] = np.sqrt(total["squares"] / total["bars"])
     write_section("Chart images: photographs", table.rename_axis("pixel (mm)").reset_index())
+
+
+def line_pairs(patterns):
+    """Patterns that are there, and those that are not."""
     accepted = {}
     for name, case in CLASSES.items():
         rng = np.random.default_rng(5)
-        readings = [pattern_case(**case(rng), rng=rng) for _ in range(options.patterns)]
+        readings = [pattern_case(**case(rng), rng=rng) for _ in range(patterns)]
         accepted[name] = sum(reading.resolved for reading in readings)
     frame = pd.DataFrame({"pattern": accepted.keys(), "accepted": accepted.values()})
-    write_section("Chart images: line pairs", frame.assign(of=options.patterns))
+    write_section("Chart images: line pairs", frame.assign(of=patterns))
+
+
+def intervals(draws):
+    """Coverage of edges, stars, sensors and reflectances; errors of edges by lens."""
+    chosen = [one for one in ESTIMATES if one.name in INTERVALS]
+    parts = [shares(one, simulated(one, draws)) for one in chosen]
+    write_section("Images: intervals", pd.concat(parts))
+    edges = image_resolution.bench(noises=(0.01,), seeds=range(max(draws // 5, 1))).run()
+    errors = bench.cell_table(edges).groupby(["method", "lens"], sort=False)["mtf50_error_percent"]
+    table = pd.DataFrame({"median (%)": errors.median(), "standard deviation (%)": errors.std()})
+    write_section("Images: MTF50 of edges", table.assign(n=errors.count()))
+
+
+def main():
+    """Write all tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--patterns", type=int, default=60)
+    parser.add_argument("--draws", type=int, default=60)
+    options = parser.parse_args()
+    for section, size in ((photographs, "seeds"), (line_pairs, "patterns"), (intervals, "draws")):
+        if getattr(options, size):
+            section(getattr(options, size))
 
 
 if __name__ == "__main__":
