@@ -160,11 +160,11 @@ def squares(tmp_path):
 
 
 def test_solutions_have_tasks_answers_by_number_and_the_lesson_plan(squares, tmp_path):
-    table = students.answer_table(squares, quick=True)
-    assert table["n"].tolist() == list(range(1, 31))
-    assert table["1: long_m"].tolist() == [str(3 * n) for n in range(1, 31)]
-    (page,) = (path.read_text() for path in write_solutions([squares], tmp_path / "mine"))
-    for words in ("How long is n sides?", "by counting", "Lesson plan", "<td>60</td>"):
+    (path,) = write_solutions([squares], tmp_path / "mine", quick=True)
+    page = path.read_text()
+    answers = re.findall(r"<td>(\d+)</td>\s*<td>(\d+)</td>", page)
+    assert answers == [(str(n), str(3 * n)) for n in range(1, 31)]
+    for words in ("How long is n sides?", "by counting", "Lesson plan"):
         assert words in page
     assert "assert" not in page  # the test is for the program
     assert "All studies" not in page

@@ -39,7 +39,7 @@ WIDGET = "application/vnd.jupyter.widget-view+json"
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
-SENTENCE = re.compile(r"<td>(?=[^<]*[A-Za-z]{3})")
+SENTENCE = re.compile(r"<td>(?!NaN<)(?=[^<]*[A-Za-z]{3})")
 """Begins a cell of words; numbers stand on the right."""
 
 ANSWERS = "answers.csv"

@@ -146,9 +146,8 @@ def check_answer(sealed, scope):
         return
     said = [_other_unit(name, task["checks"], scope) for name in task["answers"]]
     listed = ", ".join(name for name in task["answers"] if name != NUMBER)
-    said = [sentence for sentence in (*said, wrong) if sentence]
-    said = said or [f"not right yet. Check the formula, and the unit of {listed}."]
-    raise NotRight(f"{number}: {said[0]}")
+    said = [*said, wrong, f"not right yet. Check the formula, and the unit of {listed}."]
+    raise NotRight(f"{number}: {next(filter(None, said))}")
 
 
 def _wrong(checks, scope):
@@ -216,14 +215,9 @@ def _student_notebook(notebook, checks):
         elif cell.cell_type == "code":
             cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
         elif "lesson" not in tags:
-            cells.append(_told_to_set(cell))
+            text = SET_HERE.sub("set it in the next cell", cell.source)
+            cells.append(nbformat.from_dict({**cell, "source": text}))
     return nbformat.from_dict({**notebook, "cells": cells})
-
-
-def _told_to_set(cell):
-    """A text for students: they set n, the notebook does not."""
-    text = SET_HERE.sub("set it in the next cell", cell.source)
-    return nbformat.from_dict({**cell, "source": text})
 
 
 def write_student_notebooks(studies, folder, *, quick=False, checks=True):
