@@ -1,6 +1,7 @@
 """Bad input of commands and functions: a call, a part of the sentence, and nothing is written."""
 
 import shlex
+from dataclasses import replace
 
 import cv2
 import laspy
@@ -8,9 +9,10 @@ import numpy as np
 import pyproj
 import pytest
 
-from mmqa_lab import chart_cloud, io, plots, samples, spacing
+from mmqa_lab import chart_cloud, io, plots, samples, scan_pattern, spacing
 from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.scan_pattern import mimic
 
 PATCH = str(samples.path("road_patch"))
 PLAN = "plan --pulse-rate 3e5 --mirror-frequency 100 --speed 10 --range 5"
@@ -104,6 +106,9 @@ COMMANDS = [
 ]
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+HEAD = {"pulse_rate_hz": 3e5, "mirror_frequency_hz": 100, "speed_m_s": 10}
+SETUP, WALL = scan_pattern.ScanSetup(**HEAD), scan_pattern.Target(range_m=5)
+LINES = np.stack(np.meshgrid([0.0], np.arange(9) / 9, np.arange(9) / 9), axis=-1).reshape(-1, 3)
 
 FUNCTIONS = [
     (lambda: chart_cloud.evaluate_cloud("road_patch.laz"), "Must be real numbers."),
@@ -126,6 +131,27 @@ FUNCTIONS = [
     (lambda: plots.style("Nature").__enter__(), "Invalid journal 'Nature'. Must be one of"),
     (lambda: plots.subplots(width="triple"), "Invalid width 'triple'. Must be one of"),
     (lambda: samples.path("moon"), "Invalid sample 'moon'. Must be one of"),
+    (lambda: replace(SETUP, pulse_rate_hz=0), "Invalid pulse_rate_hz 0. Must be > 0"),
+    (lambda: replace(SETUP, pulse_rate_hz=50), "Must be 100 pulses a revolution or more."),
+    (lambda: replace(SETUP, scanner_tilt_deg=np.nan), "Invalid scanner_tilt_deg nan."),
+    (lambda: replace(SETUP, scanner_tilt_deg=90), "off the direction of travel."),
+    (lambda: replace(SETUP, speed_m_s="fast"), "Invalid speed_m_s 'fast'. Must be a number"),
+    (lambda: scan_pattern.scan_lattice(SETUP, scan_pattern.Patch([1, 2], [0, 0, 1])), "(..., 3)"),
+    (lambda: scan_pattern.scan_lattice(SETUP, scan_pattern.Patch([1, 2, 3], [0] * 3)), "zero."),
+    (lambda: replace(WALL, heading_deg=-95).patch(SETUP), "Must let the horizontal pulse strike"),
+    (lambda: scan_pattern.propagate(SETUP, WALL, sigmas={"wind": 1}), "Invalid input 'wind'."),
+    (lambda: scan_pattern.largest_speed(SETUP, WALL, quantity="f", limit=0.5), "it fails at"),
+    (lambda: scan_pattern.explain_error(SETUP, WALL, quantity="f", measured=2), "quantity 'f'"),
+    (lambda: scan_pattern.measure_pattern(LINES[:5]), "Must be 12 or more."),
+    (lambda: scan_pattern.measure_pattern(LINES), "without gps_time and scan_line. Must have one"),
+    (lambda: scan_pattern.measure_pattern(LINES, gps_time=[0] * 3), "gps_time of shape (3,)."),
+    (lambda: scan_pattern.measure_pattern(LINES, gps_time=[0] * 81), "time without pauses"),
+    (lambda: scan_pattern.measure_pattern(LINES, gps_time=np.arange(81) * 1e5), "a week's end"),
+    (lambda: scan_pattern.measure_pattern(LINES, scan_line=[0] * 81), "Invalid patch: 1 profiles"),
+    (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
+    (lambda: mimic.profile_spacing_horizontal(0.1, np.nan, 0), "Invalid alpha_scan nan"),
+    (lambda: mimic.point_spacing((0, 90), (0, 0), h_r=5, height_difference=0, theta_a=0.1),
+     "Invalid gamma_scan 90"),
 ]
 
 

@@ -71,5 +71,3 @@ def test_explained_errors_are_errors_that_they_explain():
         patch = target.patch(MIMIC)
         assert getattr(scan_lattice(changed, patch), quantity) == pytest.approx(now + 0.002)
     assert change["speed_m_s"] > 0 > change["mirror_frequency_hz"]
-    with pytest.raises(ValueError, match="Invalid quantity 'f'"):
-        explain_error(MIMIC, target, quantity="f", measured=2.0)

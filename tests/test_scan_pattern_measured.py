@@ -244,20 +244,3 @@ def test_road_patch_of_two_heads():
     assert crossing == pytest.approx(89, abs=0.1)
     with pytest.raises(ValueError, match="Must be one pass of one head"):
         measure_pattern(road, gps_time=time)
-
-
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda p: measure_pattern(p[:5]), "Must be 12 or more."),
-        (lambda p: measure_pattern(p, gps_time=np.zeros(3)), "Invalid gps_time of shape (3,)."),
-        (lambda p: measure_pattern(p, gps_time=np.zeros(len(p))), "Invalid time without pauses"),
-        (lambda p: measure_pattern(p, scan_line=np.zeros(len(p))), "Invalid patch: 1 profiles"),
-        (lambda p: measure_pattern(p), "without gps_time and scan_line. Must have one"),
-        (lambda p: measure_pattern(p, gps_time=np.arange(len(p)) * 1e5), "a week's end"),
-    ],
-)  # fmt: skip
-def test_rejects(call, sentence):
-    with pytest.raises((ValueError, TypeError)) as error:
-        call(lattice(35, 0.05, 0.018))
-    assert sentence in str(error.value)

@@ -11,9 +11,6 @@ from mmqa_lab.published import table
 from mmqa_lab.scan_pattern import Target, explain_error, mimic, scan_lattice
 from mmqa_lab.studies import mimic as study
 
-DUAL = {"gamma_scan": -45, "through_m": (4, 4, -3.2)}
-SINGLE = {"gamma_scan": 0, "through_m": (4.12, 0.89, -2.76), "height_m": 1.82}
-
 
 @pytest.fixture(scope="module")
 def results():
@@ -60,14 +57,6 @@ def test_papers_equations_are_rays_from_a_vehicle_that_stands():
         scan = study.Scan(*study.parts(case), None, None)
         rays = study.cast(scan.setup, scan.target, still=True)
         assert study.paper(scan, ways=(True,)) == pytest.approx(rays, abs=1e-6)
-
-
-def test_each_row_of_table_4_comes_out_in_one_of_two_readings():
-    dual, single = study.table_4(**DUAL), study.table_4(**SINGLE)
-    assert dual.loc[~dual["agrees"], "no"].tolist() == [4, 6, 9]
-    assert single.loc[~single["agrees"], "no"].tolist() == [1, 5, 7]
-    rows = (11.6, 19.7, 16.4, 10.4, 31.8, 21.4, 25.9, 5.8, 5.8)
-    assert single["fitted_mm"].round(1).tolist() == list(rows)
 
 
 def test_a_plane_4_m_away_cannot_be_struck_more_closely_than_the_bound():
@@ -121,12 +110,13 @@ def test_checks_of_the_notebook_fail_with_other_numbers():
 def test_ledger_says_something_of_every_table(field):
     walls = table("cahalane2014", "table_3")
     walls["predicted_m"] = mimic.profile_spacing_horizontal(0.1, 45, walls["alpha_targ_deg"])
+    reading = pd.DataFrame({"no": range(1, 10), "fitted_mm": 6.0})
     table_6 = table("cahalane2014", "table_6").query("quantity != 'error'")
     table_6 = table_6.rename(columns={"quantity": "name", "value": "change_fitted"})
     rows = study.ledger_table(
         table_3=walls.assign(ray_cast_m=walls["predicted_m"]),
         standing=pd.DataFrame({name: np.zeros(14) for name in study.FIGURES}),
-        readings={"one": study.table_4(**SINGLE), "two": study.table_4(**DUAL)},
+        readings={"one": reading, "two": reading.head(8)},
         field=field,
         table_6=table_6.assign(error_fitted=0.0017, note="solved"),
     )

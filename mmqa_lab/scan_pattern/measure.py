@@ -190,10 +190,7 @@ def _column(values, name, n):
         return None
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (n,) or not np.isfinite(values).all():
-        raise ValueError(
-            f"Invalid {name} of shape {values.shape}. Must have one finite value for each of {n} "
-            "points."
-        )
+        raise ValueError(f"Invalid {name} of shape {values.shape}. Must be finite, one a point.")
     return values
 
 
@@ -223,15 +220,10 @@ class _Fit(NamedTuple):
     group: np.ndarray  # place of each point's profile in numbers
     numbers: np.ndarray
     offsets: np.ndarray  # of the profiles across
+    gap: float  # the mean between neighbours: slope of offsets over numbers
     beside: np.ndarray  # how far points lie beside their profile
     along: np.ndarray  # unit vectors in space along the profiles, and the plane's normal
     normal: np.ndarray
-
-    @property
-    def gap(self):
-        """The mean gap between neighbours: the slope of offsets over numbers."""
-        weights = np.sqrt(np.bincount(self.group))
-        return abs(np.polyfit(self.numbers - self.numbers[0], self.offsets, 1, w=weights)[0])
 
 
 def _fitted(local, numbers, centre):
@@ -250,17 +242,19 @@ def _fitted(local, numbers, centre):
             terms += [off * x, off * y, x**2, x * y]
         slopes, offsets, beside = solve_groups(np.stack(terms, axis=1), y, group)
         turn += np.arctan(slopes[0])
-    return _Fit(x, y, off, group, present, offsets, beside, axes[0] @ flat.axes, flat.normal)
+    weights = np.sqrt(np.bincount(group))
+    gap = abs(np.polyfit(present - present[0], offsets, 1, w=weights)[0])
+    along = axes[0] @ flat.axes
+    return _Fit(x, y, off, group, present, offsets, gap, beside, along, flat.normal)
 
 
 def _check_one_head(fit, share):
     """Refuse points that are not on one family of parallel profiles, numbered evenly."""
-    gap = fit.gap
     steps = np.abs(np.diff(fit.offsets) / np.diff(fit.numbers))
-    crossed = np.std(fit.beside) > CROSSED * gap or share < 1 - CROSSED
-    if crossed or abs(np.median(steps) / gap - 1) > UNEVEN:
+    crossed = np.std(fit.beside) > CROSSED * fit.gap or share < 1 - CROSSED
+    if crossed or abs(np.median(steps) / fit.gap - 1) > UNEVEN:
         raise ValueError(
-            f"Invalid patch: points lie {np.std(fit.beside):.2g} m beside profiles {gap:.2g} m "
+            f"Invalid patch: points lie {np.std(fit.beside):.2g} m beside profiles {fit.gap:.2g} m "
             f"apart, {share:.0%} of them near. Must be one pass of one head, profiles numbered "
             "one by one."
         )
@@ -274,18 +268,14 @@ def _figures(local, numbers, pulse, centre):
     if size >= LEVEL:
         angle = np.arccos(min(abs(fit.along @ level) / size, 1.0))
     if np.isfinite(pulse).all():
-        slopes = solve_groups(_place_terms(fit.x, fit.y, fit.off), pulse, fit.group)[0]
-        spacing = abs(1 / slopes[0])
+        # pulses are a polynomial of place, to a degree that the points bear, and the slide
+        degree = 1 if len(pulse) < MANY else 3
+        powers = [(i, j) for i in range(1, degree + 1) for j in range(degree + 1 - i)]
+        terms = np.stack([*(fit.x**i * fit.y**j for i, j in powers), fit.off], axis=1)
+        spacing = abs(1 / solve_groups(terms, pulse, fit.group)[0][0])
     with np.errstate(divide="ignore", invalid="ignore"):
         spacings = [fit.gap, fit.gap / np.sin(angle), fit.gap / np.cos(angle)]
     return [float(one) for one in (*spacings, np.degrees(angle), spacing)]
-
-
-def _place_terms(x, y, off):
-    """What pulses are a polynomial of: place, to a degree that the points bear, and the slide."""
-    degree = 1 if len(x) < MANY else 3
-    terms = [x**i * y**j for i in range(1, degree + 1) for j in range(degree + 1 - i)]
-    return np.stack([*terms, off], axis=1)
 
 
 def _jackknifed(local, numbers, pulse, centre):

@@ -290,38 +290,6 @@ def bench(*, methods=None, seeds=range(5), ranges_m=(4.0, 8.0, 16.0), cases=None
     return Comparison(cases, methods, scanned, score, seeds=seeds, figures=shown)
 
 
-def table_4(*, gamma_scan, through_m, height_m=0.0):
-    """Return Table 4 beside what one reading of its set-up gives.
-
-    Parameters
-    ----------
-    gamma_scan : float
-        Tilt of the scanner, degrees. Its heading is 45.
-    through_m : tuple of 3
-        Where the walls' axes of turning meet, from the scanner, metres.
-    height_m : float
-        Of the point at which spacing is read, above the scanner.
-
-    Returns
-    -------
-    DataFrame
-        The table with ``fitted_mm`` (NaN where the pulses miss the wall) and ``agrees``.
-    """
-    found = table(SOURCE, "table_4").rename(columns={"mimic_m": "published_mm"})
-    found["published_mm"] = (1000 * found["published_mm"]).round(3)
-    step = number(SOURCE, "cad_point_step")["value"]
-    rows = []
-    for alpha, beta in found[["alpha_targ_deg", "beta_targ_deg"]].to_numpy(dtype=float):
-        normal = mimic.target_normal(alpha, beta)
-        reach = (normal @ np.asarray(through_m)) / (normal @ [1.0, 1.0, 0.0])
-        given = {"h_r": reach, "height_difference": height_m, "theta_a": step}
-        chain = mimic.point_spacing((45.0, gamma_scan), (alpha, beta), **given)
-        rows.append(1000 * chain.d_ps if reach > 0 and chain.theta_o > 0 else np.nan)
-    found["fitted_mm"] = rows
-    found["agrees"] = (found["fitted_mm"] - found["published_mm"]).abs() <= 0.5
-    return found[["no", "alpha_targ_deg", "beta_targ_deg", "published_mm", "fitted_mm", "agrees"]]
-
-
 CAST = "Rays cast on the walls of Tables 3 and 4 in place of the constructed models."
 CLICKS = (
     "Five distances clicked on simulated surfaces within the printed limits; mountings of 45/45 "
@@ -340,7 +308,7 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
         Differences of the paper's equations from rays of a vehicle that stands, ``FIGURES``, a row
         for each of the 14 walls.
     readings : dict of str to DataFrame
-        Of ``table_4``, by the note that says how they were fitted.
+        Walls of Table 4 (``no``, ``fitted_mm``), by the note that says how they were fitted.
     field : Dataset
         Results of the bench on :func:`surfaces`.
     table_6 : DataFrame
