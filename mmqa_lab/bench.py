@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = (
     *("Comparison", "cell_table", "compare", "failures", "figure_names"),
-    *("grid", "plot", "rank", "run", "summary"),
+    *("grid", "plot", "plot_tables", "rank", "run", "summary"),
 )
 
 LONGEST_REASON = 300
@@ -545,22 +545,35 @@ def plot(results: xr.Dataset, figures: Sequence[str] = (), *, own: Sequence[str]
     -------
     matplotlib.figure.Figure
     """
+    names = [figures] if isinstance(figures, str) else list(figures or figure_names(results))
+    return plot_tables({name: summary(results, name) for name in names}, own=own)
+
+
+def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) -> Figure:
+    """Draw tables whose first columns are method, number, low and high, a panel for each.
+
+    Parameters
+    ----------
+    tables : dict of str to DataFrame
+        By the name of the number; from :func:`summary`, :func:`rank` or :func:`compare`.
+    own : sequence of str
+        Methods that get a colour and mark of their own.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
     from mmqa_lab import plots
 
-    names = [figures] if isinstance(figures, str) else list(figures or figure_names(results))
-    methods = list(np.atleast_1d(results["method"].values))
-    height = 22 + 5.5 * len(methods)
-    figure, axes = plots.subplots(
-        1, len(names), width="double", height_mm=height, sharey=True, squeeze=False
-    )
-    for ax, name in zip(axes[0], names, strict=True):
-        plain, unit = split_unit(name)
-        mean, low, high = summary(results, name).iloc[:, 1:4].to_numpy(float).T
-        for place, method in enumerate(methods):
+    methods = next(iter(tables.values()))["method"].tolist()
+    size = {"width": "double", "height_mm": 22 + 5.5 * len(methods)}
+    figure, axes = plots.subplots(1, len(tables), sharey=True, squeeze=False, **size)
+    for ax, (name, table) in zip(axes[0], tables.items(), strict=True):
+        for place, (method, mean, low, high) in enumerate(table.iloc[:, :4].to_numpy()):
             colour = plots.COLOURS["vermilion" if method in own else "blue"]
-            ax.hlines(place, low[place], high[place], color=colour, lw=1.5)
-            mark = "D" if method in own else "o"
-            ax.plot(mean[place], place, mark, ms=4, color=colour, mfc="white")
+            ax.hlines(place, low, high, color=colour, lw=1.5)
+            ax.plot(mean, place, "D" if method in own else "o", ms=4, color=colour, mfc="white")
+        plain, unit = split_unit(name)
         label = plain.replace("_", " ")
         ax.set_xlabel(f"{label} ({unit})" if unit not in ("", "1") else label)
     axes[0][0].set_yticks(range(len(methods)), methods)
