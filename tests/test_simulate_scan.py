@@ -31,16 +31,6 @@ def scan(scene=None, scanner=PROFILER, path=None, **options):
     return simulate.scan(scene or wall(), scanner, path or drive(), **{"seed": 1, **options})
 
 
-def turned_wall(turn, lean, distance=5.0):
-    """A wall turned by MIMIC's alpha_targ and beta_targ, with its normal, level and slope lines."""
-    a, b = np.radians([turn, lean])
-    normal = np.array([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), -np.sin(b)])
-    level = np.array([-np.sin(a), np.cos(a), 0.0])
-    slope = np.array([np.sin(b) * np.cos(a), np.sin(b) * np.sin(a), np.cos(b)])
-    corner = np.array([distance, 0, 0]) - 30 * level - 30 * slope
-    return Scene([simulate.rectangle(corner, 60 * level, 60 * slope)]), normal, level, slope
-
-
 def test_point_spacing_and_profile_spacing_on_a_parallel_wall():
     cloud = scan()
     line = cloud["scan_line"]
@@ -55,43 +45,6 @@ def test_point_spacing_and_profile_spacing_on_a_parallel_wall():
     level = np.abs(cloud["scan_angle"] - 90) < 0.06
     along = np.diff(np.sort(cloud.points[level, 1]))
     assert np.abs(along - SPEED / 100).max() < 1e-9  # profiles v / Mf apart
-
-
-@pytest.mark.parametrize(
-    ("turn", "lean"), [(15, 0), (0, 15), (15, 15), (-15, 0), (0, -15)], ids=str
-)
-def test_horizontal_profile_spacing_is_mimics_in_the_set_ups_of_its_table_3(turn, lean):
-    scene, _, level, slope = turned_wall(turn, lean)
-    cloud = scan(scene, replace(PROFILER, heading_deg=45, tilt_deg=45), drive(1.0))
-    # the same mirror angle in successive revolutions, and the next pulse
-    order = np.argsort(cloud["pulse"])
-    pulse, xy = cloud["pulse"][order], cloud.points[order] @ np.array([level, slope]).T
-    k = len(pulse) // 2
-    following = np.searchsorted(pulse, pulse[k] + 1), np.searchsorted(pulse, pulse[k] + 3000)
-    a, b = (xy[j] - xy[k] for j in following)
-    spacing = abs(a[0] * b[1] - a[1] * b[0]) / abs(a[1])  # Cahalane et al. 2014, equation 2
-    exact = SPEED / 100 * np.cos(np.pi / 4) / np.cos(np.radians(45 - turn))
-    # consecutive pulses span a chord of 2 mrad: second-order terms of 1e-3
-    assert spacing == pytest.approx(exact, rel=2e-3)
-
-
-@pytest.mark.parametrize(("heading", "tilt", "turn", "lean"), [(45, 45, 15, 10), (0, 53, 0, 0)])
-def test_density_by_count_is_that_of_the_closed_form(heading, tilt, turn, lean):
-    scene, normal, level, slope = turned_wall(turn, lean, distance=6)
-    scanner = replace(PROFILER, heading_deg=heading, tilt_deg=tilt)
-    cloud = scan(scene, scanner, drive(30.0, start=(0, -15, 0)))
-    xy = (cloud.points - [6, 0, 0]) @ np.array([level, slope]).T
-    inside = (np.abs(xy) < [1.5, 0.5]).all(axis=1)
-    counted = inside.sum() / 3.0
-    ray = cloud.points[inside] - np.column_stack(
-        [np.zeros(inside.sum()), -15 + SPEED * cloud["pulse"][inside] / 3e5, np.zeros(inside.sum())]
-    )
-    cosine = np.abs(ray @ normal) / cloud["range_m"][inside]
-    density = (
-        3e5 * cosine / (2 * np.pi * SPEED * cloud["range_m"][inside] * abs(scanner.plane_normal[1]))
-    )
-    # harmonic mean: points are counted where they are, area is what is averaged over
-    assert counted == pytest.approx(1 / np.mean(1 / density), rel=0.01)
 
 
 def test_points_lie_in_the_scan_plane_at_their_range_on_their_surface():

@@ -56,15 +56,6 @@ def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
     assert quality.d4_mm == pytest.approx(lattice.d4_mm, rel=0.02)
 
 
-def test_density_of_system_b_does_not_depend_on_its_spin():
-    means = []
-    for spin in (10, 20):
-        spun = replace(EXACT_B, mirror_frequency_hz=spin)
-        clouds = (systems.pass_chart(spun, 5.0, seed=seed) for seed in range(6))
-        means.append(np.mean([read(cloud, 5.0).n for cloud in clouds]))
-    assert means[1] == pytest.approx(means[0], rel=0.03)  # 1650 points, clumped by revolution
-
-
 def test_system_c_keeps_its_density_and_pattern_at_any_distance():
     """Table 2: d1 = 3 mm, d4 = 8 mm, f = 2.6 at 5 m and at 10 m; 28,901 and 30,915 points/m2."""
     for distance in systems.DISTANCES:
