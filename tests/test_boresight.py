@@ -10,7 +10,7 @@ from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.boresight.adjustment import Adjustment, Shots
 from mmqa_lab.boresight.features import Feature, from_axis, pole_misfit
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.simulate import NavigationErrors, ProfileScanner, System, straight
+from mmqa_lab.simulate import NavigationErrors, Scanner, System, straight
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 from mmqa_lab.studies import test_field as study
 
@@ -118,7 +118,7 @@ def test_rejects(drives, street):
 
 
 def test_drives_that_leave_a_parameter_open_are_refused(street):
-    head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, heading_deg=45, tilt_deg=30)
+    head = Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, heading_deg=45, tilt_deg=30)
     system = System("one head", (head,), NavigationErrors())
     drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
     choices = {"lever_arms_m": system.assumed_lever_arms, "patches": 100, "rounds": 1}
@@ -136,7 +136,7 @@ def files(street, tmp_path_factory):
     """Two drives of one head with a wrong heading as files: clouds, paths, poles, control."""
     folder = tmp_path_factory.mktemp("drives")
     mounting = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
-    head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **mounting)
+    head = Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **mounting)
     drives = drive_testfield(street, System("one head", (head,)), seed=4, pulses_per_s=20_000)
     for name, (cloud, path) in zip(("there", "back"), drives, strict=True):
         io.write_cloud(folder / f"{name}.laz", cloud, scale=0.0001)

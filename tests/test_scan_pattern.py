@@ -179,13 +179,13 @@ def test_density_is_that_of_the_papers_formula_at_any_mirror_frequency(mirror):
 
 def test_counted_density_on_a_plane_within_one_per_cent():
     head = {"pulse_rate_hz": 600_000, "mirror_frequency_hz": 200, "heading_deg": 20, "tilt_deg": 30}
-    scanner = simulate.ProfileScanner(**head)
+    scanner = simulate.Scanner(**head)
     setup = ScanSetup.of_scanner(scanner, speed_m_s=10.0)
     patch = Target(heading_deg=20, tilt_deg=15, range_m=6).patch(setup)
     level, slope = scan_lattice(setup, patch).axes
     corner = patch.points * [1, 0, 1] - 10 * level - 10 * slope
     wall = simulate.Scene([simulate.rectangle(corner, 20 * level, 20 * slope)])
-    cloud = simulate.scan_all(wall, scanner, simulate.straight(12, 10, start=(0, -6, 0)), seed=1)
+    cloud = simulate.scan(wall, scanner, simulate.straight(12, 10, start=(0, -6, 0)), seed=1)
     u = (cloud.points - patch.points * [1, 0, 1]) @ np.array([level, slope]).T
     counted = (np.abs(u) < [1.0, 0.75]).all(axis=1).sum()
     grid = np.stack(np.meshgrid(np.linspace(-0.95, 0.95, 20), np.linspace(-0.7, 0.7, 15)), -1)

@@ -253,10 +253,10 @@ def calibrate(
 
     Examples
     --------
-    >>> from mmqa_lab.simulate import ProfileScanner, System
+    >>> from mmqa_lab.simulate import Scanner, System
     >>> from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
     >>> tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
-    >>> head = ProfileScanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
+    >>> head = Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
     >>> street = make_testfield(length_m=40, seed=1)
     >>> system = System("one head", (head,))
     >>> drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)

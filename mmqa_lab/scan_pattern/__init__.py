@@ -144,7 +144,7 @@ class ScanSetup:
         ----------
         scanner : object
             Has ``pulse_rate_hz``, ``mirror_frequency_hz``, ``heading_deg`` and ``tilt_deg``, as
-            ``simulate.ProfileScanner`` does.
+            ``simulate.Scanner`` does.
         speed_m_s : float
         """
         return cls(

@@ -14,7 +14,7 @@ import pandas as pd
 
 from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
-from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
     board,
@@ -185,7 +185,7 @@ def drive(made, scanner, *, seed, speed=30 / 3.6, **options):
     """
     if isinstance(scanner, str):
         scanner = SCANNERS[check_choice(scanner, "scanner", tuple(SCANNERS))]
-    return scan_all(made.scene, scanner, made.trajectory(speed), seed=seed, **options)
+    return scan(made.scene, scanner, made.trajectory(speed), seed=seed, **options)
 
 
 def visible_targets(made, cloud, *, minimum_points=10, minimum_sweeps=5, minimum_span=1.0):

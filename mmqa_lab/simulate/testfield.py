@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.trajectories import measured, straight
@@ -194,7 +194,7 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
     for number, path in enumerate(street.drives(speed)):
         known = measured(path, system.navigation, seed=[seed, number])
         choices = {"seed": seed + number, "measured": known, "progress": progress}
-        cloud = scan_all(street.scene, heads, path, **choices)
+        cloud = scan(street.scene, heads, path, **choices)
         cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
         if system.lever_arm_error_m:
             error = np.array(system.lever_arm_error_m)[cloud["head"]]

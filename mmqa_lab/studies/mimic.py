@@ -125,7 +125,7 @@ def simulate_patch(setup, target, *, size_m, seed, range_noise_m=0.005, speed_sh
     drive = simulate.with_speed_variation(level, share=speed_share, seed=seed)
     beams = scan_lattice(setup, Patch(corners, spot.normals)).beam @ setup.rotation
     angles = np.degrees(np.arctan2(beams[:, 0], -beams[:, 2]))
-    scanner = simulate.ProfileScanner(
+    scanner = simulate.Scanner(
         pulse_rate_hz=setup.pulse_rate_hz,
         mirror_frequency_hz=setup.mirror_frequency_hz,
         heading_deg=setup.scanner_heading_deg,
@@ -135,7 +135,7 @@ def simulate_patch(setup, target, *, size_m, seed, range_noise_m=0.005, speed_sh
         **{"angle_noise_deg": 0.005, "dropout_share": 0.05, **noise},
     )
     wall = simulate.rectangle(corners[0], size_m * along, size_m * up)
-    cloud = simulate.scan_all(simulate.Scene([wall]), scanner, drive, seed=seed)
+    cloud = simulate.scan(simulate.Scene([wall]), scanner, drive, seed=seed)
     after, before = (drive.at(cloud["gps_time"] + side * 1e-4)[0][:, 1] for side in (1, -1))
     return cloud, replace(setup, speed_m_s=float(np.mean(after - before) / 2e-4))
 
