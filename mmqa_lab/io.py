@@ -78,7 +78,8 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     Parameters
     ----------
     path : path
-        Folders are made where missing; an existing file is replaced.
+        Folders are made where missing; an existing file is replaced, of a symbolic link the file
+        that it names.
     write : callable, str or DataFrame
         Takes the path of the temporary file, which has the same ending. A text is written as it
         is, a table as CSV without its index.
@@ -86,7 +87,7 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     Raises
     ------
     OSError
-        If no file can be made there.
+        If no file can be made there, or something is there that is no file, as a device.
 
     Examples
     --------
@@ -96,7 +97,9 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     ...     [path.name for path in Path(folder).iterdir()]
     ['f.txt']
     """
-    path = Path(path)
+    path = Path(path).resolve()
+    if path.exists() and not path.is_file():
+        raise OSError(f"Invalid file {path}: a folder or device. Must be a file.")
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +21,11 @@ import pandas as pd
 from mmqa_lab._checks import (
     check_choice,
     check_file,
-    check_metres,
     check_points,
     check_positive,
     check_same_crs,
 )
-from mmqa_lab.io import iterate_cloud, write_atomically
+from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import exempt, quadrant_distances
 
@@ -94,13 +94,9 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     """
     points = check_points(points)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
-    low, high = (np.floor(end / cell).astype(int) for end in _ends(points))
+    plan = points[:, :2]
+    low, high = (np.floor(end / cell).astype(int) for end in (plan.min(axis=0), plan.max(axis=0)))
     return _evaluated(points - np.append(low, 0) * cell, low, high + 1 - low, cell, radius)
-
-
-def _ends(points):
-    """The corners of the plan's box."""
-    return points[:, :2].min(axis=0), points[:, :2].max(axis=0)
 
 
 def _evaluated(local, first, size, cell, radius, inner=None):
@@ -138,12 +134,15 @@ def _evaluated(local, first, size, cell, radius, inner=None):
 
 def _medians(values, group, count):
     """Median of each group's numbers, NaN left out; NaN where there are none."""
-    order = np.lexsort((values, group))
+    pairs = np.empty(len(values) + 1, dtype=complex)  # sorted by their real, then imaginary part
+    pairs.real = np.append(group, count)
+    pairs.imag = np.append(np.where(np.isnan(values), np.inf, values), np.inf)
+    pairs.sort()
+    pairs.imag[-1] = np.nan
     known = np.bincount(group, weights=np.isfinite(values), minlength=count).astype(int)
     starts = np.append(0, np.cumsum(np.bincount(group, minlength=count)))[:-1]
-    values, last = np.append(values[order], np.nan), len(values)
-    low, high = (np.where(known > 0, starts + (known - k) // 2, last) for k in (1, 0))
-    return (values[low] + values[high]) / 2
+    low, high = (np.where(known > 0, starts + (known - k) // 2, -1) for k in (1, 0))
+    return (pairs.imag[low] + pairs.imag[high]) / 2
 
 
 def _deviations(points, starts, counts, group):
@@ -220,7 +219,7 @@ def _files(paths):
     """Cloud files, with those of folders."""
     found = []
     for path in map(Path, paths):
-        inside = sorted(one for one in path.rglob("*") if one.suffix.lower() in (".las", ".laz"))
+        inside = sorted(file for file in path.rglob("*") if file.suffix.lower() in LAS_ENDINGS)
         found += inside if path.is_dir() else [check_file(path, "cloud")]
     if not found:
         raise ValueError(f"Invalid folder {paths[0]}: no cloud. Must contain .las or .laz files.")
@@ -243,30 +242,39 @@ def _sorted_points(paths, folder, side):
     folder.mkdir(parents=True, exist_ok=True)
     for left in folder.glob("*.xyz"):  # of a run that was stopped while it sorted
         left.unlink()
-    origin = crs = first = None
-    places = set()
+    origin = crs = None
+    places, without = set(), set()
     for path in paths:
         for part in iterate_cloud(path, columns=()):
-            points = part.points
-            if first is None:
-                first, crs = path, part.crs
-                origin = (np.floor(points.min(axis=0) / side) * side).tolist()
-            check_same_crs(str(path), part.crs, str(first), crs)
-            local = points - origin
+            if origin is None:
+                origin = (np.floor(part.points.min(axis=0) / side) * side).tolist()
+            crs = crs or part.crs
+            check_same_crs(str(path), part.crs, "first cloud", crs)
+            without |= {str(path)} if part.crs is None else set()
+            local = part.points - origin
             own = np.floor(local[:, :2] / side).astype(int)
-            for place in map(tuple, np.unique(own, axis=0).tolist()):
-                places.add(place)
+            places |= set(map(tuple, np.unique(own, axis=0).tolist()))
+            _check_extent(places, side)
+            for place in np.unique(own, axis=0):
                 with open(folder / f"{place[0]}_{place[1]}.xyz", "ab") as file:
                     file.write(local[(own == place).all(axis=1)].tobytes())
     if not places:
         raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
-    check_metres(crs, str(first))
+    if crs is not None and without:
+        listed = ", ".join(sorted(without))
+        warnings.warn(f"No coordinate system in {listed}: taken for {crs.name}.", stacklevel=3)
+    crs = None if crs is None else crs.to_wkt()
+    return {"tiles": sorted(places), "origin": origin, "crs": crs}
+
+
+def _check_extent(places, side):
+    """Refuse clouds that are too wide, as those in millimetres are."""
     spans = np.ptp(np.array(list(places)), axis=0) + 1
     if spans.prod() > MOST_TILES:
         wide = " x ".join(f"{span * side / 1000:.0f} km" for span in spans)
-        raise ValueError(f"Invalid clouds over {wide}. Must lie within {MOST_TILES} tiles.")
-    crs = None if crs is None else crs.to_wkt()
-    return {"tiles": sorted(places), "origin": origin, "crs": crs}
+        raise ValueError(
+            f"Invalid clouds over {wide}. Must lie within {MOST_TILES} tiles, in metres."
+        )
 
 
 def _map_tile(folder, place, run):
@@ -316,8 +324,8 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
     if not run:
         raise FileNotFoundError(f"Invalid run folder {folder}: no run.json. Must contain a run.")
     files = [_tile(Path(folder), place) for place in run["tiles"]]
-    there = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
-    whole = xr.combine_by_coords(there, combine_attrs="override")
+    tiles = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
+    whole = xr.combine_by_coords(tiles, combine_attrs="override")
     filled = whole["n"] > 0
     whole = whole.isel(y=_span(filled.any("x")), x=_span(filled.any("y")))
     full = {axis: _steps(whole[axis].values, run["cell"]) for axis in ("y", "x")}
@@ -359,13 +367,12 @@ def summarise(dataset: xr.Dataset) -> pd.DataFrame:
     DataFrame
         A row for each figure: ``figure``, ``unit``, ``n`` (cells that have it), ``q05`` .. ``q95``.
     """
-    rows = []
-    for name in (name for name in dataset.data_vars if name != "n" and name in FIGURES):
-        values = dataset[name].values[np.isfinite(dataset[name].values)]
-        found = np.quantile(values, QUANTILES) if len(values) else [np.nan] * len(QUANTILES)
-        rows.append((name, FIGURES[name][0], len(values), *found))
-    names = [f"q{100 * q:02.0f}" for q in QUANTILES]
-    return pd.DataFrame(rows, columns=["figure", "unit", "n", *names])
+    names = [name for name in FIGURES if name != "n"]
+    cells = dataset[names].to_dataframe()[names]
+    table = cells.quantile(QUANTILES).T.set_axis([f"q{100 * q:02.0f}" for q in QUANTILES], axis=1)
+    table.insert(0, "n", cells.count())
+    table.insert(0, "unit", [FIGURES[name][0] for name in names])
+    return table.rename_axis("figure").reset_index()
 
 
 def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:

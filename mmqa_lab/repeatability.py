@@ -12,11 +12,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_polygon, check_positive
+from mmqa_lab._checks import check_count, check_number, check_polygon, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
@@ -77,8 +78,6 @@ def operator_polygons(
     >>> polygons.shape, bool(abs(polygons[:, 1] - [0.5, 0, 0]).max() < 0.05)
     ((5, 8, 3), True)
     """
-    import shapely
-
     corners = check_polygon(corners, name="corners")
     repeats = check_count(repeats, "repeats")
     click = check_number(click, "click", low=0, unit="m")
@@ -131,7 +130,6 @@ def evaluate_selections(
     >>> evaluate_selections(cloud, [square, square + [0.04, 0, 0]])["n"].tolist()
     [1600, 1600]
     """
-    points = check_points(points, minimum=3)
     frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in polygons]
     table = pd.concat(frames, ignore_index=True)
     return table.rename_axis("selection").reset_index()
@@ -243,19 +241,9 @@ def repeatability(table: pd.DataFrame, value: str, *, group: str = "scan") -> Re
     freedom = len(off) - len(parts)
     s_r = float(np.sqrt(off @ off / freedom))
     low, high = s_r * np.sqrt(_chi_squared_ends(off, freedom))
-    between, icc, interval = _between(parts, s_r**2)
-    return Repeatability(
-        mean=float(np.mean(np.concatenate(parts))),
-        s_r=s_r,
-        s_l=float(np.sqrt(max(between, 0.0))) if np.isfinite(between) else np.nan,
-        icc=icc,
-        icc_low=interval[0],
-        icc_high=interval[1],
-        s_r_low=float(low),
-        s_r_high=float(high),
-        groups=len(parts),
-        n=sum(len(part) for part in parts),
-    )
+    mean, n = float(np.concatenate(parts).mean()), sum(len(part) for part in parts)
+    ends = {"s_r_low": float(low), "s_r_high": float(high), "groups": len(parts), "n": n}
+    return Repeatability(mean, s_r, *_between(parts, s_r**2), **ends)
 
 
 def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[str]) -> pd.DataFrame:
@@ -293,35 +281,33 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     >>> found["factor"].tolist(), found["relative_sd"].round(3).tolist()
     (['scan', 'selection'], [0.49, 0.034])
     """
-    from statsmodels.formula.api import ols
-    from statsmodels.stats.anova import anova_lm
-
     if not (np.isfinite(table[value]) & (table[value] > 0)).all():
         raise ValueError(f"Invalid {value}: not positive. Must be so in every selection.")
-    sizes = [table.groupby(list(factors[: k + 1])).size() for k in range(len(factors))]
-    if any(size.nunique() > 1 for size in sizes):
+    logs = np.log(table[value])
+    nested = [
+        logs.groupby([table[name] for name in factors[:k]]) for k in range(1, 1 + len(factors))
+    ]
+    if any(groups.size().nunique() > 1 for groups in nested):
         raise ValueError("Invalid table: not balanced. Must have as many results in every cell.")
-    data = pd.DataFrame({"y": np.log(table[value].to_numpy())})
-    for k in range(len(factors)):  # a level of its own within each of those before it
-        data[f"level{k}"] = table.groupby(list(factors[: k + 1])).ngroup().to_numpy()
-    models = ["y ~ 1", *(f"y ~ C(level{k})" for k in range(len(factors)))]
-    compared = anova_lm(*(ols(model, data).fit() for model in models))
-    last = compared.iloc[-1]
-    freedom = [*compared["df_diff"].iloc[1:], last["df_resid"]]
+    means = np.array(
+        [np.full(len(logs), logs.mean()), *(g.transform("mean") for g in nested), logs]
+    )
+    counts = np.array([1, *(groups.ngroups for groups in nested), len(logs)])
+    freedom = np.diff(counts)
     if min(freedom) < 1:
         raise ValueError(f"Invalid factors {factors}. Must have two levels or more each.")
-    squares = np.array([*compared["ss_diff"].iloc[1:], last["ssr"]]) / freedom
-    behind = np.array([len(table) / data[f"level{k}"].nunique() for k in range(len(factors))])
+    squares = (np.diff(means, axis=0) ** 2).sum(axis=1) / freedom
+    behind = len(logs) / counts[1:-1]
     variances = np.clip([*(-np.diff(squares) / behind), squares[-1]], 0, None)
     return pd.DataFrame(
         {
             "factor": [*factors, "selection"],
-            "degrees_of_freedom": np.array(freedom, dtype=int),
+            "degrees_of_freedom": freedom,
             "mean_square": squares,
             "variance": variances,
             "share": variances / variances.sum(),
             "relative_sd": np.sqrt(variances),
-            "n": len(table),
+            "n": len(logs),
         }
     )
 
@@ -336,20 +322,20 @@ def _chi_squared_ends(off, freedom):
 
 
 def _between(parts, within):
-    """Variance between groups, ICC(1,1) and its 95 % interval; NaN for a single group."""
+    """Standard deviation between groups, ICC(1,1) and its interval; NaN for a single group."""
     groups, sizes = len(parts), np.array([len(part) for part in parts])
     if groups < 2:
-        return np.nan, np.nan, (np.nan, np.nan)
+        return (np.nan,) * 4
     n, means = sizes.sum(), np.array([part.mean() for part in parts])
     typical = (n - (sizes**2).sum() / n) / (groups - 1)
-    centre = np.concatenate(parts).mean()
-    between = (sizes * (means - centre) ** 2).sum() / (groups - 1)
+    between = (sizes * (means - sizes @ means / n) ** 2).sum() / (groups - 1)
+    s_l = float(np.sqrt(max(between - within, 0.0) / typical))
     if within == 0:
-        return between / typical, np.nan, (np.nan, np.nan)
+        return s_l, np.nan, np.nan, np.nan
     ratio, freedom = between / within, (groups - 1, n - groups)
     low, high = f_distribution.ppf(0.975, *freedom), f_distribution.ppf(0.975, *freedom[::-1])
-    icc, low, high = ((x - 1) / (x + typical - 1) for x in (ratio, ratio / low, ratio * high))
-    return (between - within) / typical, float(icc), (float(low), float(high))
+    shares = ((x - 1) / (x + typical - 1) for x in (ratio, ratio / low, ratio * high))
+    return s_l, *map(float, shares)
 
 
 def strip_law(*, density: float, area: float, click: float, influence: float = 1.0) -> float:

@@ -187,6 +187,16 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert os.listdir(tmp_path) == ["t.csv"]
 
 
+def test_devices_stay_and_links_lead_to_their_file(tmp_path):
+    with pytest.raises(OSError, match="a folder or device"):
+        write_atomically("/dev/null", "text")
+    (tmp_path / "far").mkdir()
+    (tmp_path / "link.txt").symlink_to(tmp_path / "far" / "file.txt")
+    write_atomically(tmp_path / "link.txt", "text")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "far" / "file.txt").read_text() == "text"
+
+
 def test_polygons(tmp_path):
     vertices = UTM + [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0.3, 0, 0.1]]
     write_polygon(tmp_path / "p.geojson", vertices)

@@ -1,13 +1,13 @@
 """Maps against a brute force, and campaigns against one cloud: and a run that was killed."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 
 import numpy as np
+import pyproj
 import pytest
 import xarray as xr
 
@@ -81,9 +81,8 @@ def test_tiles_are_one_cloud(campaign):
     assert int(found["n"].sum()) == 6000
     for name in maps.FIGURES:
         np.testing.assert_allclose(found[name], expected[name], atol=2e-6, err_msg=name)
-    other = maps.open_map(maps.map_campaign(paths, folder / "other", cell=0.5, tile=8))
-    for name in ("n", "d1", "d4", "f"):
-        np.testing.assert_allclose(found[name], other[name], atol=2e-6)
+    with pytest.raises(ValueError, match="of other files or parameters"):
+        maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
 def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign):
@@ -93,29 +92,19 @@ def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign):
         "maps.map_campaign(sys.argv[2:], sys.argv[1], cell=0.5, tile=2)"
     )
     child = subprocess.Popen([sys.executable, "-c", code, folder / "killed", *paths])
-    while not list((folder / "killed").glob("*.nc")) and child.poll() is None:
+    while not list((folder / "killed").glob("tile_*.nc")) and child.poll() is None:
         time.sleep(0.05)
     os.kill(child.pid, signal.SIGKILL)
     child.wait()
+    time.sleep(0.5)  # its workers end
+    before = {path: path.stat().st_mtime_ns for path in (folder / "killed").glob("tile_*.nc")}
     maps.map_campaign(paths, folder / "killed", cell=0.5, tile=2)
+    assert {path: path.stat().st_mtime_ns for path in before} == before  # what is there is done
     maps.map_campaign(paths, folder / "straight", cell=0.5, tile=2)
     tiles = sorted(path.name for path in (folder / "straight").glob("*.nc"))
     assert tiles
     for name in tiles:
         assert (folder / "killed" / name).read_bytes() == (folder / "straight" / name).read_bytes()
-
-
-def test_what_is_on_disk_is_done(campaign):
-    paths, folder = campaign
-    run = maps.map_campaign(paths, folder / "run", cell=0.5, tile=4)
-    first, *others = sorted(run.glob("*.nc"))
-    before = {path: path.stat().st_mtime_ns for path in others}
-    first.unlink()
-    maps.map_campaign(paths, run, cell=0.5, tile=4)
-    assert first.is_file()
-    assert {path: path.stat().st_mtime_ns for path in others} == before
-    with pytest.raises(ValueError, match="of other files or parameters"):
-        maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
 def test_a_lost_worker_costs_nothing(campaign):
@@ -130,37 +119,46 @@ def test_a_lost_worker_costs_nothing(campaign):
     assert int(maps.open_map(run)["n"].sum()) == 6000
 
 
-def test_maps_are_written_as_netcdf_and_geotiff(campaign):
+def test_maps_are_written_as_netcdf_and_geotiff(tmp_path):
     import rasterio
     import rioxarray  # noqa: F401 - it adds the accessor
 
-    paths, folder = campaign
-    run = maps.map_campaign(paths, folder / "run", cell=0.5, tile=8)
-    dataset = maps.open_map(run, rho0=100.0)
-    assert set(np.unique(dataset["exempt"])) <= {0.0, 1.0}
-    maps.write_map(dataset, folder / "map.nc")
-    with xr.open_dataset(folder / "map.nc", engine="scipy") as written:
+    dataset = maps.map_cloud(street())
+    maps.write_map(dataset, tmp_path / "map.nc")
+    with xr.open_dataset(tmp_path / "map.nc", engine="scipy") as written:
         assert written["d1"].attrs["units"] == "mm"
         assert int(written["n"].sum()) == 6000
     with pytest.raises(ValueError, match="no coordinate system"):
-        maps.write_map(dataset, folder / "map.tif")
+        maps.write_map(dataset, tmp_path / "map.tif")
     placed = dataset.rio.write_crs("EPSG:25832")
-    maps.write_map(placed, folder / "map.tif")
-    with rasterio.open(folder / "map.tif") as raster:
+    maps.write_map(placed, tmp_path / "map.tif")
+    with rasterio.open(tmp_path / "map.tif") as raster:
         assert raster.crs.to_epsg() == 25832
         east, north = raster.xy(0, 0)
         value = placed["n"].sel(x=east, y=north, method="nearest")
         assert raster.read(1)[0, 0] == value
-    shutil.rmtree(run)
 
 
-def test_tiles_without_points_are_cells_without_points(tmp_path):
-    far = np.concatenate([street(n=500), street(n=500) + [40.0, 0, 0]])
-    io.write_cloud(tmp_path / "far.laz", Cloud(far))
-    found = maps.open_map(maps.map_campaign([tmp_path / "far.laz"], tmp_path / "run", tile=4))
+def test_tiles_without_points_and_files_without_a_coordinate_system(tmp_path):
+    near, far = street(n=500), street(n=500) + [40.0, 0, 0]
+    io.write_cloud(tmp_path / "a.laz", Cloud(near, crs=pyproj.CRS("EPSG:25832")))
+    io.write_cloud(tmp_path / "b.laz", Cloud(far))
+    files = [tmp_path / "a.laz", tmp_path / "b.laz"]
+    with pytest.warns(UserWarning, match=r"No coordinate system in .*b\.laz: taken for ETRS89"):
+        run = maps.map_campaign(files, tmp_path / "run", tile=4)
+    found = maps.open_map(run, rho0=100.0)
     assert np.diff(found["x"]) == pytest.approx(0.5)
     assert int(found["n"].sum()) == 1000
     assert not found["n"].sel(x=slice(448012.0, 448038.0)).any()
+    assert set(np.unique(found["exempt"].values[found["d4"].notnull()])) <= {0.0, 1.0}
+    assert found.rio.crs.to_epsg() == 25832
+
+
+def test_clouds_in_millimetres_are_refused_before_any_work(tmp_path):
+    io.write_cloud(tmp_path / "mm.laz", 1000 * street(n=500), scale=0.01)
+    with pytest.raises(ValueError, match="Must lie within 30000 tiles, in metres"):
+        maps.map_campaign([tmp_path / "mm.laz"], tmp_path / "run", tile=16)
+    assert not list((tmp_path / "run").glob("*.xyz"))
 
 
 def test_summary_has_the_quantiles_of_the_cells():
