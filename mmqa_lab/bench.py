@@ -577,7 +577,7 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
         label = plain.replace("_", " ")
         ax.set_xlabel(f"{label} ({unit})" if unit not in ("", "1") else label)
     axes[0][0].set_yticks(range(len(methods)), methods)
-    axes[0][0].invert_yaxis()
+    axes[0][0].set_ylim(len(methods) - 0.5, -0.5)
     return figure
 
 
