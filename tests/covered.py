@@ -166,10 +166,11 @@ def pattern(seed, by):
     """The scan pattern of a wall, 1 m x 1 m, from a vehicle whose speed wanders by 1 %."""
     cloud, driven = simulate_patch(SETUP, WALL, size_m=1.0, seed=seed)
     truth = scan_lattice(driven, WALL)
-    table = measure_pattern(cloud, reference=truth.beam, **{by: cloud[by]}).to_frame()
+    columns = {name: cloud[name] for name in {"gps_time", by}}
+    table = measure_pattern(cloud, reference=truth.beam, **columns).to_frame()
     return {
         row.quantity.rsplit("_", 1)[0]: around(row.measured, row.std, getattr(truth, row.quantity))
-        for row in table.dropna().itertuples()  # without time there is no point spacing
+        for row in table.itertuples()
     }
 
 

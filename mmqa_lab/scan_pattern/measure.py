@@ -13,19 +13,19 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.planes import TUKEY, Plane, fit_plane, sigma_mad
+from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
+from mmqa_lab.scan_pattern.mimic import LEVEL
 
-# A surface closer to level than 0.1 degree has no horizontal line of its own.
-LEVEL = np.sin(np.radians(0.1))
 PAUSE = 20  # of the typical step of time: longer ones separate runs of points
 FEW = 16  # runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 LEAST_OFF_M = 1e-4  # but not if they lie as near as that
 MANY = 150  # points from which on curvature and the turning of the beam are fitted too
-BLOCKS = 16  # of profiles, left out in turn
+BLOCKS = 40  # of profiles, left out in turn; single ones where there are fewer
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
 LONGEST_S = 300_000.0  # times farther apart have passed the end of a GPS week
 CROSSED = 0.3  # points off their profiles by this share of the gap, or left out, are no profiles
@@ -42,12 +42,8 @@ class PatternMeasurement(Shown):
 
     Parameters
     ----------
-    plane : Plane
-        Of all points given.
     direction : array, shape (3,)
         Unit vector along the profiles.
-    numbering : str
-        Where profile numbers came from: ``scan_line`` or ``gps_time``.
     profile : array of int, shape (n,)
         Profile of each point, -1 for those left out.
     profiles, points : int
@@ -72,9 +68,7 @@ class PatternMeasurement(Shown):
     (90.0, 0.05)
     """
 
-    plane: Plane
     direction: np.ndarray
-    numbering: str
     profile: np.ndarray
     profiles: int
     points: int
@@ -173,9 +167,7 @@ def measure_pattern(
     fit = _fitted(*rows[:2], centre)
     _check_one_head(fit, share)
     return PatternMeasurement(
-        plane=plane,
         direction=fit.along,
-        numbering="gps_time" if line is None else "scan_line",
         profile=profile,
         profiles=len(fit.numbers),
         points=len(used),
@@ -279,7 +271,10 @@ def _figures(local, numbers, pulse, centre):
 
 
 def _jackknifed(local, numbers, pulse, centre):
-    """Standard deviations of the five figures, from leaving out blocks of profiles in turn."""
+    """Standard deviations of the five figures, from leaving out blocks of profiles in turn.
+
+    They are widened so that 1.96 of them are the 95 % interval by Student's t.
+    """
     present, group = np.unique(numbers, return_inverse=True)
     count = min(BLOCKS, len(present))
     if count < 4:
@@ -289,7 +284,8 @@ def _jackknifed(local, numbers, pulse, centre):
         _figures(local[block != k], numbers[block != k], pulse[block != k], centre)
         for k in range(count)
     ]
-    return np.sqrt((count - 1) * np.var(left, axis=0)).tolist()
+    reach = stdtrit(count - 1, 0.975) / 1.959964
+    return (reach * np.sqrt((count - 1) * np.var(left, axis=0))).tolist()
 
 
 def _pulses(time, numbers, used):

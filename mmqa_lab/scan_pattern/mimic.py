@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+# A surface closer to level than 0.1 degree has no horizontal line of its own.
+LEVEL = np.sin(np.radians(0.1))
+
 
 def rotations(roll, pitch, heading):
     """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
