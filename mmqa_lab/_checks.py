@@ -158,12 +158,10 @@ def check_number(value, name, *, low=None, high=None, unit=""):
     ValueError: Invalid amount 5. Must be between 0 and 1.
     """
     number = _finite(value, name)
-    below = low is not None and number < low
-    above = high is not None and number > high
-    if below or above:
-        raise ValueError(
-            f"Invalid {name} {value}. Must be {_bounds(low, high)} {unit}".strip() + "."
-        )
+    if (low is not None and number < low) or (high is not None and number > high):
+        bounds = f">= {low}" if high is None else f"between {low} and {high}"
+        bounds = f"<= {high}" if low is None else bounds
+        raise ValueError(f"Invalid {name} {value}. Must be {bounds} {unit}".strip() + ".")
     return number
 
 
@@ -219,10 +217,3 @@ def _finite(value, name):
     if not np.isfinite(value):
         raise ValueError(f"Invalid {name} {value}. Must be finite.")
     return float(value)
-
-
-def _bounds(low, high):
-    """The interval in words."""
-    if low is None:
-        return f"<= {high}"
-    return f">= {low}" if high is None else f"between {low} and {high}"

@@ -98,32 +98,24 @@ class Cloud:
 
     def __getitem__(self, which: str | ArrayLike | slice) -> np.ndarray | Cloud:
         if isinstance(which, str):
-            return self._column(which)
+            if which in self.columns:
+                return self.columns[which]
+            present = ", ".join(self.columns) or "none"
+            raise _MissingColumnError(
+                f"Invalid column {which!r}. Must be one of those present: {present}."
+            )
         points = self.points[which]
         if points.ndim == 1:
             return points
         columns = {key: values[which] for key, values in self.columns.items()}
         return Cloud(points, columns, self.name, self.resolution, self.crs)
 
-    def _column(self, name):
-        """A column, or the sentence that lists those present."""
-        if name not in self.columns:
-            present = ", ".join(self.columns) or "none"
-            raise _MissingColumnError(
-                f"Invalid column {name!r}. Must be one of those present: {present}."
-            )
-        return self.columns[name]
-
     def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""
+        sides = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
+        extent = " x ".join(f"{side:.3f} m" for side in sides)
         columns = ", ".join(self.columns) or "none"
-        return f"<Cloud{name}: {len(self)} points, {self._extent()}, columns {columns}>"
-
-    def _extent(self):
-        """Length, width and height of the box round the points, in words."""
-        if not len(self):
-            return "no extent"
-        return " x ".join(f"{side:.3f} m" for side in np.ptp(self.points, axis=0))
+        return f"<Cloud{name}: {len(self)} points, {extent}, columns {columns}>"
 
     def to_frame(self) -> pd.DataFrame:
         """Return a DataFrame with ``x_m``, ``y_m``, ``z_m`` and the one-valued columns."""
@@ -234,14 +226,12 @@ def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
     >>> cells.order.tolist(), cells.starts.tolist(), cells.places.tolist()
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
-    index = np.floor(np.ascontiguousarray(points.T) / size).astype(np.int64)
-    low = index.min(axis=1)
-    wide = index.max(axis=1) - low + 1
+    index = np.floor(points / size).astype(np.int64)
+    local = index - index.min(axis=0)
+    wide = local.max(axis=0) + 1
     if np.prod(wide.astype(float)) > 2.0**62:
         raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
-    key = np.zeros(index.shape[1], np.int64)
-    for along, first, count in zip(index, low, wide, strict=True):
-        key = key * count + (along - first)
+    key = np.ravel_multi_index(tuple(local.T), tuple(wide))
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return _Cells(order, np.append(first, len(order)), index[:, order[first]].T.copy())
+    return _Cells(order, np.append(first, len(order)), index[order[first]])

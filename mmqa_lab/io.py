@@ -188,11 +188,11 @@ def iterate_cloud(
             check_columns(attributes, columns, f"cloud {path}")
             attributes = {name: attributes[name] for name in columns}
         finite = np.isfinite(points).all(axis=1)
-        cloud = Cloud(points[finite], {k: v[finite] for k, v in attributes.items()}, path.stem)
         if not finite.all():
             lost = f"{(~finite).sum()} of {len(points)} points of {path}"
             warnings.warn(f"Dropped {lost} whose coordinates are not finite.", stacklevel=2)
-        yield Cloud(cloud.points, cloud.columns, path.stem, **about)
+        kept = {name: values[finite] for name, values in attributes.items()}
+        yield Cloud(points[finite], kept, path.stem, **about)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:

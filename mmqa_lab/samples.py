@@ -1,8 +1,8 @@
 """The small clouds in ``data_samples`` and the larger public ones outside the repository."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -18,34 +18,9 @@ REAL_VARIABLE = "MMQA_DATA"
 """The environment variable that names the folder of larger public clouds."""
 
 
-@dataclass(frozen=True)
-class Sample:
-    """A file of ``data_samples`` and where it comes from.
-
-    Parameters
-    ----------
-    name : str
-        By which :func:`path` finds it.
-    file : str
-        In ``data_samples``.
-    sha256 : str
-        Of the file, hexadecimal.
-    licence, origin : str
-    units : str
-        Of the coordinates, and their reference system.
-    contents : str
-    """
-
-    name: str
-    file: str
-    sha256: str
-    licence: str
-    origin: str
-    units: str
-    contents: str
-
-
-SAMPLES = tuple(Sample(**one) for one in _tables(Path(__file__).with_suffix(".toml"))["samples"])
+_ROWS = _tables(Path(__file__).with_suffix(".toml"))["samples"]
+SAMPLES = tuple(SimpleNamespace(**row) for row in _ROWS)
+"""The files of ``data_samples``: name, file, sha256, licence, origin, units, contents."""
 
 
 def path(name: str) -> Path:

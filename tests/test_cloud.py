@@ -45,10 +45,6 @@ def test_a_missing_column_is_a_key_error_that_lists_those_present():
     assert str(error.value) == "Invalid column 'gps_time'. Must be one of those present: ring."
 
 
-def test_a_cloud_shows_itself_in_one_line():
-    assert repr(CLOUD) == "<Cloud 'c': 4 points, 9.000 m x 9.000 m x 9.000 m, columns ring>"
-
-
 def test_concatenating_keeps_what_all_have():
     a = Cloud(np.zeros((2, 3)), {"ring": [1, 2], "time": [0.0, 1.0]})
     b = Cloud(np.ones((1, 3)), {"ring": [3]})
