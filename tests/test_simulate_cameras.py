@@ -21,6 +21,9 @@ IDEAL = Sensor(black=0.0, white=1.0, noise=0.0)
 
 CHART = charts.imaging_chart()
 
+WITHIN = slice(19, -19), slice(19, -19)
+"""Without the 12 pixels around a chart, and what blur and motion mix with them."""
+
 
 def flat_map(scale, place, angle=0.0):
     """An orthogonal view: pixels per mm, pixel of the lower left corner, turn in radians."""
@@ -45,26 +48,24 @@ def test_a_bar_is_the_closed_form(sigma, scale):
     bar = Bar("a", 41.7, 33.2, 60.0, 25.0)
     layout = Layout("a bar", 150, 100, (bar,))
     there = flat_map(scale, (10.3, 70.6))
-    photo = photograph(layout, there, optics=Optics(sigma), sensor=IDEAL, surround=1.0)
+    photo = photograph(layout, there, optics=Optics(sigma), sensor=IDEAL)
     place = photo.chart_map.pixels([[0, 0]])[0]
     expected = seen_bar(bar, scale, place, photo.image.shape, sigma)
     # six samples along each side of a pixel, weighted as if evenly spread
-    assert np.abs(photo.image - expected).max() < 0.01
+    assert np.abs(photo.image - expected)[WITHIN].max() < 0.01
 
 
 def test_motion_averages_the_closed_form_along_the_way():
     bar = Bar("a", 41.7, 33.2, 60.0, 25.0)
     layout = Layout("a bar", 150, 100, (bar,))
     optics = Optics(0.6, travel=(5.0, 0.0, 0.0))
-    photo = photograph(
-        layout, flat_map(0.3, (9.1, 60.2)), optics=optics, sensor=IDEAL, surround=1.0
-    )
+    photo = photograph(layout, flat_map(0.3, (9.1, 60.2)), optics=optics, sensor=IDEAL)
     place = photo.chart_map.pixels([[0, 0]])[0]
     shifts = 5.0 * ((np.arange(400) + 0.5) / 400 - 0.5)
     expected = np.mean(
         [seen_bar(bar, 0.3, place, photo.image.shape, 0.6, shift) for shift in shifts], axis=0
     )
-    assert np.abs(photo.image - expected).max() < 0.01
+    assert np.abs(photo.image - expected)[WITHIN].max() < 0.01
 
 
 def test_motion_in_metres_blurs_by_distance_over_pixel_size():

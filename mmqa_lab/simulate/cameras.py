@@ -24,8 +24,8 @@ from mmqa_lab.srgb import GAMMAS, encode
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
-SUPERSAMPLING = 6
-"""Samples along each side of a pixel."""
+SUPERSAMPLING, SURROUND = 6, 0.4
+"""Samples along each side of a pixel; tone around a chart."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,6 @@ def photograph(
     *,
     optics=Optics(),
     sensor=Sensor(),
-    surround=0.4,
     margin=12,
     supersampling=SUPERSAMPLING,
     seed=0,
@@ -181,8 +180,6 @@ def photograph(
     chart_map : ChartMap
     optics : Optics
     sensor : Sensor
-    surround : float
-        Tone around the chart.
     margin : int
         Pixels around the chart.
     supersampling : int
@@ -211,7 +208,7 @@ def photograph(
     fine = check_count(supersampling, "supersampling")
     low, size = _window(layout, chart_map, check_count(margin, "margin", low=0))
     inside = chart_map.within(*low)
-    tones = _exposed(layout, inside, size, optics, fine, surround, colour=sensor.bayer)
+    tones = _exposed(layout, inside, size, optics, fine, colour=sensor.bayer)
     if sensor.bayer:
         tones = _mosaic(tones)
     signal = sensor.black + (sensor.white - sensor.black) * tones
@@ -235,7 +232,7 @@ def _window(layout, chart_map, margin):
     return low, size
 
 
-def _exposed(layout, chart_map, size, optics, fine, surround, colour=False):
+def _exposed(layout, chart_map, size, optics, fine, colour=False):
     """The mean tone in each pixel after motion, point spread and integration."""
     centre = np.array([[layout.width / 2, layout.height / 2]])
     cell = max(chart_map.pixel_sizes_mm(centre).min() / fine, max(layout.corners()[2]) / 12_000)
@@ -247,7 +244,7 @@ def _exposed(layout, chart_map, size, optics, fine, surround, colour=False):
         instants = int(np.ceil(np.linalg.norm(end - start) * fine / 2)) + 1
     total = 0
     for t in (np.arange(instants) + 0.5) / instants - 0.5:
-        total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size, fine, surround)
+        total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size, fine)
     samples = total / instants
     # samples add a cell (1/12) read bilinearly (1/6), less 1/12, in squares of their steps
     left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / fine**2
@@ -265,7 +262,7 @@ def _moved(chart_map, travel, t):
     return replace(chart_map, matrix=matrix)
 
 
-def _sampled(printed, cell, chart_map, size, fine, surround):
+def _sampled(printed, cell, chart_map, size, fine):
     """The tones at a regular grid of samples, ``fine`` along each side of a pixel."""
     columns, rows = size
     column, row = np.meshgrid(np.arange(-1, columns + 1.0), np.arange(-1, rows + 1.0))
@@ -278,7 +275,7 @@ def _sampled(printed, cell, chart_map, size, fine, surround):
     # remap addresses at most 32,767 rows at once
     for first in range(0, len(dense), 16_384):
         part = slice(first, first + 16_384)
-        beyond = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (surround,) * 3}
+        beyond = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (SURROUND,) * 3}
         samples[part] = cv2.remap(printed, dense[part], None, cv2.INTER_LINEAR, **beyond)
     return samples
 
