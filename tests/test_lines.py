@@ -93,7 +93,7 @@ def test_closed_form_is_the_transcription(rng, weight):
 def test_blocks_of_rows_change_nothing(rng, monkeypatch):
     test, model = at_random(rng, 60), at_random(rng, 50)
     whole = distance_matrix(test, model)
-    monkeypatch.setattr("mmqa_lab.lines.segments.BLOCK_PAIRS", 120)
+    monkeypatch.setattr("mmqa_lab.lines.BLOCK_PAIRS", 120)
     np.testing.assert_array_equal(distance_matrix(test, model), whole)
 
 
@@ -227,7 +227,7 @@ ONE = [[[0, 0, 0], [1, 0, 0]]]
         (lambda: components([[[0, 0, 0], [0, 0, 0]]], ONE), "no length in row 0"),
         (lambda: components(ONE, [[[0, 0, 0], [0, 0, np.inf]]]), "not finite in row 0"),
         (lambda: components(np.zeros((3, 5)), ONE), r"shape \(3, 5\)"),
-        (lambda: components(np.float32([[[6e6, 0, 0], [6e6, 9, 0]]]), ONE), "float32.*6000000 m"),
+        (lambda: components(np.float32([[[6e6, 0, 0], [6e6, 9, 0]]]), ONE), "float32 beyond"),
         (lambda: components([[["a"] * 3] * 2], ONE), "Must be real numbers"),
         (lambda: distance_matrix(ONE, ONE, weight=-1), "Invalid weight -1"),
         (lambda: distance_matrix(ONE, ONE, weight=np.nan), "Invalid weight nan"),

@@ -212,7 +212,7 @@ def test_a_displacement_beyond_the_radius_is_found_or_unknown(scene):
 
 
 @pytest.mark.parametrize("degrees", [-0.5, 0.1, 0.3])
-def test_a_turn_about_the_vertical_is_estimated(scene, degrees):
+def test_a_turn_about_the_vertical_is_allowed_for(scene, degrees):
     test, model = two(scene)
     turn = np.radians(degrees)
     rotation = [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
@@ -223,7 +223,6 @@ def test_a_turn_about_the_vertical_is_estimated(scene, degrees):
     change = after.displacement.turn_deg - before.displacement.turn_deg
     # other pairs at the ends of the streets
     assert change == pytest.approx(degrees, abs=0.06)
-    assert 0.01 < after.displacement.turn_sigma_deg < 0.2
 
 
 def test_displacements_are_covered_in_absolute_and_repeatability_comparisons():

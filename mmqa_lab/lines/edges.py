@@ -11,7 +11,6 @@ from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.lines.segments import directions, lengths
 from mmqa_lab.planes import detect_planes
 from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, usual_size
 
@@ -64,9 +63,14 @@ class Edges(Shown):
         return np.array(self.segments, dtype=dtype, copy=copy)
 
     @property
+    def _directions(self):
+        ways = self.segments[:, 1] - self.segments[:, 0]
+        return ways / np.linalg.norm(ways, axis=1, keepdims=True)
+
+    @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        axes = directions(self.segments)
+        axes = self._directions
         rest = np.eye(3) - axes[:, :, None] * axes[:, None]
         across = rest[:, None] @ self.covariance @ rest[:, None]
         return np.sqrt(np.linalg.eigvalsh(across)[..., -1])
@@ -74,14 +78,14 @@ class Edges(Shown):
     @property
     def sigma_along(self) -> np.ndarray:
         """Standard deviation of each end along the edge, (n, 2), m."""
-        axes = directions(self.segments)
+        axes = self._directions
         return np.sqrt(np.einsum("nd,nkde,ne->nk", axes, self.covariance, axes))
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row per edge: ends, length, angle, support, standard deviations."""
         ends = [f"{axis}{end}_m" for end in (1, 2) for axis in "xyz"]
         frame = pd.DataFrame(self.segments.reshape(-1, 6), columns=ends)
-        frame["length_m"] = lengths(self.segments)
+        frame["length_m"] = np.linalg.norm(self.segments[:, 1] - self.segments[:, 0], axis=1)
         frame["angle_deg"] = self.angle
         frame[["n_first", "n_second"]] = self.support
         frame[["sigma_first_mm", "sigma_second_mm"]] = 1000 * self.sigma
