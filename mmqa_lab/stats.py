@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_count
 from mmqa_lab._results import Shown
@@ -94,21 +95,14 @@ def wilson(k: int, n: int) -> Rate:
     >>> print(wilson(230, 330))
     0.697 [0.645, 0.744] (230/330)
     """
-    from scipy.special import ndtri
+    from scipy.stats import binomtest
 
-    n = check_count(n, "n", low=0)
-    k = check_count(k, "k", low=0)
+    n, k = check_count(n, "n", low=0), check_count(k, "k", low=0)
     if k > n:
         raise ValueError(f"Invalid k {k}. Must be <= n = {n}.")
-    z = ndtri(0.975)
     if n == 0:
         return Rate(0, 0, np.nan, np.nan, np.nan)
-    p, w = k / n, z**2 / n
-    centre = (p + w / 2) / (1 + w)
-    half = np.sqrt(w * (p * (1 - p) + w / 4)) / (1 + w)
-    low = 0.0 if k == 0 else centre - half
-    high = 1.0 if k == n else centre + half
-    return Rate(k, n, p, float(low), float(high))
+    return Rate(k, n, k / n, *map(float, binomtest(k, n).proportion_ci(method="wilson")))
 
 
 @dataclass(frozen=True)
@@ -246,17 +240,13 @@ def bootstrap(
     (50.0, True)
     """
     arrays = [np.asarray(v) for v in values]
-    n = len(arrays[0]) if arrays else 0
-    if n == 0 or any(len(a) != n for a in arrays):
-        raise ValueError(
-            f"Invalid values of lengths {[len(a) for a in arrays]}. Must be equal and above 0."
-        )
-    check_count(repeats, "repeats")
+    lengths = [len(a) for a in arrays]
+    if len(set(lengths)) != 1 or not lengths[0]:
+        raise ValueError(f"Invalid values of lengths {lengths}. Must be equal and above 0.")
     rng = np.random.default_rng(seed)
-    drawn = np.empty(repeats)
-    for k in range(repeats):
-        picked = rng.integers(n, size=n)
-        drawn[k] = statistic(*(a[picked] for a in arrays))
+    n = lengths[0]
+    picked = (rng.integers(n, size=n) for _ in range(check_count(repeats, "repeats")))
+    drawn = np.array([statistic(*(a[rows] for a in arrays)) for rows in picked])
     known = drawn[np.isfinite(drawn)]
     low, high = np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats else [np.nan] * 2
     return Interval(float(statistic(*arrays)), float(low), float(high), len(known))

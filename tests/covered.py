@@ -379,7 +379,7 @@ def mounting(seed, drift, stated):
     drives = drive_testfield(street, system, seed=seed, pulses_per_s=30_000)
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
-    found = calibrate(drives, control=control, patches=40, seed=seed, **known, **path_std)
+    found = calibrate(drives, control=control, patches=40, **known, **path_std)
     truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
     kinds = {"deg": "boresight", "m": "lever arm"}

@@ -1,0 +1,634 @@
+"""Boresight and lever arm of scan heads, estimated from drives in both directions.
+
+What a mounting error does changes its sign with the direction of travel: a wall seen on the way
+there and on the way back lies in two places. Planes and poles that several drives or heads have
+seen are fitted, and the mounting is sought with which they are thinnest. EuroSDR 2013, mobile laser
+scanning, section 3.3.3, names the objects that show each error (ground for roll, poles and corners
+for pitch and heading); the least-squares adjustment is our own. Start here::
+
+    from mmqa_lab.boresight import calibrate
+
+    found = calibrate(drives, lever_arms_m=assumed, poles=poles, control=levelled_points)
+    found.table                                        # estimates with standard errors
+    [found.correct(cloud, path) for cloud, path in drives]
+
+Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresight rolls about y,
+pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.linalg import null_space
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+from scipy.special import stdtrit
+from tqdm.auto import tqdm
+
+from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab._results import Shown
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import fit_circle, sigma_mad
+from mmqa_lab.scan_pattern.lattice import rotations
+
+__all__ = ["Calibration", "calibrate", "corrected"]
+__dir__ = __all__.copy
+
+PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
+"""Of each head: boresight, then what is to be added to the assumed lever arm."""
+
+UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
+"""From radians and metres to the units of the parameters."""
+
+AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""About which roll, pitch and heading turn."""
+
+OUTLIER = 3.5
+"""Misfits so many sigma_MAD of their kind are left out."""
+
+ROUNDS, TURNS = 2, 3
+"""How often features are looked for, and in each round adjusted; misfits leave in between."""
+
+WEAK = 1e-4
+"""Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
+
+FARTHEST_DEG, FARTHEST_M, LONGEST_ARM_M = 10.0, 1.0, 10.0
+"""A mounting farther from the assumed one is no estimate; a longer arm is not in metres."""
+
+SAMPLE = 1_000_000
+"""Points of a cloud that are looked at; of larger clouds, so many at random."""
+
+BLOCK = 200_000
+"""Points corrected at a time."""
+
+ROUGHNESS_M, GAP_M, SAME_DEG = 0.03, 0.3, 5.0
+"""Planes of one ball are rougher, farther apart or turned by more: they are different things."""
+
+FEWEST, MOST = 15, 100
+"""Points of a drive's head that a plane or a pole takes."""
+
+POLE_SEARCH_M, POLE_HEIGHTS_M, POLE_GATE_M = 0.5, (0.4, 6.0), 0.05
+"""Points about a pole and above its foot; and from its circle."""
+
+CONTROL_M = 0.3
+"""Points up to this far from a control point, in plan and in height, show its ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(Shown):
+    """The mounting of the heads as estimated.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 of a parameter
+        that was kept), ``low`` and ``high``: 95 % by Student's t, whose degrees of freedom count
+        the features that matter (Satterthwaite); NaN where kept.
+    covariance : array, shape (6 h, 6 h)
+        In the order of the table, degrees and metres; from the scatter of what the features say
+        (cluster-robust), so that planes that are not quite flat count in, and from the errors of
+        the paths where they are stated.
+    planes, poles, control : int
+        What the points lie on.
+    lever_arms_m : array, shape (h, 3)
+        As assumed.
+    remarks : str
+        What the intervals do not contain.
+    """
+
+    table: pd.DataFrame
+    covariance: np.ndarray
+    planes: int
+    poles: int
+    control: int
+    lever_arms_m: np.ndarray
+    remarks: str = ""
+
+    @property
+    def values(self) -> np.ndarray:
+        """Array (heads, 6) of the estimates, degrees and metres."""
+        return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the table, in degrees and metres, with the remarks."""
+        return self.table.assign(remarks=self.remarks)
+
+    def correct(self, cloud: Cloud, trajectory: Any) -> Cloud:
+        """Return a drive's cloud as the estimated mounting makes it, see :func:`corrected`."""
+        return corrected(cloud, trajectory, lever_arms_m=self.lever_arms_m, values=self.values)
+
+
+def corrected(
+    cloud: Cloud, trajectory: Any, *, lever_arms_m: ArrayLike, values: ArrayLike
+) -> Cloud:
+    """Return a cloud as another mounting of its heads makes it.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With ``gps_time`` and, for several heads, ``head``; computed with the assumed mounting.
+    trajectory
+        The path it was computed from.
+    lever_arms_m : array_like, shape (h, 3)
+        As assumed.
+    values : array_like, shape (h, 6)
+        Of each head: boresight in degrees, and metres to add to the assumed lever arm.
+
+    Returns
+    -------
+    Cloud
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import straight
+    >>> cloud = Cloud(np.array([[3.0, 5.0, 0.0]]), {"gps_time": np.array([0.5])})
+    >>> raised = {"lever_arms_m": [[0, 0, 2]], "values": [[0, 0, 0, 0, 0, 0.1]]}
+    >>> corrected(cloud, straight(20, 10), **raised).points.round(6).tolist()
+    [[3.0, 5.0, 0.1]]
+    """
+    lever, values = np.asarray(lever_arms_m, np.float64), np.asarray(values, np.float64) / UNIT
+    points = cloud.points.copy()
+    origin = points[0].round() if len(points) else np.zeros(3)
+    for first in range(0, len(points), BLOCK):
+        rows = slice(first, first + BLOCK)
+        shots = _Shots.of(cloud[rows], trajectory, lever, origin)
+        points[rows] = origin + shots.placed(values)
+    return replace(cloud, points=points)
+
+
+def calibrate(
+    drives: Sequence[tuple[Cloud, Any]],
+    *,
+    lever_arms_m: ArrayLike,
+    poles: pd.DataFrame | None = None,
+    control: ArrayLike | None = None,
+    keep: Sequence[str] = (),
+    cell: float = 1.0,
+    patches: int = 500,
+    path_std_m: ArrayLike | None = None,
+    path_std_deg: ArrayLike | None = None,
+    progress: bool = False,
+) -> Calibration:
+    """Estimate boresight and lever arm of every head from planes and poles seen several times.
+
+    Where two drives or heads each show a plane in a ball, it becomes a patch. The mounting is found
+    by least squares: distances of points from the plane of their patch and from the cylinder of
+    their pole, whose own parameters are eliminated, and mean heights around control points. Each
+    kind weighs by its scatter. One rule for outliers: misfits beyond 3.5 sigma_MAD of their kind
+    are left out. Patches are cut anew with the mounting found.
+
+    Parameters
+    ----------
+    drives : sequence of (Cloud, trajectory)
+        Clouds with ``gps_time`` and, for several heads, ``head``; each with the path it was
+        computed from, which has ``at(times)`` as of ``simulate.Trajectory``.
+    lever_arms_m : array_like, shape (h, 3)
+        Of the heads, as assumed in the computation of the clouds.
+    poles : DataFrame, optional
+        ``x_m``, ``y_m``, ``z_m`` of feet, roughly; ``diameter_m`` where it is known to
+        millimetres: a wrong one pulls the two sides of a pole together or apart.
+    control : array_like, shape (m, 3), optional
+        Points of the ground whose heights are known. Without them the heights of all heads
+        together cannot be told from the ground's, and the mean of z_m is kept at 0.
+    keep : sequence of str
+        Parameters (``roll_deg``, ``pitch_deg``, ``heading_deg``, ``x_m``, ``y_m``, ``z_m``) that
+        stay as assumed, of all heads: those that the drives do not determine.
+    cell : float
+        Diameter of the balls, m.
+    patches : int
+        Patches used at most, shared out over directions of their normals.
+    path_std_m, path_std_deg : float or array_like, shape (3,), optional
+        Standard deviations of the paths, each error lasting a whole drive: east, north, height, m;
+        roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. Where neither is
+        given, the result says that its intervals do not contain them.
+    progress : bool
+        Show a bar.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        If there are no common planes, no control point lies at the clouds' ground, a lever arm is
+        longer than 10 m, or the mounting is not determined: the sentence names the parameters that
+        stay open.
+
+    Notes
+    -----
+    An error of a path that lasts a whole drive is the same as a lever-arm error of opposite sign in
+    the other direction: two drives along one street cannot tell them apart.
+
+    With a free radius, range noise of 5 mm pushes the two sides of a pole of 6 cm 2.5 mm apart,
+    which the standard errors do not contain; with the known radius it is 0.4 mm.
+
+    Examples
+    --------
+    >>> from mmqa_lab.simulate import Scanner, System
+    >>> from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+    >>> tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
+    >>> head = Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
+    >>> street = make_testfield(length_m=40, seed=1)
+    >>> system = System("one head", (head,))
+    >>> drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
+    >>> known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
+    >>> found = calibrate(drives, **known, patches=100)
+    >>> heading = found.table["parameter"] == "heading_deg"
+    >>> found.table.loc[heading, "value"].round(2).tolist()
+    [0.3]
+    """
+    lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
+    check_positive(cell, "cell", unit="m")
+    longest = np.linalg.norm(lever, axis=1).max()
+    if longest > LONGEST_ARM_M:
+        raise ValueError(
+            f"Invalid lever_arms_m: one of {longest:.1f} m. Must be at most {LONGEST_ARM_M:g} m."
+        )
+    if not drives:
+        raise ValueError("Invalid drives: none given. Must be one or more.")
+    kept = np.isin(PARAMETERS, [check_choice(name, "keep", PARAMETERS) for name in keep])
+    free, rng = np.tile(~kept, len(lever)), np.random.default_rng(0)
+    origin = drives[0][0].points.mean(axis=0).round()
+    shots = _Shots.sampled(drives, lever, origin, rng)
+    control = None if control is None else check_points(control, name="control") - origin
+    values = np.zeros((len(lever), len(PARAMETERS)))
+    group = shots.drive * len(lever) + shots.head
+    for _ in tqdm(range(ROUNDS), unit="round", disable=not progress):
+        placed = shots.placed(values)
+        kinds = [
+            _OnPlanes(shots, _planes(placed, group, cell, patches, rng)),
+            _OnPoles(shots, _poles(placed, group, poles, origin)),
+            _OnGround(shots, _heights(placed, control)),
+        ]
+        adjustment = _Adjustment(kinds, free, level=control is None)
+        values = adjustment.solved(values)
+    return _result(adjustment, values, lever, path_std_m, path_std_deg)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shots:
+    """Points by what places them: head, drive, place and attitude of the vehicle, arm, beam."""
+
+    head: np.ndarray
+    drive: np.ndarray
+    place: np.ndarray
+    rotation: np.ndarray
+    arm: np.ndarray
+    beam: np.ndarray
+
+    @classmethod
+    def of(cls, cloud, trajectory, lever, origin, drive=0):
+        """Those of a cloud; places are from the origin."""
+        head = cloud["head"].astype(int) if "head" in cloud else np.zeros(len(cloud), dtype=int)
+        position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
+        beam = np.einsum("nij,ni->nj", rotation, cloud.points - position) - lever[head]
+        drives = np.full(len(cloud), drive)
+        return cls(head, drives, position - origin, rotation, lever[head], beam)
+
+    @classmethod
+    def sampled(cls, drives, lever, origin, rng):
+        """Those of all drives, at most ``SAMPLE`` of each."""
+        parts = []
+        for number, (cloud, path) in enumerate(drives):
+            rows = np.sort(rng.permutation(len(cloud))[:SAMPLE])
+            parts.append(cls.of(cloud[rows], path, lever, origin, number))
+        columns = ([getattr(part, one.name) for part in parts] for one in fields(cls))
+        return cls(*map(np.concatenate, columns))
+
+    def select(self, which):
+        """Some of them."""
+        return _Shots(*(getattr(self, one.name)[which] for one in fields(self)))
+
+    def inside(self, values):
+        """Beams as the heads' boresight turns them, and points, both in the vehicle's frame."""
+        beam = np.einsum("nij,nj->ni", rotations(*values[:, :3].T)[self.head], self.beam)
+        return beam, beam + self.arm + values[self.head, 3:]
+
+    def placed(self, values):
+        """Points from the origin; ``values`` (heads, 6) in radians and metres."""
+        return self.place + np.einsum("nij,nj->ni", self.rotation, self.inside(values)[1])
+
+    def slopes(self, values, way):
+        """Change of points along ``way`` (n, 3) by heads (6 h columns), then by paths (6 d).
+
+        A path's error lasts its whole drive: place (east, north, height) and angles.
+        """
+        beam, point = self.inside(values)
+        across = np.einsum("nij,ni->nj", self.rotation, way)
+        own = np.hstack([np.cross(beam, across) @ AXES.T, across])
+        paths = np.hstack([way, np.cross(point, across) @ AXES.T])
+        heads, count = len(values), self.drive.max() + 1
+        table = np.zeros((len(way), heads + count, 6))
+        rows = np.arange(len(way))
+        table[rows, self.head], table[rows, heads + self.drive] = own, paths
+        return table.reshape(len(way), -1)
+
+
+def _planes(placed, group, cell, most, rng):
+    """Planes that two or more groups show in a ball around one place.
+
+    Cubes only say where to look: a plane along the side of a cube is cut by it according to the
+    noise.
+    """
+    cube = np.floor(placed / cell).astype(np.int64)
+    cube = np.ravel_multi_index((cube - cube.min(axis=0)).T, np.ptp(cube, axis=0) + 1)
+    seeds = _shared(placed, cube, group).drop_duplicates("place").sample(frac=1, random_state=rng)
+    seeds = seeds.iloc[seeds.groupby("side").cumcount().argsort(kind="stable")]  # sides by turns
+    centres = np.empty((0, 3))
+    for centre in seeds["centre"]:
+        if (np.abs(centres - centre).max(axis=1) >= 0.7 * cell).all() and len(centres) < most:
+            centres = np.vstack([centres, centre])
+    balls = cKDTree(placed).query_ball_point(centres, cell / 2) if len(centres) else []
+    index = np.concatenate([np.empty(0, int), *map(rng.permutation, balls)])
+    ball = np.repeat(np.arange(len(balls)), [len(ball) for ball in balls])
+    shown = _shared(placed[index], ball, group[index])
+    if shown.empty:
+        raise ValueError(
+            f"Invalid drives: no planes in common within cubes of {cell} m. Must overlap."
+        )
+    places = shown.groupby("place")["rows"]
+    return [(index[np.concatenate(rows.tolist())], None) for _, rows in places]
+
+
+def _shared(points, place, group):
+    """Planes of the groups of points at each place, where two or more groups show the same one."""
+    order = np.lexsort((group, place))
+    starts = np.flatnonzero(np.diff(np.stack([place, group])[:, order], prepend=-1).any(axis=0))
+    n, _, centre, variance, axes = _moments(points[order], starts)
+    rough, width = np.sqrt(variance[:, :2]).T
+    flat = (n >= FEWEST) & (rough <= ROUGHNESS_M) & (width >= np.maximum(5 * rough, 0.1))
+    flat = np.flatnonzero(flat)
+    flat = flat[np.lexsort((-n[flat], place[order][starts[flat]]))]  # the largest group first
+    where, centre, normal = place[order][starts[flat]], centre[flat], axes[flat, :, 0]
+    first = np.unique(where, return_index=True, return_inverse=True)
+    best = first[1][first[2]]
+    same = np.abs((normal * normal[best]).sum(axis=1)) > np.cos(np.radians(SAME_DEG))
+    same &= np.abs(((centre - centre[best]) * normal[best]).sum(axis=1)) < GAP_M
+    columns = {"place": where, "side": np.abs(normal).argmax(axis=1), "centre": list(centre)}
+    rows = [order[k : k + min(many, MOST)] for k, many in zip(starts[flat], n[flat], strict=True)]
+    table = pd.DataFrame(columns | {"rows": rows})[same]
+    return table[table["place"].duplicated(keep=False)]
+
+
+def _moments(points, starts):
+    """Counts, points from their centres, centres, variances (rising) and axes of runs of points."""
+    n = np.diff(np.append(starts, len(points)))
+    if not len(n):
+        return n, points, np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+    centre = np.add.reduceat(points, starts) / n[:, None]
+    off = points - np.repeat(centre, n, axis=0)
+    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / n[:, None, None]
+    variance, axes = np.linalg.eigh(scatter)
+    return n, off, centre, np.maximum(variance, 0), axes
+
+
+def _heights(placed, control):
+    """Points around control points, whose heights are known."""
+    if control is None:
+        return []
+    near = cKDTree(control[:, :2])
+    gap, which = near.query(placed[:, :2], distance_upper_bound=CONTROL_M)
+    index = np.flatnonzero(np.isfinite(gap))
+    index = index[np.abs(placed[index, 2] - control[which[index], 2]) < CONTROL_M]
+    if not len(index):
+        raise ValueError(
+            f"Invalid control: none of {len(control)} points lies within {CONTROL_M} m of "
+            "the clouds' ground. Must be heights of it, in the drives' coordinate system."
+        )
+    parts = pd.Series(index).groupby(which[index])
+    return [(part.to_numpy(), control[k, 2]) for k, part in parts if len(part) >= FEWEST]
+
+
+def _poles(placed, group, poles, origin):
+    """Poles that two or more groups show: points, with outward normals and a known radius."""
+    tree, found = cKDTree(placed[:, :2]), []
+    for pole in [] if poles is None else poles.to_dict("records"):
+        foot = np.array([pole["x_m"], pole["y_m"], pole["z_m"]]) - origin
+        index = np.array(tree.query_ball_point(foot[:2], POLE_SEARCH_M), dtype=int)
+        above = placed[index, 2] - foot[2]
+        index = index[(above > POLE_HEIGHTS_M[0]) & (above < POLE_HEIGHTS_M[1])]
+        diameter = pole["diameter_m"] if pole.get("diameter_m", 0) > 0 else None
+        parts = []
+        for part in (index[group[index] == name] for name in np.unique(group[index])):
+            if len(part) < FEWEST:
+                continue
+            circle = fit_circle(placed[part, :2], diameter=diameter)
+            off = placed[part, :2] - circle.centre
+            away = np.hypot(*off.T)
+            near = np.abs(away - circle.radius) < POLE_GATE_M
+            if np.isfinite(circle.std) and near.sum() >= FEWEST:
+                parts.append((part[near], off[near] / away[near, None]))
+        if len(parts) > 1:
+            index, ways = map(np.concatenate, zip(*parts, strict=True))
+            found.append((index, (ways, diameter and diameter / 2)))
+    return found
+
+
+class _OnPlanes:
+    """Points that lie on features of one kind, here on planes, one feature after the other.
+
+    ``scatter`` of the misfits is a usual one until it is measured.
+    """
+
+    scatter = 0.005
+
+    def __init__(self, shots, features):
+        self.known = [known for _, known in features]
+        self.of = np.repeat(np.arange(len(features)), [len(index) for index, _ in features])
+        index = [index for index, _ in features]
+        self.shots = shots.select(np.concatenate([np.empty(0, int), *index]))
+
+    @property
+    def starts(self):
+        """Where each feature that still has points begins."""
+        return np.flatnonzero(np.diff(self.of, prepend=-1))
+
+    def rows(self, values):
+        """Misfits, their slopes (see ``_Shots.slopes``), and number of the feature, of each row.
+
+        What the features' own parameters would take up is eliminated.
+        """
+        n, off, _, variance, axes = _moments(self.shots.placed(values), self.starts)
+        off = np.einsum("ni,nij->nj", off, np.repeat(axes, n, axis=0))
+        slopes = self.shots.slopes(values, np.repeat(axes[:, :, 0], n, axis=0))
+        for k in range(3):  # offset and two tilts: from the centre they are orthogonal
+            size = n if k == 0 else n * np.maximum(variance[:, k], 1e-12)
+            column = (np.ones(len(off)) if k == 0 else off[:, k])[:, None]
+            share = np.add.reduceat(column * slopes, self.starts) / size[:, None]
+            slopes -= column * np.repeat(share, n, axis=0)
+        return off[:, 0], slopes, self.of
+
+    def keep(self, good):
+        """Leave out the points of the other rows."""
+        self.shots, self.of = self.shots.select(good), self.of[good]
+
+
+class _OnPoles(_OnPlanes):
+    """Points on cylinders; known are outward normals and radii.
+
+    The normals are those of each drive's and head's own circle: two arcs of a thin pole may have
+    moved past each other.
+    """
+
+    def __init__(self, shots, features):
+        super().__init__(shots, features)
+        self.ways = np.concatenate([np.empty((0, 2)), *(known[0] for known in self.known)])
+
+    def rows(self, values):
+        points = self.shots.placed(values)
+        misfit = (self.ways * points[:, :2]).sum(axis=1)
+        slopes = self.shots.slopes(values, np.pad(self.ways, ((0, 0), (0, 1))))
+        both = np.column_stack([misfit, slopes])
+        for run in np.split(np.arange(len(points)), self.starts[1:]):
+            way, radius = self.ways[run], self.known[self.of[run[0]]][1]
+            height = points[run, 2:] - points[run, 2].mean()
+            own = np.hstack([way, height * way, np.ones((len(run), 1))])
+            basis = np.linalg.qr(own[:, : 4 if radius else 5])[0]
+            both[run, 0] -= radius or 0.0
+            both[run] -= basis @ (basis.T @ both[run])
+        return both[:, 0], both[:, 1:], self.of
+
+    def keep(self, good):
+        super().keep(good)
+        self.ways = self.ways[good]
+
+
+class _OnGround(_OnPlanes):
+    """Points around control points; a row for each of these, known are their heights."""
+
+    scatter = 0.01
+
+    def rows(self, values):
+        numbers, n = np.unique(self.of, return_counts=True)
+        up = np.tile([0.0, 0.0, 1.0], (len(self.of), 1))
+        both = np.hstack([self.shots.placed(values)[:, 2:], self.shots.slopes(values, up)])
+        both = np.add.reduceat(both, self.starts) / n[:, None]
+        return both[:, 0] - np.take(self.known, numbers), both[:, 1:], numbers
+
+    def keep(self, good):
+        super().keep(np.repeat(good, np.unique(self.of, return_counts=True)[1]))
+
+
+class _Adjustment:
+    """Least squares of the misfits of all kinds, each over its scatter."""
+
+    def __init__(self, kinds, free, level):
+        self.kinds = [kind for kind in kinds if len(kind.of)]
+        self.ways = np.eye(len(free))[:, free]
+        if level and free[5]:  # the mean of z_m stays 0
+            self.ways = self.ways @ null_space(self.ways[5::6].sum(axis=0, keepdims=True))
+
+    def system(self, values):
+        """Misfits and slopes by free parameters and by paths, and the feature of each row."""
+        parts, last = [], 0
+        for kind in self.kinds:
+            misfit, slopes, of = kind.rows(values)
+            parts.append((misfit / kind.scatter, slopes / kind.scatter, last + of))
+            last += len(kind.known)
+        misfit, slopes, of = map(np.concatenate, zip(*parts, strict=True))
+        return misfit, slopes[:, : values.size] @ self.ways, slopes[:, values.size :], of
+
+    def solved(self, values):
+        """The mounting (heads, 6), after misfits were left out."""
+        parameters = self.ways.T @ values.ravel()
+        for turn in range(TURNS):
+            for kind in self.kinds if turn else []:
+                misfit = kind.rows(values)[0]
+                kind.scatter = max(sigma_mad(misfit), 1e-6)
+                kind.keep(np.abs(misfit) <= OUTLIER * kind.scatter)
+            found = least_squares(
+                lambda p: self.system(self.values(p))[0],
+                parameters,
+                lambda p: self.system(self.values(p))[1],
+                x_scale="jac",
+                xtol=1e-5,
+                ftol=1e-6,
+                max_nfev=20,
+            )
+            parameters, values = found.x, self.values(found.x)
+        return values
+
+    def values(self, parameters):
+        """Array (heads, 6), 0 where a parameter is kept."""
+        return (self.ways @ parameters).reshape(-1, len(PARAMETERS))
+
+    def covariance(self, values, path_std):
+        """Covariance of all parameters, and the degrees of freedom of each variance.
+
+        From what each feature pulls at the estimates (cluster-robust, jackknife): its pull is that
+        of its misfit under the mounting that the others give. A variance has as many degrees of
+        freedom as features that share alike in it would have.
+        """
+        misfit, slopes, paths, of = self.system(values)
+        self._refuse_open(slopes)
+        starts = np.flatnonzero(np.diff(of, prepend=-1))
+        pulls = np.add.reduceat(slopes * misfit[:, None], starts)
+        own = np.array([part.T @ part for part in np.split(slopes, starts[1:])])
+        inverse = np.linalg.inv(slopes.T @ slopes)
+        others = np.eye(len(inverse)) - own @ inverse
+        effects = self.ways @ inverse @ np.linalg.solve(others, pulls[..., None])[..., 0].T
+        reach = self.ways @ inverse
+        share = np.einsum("ij,gjk,ik->gi", reach, own, reach)
+        of_paths = reach @ slopes.T @ (paths * np.tile(path_std, paths.shape[1] // 6))
+        of_points = effects @ effects.T
+        covariance = of_points + of_paths @ of_paths.T
+        with np.errstate(invalid="ignore"):  # of kept parameters
+            students = share.sum(axis=0) ** 2 / (share**2).sum(axis=0)
+            return covariance, students * (np.diag(covariance) / np.diag(of_points)) ** 2
+
+    def _refuse_open(self, slopes):
+        """Name the parameters that can change together without any effect."""
+        lengths = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
+        _, size, ways = np.linalg.svd(slopes / lengths, full_matrices=False)
+        if size[-1] < WEAK:
+            open_ones = np.flatnonzero(np.abs(self.ways @ ways[-1]) > 0.1)
+            names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in open_ones]
+            raise ValueError(
+                f"Invalid drives: they do not determine the mounting ({' with '.join(names)} stays "
+                "open). Must run in both directions past walls and poles; or keep one of these as "
+                "assumed."
+            )
+
+
+def _result(adjustment, values, lever, path_std_m, path_std_deg):
+    """The result with its covariance and remarks."""
+    given = [0.0 if std is None else std for std in (path_std_m, path_std_deg)]
+    path_std = np.concatenate([np.broadcast_to(np.asarray(std, np.float64), 3) for std in given])
+    if not (path_std >= 0).all():
+        raise ValueError(f"Invalid path_std {path_std_m}, {path_std_deg}. Must be >= 0.")
+    covariance, students = adjustment.covariance(values, path_std / UNIT[::-1])
+    unit, limits = np.tile(UNIT, len(values)), np.repeat([FARTHEST_DEG, FARTHEST_M], 3)
+    covariance = covariance * np.outer(unit, unit)
+    std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit
+    half = np.where(std > 0, stdtrit(students, 0.975) * std, np.nan)
+    table = {"head": np.repeat(np.arange(len(values)), 6), "parameter": PARAMETERS * len(values)}
+    table |= {"value": value, "std": std, "low": value - half, "high": value + half}
+    table = pd.DataFrame(table)
+    wild = np.maximum(np.abs(value), std) > np.tile(limits, len(values))
+    if wild.any():
+        row = table[wild].iloc[0]
+        raise ValueError(
+            f"Invalid drives: {row['parameter']} of head {row['head'] + 1} would be "
+            f"{row['value']:.3g} with a standard deviation of {row['std']:.3g}. Must run in both "
+            "directions past walls and poles, with dense points."
+        )
+    ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
+    ways = ways.groupby(adjustment.kinds[0].shots.drive).mean().to_numpy()
+    remarks = {
+        "The errors of the paths are not given: the intervals do not contain them.": (
+            path_std_m is None and path_std_deg is None
+        ),
+        "All drives run in one direction: an error of the mounting and one of the path look alike "
+        "there, so do not rely on these values.": (ways @ ways.T).min() > 0,
+    }
+    counts = {type(kind): len(kind.starts) for kind in adjustment.kinds}
+    counts = [counts.get(kind, 0) for kind in (_OnPlanes, _OnPoles, _OnGround)]
+    said = " ".join(text for text, true in remarks.items() if true)
+    return Calibration(table, covariance, *counts, lever, said)
