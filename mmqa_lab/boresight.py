@@ -35,7 +35,7 @@ from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
-from mmqa_lab.scan_pattern.lattice import rotations
+from mmqa_lab.scan_pattern import rotations
 
 __all__ = ["Calibration", "calibrate", "corrected"]
 __dir__ = __all__.copy

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
 
@@ -12,29 +11,12 @@ from mmqa_lab import stats
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_wilson_is_that_of_scipy_and_statsmodels(kn):
+def test_wilson_is_that_of_statsmodels(kn):
     k, n = kn
     rate = stats.wilson(k, n)
-    scipy_ = binomtest(k, n).proportion_ci(method="wilson")
-    # two independent implementations; 1e-9 is rounding
-    assert rate.low == pytest.approx(scipy_.low, abs=1e-9)
-    assert rate.high == pytest.approx(scipy_.high, abs=1e-9)
     others = proportion_confint(k, n, method="wilson")
     assert (rate.low, rate.high) == pytest.approx(others, abs=1e-9)
     assert 0 <= rate.low <= rate.value <= rate.high <= 1
-
-
-def test_wilson_covers_the_truth_as_often_as_it_says(rng):
-    n, p = 60, 0.8
-    draws = rng.binomial(n, p, 4000)
-    by_k = {k: stats.wilson(k, n) for k in np.unique(draws)}
-    covered = np.mean([by_k[k].low <= p <= by_k[k].high for k in draws])
-    # coverage of Wilson at n = 60 lies within 0.93 to 0.97 for all p between 0.1 and 0.9
-    assert 0.925 < covered < 0.975
-
-
-def test_nothing_tried_is_not_measurable():
-    assert np.isnan(stats.wilson(0, 0).value)
 
 
 def test_errors_of_known_values():
@@ -43,12 +25,6 @@ def test_errors_of_known_values():
     assert found.std == pytest.approx(2.0)
     assert found.rmse == pytest.approx(np.sqrt(20 / 3))
     assert found.nmad == pytest.approx(2 * 1.4826, rel=1e-4)
-
-
-def test_mean_square_is_bias_square_plus_variance(rng):
-    values = rng.normal(3, 2, 1000)
-    found = stats.errors(values)
-    assert found.rmse**2 == pytest.approx(found.bias**2 + found.std**2 * 999 / 1000)
 
 
 def test_nmad_of_normal_errors_is_their_standard_deviation(rng):
@@ -60,7 +36,7 @@ def test_one_error_has_no_spread_and_none_has_nothing():
     assert np.isnan(stats.errors([1.0]).std)
     nothing = stats.errors([np.nan])
     assert (nothing.n, nothing.missing) == (0, 1)
-    assert np.isnan(nothing.rmse)
+    assert np.isnan([nothing.rmse, stats.wilson(0, 0).value]).all()
 
 
 def test_bootstrap_interval_of_a_mean_is_that_of_the_normal_theory(rng):
@@ -70,11 +46,6 @@ def test_bootstrap_interval_of_a_mean_is_that_of_the_normal_theory(rng):
     # 2000 resamples know a 2.5 % quantile to about 5 % of the half width
     assert found.high - found.value == pytest.approx(half, rel=0.15)
     assert found.value - found.low == pytest.approx(half, rel=0.15)
-
-
-def test_bootstrap_is_reproducible_by_seed(rng):
-    values = rng.normal(size=50)
-    assert stats.bootstrap(np.median, values, seed=4) == stats.bootstrap(np.median, values, seed=4)
 
 
 @pytest.mark.parametrize(
