@@ -443,8 +443,6 @@ def _reach(rows, block):
     (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136); of several pairs of ways, the
     one with the largest counts.
     """
-    from scipy.special import stdtrit
-
     ways = np.atleast_2d(block)
     least = min(len(np.unique(way)) for way in ways)
     if least < 2:

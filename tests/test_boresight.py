@@ -105,7 +105,7 @@ def test_drives_that_leave_a_parameter_open_are_refused(survey, street):
     """A flat road alone shows roll and height: to what else moves it within itself it is blind."""
     flat = [(cloud[on_the_road(cloud, street)], path) for cloud, path in survey.drives]
     choices = {"lever_arms_m": survey.lever_arms_m, "control": survey.control, "patches": 60}
-    with pytest.raises(ValueError, match="Invalid drives: .*of head 1"):
+    with pytest.raises(ValueError, match=r"Invalid drives: .*of head 1"):
         calibrate(flat, **choices)
     kept = calibrate(flat, **choices, keep=("x_m", "y_m", "heading_deg", "pitch_deg"))
     assert (kept.values[:, 1:5] == 0).all()
