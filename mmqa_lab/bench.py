@@ -10,10 +10,12 @@ from __future__ import annotations
 import copy
 import itertools
 import numbers
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -272,9 +274,14 @@ def _truth_record(truth):
 
 
 def _failed(error, where=""):
-    """The record of a cell that raised."""
+    """The record of a cell that raised, with the line of a reader's own function."""
+    frames = traceback.extract_tb(error.__traceback__)[1:]
+    own = [frame for frame in frames if frame.filename == frames[0].filename]
+    line = ""
+    if own and not Path(own[-1].filename).is_relative_to(Path(__file__).parent):
+        line = f" (line {own[-1].lineno} of {own[-1].name})"
     sentence = " ".join(f"{where}{type(error).__name__}: {error}".split())
-    return {"figures": {}, "failure": sentence[:LONGEST_REASON]}
+    return {"figures": {}, "failure": sentence[:LONGEST_REASON] + line}
 
 
 def _computed(study, jobs, executor):
@@ -290,7 +297,10 @@ def _computed(study, jobs, executor):
         try:
             yield futures[future], future.result()
         except Exception as error:  # the process died, perhaps for want of memory
-            yield futures[future], dict.fromkeys(("", *study.methods), _failed(error))
+            yield (
+                futures[future],
+                dict.fromkeys(("", *study.methods), _failed(error.with_traceback(None))),
+            )
 
 
 def _unpacked(kit, job):
@@ -421,7 +431,7 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     >>> with warnings.catch_warnings(action="ignore"):
     ...     results = run([{"n": 3}], {"mine": upset}, make=lambda n, seed: n, seeds=(4, 5))
     >>> failures(results).values.tolist()
-    [['mine', 'ArithmeticError: no signal', 2, 'n=3, seed=4']]
+    [['mine', 'ArithmeticError: no signal (line 2 of upset)', 2, 'n=3, seed=4']]
     """
     cells = cell_table(results)
     failed = cells[cells["failure"] != ""]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -100,7 +101,7 @@ def lab(lab_folder):
     for name in NOTEBOOKS:
         notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
         inject(notebook, chosen([name])[0].quick)
-        notebook.cells = needed_cells(notebook.cells, {"widgets"})
+        notebook.cells = explorers(notebook.cells)
         nbformat.write(notebook, copies / f"{name}.ipynb")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -124,6 +125,14 @@ def lab(lab_folder):
         finally:
             server.terminate()
             server.wait(30)
+
+
+def explorers(cells):
+    """The cells with controls, and those that they need."""
+    shown = [cell for cell in cells if cell.cell_type == "code" and "widgets." in cell.source]
+    names = set(re.findall(r"\w+", " ".join(cell.source for cell in shown)))
+    needed = needed_cells(cells, names)
+    return [cell for cell in cells if cell in shown or cell in needed]
 
 
 def _environment(folder):
