@@ -79,8 +79,9 @@ class SimulatedField:
         """True height of the ground at places in plan (n, 2), NaN next to curbs and in houses."""
         x, y = (np.asarray(xy, dtype=np.float64) - self.origin[:2]).T
         height = np.full(len(x), np.nan)
-        edge = _curb_offset(y, self.length_m)
-        aside = np.abs(x)
+        low, high = _bays(self.length_m).T[..., None]
+        built_out = ((y > low) & (y < high)).any(axis=0)
+        edge, aside = ROAD_HALF_M - 2.0 * built_out, np.abs(x)
         height[aside < edge - 0.3] = 0.0
         outer = np.where(x < 0, LANE_M + REFERENCE_REACH_M, ROAD_HALF_M + PAVEMENT_M - 0.3)
         height[(aside > edge + 0.3) & (aside < outer)] = CURB_M
@@ -204,12 +205,6 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
         cloud.columns["drive"] = np.full(len(cloud), number, np.uint8)
         drives.append((cloud, known))
     return drives
-
-
-def _curb_offset(y, length):
-    """Distance of the curb from the axis: 5 m, and 3 m where bays end in build-outs."""
-    low, high = _bays(length).T[..., None]
-    return np.where(((y > low) & (y < high)).any(axis=0), ROAD_HALF_M - 2.0, ROAD_HALF_M)
 
 
 def _bays(length):
