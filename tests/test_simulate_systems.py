@@ -105,11 +105,3 @@ def test_roamer_delivers_neither_dark_nor_isolated_points():
     assert 0 < len(found) < len(left)
     assert np.array_equal(found.points, left[others >= 50])
     assert len(simulate.system("lynx").delivered(cloud)) == 700
-
-
-def test_positions_are_worse_where_trees_hide_the_satellites():
-    good, bad = (simulate.system("roamer", section=s).navigation for s in "AC")
-    assert bad.drift_m == pytest.approx(np.array(good.drift_m) / 0.03)
-    assert bad.drift_deg == good.drift_deg
-    with pytest.raises(ValueError, match="Invalid section 'E'"):
-        simulate.system("roamer", section="E")

@@ -32,12 +32,9 @@ from mmqa_lab.simulate.trajectories import (
     with_speed_variation,
 )
 
-ProfileScanner = Scanner
-
 __all__ = [
     "PRESETS",
     "NavigationErrors",
-    "ProfileScanner",
     "Scanner",
     "Scene",
     "System",

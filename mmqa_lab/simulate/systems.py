@@ -180,23 +180,13 @@ SYSTEMS = _systems(_TABLES)
 """Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the
 others."""
 
-WITHOUT_GNSS = 1.0 / 0.03
-"""Position errors with bad GNSS over those with good: up to 1 m beside 30 mm (Haala et al. 2008,
-quoted in EuroSDR 2013, section 2.2)."""
 
-SECTIONS = {"A": 1.0, "B": 1.0, "C": WITHOUT_GNSS, "D": 1.0}
-"""Of the field of Espoonlahti: in C trees hide the satellites (section 3.1.1)."""
-
-
-def system(name: str, *, section: str = "A") -> System:
+def system(name: str) -> System:
     """Return a mobile mapping system by its name.
 
     Parameters
     ----------
     name : {"roamer", "vmx-250", "streetmapper-360", "lynx", "sensei", "xp1", "lynx-m1"}
-    section : {"A", "B", "C", "D"}
-        Of the field of Espoonlahti: with good GNSS but for C, where position errors are 33 times as
-        large.
 
     Returns
     -------
@@ -206,7 +196,7 @@ def system(name: str, *, section: str = "A") -> System:
     Raises
     ------
     ValueError
-        If there is no such system or section.
+        If there is no such system.
 
     References
     ----------
@@ -217,12 +207,7 @@ def system(name: str, *, section: str = "A") -> System:
     >>> [head.heading_deg for head in system("vmx-250").heads]
     [45, -45]
     """
-    found = SYSTEMS[check_choice(name, "system", SYSTEMS)]
-    factor = SECTIONS[check_choice(section, "section", SECTIONS)]
-    if factor == 1:
-        return found
-    drift = tuple(factor * value for value in np.broadcast_to(found.navigation.drift_m, 3).tolist())
-    return replace(found, navigation=replace(found.navigation, drift_m=drift))
+    return SYSTEMS[check_choice(name, "system", SYSTEMS)]
 
 
 SPEED = 40 / 3.6

@@ -42,9 +42,6 @@ PLAN_STD_M = 0.02 / np.sqrt(2)
 
 ORIGIN = (380_000.0, 6_672_000.0, 20.0)
 
-SNOW_M = 4.0
-"""Side of the squares in which snow lies or does not."""
-
 
 @dataclass(frozen=True, eq=False)
 class SimulatedField:
@@ -89,8 +86,8 @@ class SimulatedField:
         height[near_bay & (np.abs(aside - ROAD_HALF_M + 1) < 1.5)] = np.nan
         return height + self.origin[2]
 
-    def ground(self, *, spacing_m=1.0, seed, snow_share=0.0):
-        """Return surveyed ground points on a grid, (n, 3); none on squares covered by snow."""
+    def ground(self, *, spacing_m=1.0, seed):
+        """Return surveyed ground points on a grid, (n, 3)."""
         step = check_positive(spacing_m, "spacing_m", unit="m")
         left, right = -LANE_M - REFERENCE_REACH_M, ROAD_HALF_M + PAVEMENT_M
         x, y = np.meshgrid(np.arange(left, right, step), np.arange(1, self.length_m - 1, step))
@@ -99,9 +96,7 @@ class SimulatedField:
         points = np.column_stack([xy, z])[np.isfinite(z)]
         rng = np.random.default_rng(seed)
         points[:, 2] += rng.normal(0, self.reference_std_m, len(points))
-        squares = ((points[:, :2] - points[:, :2].min(axis=0)) // SNOW_M).astype(int)
-        covered = rng.random(squares.max(axis=0) + 1) < snow_share
-        return points[~covered[tuple(squares.T)]]
+        return points
 
     def drives(self, speed=10.0):
         """Return the two true paths, south to north on the right lane, and back."""
