@@ -377,7 +377,8 @@ def median_interval(
         return np.nan, np.nan
     shares = np.clip([share - reach, share + reach], 0, 1)
     low, high = np.quantile(values, shares, method="nearest")
-    return float(low), float(high)
+    middle = _quantile(values, share)  # between two values where their number is even
+    return float(min(low, middle)), float(max(high, middle))
 
 
 def median_ratio_interval(
@@ -420,7 +421,8 @@ def median_ratio_interval(
     lengths = 4 * np.prod(_reach(np.array([first, second]), block))
     together = np.clip((summed - apart) / lengths, -1, 1) if lengths > 0 else 0.0
     reach = np.sqrt(max(halves @ halves - 2 * together * np.prod(halves), 0.0))
-    ratio = _quantile(both[0], share) / _quantile(both[1], share)
+    middles = [_quantile(np.asarray(row)[~np.isnan(row)], share) for row in (top, bottom)]
+    ratio = middles[0] / middles[1]
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
