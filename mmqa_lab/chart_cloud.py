@@ -129,6 +129,16 @@ class CloudQuality(Shown):
         return float(self.d_mm[0])
 
     @property
+    def d2_mm(self) -> float:
+        """The second of ``d_mm``."""
+        return float(self.d_mm[1])
+
+    @property
+    def d3_mm(self) -> float:
+        """The third of ``d_mm``."""
+        return float(self.d_mm[2])
+
+    @property
     def d4_mm(self) -> float:
         """The fourth of ``d_mm``: the largest, where there are four quadrants."""
         return float(self.d_mm[3])
