@@ -5,8 +5,7 @@ import pytest
 
 from mmqa_lab import lines
 from mmqa_lab.lines import extract_edges
-from mmqa_lab.planes import detect_planes
-from mmqa_lab.planes.detection import usual_size
+from mmqa_lab.planes import detect_planes, usual_size
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges, canyon_faces
 
 
@@ -173,9 +172,9 @@ def boxes(side, density=10, noise=0.01):
     return cloud + rng.normal(0, noise, cloud.shape)
 
 
-@pytest.mark.parametrize("side", [2, 5, 8])
+@pytest.mark.parametrize("side", [2, 6])
 def test_edges_survive_the_size_of_the_cloud(side):
-    """4,800 to 77,000 square metres of wall; a fixed sample of points lost nearly all at 30,000."""
+    """4,800 and 43,200 m2 of wall; a fixed sample of points lost nearly all at 30,000."""
     edges = extract_edges(boxes(side))
     upright = lines.lengths(edges.segments)[np.abs(lines.directions(edges.segments)[:, 2]) > 0.99]
     assert len(upright) >= 4 * side**2

@@ -11,8 +11,7 @@ from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.planes import detect_planes
-from mmqa_lab.planes.detection import CELLS_PER_SIZE, Grid, usual_size
+from mmqa_lab.planes import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
 LEAST_BIN = 0.25
 """A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""

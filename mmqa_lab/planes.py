@@ -1,5 +1,9 @@
-"""The planes of a whole cloud: local trials, then growth over a grid of cells, in linear time.
+"""Planes, lines and circles fitted to points, their dispersion, and the planes of whole clouds.
 
+Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the plane of a chart is
+the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
+
+Planes of a whole cloud: local trials, then growth over a grid of cells, in linear time.
 Trials of three neighbouring points need no normals: the profiles of mobile scanners are dense along
 and sparse across, and normals from nearest neighbours then describe one scan line, not the wall.
 Every trial and every step of growth looks only at the cells around it, so that a kilometre of
@@ -7,20 +11,494 @@ street is treated like a room, and no cloud is thinned (Poreba & Goulette 2013 n
 principal planes, walls and roads, and leave their detection to a companion paper).
 """
 
+from __future__ import annotations
+
 import math
 import warnings
 from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
-from mmqa_lab._checks import check_count, check_points, check_positive
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import sort_into_cells
-from mmqa_lab.planes import Plane, fit_plane
+
+CONSISTENT_SCALE = 1.482602218505602
+"""1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""
+
+PAPER_SCALE = 1.4862
+"""The factor in the code of Pfeifer et al. 2021, Appendix A (two digits changed places)."""
+
+CLEARLY = 5.0
+"""Log of the likelihood ratio by which a circle must fit better than one on the other side."""
+
+TUKEY = 4.685
+"""Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
+
+LOOSE, THICK = 0.12, 0.15
+"""Standard deviation of a free radius, and of the distances from the circle, as shares of the
+radius, beyond which the centre is not known: its errors are then no longer like a normal one."""
+
+FAR = 0.01
+"""Distances from a circle beyond this weigh less, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane(Shown):
+    """A fitted plane and the points' distances from it.
+
+    Parameters
+    ----------
+    centre : array, shape (3,)
+        A point of the plane: the (weighted) mean of the points, m.
+    normal : array, shape (3,)
+        Unit normal, its largest component positive.
+    axes : array, shape (2, 3)
+        Unit principal axes in the plane, the longer extent first; right-handed with the normal.
+    residuals : array, shape (n,)
+        Signed orthogonal distances of all given points, m.
+
+    Examples
+    --------
+    >>> plane = fit_plane([[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]])
+    >>> plane.normal.tolist(), plane.distances([[1, 1, 3]]).tolist(), plane.rms
+    ([0.0, 0.0, 1.0], [2.0], 0.0)
+    """
+
+    centre: np.ndarray
+    normal: np.ndarray
+    axes: np.ndarray
+    residuals: np.ndarray
+
+    _metres = ("centre", "rms", "std")
+    _derived = ("n", "rms", "std")
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.residuals)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, m."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the residuals, n - 1 in the denominator as in the paper, m."""
+        return float(np.std(self.residuals, ddof=1))
+
+    def project(self, points: ArrayLike) -> np.ndarray:
+        """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T
+
+    def distances(self, points: ArrayLike) -> np.ndarray:
+        """Signed orthogonal distances of any points, shape (n,), m."""
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ self.normal
+
+    def horizontal_axes(self) -> np.ndarray:
+        """Return axes (2, 3) in the plane: the horizontal one, then the line of greatest slope.
+
+        Raises
+        ------
+        ValueError
+            If the plane is horizontal to within 0.1 degree: no direction in it is more level
+            than another.
+        """
+        level = np.cross([0.0, 0.0, 1.0], self.normal)
+        slope = np.linalg.norm(level)
+        if slope < np.sin(np.radians(0.1)):
+            raise ValueError(
+                f"Invalid plane, tilted by {np.degrees(np.arcsin(slope)):.3f} degrees. "
+                "Must be 0.1 degrees or more for horizontal axes."
+            )
+        level /= slope
+        return np.array([level, np.cross(self.normal, level)])
+
+
+def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
+    """Fit the orthogonal regression plane.
+
+    The normal is the eigenvector of the smallest eigenvalue of the centred scatter matrix, the axes
+    are the other two. The robust fit repeats it with Tukey's biweights of the residuals,
+    scaled by their sigma_MAD, until the weights stand still.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Metres, n >= 3, not on one line.
+    robust : bool
+        Weigh down points off the plane. The residuals of all points are returned all the same.
+
+    Returns
+    -------
+    Plane
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or they lie on a line or a spot.
+
+    Notes
+    -----
+    Principal axes follow the outline of the selection, not the scan: nearly square selections have
+    axes that turn by chance.
+
+    References
+    ----------
+    Pfeifer et al. 2021, Appendix A. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> plane = fit_plane([[0, 0, 1], [2, 0, 1], [2, 1, 1], [0, 1, 1]])
+    >>> plane.normal.tolist(), plane.rms
+    ([0.0, 0.0, 1.0], 0.0)
+    """
+    points = check_points(points, minimum=3)
+    origin, centre, (normal, _, first) = _principal_axes(points, robust)
+    axes = np.array([first, np.cross(normal, first)])
+    return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
+
+
+def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
+    """Return coordinates in a plane: given ones, or points laid onto their regression plane.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2) or (n, 3)
+        Coordinates in a plane, or points in space, m.
+    minimum : int
+        Fewest points.
+
+    Returns
+    -------
+    array, shape (n, 2)
+        Metres. Points in space count from their mean along the principal axes of their plane.
+
+    Raises
+    ------
+    ValueError
+        If there are too few points, one is not finite, or points in space lie on a line.
+
+    Examples
+    --------
+    >>> flat_points([[3, 4]]).tolist()
+    [[3.0, 4.0]]
+    >>> flat_points([[0, 5, 0], [4, 5, 0], [0, 5, 2], [4, 5, 2]]).round(6).tolist()
+    [[-2.0, 1.0], [2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
+    """
+    if np.shape(points)[1:] != (3,):
+        return check_points(points, name="xy", columns=2, minimum=minimum)
+    points = check_points(points, name="xy", minimum=minimum)
+    return fit_plane(points).project(points)
+
+
+@dataclass(frozen=True, eq=False)
+class Line(Shown):
+    """A fitted straight line in plan and the points' distances from it.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        A point of the line: the (weighted) mean of the points, m.
+    direction : array, shape (2,)
+        Unit vector along the line.
+    """
+
+    centre: np.ndarray
+    direction: np.ndarray
+
+    _metres = ("centre",)
+
+    def distances(self, points: ArrayLike) -> np.ndarray:
+        """Signed orthogonal distances of any points, shape (n,), left of the direction positive."""
+        normal = np.array([-self.direction[1], self.direction[0]])
+        return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
+
+
+def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
+    """Fit the orthogonal regression line to points in plan, as ``fit_plane`` fits planes.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 2, not on one spot.
+    robust : bool
+        Weigh down points off the line (Tukey).
+
+    Returns
+    -------
+    Line
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or all lie on one spot.
+
+    Examples
+    --------
+    >>> line = fit_line([[0, 0], [3, 4], [6, 8]])
+    >>> line.direction.round(9).tolist(), line.distances([[-4, 3]]).round(9).tolist()
+    ([0.6, 0.8], [5.0])
+    """
+    points = check_points(points, columns=2, minimum=2)
+    origin, centre, (_, direction) = _principal_axes(points, robust)
+    return Line(origin + centre, direction)
+
+
+def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
+    """Robust standard deviation: scale x median(|r - median r|).
+
+    Parameters
+    ----------
+    residuals : array_like, shape (n,)
+        In any unit, finite, n >= 1.
+    scale : float
+        ``CONSISTENT_SCALE`` = 1.4826 (default) equals the standard deviation for normal
+        residuals; ``PAPER_SCALE`` = 1.4862 is what the paper's code multiplies by.
+
+    Returns
+    -------
+    float
+        In the unit of the residuals.
+
+    Raises
+    ------
+    ValueError
+        If there are no residuals, one is not finite, or the scale is not above zero.
+
+    Notes
+    -----
+    The paper's factor makes every precision 0.24 % larger; use it to reproduce Table 2 and the
+    other for anything new. Coordinates rounded to a grid make sigma_MAD jump in steps of the grid.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3 (recommended, no formula) and Appendix A (the code).
+    doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> round(sigma_mad([-2, -1, 0, 1, 2]), 4)
+    1.4826
+    """
+    residuals = np.asarray(residuals, dtype=np.float64)
+    if residuals.ndim != 1 or not len(residuals) or not np.isfinite(residuals).all():
+        raise ValueError(
+            f"Invalid residuals of shape {residuals.shape}. Must be a row of finite numbers."
+        )
+    scale = check_positive(scale, "scale")
+    return float(scale * np.median(np.abs(residuals - np.median(residuals))))
+
+
+def turned_axes(axes: ArrayLike, angle: float) -> np.ndarray:
+    """Return in-plane ``axes`` (2, 3) turned by ``angle`` degrees from the first to the second.
+
+    Parameters
+    ----------
+    axes : array_like, shape (2, 3)
+        Unit vectors at a right angle.
+    angle : float
+        Degrees.
+
+    Returns
+    -------
+    array, shape (2, 3)
+
+    Raises
+    ------
+    ValueError
+        If the angle is not finite.
+
+    Examples
+    --------
+    >>> turned_axes([[1, 0, 0], [0, 1, 0]], 90).round(9).tolist()
+    [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    """
+    turn = np.radians(check_number(angle, "angle", unit="degrees"))
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, s], [-s, c]]) @ np.asarray(axes, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Circle(Shown):
+    """A circle fitted to points in plan.
+
+    Parameters
+    ----------
+    centre : array, shape (2,)
+        m.
+    radius : float
+        m; as given where it was.
+    covariance : array, shape (2, 2)
+        Of the centre, m^2; NaN where the arc leaves it open. With a free diameter the centre of an
+        arc is far less sure along the line of sight than across it.
+    """
+
+    centre: np.ndarray
+    radius: float
+    covariance: np.ndarray
+
+    _metres = ("centre", "radius", "std")
+    _derived = ("std",)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of a coordinate of the centre, mean of all directions, m."""
+        return float(np.sqrt(np.trace(self.covariance) / 2))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row; the ends of the 95 % intervals are 1.96 standard deviations away."""
+        frame = super().to_frame()
+        half = 1.96 * np.sqrt(np.diag(self.covariance))
+        for axis, middle, reach in zip("xy", self.centre, half, strict=True):
+            frame[f"{axis}_low_m"], frame[f"{axis}_high_m"] = middle - reach, middle + reach
+        return frame
+
+
+def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
+    """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        Metres, n >= 3.
+    diameter : float, optional
+        Where it is known, m. Points of a pole cover less than half of the circle: with a free
+        diameter centre and radius trade off along the line of sight.
+
+    Returns
+    -------
+    Circle
+        The best one from three starts: the algebraic circle, and one on either side of the points.
+        Its covariance is unknown where another one, on the other side of the points, fits as well;
+        where there are only four points more than parameters, or fewer; and where a free radius is
+        known to 12 % only, or points scatter by 15 % of it: such circles lie amid the points.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or the diameter is not positive.
+
+    Examples
+    --------
+    >>> turn = np.linspace(0, 2, 20)
+    >>> arc = 5 + 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
+    ([5.0, 5.0], 0.1)
+    """
+    points = check_points(points, columns=2, minimum=3)
+    origin = np.median(points, axis=0)
+    xy = points - origin
+    *middle, algebraic = algebraic_circle(xy)
+    free = diameter is None
+    radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
+    aside = radius * np.linalg.eigh(xy.T @ xy)[1][:, 0]  # across the points, to either side
+    starts = [np.append(start, np.log(radius)) for start in (middle, aside, -aside)]
+
+    def misfits(circle):
+        """Distances of the points from a circle (x, y, and the log of a free radius)."""
+        return np.hypot(*(circle[:2] - xy).T) - (np.exp(circle[2]) if free else radius)
+
+    def slopes(circle):
+        """The slopes of the distances."""
+        off = circle[:2] - xy
+        ways = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
+        return np.column_stack([ways, np.full((len(xy), int(free)), -np.exp(circle[2:]))])
+
+    fits = [
+        least_squares(misfits, start[: 2 + free], slopes, loss="cauchy", f_scale=FAR, x_scale="jac")
+        for start in starts
+    ]
+    circles, costs = [fit.x for fit in fits], np.array([fit.cost for fit in fits])
+    best = np.argmin(costs)
+    centre = circles[best][:2]
+    radius = float(np.exp(circles[best][2])) if free else radius
+    off, ways = misfits(circles[best]), slopes(circles[best])
+    pulls = off / (1 + (off / FAR) ** 2)
+    normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
+    freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
+    rivals = [_opposite(one[:2], centre, radius / 2) for one in circles]
+    ratio = np.min(costs[rivals], initial=np.inf) / max(costs[best], 1e-300)
+    if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 2 * CLEARLY:
+        inverse = np.linalg.inv(normal)
+        effects = inverse @ (ways * pulls[:, None]).T
+        # from each residual and from their mean; two less, as their spread is uncertain itself
+        each = len(xy) / (freedom - 2) * effects @ effects.T
+        alike = pulls @ off / (freedom - 2) * inverse
+        larger = max(each, alike, key=lambda one: np.trace(one[:2, :2]))
+        scatter = np.sqrt(pulls @ off / freedom) / radius
+        if not free or (larger[2, 2] < LOOSE**2 and scatter < THICK):
+            covariance = larger[:2, :2]
+    return Circle(origin + centre, float(radius), covariance)
+
+
+def _opposite(a, b, apart):
+    """Whether two centres lie so far apart and more than 120 degrees about the points' middle."""
+    return np.hypot(*(a - b)) > apart and a @ b < -0.5 * np.hypot(*a) * np.hypot(*b)
+
+
+def algebraic_circle(xy):
+    """Centre x, centre y and radius of the circle with the least algebraic distance."""
+    design = np.column_stack([xy, np.ones(len(xy))])
+    (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
+    return a / 2, b / 2, np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
+
+
+def _principal_axes(points, robust):
+    """Mean, weighted centre from there, and directions by extent, largest component positive."""
+    origin = points.mean(axis=0)
+    local = points - origin
+    centre, vectors = _principal(local, np.ones(len(local)))
+    if robust:
+        centre, vectors = _reweighted(local, centre, vectors)
+    signs = np.sign(vectors[np.arange(len(vectors)), np.abs(vectors).argmax(axis=1)])
+    return origin, centre, vectors * signs[:, None]
+
+
+def _principal(local, weights):
+    """Weighted centre and the principal directions as rows, smallest extent first."""
+    centre = weights @ local / weights.sum()
+    centred = local - centre
+    scatter = (centred * weights[:, None]).T @ centred
+    values, vectors = np.linalg.eigh(scatter)
+    if values[1] <= 1e-12 * values[-1] or values[-1] <= 0:
+        shape = "line or spot. Must span a plane" if len(values) == 3 else "spot. Must span a line"
+        raise ValueError(f"Invalid points: {len(local)} of them on one {shape}.")
+    return centre, vectors.T
+
+
+def _reweighted(local, centre, vectors):
+    """Tukey-weighted plane, from a start that outliers may have turned."""
+    previous = np.ones(len(local))
+    for _ in range(50):
+        residuals = (local - centre) @ vectors[0]
+        sigma = sigma_mad(residuals)
+        if sigma == 0:
+            break
+        u = (residuals - np.median(residuals)) / (TUKEY * sigma)
+        weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+        if np.abs(weights - previous).max() < 1e-6:
+            break
+        centre, vectors = _principal(local, weights)
+        previous = weights
+    return centre, vectors
+
+
+def across(axes):
+    """Two unit vectors across each of n unit vectors and square to each other, shape (n, 2, 3)."""
+    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axes, first)], axis=1)
+
 
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 """Cells of the grid along the smallest plane: points hang together across one of them; and its area
