@@ -26,14 +26,20 @@ MIMIC = ScanSetup(
 
 def test_monte_carlo_agrees_with_derivatives_by_differences():
     target = Target(heading_deg=15, tilt_deg=10, range_m=11.8)
-    sigmas = {"speed_m_s": 0.05, "mirror_frequency_hz": 0.1, "scanner_tilt_deg": 0.1}
+    sigmas = {"speed_m_s": 0.05, "scanner_tilt_deg": 0.1, "range_m": 0.1, "target_tilt_deg": 0.2}
+
+    def off_by(name, error):
+        """The lattice with one input changed, the plane where it was."""
+        if hasattr(MIMIC, name):
+            changed = replace(MIMIC, **{name: getattr(MIMIC, name) + error})
+            return scan_lattice(changed, target.patch(MIMIC))
+        field = name.removeprefix("target_")
+        return scan_lattice(MIMIC, replace(target, **{field: getattr(target, field) + error}))
+
     smooth = list(QUANTITIES[:6])
     squares = np.zeros(len(smooth))
     for name, sigma in sigmas.items():
-        ends = [
-            replace(MIMIC, **{name: getattr(MIMIC, name) + step * sigma / 10}) for step in (-1, 1)
-        ]
-        low, high = (scan_lattice(end, target.patch(MIMIC)) for end in ends)
+        low, high = (off_by(name, step * sigma / 10) for step in (-1, 1))
         change = [float(getattr(high, q) - getattr(low, q)) for q in smooth]
         squares += (5 * np.array(change)) ** 2
     drawn = propagate(MIMIC, target, sigmas=sigmas, draws=20_000, seed=3).set_index("quantity")
