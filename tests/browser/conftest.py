@@ -1,8 +1,8 @@
 """JupyterLab on copies of the study notebooks, driven by Chromium."""
 
+import ast
 import json
 import os
-import re
 import shutil
 import socket
 import subprocess
@@ -13,6 +13,7 @@ import urllib.request
 
 import nbformat
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.run.notebooks import inject
 from mmqa_lab.run.students import needed_cells
@@ -130,7 +131,8 @@ def lab(lab_folder):
 def explorers(cells):
     """The cells with controls, and those that they need."""
     shown = [cell for cell in cells if cell.cell_type == "code" and "widgets." in cell.source]
-    names = set(re.findall(r"\w+", " ".join(cell.source for cell in shown)))
+    code = (ast.parse(TransformerManager().transform_cell(cell.source)) for cell in shown)
+    names = {n.id for tree in code for n in ast.walk(tree) if isinstance(n, ast.Name)}
     needed = needed_cells(cells, names)
     return [cell for cell in cells if cell in shown or cell in needed]
 
