@@ -100,7 +100,7 @@ BOARDS = {
 """Points on a square board: without order, in lines, in lines of two heads, tilted, in clusters."""
 
 
-def chart(seed, kind):
+def board(seed, kind):
     """Every figure of a board, by its default axes; 5 mm of noise off its plane."""
     rng = np.random.default_rng([seed, 7])
     xy = BOARDS[kind](rng, seed)
@@ -476,7 +476,7 @@ DISPLACED = {
 }
 
 ESTIMATES = (
-    *(Estimate(f"chart, {kind}", chart, ({"kind": kind},), 12, 200) for kind in BOARDS),
+    *(Estimate(f"board, {kind}", board, ({"kind": kind},), 12, 200) for kind in BOARDS),
     Estimate("rates", rate, bench.grid(share=(0.7, 0.95), n=(20, 100)), 20, 1000),
     Estimate("bootstrap", mean_of, bench.grid(n=(20, 100)), 5, 300),
     Estimate("repeatability", selections, bench.grid(scans=(4, 10)), 20, 300),

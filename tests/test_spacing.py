@@ -260,7 +260,7 @@ def test_intervals_of_a_random_pattern_cover_the_closed_form():
         xy = 1.2 * np.random.default_rng(seed).random((5760, 2))
         middle = (np.abs(xy - 0.6) < 0.5).all(axis=1)
         distances = quadrant_distances(xy)[middle]
-        found = Spacing(np.median(distances, axis=0), np.ones(4), 0.0, 0, xy[middle], distances)
+        found = Spacing(xy[middle], distances)
         low, high = found.intervals.T
         inside += (low <= truth) & (truth <= high)
     assert (inside >= 88).all()

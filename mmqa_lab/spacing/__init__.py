@@ -65,18 +65,9 @@ class Spacing(Shown):
 
     Parameters
     ----------
-    d : array, shape (4,), or as many as there are sectors
-        Medians d1..d4 of the sorted quadrant distances, m; NaN where no point has a neighbour of
-        that rank.
-    counts : array of int, shape (4,)
-        Points behind each median.
-    incomplete_share : float
-        Share of the points with at least one empty quadrant within the radius.
-    coincident : int
-        Points that share their place with another one.
     xy : array, shape (n, 2)
         The points, m.
-    distances : array, shape (n, 4)
+    distances : array, shape (n, 4), or as many as there are sectors
         The sorted quadrant distances of each point, NaN where a quadrant is empty, m.
     statistic : float
         The percentile that d is of the distances: 50 for medians.
@@ -89,18 +80,38 @@ class Spacing(Shown):
     ([0.02, 0.02, 0.04, 0.04], 2.0)
     """
 
-    d: np.ndarray
-    counts: np.ndarray
-    incomplete_share: float
-    coincident: int
-    xy: np.ndarray = field(repr=False)
-    distances: np.ndarray = field(repr=False)
+    xy: np.ndarray
+    distances: np.ndarray
     statistic: float = 50.0
 
     @property
     def n(self) -> int:
         """Points in all."""
         return len(self.xy)
+
+    @cached_property
+    def d(self) -> np.ndarray:
+        """Medians d1..d4 of the distances, m; NaN where no point has a neighbour of that rank."""
+        known = (values[~np.isnan(values)] for values in self.distances.T)
+        return np.array([_quantile(values, self.statistic / 100) for values in known])
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Points behind each median."""
+        return (~np.isnan(self.distances)).sum(axis=0)
+
+    @property
+    def incomplete_share(self) -> float:
+        """Share of the points with at least one empty quadrant within the radius."""
+        return float(np.isnan(self.distances[:, -1]).mean())
+
+    @cached_property
+    def coincident(self) -> int:
+        """Points that share their place with another one."""
+        # numpy orders complex numbers by their real, then their imaginary part
+        places = np.sort(np.ascontiguousarray(self.xy).view(np.complex128).ravel())
+        same = places[1:] == places[:-1]
+        return int((np.append(same, False) | np.append(False, same)).sum())
 
     @property
     def f(self) -> float:
@@ -262,23 +273,13 @@ def quadrants(
     array([0.02, 0.04, 0.06,  nan])
     """
     xy = flat_points(xy)
-    share = check_number(statistic, "statistic", low=0, high=100, unit="%") / 100
+    statistic = check_number(statistic, "statistic", low=0, high=100, unit="%")
     if sectors == 4:
         distances = quadrant_distances(xy, radius=radius, angle=angle)
     else:
         radius = check_positive(radius, "radius", unit="m")
         distances = _sector_distances(xy, radius, check_number(angle, "angle"), sectors)
-    known = ~np.isnan(distances)
-    ranks = zip(distances.T, known.T, strict=True)
-    return Spacing(
-        d=np.array([_quantile(values[here], share) for values, here in ranks]),
-        counts=known.sum(axis=0),
-        incomplete_share=float(1 - known[:, -1].mean()),
-        coincident=_count_coincident(xy),
-        xy=xy,
-        distances=distances,
-        statistic=float(statistic),
-    )
+    return Spacing(xy, distances, statistic)
 
 
 def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
@@ -571,20 +572,8 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    xy, found = flat_points(xy), []
-    for angle in angles:
-        distances = quadrant_distances(xy, radius=radius, angle=float(angle))
-        first, last = (_quantile(d[~np.isnan(d)], 0.5) for d in distances[:, [0, 3]].T)
-        found.append(last / first)
-    return np.array(found)
-
-
-def _count_coincident(xy):
-    """Number of points that share their place with another one."""
-    # numpy orders complex numbers by their real, then their imaginary part.
-    places = np.sort(np.ascontiguousarray(xy).view(np.complex128).ravel())
-    same = places[1:] == places[:-1]
-    return int((np.append(same, False) | np.append(False, same)).sum())
+    xy = flat_points(xy)
+    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
 
 
 def _table(names, values, intervals):
