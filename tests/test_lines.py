@@ -175,12 +175,6 @@ def test_a_displacement_of_equal_segments_is_the_distance(rng):
 NEAREST = [0.31, 0.33, 0.36, 0.40, 0.41, 0.47, 0.52, 0.55, 3.2, 4.1, 7.7]
 
 
-def test_golden_threshold(rng):
-    found = peak_threshold(rng.permutation(NEAREST), sensitivity=0.5)
-    assert found.delta == 0.55
-    assert not found.fallback
-
-
 def test_a_jump_in_the_last_place_is_found():
     assert peak_threshold([0.1, 0.12, 0.13, 0.15, 9.0]).delta == 0.15
 

@@ -75,24 +75,6 @@ def test_turned_and_far_from_the_origin(rng):
         np.testing.assert_allclose(back[axis][:, other], here[axis][:, other], atol=1e-3)
 
 
-def test_stated_covariance_is_that_of_repeated_clouds():
-    normalised, sigma, errors = [], [], []
-    for seed in range(40):
-        edges = extract_edges(room(np.random.default_rng(seed), n=1500, noise=0.02), tolerance=0.08)
-        ends, order = in_order(edges)
-        assert len(edges) == 3
-        for axis in range(3):
-            other = [k for k in range(3) if k != axis]
-            covariance = edges.covariance[order[axis], 0][np.ix_(other, other)]
-            error = ends[axis, 0][other]
-            errors.append(error)
-            sigma.append(np.sqrt(np.trace(covariance) / 2))
-            normalised.append(error @ np.linalg.solve(covariance, error))
-    # independent noise: the statement is a lower limit, reached here to a quarter
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.mean(sigma), rel=0.25)
-    assert np.mean(np.array(normalised) < 5.99) > 0.85
-
-
 def test_profiles_dense_along_and_sparse_across(rng):
     """Scan lines 0.3 m apart, points 5 mm along: normals from neighbours would fail."""
     station, height = np.meshgrid(np.arange(0, 8, 0.3), np.arange(0, 5, 0.005))
@@ -189,9 +171,7 @@ def wall_on_ground(rng, density, noise):
     return points + rng.normal(0, noise, points.shape)
 
 
-@pytest.mark.parametrize(
-    ("density", "noise"), [(10, 0.01), (300, 0.003), (300, 0.02), (1500, 0.01)]
-)
+@pytest.mark.parametrize(("density", "noise"), [(10, 0.01), (300, 0.003), (300, 0.02)])
 def test_an_edge_is_no_longer_than_its_wall(rng, density, noise):
     """Ground near the wall's plane is nearer to it than to its own: it supports no edge."""
     edges = extract_edges(wall_on_ground(rng, density, noise))
@@ -240,9 +220,7 @@ def test_an_edge_ends_at_the_corner_of_three_planes():
     assert np.median(open_end) > 0.02
 
 
-@pytest.mark.parametrize(
-    ("density", "size"), [(2, 3.0), (5, 2.9), (10, 2.3), (16, 1.8), (60, 1.5), (3000, 1.5)]
-)
+@pytest.mark.parametrize(("density", "size"), [(2, 3.0), (5, 2.9), (10, 2.3), (16, 1.8), (60, 1.5)])
 def test_the_default_size_grows_in_thin_clouds(rng, density, size):
     points = rng.uniform(0, 20, (400 * density, 3)) * [1, 1, 0]
     assert usual_size(points) == pytest.approx(size, rel=0.1)
@@ -250,9 +228,3 @@ def test_the_default_size_grows_in_thin_clouds(rng, density, size):
     assert usual_size(points // [0.9, 1e-6, 1] * [0.9, 1e-6, 1]) >= 2.0
     far = np.arange(3)[:, None] * [100.0, 0, 0]
     assert usual_size(far) == usual_size(far[:1]) == 3.0
-
-
-def test_the_default_size_and_fewest_points_do_not_depend_on_the_size_of_the_cloud(rng):
-    """More than 100,000 cells are sampled: their points were once counted by twos and more."""
-    points = rng.uniform(0, 1, (480_000, 3)) * [300, 160, 0]
-    assert usual_size(points) == pytest.approx(usual_size(points[points[:, 0] < 30]), rel=0.03)
