@@ -59,10 +59,10 @@ def simulated(name, **choices):
 
 @pytest.fixture(scope="module")
 def patches():
-    """The five set-ups, 8 patches of 1 m and 6 of 2 m each: a row per patch and quantity."""
+    """The five set-ups, 8 patches of 1 m and 4 of 2 m each: a row per patch and quantity."""
     tables = []
     for place, case in enumerate(CASES):
-        for size, seed in [(1.0, seed) for seed in range(8)] + [(2.0, seed) for seed in range(6)]:
+        for size, seed in [(1.0, seed) for seed in range(8)] + [(2.0, seed) for seed in range(4)]:
             own = np.random.SeedSequence([place, round(1000 * size), seed]).generate_state(1)[0]
             cloud, truth = simulated(case, size_m=size, seed=int(own))
             found = measure_pattern(cloud, gps_time=cloud["gps_time"], reference=truth.beam)
@@ -120,8 +120,8 @@ def test_errors_at_5_mm_of_noise(patches, quantity, scale, limits):
 @pytest.mark.parametrize("name", MEASURED)
 def test_intervals_cover_the_truth_though_the_speed_drifts(patches, name):
     z = patches.loc[patches["quantity"] == name, "z"]
-    assert len(z) == 70
-    assert np.mean(np.abs(z) < 1.959964) >= 0.88  # 95 % less three standard errors of 70
+    assert len(z) == 60
+    assert np.mean(np.abs(z) < 1.959964) >= 0.86  # 95 % less three standard errors of 60
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.35  # 1.07 for Student's t, +- 0.1
 
 
