@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -210,7 +211,7 @@ def map_campaign(
     if client is not None:
         client.gather(client.compute(tasks))
     else:
-        with ProgressBar(minimum=5):
+        with ProgressBar(minimum=5, out=sys.stderr):  # standard output is for tables
             dask.compute(tasks, scheduler="processes")
     return folder
 
