@@ -485,15 +485,15 @@ def poles(
     clouds: list[Path],
     /,
     *,
-    method: Literal["ours", "fgi", "itc"] = "ours",
+    method: Literal["learned", "fgi", "itc"] = "learned",
     trajectory: Path | None = None,
     corridor: float | None = None,
     reference: Path | None = None,
 ):
     """Detect poles in clouds of one street; with a reference, score them.
 
-    Methods: ours (learned, any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu
-    et al. 2011).
+    Methods: learned (any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu et al.
+    2011).
 
     Parameters
     ----------

@@ -29,6 +29,7 @@ class OtherStreet:
     faces: list = field(default_factory=list)  # corner, sides u, v, whether a triangle
     balls: list = field(default_factory=list)  # centre, radius, leaves met on a metre
     poles: list = field(default_factory=list)
+    columns: list = field(default_factory=list)  # feet of porches' columns
     edges: list = field(default_factory=list)
 
     def cylinder(self, a, b, radius, pole=-1):
@@ -57,8 +58,11 @@ class OtherStreet:
         return foot + height * lean
 
 
-def make(seed, length=45.0):
-    """A street with houses and poles on both sides, cars, people and hedges."""
+def make(seed, length=45.0, *, clutter=0, porches=False):
+    """A street with houses and poles on both sides, cars and people; more of them by ``clutter``.
+
+    With ``porches`` two to four columns carry each balcony: they are no poles.
+    """
     rng = np.random.default_rng([seed, 77])
     street = OtherStreet(length)
     street.face((-3.5, -60, 0), (7, 0, 0), (0, length + 120, 0))
@@ -68,6 +72,8 @@ def make(seed, length=45.0):
         street.face(kerb, (0, length + 120, 0), (0, 0, -PAVEMENT))
         for y in np.arange(-8, length + 8, 18):
             _house(street, rng, side, y + rng.uniform(0, 2))
+            if porches:
+                _porch(street, np.random.default_rng([seed, 80, len(street.columns)]))
         kinds = rng.permutation([_lamp, _sign, _bollard, _mast, _tree] * 9)
         for kind, y in zip(kinds, np.arange(3, length, 5.0), strict=False):
             foot = (side * rng.uniform(4.2, 8.0), y + rng.uniform(-1.5, 1.5), PAVEMENT)
@@ -75,7 +81,21 @@ def make(seed, length=45.0):
         for y in rng.uniform(0, length, 2):
             _car(street, side * 2.4, y)
             _person(street, side * rng.uniform(4, 8), rng.uniform(0, length))
+    rng = np.random.default_rng([seed, 79])
+    for _ in range(clutter):
+        side = rng.choice([-1, 1])
+        _car(street, side * 2.4, rng.uniform(0, length))
+        _person(street, side * rng.uniform(4, 8), rng.uniform(0, length))
     return street
+
+
+def _porch(street, rng):
+    """Columns under the front of the last house's balcony."""
+    (x, y, up), end = street.edges[-1]
+    for along in np.linspace(0.15, end[1] - y - 0.15, rng.integers(2, 5)):
+        foot = np.array([x + 0.15 * np.sign(x), y + along, PAVEMENT])
+        street.cylinder(foot, [*foot[:2], up - 1.0], rng.uniform(0.08, 0.2))
+        street.columns.append(foot)
 
 
 def _house(street, rng, side, y):

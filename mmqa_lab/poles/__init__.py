@@ -1,20 +1,18 @@
-"""Poles: versions of two published detectors, a learned one, and scores against a reference.
+"""Poles: two published detectors, a learned one, and scores against a reference.
 
     from mmqa_lab import poles
 
-    found = poles.detect(cloud, method="ours")              # or "fgi", "itc"
+    found = poles.detect(cloud)                              # or method="fgi", method="itc"
     result = poles.score(found, reference, corridor=15, trajectory=positions)
-    result.recall, result.precision, result.by_class()
+    result.recall, result.precision
 
-Methods: ``fgi`` (scan lines; Lehtomaki et al. 2010), ``itc`` (components; Pu et al. 2011) and
-``ours`` (learned). Their thresholds are the fields of ``settings_of(method)``.
+``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011),
+``learned`` has two dozen named measures and a hundred and fifty small trees.
 """
 
 from __future__ import annotations
 
 import warnings
-from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -22,72 +20,66 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_plan, check_positive
 from mmqa_lab.cloud import Cloud, path_distance
+from mmqa_lab.poles import fgi, itc, learned
 from mmqa_lab.poles.scores import Score, curve, match, score
 
-if TYPE_CHECKING:
-    from lightgbm import Booster
+METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
+"""The detectors by name, and what figures call them."""
 
-    from mmqa_lab.poles import fgi, itc, ours
-
-METHODS = ("ours", "fgi", "itc")
-
-CORRIDORS_M = {"ours": 30.0, "fgi": 30.0, "itc": 15.0}
+CORRIDORS_M = {"learned": 30.0, "fgi": 30.0, "itc": 15.0}
 """Half width of the corridor where a trajectory comes without one: that of the report's tables."""
 
-__all__ = ["METHODS", "Score", "curve", "detect", "match", "score", "settings_of"]
-__dir__ = __all__.copy
+__all__ = ["METHODS", "Score", "curve", "detect", "match", "score"]
 
 
 def detect(
-    points: Cloud | ArrayLike | pd.DataFrame,
+    points: Cloud | ArrayLike,
     *,
-    method: str = "ours",
+    method: str = "learned",
     trajectory: ArrayLike | None = None,
     corridor: float | None = None,
     explain: bool = False,
-    model: Booster | None = None,
-    **thresholds,
+    **choices,
 ) -> pd.DataFrame:
     """Detect poles.
 
     Parameters
     ----------
-    points : Cloud, array_like of shape (n, 3), DataFrame or path
-        Metres, any origin. The scan-line method needs a cloud with ``scan_line`` and ``pulse`` or
-        ``gps_time``, or with ``gps_time`` or ``scan_angle`` from which lines are recovered; without
-        them it warns and the component method answers.
-    method : {"ours", "fgi", "itc"}
+    points : Cloud or array_like of shape (n, 3)
+        Metres, any origin. ``fgi`` needs a cloud with scan lines: ``scan_line`` and ``pulse`` or
+        ``gps_time``, or ``gps_time`` or ``scan_angle`` from which lines are recovered.
+    method : {"learned", "fgi", "itc"}
     trajectory : array_like, shape (m, 2) or (m, 3), optional
         Points farther than ``corridor`` from it are left out; where none is left, it warns.
     corridor : float, optional
         Metres; where left out 15 of the component method and 30 of the others.
     explain : bool
-        Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles).
-    model : lightgbm.Booster, optional
-        Verifier of the learned method, one's own for instance; others have none.
-    **thresholds
-        Fields of the method's settings, see :func:`settings_of`.
+        Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles);
+        of ``learned`` also the measures and what each adds to the log odds (``adds_...``).
+    **choices
+        Of ``fgi`` ``maximum_width``, ``minimum_points``, ``mask_share``, ``shell``
+        (:func:`mmqa_lab.poles.fgi.detect`), of ``learned`` ``threshold`` and ``trees``
+        (:func:`mmqa_lab.poles.learned.detect`).
 
     Returns
     -------
     DataFrame
         One row a pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
-        ``tilt_deg``, ``score`` (0 to 1), ``method``, ``lean_x``, ``lean_y`` (m/m). NaN where not
-        measurable. Of
-        ``itc`` also ``is_tree``.
+        ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where not
+        measurable. Of ``learned`` also the ends of a 95 % interval of the diameter.
 
     Raises
     ------
     ValueError
-        If a threshold is unknown or not a number, a corridor comes without a trajectory, or a model
-        with another method than ``ours``.
+        If a choice is unknown or not a number, a corridor comes without a trajectory, or ``fgi``
+        gets a cloud without scan lines.
 
     Notes
     -----
-    The score of ``ours`` is the probability that its trees give on streets like the training ones;
-    on others it is no probability. For the other methods it is the share of points in the inner
-    cylinder and the share of slices that are pole-like, which order detections and no more.
+    The score of ``learned`` is the probability that its trees give on streets like the training
+    ones; on others it is no probability. For the other methods it is the share of points in the
+    inner cylinder and the share of slices that are pole-like, which order detections and no more.
 
     Examples
     --------
@@ -99,68 +91,34 @@ def detect(
     >>> found[["x_m", "y_m"]].round(1).to_numpy().tolist()
     [[5.0, 5.0]]
     """
-    check_choice(method, "method", METHODS)
-    if model is not None:
-        check_choice(method, "method with a model", ("ours",))
-    from mmqa_lab.poles.on_lines import scan_lines
-
+    check_choice(method, "method", tuple(METHODS))
+    module = {"learned": learned, "fgi": fgi, "itc": itc}[method]
+    known = module.detect.__kwdefaults__
+    for name, value in choices.items():
+        check_choice(name, f"choice of {method}", tuple(known))
+        if name != "trees":
+            check_positive(value, name)
     cloud = points if isinstance(points, Cloud) else Cloud(points)
     inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
-    lines = scan_lines(cloud)
-    if method == "fgi" and lines is None:
-        warnings.warn(
-            "The scan-line method needs scan lines: columns scan_line and pulse or gps_time, or "
-            "gps_time (with pauses) or scan_angle. This cloud has "
-            f"{', '.join(cloud.columns) or 'none'}; the component method answers instead.",
-            stacklevel=2,
-        )
-        method, thresholds = "itc", {}
-    settings = _settings(import_module(f"mmqa_lab.poles.{method}"), method, thresholds)
-    choices = {"explain": explain} | ({"model": model} if method == "ours" else {})
-    local = cloud.points[inside] - origin
-    lines = None if lines is None else tuple(values[inside] for values in lines)
-    choices |= {} if method == "itc" else {"lines": lines}
-    detect_with = import_module(f"mmqa_lab.poles.{method}").detect
-    found = detect_with(local, settings, **choices)
+    local = (cloud.points[inside] - origin,)
+    if method == "fgi":
+        local += (_lines(cloud, inside),)
+    found = module.detect(*local, explain=explain, **choices)
     found.insert(0, "id", np.arange(1, len(found) + 1))
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
 
 
-def settings_of(method: str) -> fgi.Settings | itc.Settings | ours.Settings:
-    """Return the default thresholds of a method; each is documented at the class returned.
-
-    Parameters
-    ----------
-    method : {"ours", "fgi", "itc"}
-
-    Returns
-    -------
-    Settings
-        Of the method's module.
-
-    Raises
-    ------
-    ValueError
-        If there is no such method.
-
-    Examples
-    --------
-    >>> settings_of("fgi").minimum_length
-    1.0
-    """
-    check_choice(method, "method", METHODS)
-    return import_module(f"mmqa_lab.poles.{method}").Settings()
-
-
-def _settings(module, method, thresholds):
-    """The settings of a method with some thresholds changed."""
-    known = vars(module.Settings())
-    for name, value in thresholds.items():
-        check_choice(name, f"threshold of {method}", tuple(known))
-        if not isinstance(known[name], bool):
-            check_positive(value, name)
-    return module.Settings(**thresholds)
+def _lines(cloud, inside):
+    """Scan line and pulse of the chosen points."""
+    lines = fgi.scan_lines(cloud)
+    if lines is None:
+        columns = ", ".join(cloud.columns) or "none"
+        raise ValueError(
+            f"Invalid cloud: columns {columns}. The scan-line method needs scan_line and pulse or "
+            "gps_time, or gps_time (with pauses) or scan_angle."
+        )
+    return tuple(values[inside] for values in lines)
 
 
 def _within(cloud, trajectory, corridor, usual):
@@ -170,19 +128,10 @@ def _within(cloud, trajectory, corridor, usual):
         raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
     if trajectory is not None:
         reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
-        inside = _near_path(points, check_plan(trajectory, name="trajectory"), reach)
+        path = check_plan(trajectory, name="trajectory")
+        inside = path_distance(points[:, :2], path) <= reach
         points = points[inside]
         if len(cloud) and not len(points):
             said = f"No point lies within the corridor of {reach:g} m about the trajectory."
             warnings.warn(said, stacklevel=3)
     return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
-
-
-def _near_path(points, path, reach):
-    """Which points lie within reach of a path; far ones are told by cells of 1 m."""
-    cells, cell = np.unique(np.floor(points[:, :2] - path[0]), axis=0, return_inverse=True)
-    distance = path_distance(cells + path[0] + 0.5, path)
-    inside = (distance <= reach - 0.71)[cell.ravel()]
-    edge = np.flatnonzero((np.abs(distance - reach) < 0.72)[cell.ravel()])
-    inside[edge] = path_distance(points[edge, :2], path) <= reach
-    return inside

@@ -62,33 +62,12 @@ NOTES = _tables(_FOLDER / "notes.toml")
 SMALL = _tables(_FOLDER / "quick.toml")
 """Small parameters of the notebooks, by study: for the tests and for copies for a class."""
 
-_CHECKS = _tables(_FOLDER / "checks.toml")
-
 _LISTED = _tables(_FOLDER / "catalogue.toml")
 
 STUDIES = tuple(Study(**one) for one in _LISTED["studies"])
 
 TOOLS = tuple(Study(**one) for one in _LISTED["tools"])
 """Notebooks that are tools: they have no answer, no checks and no module."""
-
-
-def stated(stem):
-    """Return a function that makes the checks of a study, whose words stand in ``checks.toml``.
-
-    Examples
-    --------
-    >>> check = stated("poles")
-    >>> check("gate", 0.02 < 0.1, "recall rises by 0.020").statement
-    'The gate is no reason for misses: 1 m instead of 0.5 m finds few more.'
-    """
-    from mmqa_lab.run import Check
-
-    def check(name, passed, obtained, **numbers):
-        """The check of that name; ``numbers`` have their places in its words."""
-        words = {part: text.strip().format(**numbers) for part, text in _CHECKS[stem][name].items()}
-        return Check(passed=bool(passed), obtained=obtained, **words)
-
-    return check
 
 
 def notebooks_folder():

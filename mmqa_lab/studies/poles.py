@@ -1,63 +1,66 @@
 """Study 06, poles: streets whose poles are known, the counts of a detector, tables of rates.
 
-After chapter 4 of EuroSDR 2013, Road Environment Mapping using Mobile Laser Scanning: our versions
-of its two detectors, a learned one, and any other function of a cloud that returns ``x_m`` and
-``y_m``.
+After chapter 4 of EuroSDR 2013, Road Environment Mapping using Mobile Laser Scanning: its two
+detectors, a learned one, and any other function of a cloud that returns ``x_m`` and ``y_m``.
 """
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from mmqa_lab import io, poles, samples, simulate, stats
+from mmqa_lab import io, poles, samples, stats
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles import ours
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan_all
-from mmqa_lab.studies import NOTES, SMALL, stated
-from mmqa_lab.studies.poles_training import fit, labels
-
-QUICK, TOLD = SMALL["poles"], NOTES["poles"]
 
 CORRIDORS_M = (30.0, 15.0, 12.5)
 CLASSES = ("tree", "sign", "lamp", "other")
 
-CHANGES = TOLD["changes"]
-"""Changes of the plan by name; all else, the places of all things included, stays."""
-
-SHAFTS_M = {
-    "diameter": (0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.9),
-    "height": (1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0),
-}
-"""Bare shafts of :func:`bare_shafts`, m."""
-
 METHODS = {name: partial(poles.detect, method=name) for name in poles.METHODS}
 """The detectors of the package as functions of a cloud."""
 
-PRINTED = {row[:4]: row[4:6] for row in TOLD["printed"]}
-"""Printed cell of a rate: method, quantity, corridor in m and class."""
+SEEDS = range(7341, 7349)
+"""Streets of the study; trees are grown on others."""
 
-COUNTS = {row[:4]: row[6:] for row in TOLD["printed"] if row[7]}
-"""Counts behind the printed rates, and where n comes from; for Table 4-2 none is printed."""
+INFERRED = "found targets over the rate: inferred"
+PRINTED = (
+    ("fgi", "recall", 30.0, "all", "FGI detection_rate 30 m", 230, 330, "Lehtomaki et al. 2011"),
+    ("fgi", "recall", 12.5, "all", "FGI detection_rate 12.5 m", 136, 190, "printed"),
+    ("fgi", "precision", 30.0, "all", "FGI correct_detections 30 m", 230, 266, INFERRED),
+    ("fgi", "precision", 12.5, "all", "FGI correct_detections 12.5 m", 136, 143, INFERRED),
+    ("fgi", "recall", 30.0, "tree", "rate_trees", 75, 127, "printed"),
+    ("fgi", "recall", 30.0, "sign", "rate_signs", 65, 79, "printed"),
+    ("fgi", "recall", 30.0, "lamp", "rate_lamp_posts", 44, 46, "printed"),
+    ("itc", "recall", 15.0, "all", "ITC detection_rate 15 m", 0, 0, "not printed"),
+    ("itc", "precision", 15.0, "all", "ITC correct_detections 15 m", 0, 0, "not printed"),
+)
+"""Printed rates: method, quantity, corridor (m), class, cell, the counts behind, their source."""
+
+
+@lru_cache(maxsize=10)
+def _drive(plan, scanner, length, speed, seed, both_ways):
+    """Street, cloud, visible targets and path of one drive, or of one there and back."""
+    made = streets.street(plan, length=length, seed=seed)
+    there = made.trajectory(speed)
+    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    targets = streets.visible_targets(made, cloud)
+    if both_ways:
+        turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
+        back = replace(there, position=there.position[::-1].copy(), **turned)
+        again = scan_all(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
+        columns = dict(again.columns) | {"scan_line": again["scan_line"] + 1_000_000}
+        cloud = Cloud.concatenate([cloud, Cloud(again.points, columns)])
+    return made, cloud, targets, there.position
 
 
 def scene(
-    *,
-    seed,
-    plan="table-4-1",
-    scanner="roamer",
-    length=100.0,
-    speed=30 / 3.6,
-    change="as it is",
-    share=1.0,
-    both_ways=False,
-    progress=False,
+    *, seed, plan="table-4-1", scanner="roamer", length=100.0, speed=30 / 3.6, both_ways=False
 ):
     """Return the cloud of a simulated street, and its truth.
 
@@ -66,15 +69,8 @@ def scene(
     seed : int
     plan, scanner, length, speed
         As for :mod:`mmqa_lab.simulate.streets`, m and m/s.
-    change : str
-        Of ``CHANGES``.
-    share : float
-        Share of the pulses that are kept, drawn at random. Targets stay those that the whole cloud
-        shows: what a thinner one does not show is missed.
     both_ways : bool
         The street is driven there and back, and both clouds are put together.
-    progress : bool
-        Show a bar of the drive.
 
     Returns
     -------
@@ -82,94 +78,9 @@ def scene(
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
         ``street``, ``length_m``, ``poles`` and ``visible`` (their numbers).
     """
-    made, cloud, targets = _drive_once(plan, change, scanner, length, speed, seed, progress)
-    if both_ways:
-        cloud = Cloud.concatenate([cloud, _driven_back(made, scanner, seed, speed)])
-    if share < 1:
-        cloud = cloud[np.random.default_rng(seed).random(len(cloud)) < share]
-    path = made.trajectory(speed).position
+    made, cloud, targets, path = _drive(plan, scanner, length, speed, seed, both_ways)
     truth = {"targets": targets.copy(), "path": path, "street": made, "length_m": length}
     return cloud, truth | {"poles": len(targets), "visible": targets["visible"].sum()}
-
-
-def _drive_once(plan, change, scanner, length, speed, seed, progress):
-    """Street, cloud and visible targets; the first streets of a run come again and are kept."""
-    key = plan, change, scanner, length, speed, seed
-    if key in _DRIVES:
-        return _DRIVES[key]
-    made = streets.street(replace(streets.PLANS[plan], **CHANGES[change]), length=length, seed=seed)
-    cloud = streets.drive(made, scanner, seed=seed, speed=speed, progress=progress)
-    found = made, cloud, streets.visible_targets(made, cloud)
-    if change == "as it is" and len(_DRIVES) < KEPT:
-        _DRIVES[key] = found
-    return found
-
-
-_DRIVES, KEPT = {}, 5
-
-
-def _driven_back(made, scanner, seed, speed):
-    """The cloud of a drive the other way; its scan lines are numbered anew."""
-    there = made.trajectory(speed)
-    turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
-    back = replace(there, position=there.position[::-1].copy(), **turned)
-    cloud = scan_all(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
-    line = cloud["scan_line"] + 1_000_000
-    return Cloud(cloud.points, dict(cloud.columns) | {"scan_line": line})
-
-
-def bare_shafts(scanner="roamer", *, seed):
-    """Return the cloud of 64 bare shafts along an empty road, and their truth.
-
-    Parameters
-    ----------
-    scanner : Scanner or str
-        As for :mod:`mmqa_lab.simulate.streets`.
-    seed : int
-        Of their places.
-
-    Returns
-    -------
-    Cloud, DataFrame
-        ``x_m``, ``y_m``, ``z_base_m``, ``height_m``, ``diameter_m``: eight diameters from 0.06 to
-        0.9 m by eight heights from 1.2 to 10 m, 4 to 9 m beside the path.
-    """
-    rng = np.random.default_rng(seed)
-    truth = pd.DataFrame(grid(diameter_m=SHAFTS_M["diameter"], height_m=SHAFTS_M["height"]))
-    truth = truth.iloc[rng.permutation(len(truth))].reset_index(drop=True)
-    sides = np.where(np.arange(len(truth)) % 2, 1, -1)
-    truth["x_m"] = sides * rng.uniform(4, 9, len(truth))
-    truth["y_m"] = 15 + np.arange(len(truth)) + rng.uniform(-0.2, 0.2, len(truth))
-    truth["z_base_m"] = 0.0
-    surfaces = [simulate.ground()]
-    for one in truth.itertuples():
-        foot = np.array([one.x_m, one.y_m, 0.0])
-        surfaces.append(simulate.cylinder(foot, foot + [0, 0, one.height_m], one.diameter_m / 2))
-    scanner = streets.SCANNERS[scanner] if isinstance(scanner, str) else scanner
-    path = simulate.straight(len(truth) + 30.0, 14.0)
-    return scan_all(simulate.Scene(surfaces), scanner, path, seed=seed), truth
-
-
-def reliability(detections):
-    """Return what share of the detections are right, by their score: is it a probability?
-
-    Parameters
-    ----------
-    detections : DataFrame
-        Of :class:`mmqa_lab.poles.Score`, of one or several streets; ignored ones do not count.
-
-    Returns
-    -------
-    DataFrame
-        A row for each fifth of the scores: ``low``, ``high``, ``n``, ``mean_score``, ``right``, the
-        share of right ones.
-    """
-    counted = detections[detections["outcome"].isin(["hit", "false", "duplicate"])]
-    fifth = np.minimum((counted["score"] * 5).astype(int), 4)
-    made = counted.assign(right=counted["outcome"] == "hit").groupby(fifth)
-    table = made.agg(n=("right", "size"), mean_score=("score", "mean"), right=("right", "mean"))
-    ends = pd.DataFrame({"low": table.index / 5, "high": (table.index + 1) / 5}, table.index)
-    return ends.join(table).reset_index(drop=True)
 
 
 def counts(found, truth):
@@ -206,7 +117,7 @@ def rates(results, by=()):
     Parameters
     ----------
     results : xarray.Dataset
-        Of :func:`mmqa_lab.bench.run` with :func:`counts`.
+        Of :func:`bench`.
     by : str or sequence of str
         Parameters of the cases that get rows of their own.
 
@@ -215,7 +126,7 @@ def rates(results, by=()):
     DataFrame
         ``method``, the parameters, ``quantity`` (recall, precision, f1), ``corridor_m``, ``class``,
         ``k``, ``n``, ``value``, ``low``, ``high`` (Wilson; F1: bootstrap over streets, NaN for
-        one), ``kind``.
+        one).
     """
     keys = ["method", *([by] if isinstance(by, str) else by)]
     cells = results.drop_vars("failure").to_dataframe().reset_index()
@@ -224,32 +135,57 @@ def rates(results, by=()):
         for corridor in CORRIDORS_M:
             first = dict(zip(keys, key, strict=True)) | {"corridor_m": corridor}
             rows += [first | row for row in _pooled(part, f"{corridor:g}")]
-    return pd.DataFrame(rows).assign(kind="measured")
+    return pd.DataFrame(rows)
 
 
 def _pooled(cells, end):
     """Rates of several streets together."""
     cells = cells.dropna(subset=[f"hits_{end}"])
     total = cells.sum(numeric_only=True).astype(int)
-    ends = {"recall": "targets", "precision": "finds"}
-    for quantity, n in ends.items():
-        rate = stats.wilson(total[f"hits_{end}"], total[f"{n}_{end}"])
-        yield {"quantity": quantity, "class": "all", **vars(rate)}
-    columns = [f"{name}_{end}" for name in ("hits", "targets", "finds")]
-    own = cells[columns].to_numpy()
-    spread = stats.bootstrap(_f1, own, repeats=500) if len(own) > 1 else None
+    hits = total[f"hits_{end}"]
+    for quantity, n in {"recall": "targets", "precision": "finds"}.items():
+        yield {"quantity": quantity, "class": "all"} | vars(stats.wilson(hits, total[f"{n}_{end}"]))
+    own = cells[[f"{name}_{end}" for name in ("hits", "targets", "finds")]].to_numpy()
+    spread = stats.bootstrap(f1, own, repeats=500) if len(own) > 1 else None
     low, high = (spread.low, spread.high) if spread else (np.nan, np.nan)
-    counted = {"k": total[f"hits_{end}"], "n": total[f"targets_{end}"]}
-    yield {"quantity": "f1", "class": "all", **counted, "value": _f1(own), "low": low, "high": high}
+    counted = {"k": hits, "n": total[f"targets_{end}"], "value": f1(own), "low": low, "high": high}
+    yield {"quantity": "f1", "class": "all"} | counted
     for kind in CLASSES:
         rate = stats.wilson(total[f"{kind}_hits_{end}"], total[f"{kind}_targets_{end}"])
-        yield {"quantity": "recall", "class": kind, **vars(rate)}
+        yield {"quantity": "recall", "class": kind} | vars(rate)
 
 
-def _f1(counted):
+def f1(counted):
     """F1 of rows of hits, targets, detections."""
     hits, targets, finds = counted.sum(axis=0)
     return 2 * hits / (targets + finds) if targets + finds else np.nan
+
+
+def bench(*, methods=None, seeds=SEEDS, **conditions):
+    """Define the study's bench: detectors on simulated streets.
+
+    Parameters
+    ----------
+    methods : dict, optional
+        Functions of a cloud that return a table with ``x_m`` and ``y_m``; by default ``METHODS``.
+    seeds : iterable of int
+        One street each.
+    **conditions
+        Values of the conditions of :func:`scene`.
+
+    Returns
+    -------
+    Comparison
+    """
+    by = [name for name, value in conditions.items() if isinstance(value, (list, tuple))]
+    return Comparison(
+        grid(**conditions) if conditions else [{}],
+        dict(methods or METHODS),
+        scene,
+        counts,
+        seeds,
+        tables=lambda results: {"rates": rates(results, by=by)},
+    )
 
 
 def beside_published(one_way, both_ways):
@@ -264,71 +200,66 @@ def beside_published(one_way, both_ways):
     Returns
     -------
     DataFrame
-        ``method``, ``quantity``, ``corridor_m``, ``class``, ``published``, ``published_low``,
-        ``published_high`` (Wilson), ``published_n`` (where n comes from), ``measured``,
-        ``measured_low``, ``measured_high``, and ``table``, ``cell`` of the ledger.
+        ``method``, ``quantity``, ``corridor_m``, ``class``, ``cell`` and ``table`` of the ledger,
+        ``published`` with the Wilson interval of its counts and where ``n`` comes from,
+        ``measured`` with its interval.
     """
-    printed = ledger.cells().query("source == 'eurosdr2013_mls'").set_index(["table", "cell"])
-    ours = {"fgi": one_way, "itc": both_ways}
     columns = ["method", "quantity", "corridor_m", "class"]
+    printed = ledger.cells().query("source == 'eurosdr2013_mls'").set_index("cell")
     rows = []
-    for key, place in PRINTED.items():
-        mine = ours[key[0]].set_index(columns).loc[key]
-        row = dict(zip(columns, key, strict=True))
-        row["published"] = printed.loc[place, "value"] / 100
-        k, n, source = COUNTS.get(key, (0, 0, "not printed"))
-        rate = stats.wilson(k, n)
-        row |= {"published_low": rate.low, "published_high": rate.high, "published_n": source}
-        row |= {"measured": mine["value"]}
-        row |= {"measured_low": mine["low"], "measured_high": mine["high"]}
-        rows.append(row | dict(zip(("table", "cell"), place, strict=True)))
+    for *key, cell, k, n, source in PRINTED:
+        mine = {"fgi": one_way, "itc": both_ways}[key[0]].set_index(columns).loc[tuple(key)]
+        rate, place = stats.wilson(k, n), printed.loc[cell]
+        row = dict(zip(columns, key, strict=True)) | {"table": place["table"], "cell": cell}
+        row |= {"published": place["value"] / 100, "published_low": rate.low}
+        row |= {"published_high": rate.high, "published_n": source, "measured": mine["value"]}
+        rows.append(row | {"measured_low": mine["low"], "measured_high": mine["high"]})
     return pd.DataFrame(rows)
 
 
-def ledger_entries(beside, *, visible, diameters, correctness, crowded):
-    """Return the ledger's rows of chapter 4.
+def ledger_table(beside, *, visible, diameters, walls, crowded):
+    """What the study says of each printed result of chapter 4.
 
     Parameters
     ----------
     beside : DataFrame
         Of :func:`beside_published`.
-    visible, correctness, crowded : mmqa_lab.stats.Rate
+    visible, walls, crowded : mmqa_lab.stats.Rate
         Visible poles, facade points among those classed as wall, missed targets with points around.
     diameters : mmqa_lab.stats.Errors
         Of the scan-line method within 12.5 m, mm.
 
     Returns
     -------
-    list of dict
-        Of :func:`mmqa_lab.published.ledger.entry`.
+    DataFrame
+        As :mod:`mmqa_lab.published.ledger` documents.
     """
+    chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
+    other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
     rows = []
     for row in beside.to_dict("records"):
-        numbers = [100 * row[name] for name in ("measured", "measured_low", "measured_high")]
-        kind, note = ("fitted", "chosen") if row["method"] == "fgi" else ("measured", "other")
+        kind, note = ("fitted", chosen) if row["method"] == "fgi" else ("measured", other)
+        numbers = [100 * row[f"measured{end}"] for end in ("", "_low", "_high")]
         rows.append((row["table"], row["cell"], numbers, kind, note))
+    plain = "Simulated walls are planes without plants, furniture or goods before them."
     for cell, rate, kind, note in (
-        ("visible_share", visible, "fitted", "chosen"),
-        ("facade_points_correct", correctness, "measured", "plain"),
-        ("missed_points_around", crowded, "measured", "other"),
+        ("visible_share", visible, "fitted", chosen),
+        ("facade_points_correct", walls, "measured", plain),
+        ("missed_points_around", crowded, "measured", other),
     ):
         numbers = [100 * value for value in (rate.value, rate.low, rate.high)]
         rows.append(("poles_text", cell, numbers, kind, note))
-    for cell, value, unit in (
-        ("diameter_rmse", diameters.rmse, 0.1),
-        ("diameter_bias", diameters.bias, 1.0),
+    perfect = "Simulated posts are perfect cylinders and their reference has no error."
+    half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1))
+    for cell, value, wide in (
+        ("diameter_rmse", diameters.rmse / 10, half / 10 / np.sqrt(2)),
+        ("diameter_bias", diameters.bias, half),
     ):
-        half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1) * (2 if unit < 1 else 1))
-        numbers = [unit * number for number in (value, value - half, value + half)]
-        rows.append(("poles_text", cell, numbers, "measured", "perfect"))
-    return [
-        ledger.entry("eurosdr2013_mls", table, cell, v, low=lo, high=hi, kind=kind, note=TOLD[note])
+        rows.append(("poles_text", cell, [value, value - wide, value + wide], "measured", perfect))
+    return pd.DataFrame(
+        ledger.entry("eurosdr2013_mls", table, cell, v, low=lo, high=hi, kind=kind, note=note)
         for table, cell, (v, lo, hi), kind, note in rows
-    ]
-
-
-NEAR_M = 0.4
-"""Points so near to the middle of a detection tell what stands there."""
+    )
 
 
 def outcomes(result):
@@ -342,26 +273,14 @@ def outcomes(result):
 
 
 def causes(result, cloud, truth):
-    """Return what stands where a method gives a false alarm: what most points nearby are labelled.
-
-    Parameters
-    ----------
-    result : mmqa_lab.poles.Score
-    cloud, truth
-        Of :func:`scene`.
-
-    Returns
-    -------
-    list of str
-        One for each false alarm; a second hit on a pole is a ``duplicate``.
-    """
+    """Return what stands where a method gives a false alarm: what most points within 0.4 m of its
+    middle are labelled; a second hit on a pole is a ``duplicate``."""
     tree, labels = cKDTree(cloud.points), truth["street"].labels[cloud["surface"]]
     found = []
     for one in outcomes(result)["false alarm"].itertuples():
         middle = one.x_m, one.y_m, one.z_base_m + one.height_m / 2
-        near = labels[tree.query_ball_point(middle, NEAR_M)]
-        kinds, number = np.unique(near, return_counts=True)
-        cause = str(kinds[number.argmax()]) if len(near) else "nothing"
+        near = pd.Series(labels[tree.query_ball_point(middle, 0.4)])
+        cause = near.mode().iloc[0] if len(near) else "nothing"
         found.append("duplicate" if one.outcome == "duplicate" else cause)
     return found
 
@@ -373,68 +292,13 @@ def crowded(result, cloud):
     clear height, belong to something else: what the mask of the scan-line method refuses.
     """
     tree, surface = cKDTree(cloud.points[:, :2]), np.asarray(cloud["surface"])
-    missed = outcomes(result)["miss"]
-    hidden = 0
+    missed, hidden = outcomes(result)["miss"], 0
     for one in missed.itertuples():
         near = np.array(tree.query_ball_point([one.x_m, one.y_m], one.diameter_base_m / 2 + 0.3))
         rise = cloud.points[near, 2] - one.z_base_m
         near = near[(rise > 0.2) & (rise < one.clear_height_m)]
         hidden += len(near) > 0 and (surface[near] != one.surface).mean() > 0.15
     return stats.wilson(int(hidden), len(missed))
-
-
-check = stated("poles")
-
-
-def checks(one_way, both_ways, beside, wider):
-    """Yield the statements of the notebook with the numbers of this run.
-
-    Parameters
-    ----------
-    one_way, both_ways, beside : DataFrame
-        Of :func:`rates` and :func:`beside_published`.
-    wider : float
-        What the scan-line method's recall within 30 m gains from a gate of 1 m instead of 0.5 m.
-    """
-    value = one_way.set_index(["method", "quantity", "corridor_m", "class"])["value"]
-    f1 = {name: value[name, "f1", 30.0, "all"] for name in poles.METHODS}
-    yield check(
-        "learned",
-        f1["ours"] > max(f1["fgi"], f1["itc"]),
-        ", ".join(f"{name} F1 {number:.3f}" for name, number in f1.items()),
-    )
-    trees, lamps = (value["fgi", "recall", 30.0, kind] for kind in ("tree", "lamp"))
-    yield check("trees_and_lamps", trees < lamps, f"trees {trees:.2f}, lamp posts {lamps:.2f}")
-    near, far = (value["fgi", "precision", reach, "all"] for reach in (12.5, 30.0))
-    yield check("corridor", near >= far, f"{near:.2f} within 12.5 m, {far:.2f} within 30 m")
-    row = beside.iloc[0]
-    yield check(
-        "recall",
-        row["measured_low"] <= row["published_high"]
-        and row["published_low"] <= row["measured_high"],
-        f"{row['measured']:.3f}, published {row['published']:.3f}",
-    )
-    yield check("gate", wider < 0.1, f"recall of the scan-line method rises by {wider:.3f}")
-
-
-def comparison(quick: bool = False) -> Comparison:
-    """Return the study's detectors, streets and tables for ``mmqa bench poles``.
-
-    Parameters
-    ----------
-    quick : bool
-        One short street instead of four.
-    """
-    seeds, length = ((5001,), 60.0) if quick else ((7341, 7342, 7343, 7344), 100.0)
-    cases = grid(plan=["table-4-1"] if quick else ["table-4-1", "facades"], length=length)
-    return Comparison(
-        cases,
-        dict(METHODS),
-        scene,
-        counts,
-        seeds,
-        tables=lambda results: {"rates": rates(results, by="plan")},
-    )
 
 
 # Oakland part 2: real streets with labels, without time, trajectory and scan lines
@@ -444,8 +308,8 @@ OAKLAND = tuple(
     for part in ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
 )
 
-POLES = {int(label): name for label, name in TOLD["oakland"].items()}
-"""Labels of poles that are asked for."""
+ASKED = (1103, 1107, 1110, 1111, 1116, 1119, 1302, 1303)
+"""Utility pole, lamp support, post, sign, traffic light support, parking meter, trunks."""
 
 UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
 """Pole-like, not asked for: support pole, hydrant, pylon, lamp, lights, column."""
@@ -466,68 +330,26 @@ def oakland(tiles=None):
     Returns
     -------
     Cloud, DataFrame
-        The cloud has ``label``; the references ``x_m``, ``y_m``, ``z_base_m``, ``height_m``,
-        ``class``, ``points``, ``ignore``.
+        References: ``x_m``, ``y_m``, ``z_base_m``, ``height_m``, ``lean_x``, ``lean_y`` (0),
+        ``points``, ``ignore``, ``visible``.
     """
     whole = Cloud.concatenate(io.read_cloud(samples.real_path(name)) for name in OAKLAND[:tiles])
     whole = whole[np.random.default_rng(0).permutation(len(whole))]
-    tables = [_components(whole, labels) for labels in (tuple(POLES), UNASKED, UNKNOWN)]
-    asked, unasked, unknown = tables
-    asked["ignore"] = small = (asked["points"] < 8) | (asked["height_m"] < 1.0)
+    asked, unasked, unknown = (_components(whole, labels) for labels in (ASKED, UNASKED, UNKNOWN))
+    small = (asked["points"] < 8) | (asked["height_m"] < 1.0)
     unknown = unknown[(unknown["points"] >= 8) & (unknown["height_m"] >= 1.0)]
-    rest = pd.concat([unasked, unknown]).assign(ignore=True)
-    return whole, pd.concat([asked.assign(ignore=small), rest], ignore_index=True)
-
-
-def leave_one_block_out(whole, references, blocks=10):
-    """Return the poles of a real cloud by trees that learned from its other blocks alone.
-
-    Parameters
-    ----------
-    whole, references
-        Of :func:`oakland`.
-    blocks : int
-        Of equally many candidates, from west to east.
-
-    Returns
-    -------
-    DataFrame
-        As of :func:`mmqa_lab.poles.detect`.
-    """
-    origin = np.floor(whole.points.min(axis=0))
-    local, settings = whole.points - origin, ours.Settings()
-    where = ours.described(local, settings)
-    features, axes, _ = where
-    upright = dict.fromkeys(("lean_x", "lean_y", "diameter_base_m"), 0.0)
-    truth = references.assign(**upright, visible=~references["ignore"])
-    label, _ = labels(axes + np.pad(origin[:2], (0, 6)), truth)
-    block = np.argsort(np.argsort(axes[:, 0])) * blocks // len(axes)
-    probability = np.empty(len(axes))
-    for number in range(blocks):
-        other = (block != number) & (label >= 0)
-        model = fit(features[other], label[other], block[other], rounds=300)
-        probability[block == number] = model.predict(features[block == number])
-    found = ours.judged(local, where, probability, settings)
-    return found.assign(x_m=found["x_m"] + origin[0], y_m=found["y_m"] + origin[1])
+    parts = [asked.assign(ignore=small), unasked.assign(ignore=True), unknown.assign(ignore=True)]
+    references = pd.concat(parts, ignore_index=True)
+    return whole, references.assign(visible=~references["ignore"], lean_x=0.0, lean_y=0.0)
 
 
 def _components(whole, labels):
     """One row for each connected component in plan of the points with these labels."""
-    chosen = whole[np.isin(whole["label"], labels)]
-    points = chosen.points
+    points = whole.points[np.isin(whole["label"], labels)]
     pairs = cKDTree(points[:, :2]).query_pairs(0.35, output_type="ndarray")
-    frame = pd.DataFrame(points, columns=["x", "y", "z"]).assign(label=chosen["label"])
+    frame = pd.DataFrame(points, columns=["x_m", "y_m", "z"])
     frame["part"] = joined(*pairs.T, len(points))
-    grouped = frame.groupby("part")
-    base = grouped["z"].transform("min")
-    foot = frame[frame["z"] <= base + 2.0].groupby("part")
-    return pd.DataFrame(
-        {
-            "x_m": foot["x"].median(),
-            "y_m": foot["y"].median(),
-            "z_base_m": grouped["z"].min(),
-            "height_m": grouped["z"].max() - grouped["z"].min(),
-            "class": grouped["label"].agg(lambda label: POLES.get(label.mode().iloc[0], "unasked")),
-            "points": grouped.size(),
-        }
-    )
+    heights = frame.groupby("part")["z"].agg(z_base_m="min", top="max", points="size")
+    low = frame[frame["z"] <= frame["part"].map(heights["z_base_m"]) + 2.0]
+    table = low.groupby("part")[["x_m", "y_m"]].median().join(heights)
+    return table.assign(height_m=table["top"] - table["z_base_m"]).drop(columns="top")

@@ -1,198 +1,205 @@
-"""Rates of the learned detector on streets that it never saw; seconds and memory of all detectors.
+"""Rates of the learned detector on streets that it never saw, and what five million points take.
 
-``python tests/benchmarks/poles.py --rates`` scores streets of both generators, bare shafts and,
-with ``MMQA_DATA``, Oakland part 2; ``--streets N`` takes the first N of each row. Without
-``--rates`` it drives 60 m of street once (976 kHz, 95 Hz) and lays copies of it end to end: seconds
-a million points must not rise with the number of points.
+``python tests/benchmarks/poles.py`` writes the tables into RESULTS.md; ``--streets N`` takes the
+first N of each row and writes nothing. ``MMQA_DATA`` names the real street.
 """
 
 import argparse
 import resource
 import sys
 import time
-import warnings
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import poles, samples
+from mmqa_lab import poles, samples, simulate, stats
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles.ours import CLASSES
-from mmqa_lab.simulate import streets
+from mmqa_lab.poles import learned
+from mmqa_lab.simulate import streets, surfaces
+from mmqa_lab.simulate.scan import scan_all
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.studies import poles as study
-from mmqa_lab.studies.poles_training import kinds
+from mmqa_lab.studies import poles_training as training
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import other_street
+from results import write_section
 
-LENGTH_M = 60.0
-GREEN = (("facades", 8211), ("green", 8212), ("facades", 8213), ("green", 8214))
-SEEDS = {
-    "own": range(8201, 8207),
-    "dense": range(8201, 8204),
-    "shafts": range(8201, 8206),
-    "tilted profiler": range(321, 329),
-    "clutter": range(331, 337),
-    "32 beams": range(341, 345),
-}
-"""Streets of the rates; none was used to choose anything."""
+BEAMS = replace(PRESETS["hdl-32e"], lever_arm_m=(0.0, 0.0, 2.2))
+SCANNERS = {"profiler": streets.SCANNERS["roamer"], "32 beams": BEAMS}
+BARE = [(d, h) for d in (0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.9) for h in
+        (1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)]  # fmt: skip
+KINDS = ("leaning", "conical", "square", "with boards", "in a hedge", "cut at 2 m")
+EXAMPLES, REAL_WEIGHT = 32, 6.0
+"""Simulated examples beside which the real lessons stand, and their weight."""
 
-OTHERS = {"lamp": 0, "sign": 1, "tree": 2}
-BEAMS = streets.replace(PRESETS["hdl-32e"], lever_arm_m=(0.0, 0.0, 2.2))
+WALLS = ("before a higher wall", "before a wall of 3 m")
 
 
-def own(plan, seed, length, scanner="roamer"):
-    """A street of the generator of the training."""
-    cloud, truth = study.scene(plan=plan, seed=seed, length=length, scanner=scanner)
-    targets = truth["targets"]
-    return cloud, targets.assign(kind=np.array(CLASSES)[kinds(targets)]), truth["path"]
+def own(seed):
+    """A street of the generator of the training: cloud, targets, path."""
+    cloud, truth = study.scene(seed=seed, length=80.0)
+    return cloud, truth["targets"], truth["path"]
 
 
-def other(scanner, seed, clutter=0):
-    """A street of the tests' own generator, with some more cars and people."""
-    made, rng = other_street.make(seed), np.random.default_rng([seed, 79])
-    for _ in range(clutter):
-        side = rng.choice([-1, 1])
-        other_street._car(made, side * 2.4, rng.uniform(0, 45))
-        other_street._person(made, side * rng.uniform(4, 8), rng.uniform(0, 45))
+def other(seed, scanner="tilted profiler", **choices):
+    """A street of the tests' own generator."""
+    made = other_street.make(seed, **choices)
     points, seconds, line, pole, path = other_street.scan(made, scanner, seed)
     cloud = Cloud(points, {"scan_line": line, "gps_time": seconds})
-    truth = other_street.tables(made, pole)[0]
-    low = pd.Series(np.where(truth["height_m"] < 2, 3, 0), truth.index)  # bollards and masts
-    kind = truth["class"].map(OTHERS).fillna(low).astype(int)
-    return cloud, truth.assign(kind=np.array(CLASSES)[kind]), path
+    return cloud, other_street.tables(made, pole)[0], path, made
 
 
-def damaged(kind, cloud, truth):
-    """A cloud cropped, thin, with stray points below the ground or without columns; its targets."""
-    rng = np.random.default_rng(len(cloud))
-    if kind == "cropped at 2 m":
+def posts(kind, scanner, seed, n=30):
+    """Posts of one kind along an empty road: cloud, truth."""
+    rng = np.random.default_rng([seed, 5])
+    things, rows = [surfaces.ground(size=(400.0, 400.0))], []
+    sizes, step = rng.uniform([0.06, 2.0], [0.3, 5.0], (n, 2)), 3.0
+    if kind == "bare":
+        sizes, step = rng.permutation(BARE), 1.0
+    for k, (wide, height) in enumerate(sizes):
+        side, draw = 1 if k % 2 else -1, rng.uniform
+        foot = np.array([side * draw(4, 9), 15 + step * k + draw(-0.2, 0.2), 0.0])
+        lean, turn = np.zeros(2), draw(0, 2 * np.pi)
+        if kind == "leaning":
+            lean = np.tan(np.radians(draw(5, 10))) * np.array([np.cos(turn), np.sin(turn)])
+        way = height * np.array([*lean, 1.0])
+        top = wide / 2 * (0.4 if kind == "conical" else 1.0)
+        row = {"x_m": foot[0] + way[0] / 2, "y_m": foot[1] + way[1] / 2, "z_base_m": 0.0}
+        row |= {"height_m": min(height, 2.0) if kind == "cut at 2 m" else height}
+        row |= {"lean_x": lean[0], "lean_y": lean[1]}
+        rows.append(row | {"diameter_base_m": wide, "diameter_top_m": 2 * top})
+        if kind == "square":
+            things.append(surfaces.box(foot, (wide, wide, height), heading=draw(0, 90)))
+        else:
+            things.append(surfaces.cylinder(foot, foot + way, wide / 2, top_radius=top))
+        if kind == "with boards":
+            size = draw(0.4, 0.7)
+            middle = foot + [0, wide / 2 + 0.03, height - size / 2]
+            things.append(surfaces.board(middle, size, size, heading=0.0))
+        if kind == "in a hedge":
+            leaves, middle = int(rng.integers(2**31)), foot + [0, 0, 0.5]
+            things.append(streets._crown(middle, (0.4, 1.2, 0.6), 4.0, leaves))
+        if kind in WALLS:
+            rise = height + draw(0.5, 2.0) if kind == WALLS[0] else 3.0
+            corner = foot + [side * (0.5 + wide / 2), -1.4, 0]
+            things.append(surfaces.rectangle(corner, (0, 2.8, 0), (0, 0, rise)))
+    path = simulate.straight(30 + step * len(sizes), 14.0)
+    cloud = scan_all(simulate.Scene(things), SCANNERS[scanner], path, seed=seed)
+    if kind == "cut at 2 m":
         cloud = cloud[cloud.points[:, 2] < 2]
-        plain = streets.Street(None, truth.drop(columns=SEEN), 0.0, None)
-        return cloud, streets.visible_targets(plain, cloud)
-    if kind == "5 % of the points":
-        return cloud[rng.random(len(cloud)) < 0.05], truth
-    if kind == "no columns but time":
-        columns = {"gps_time": cloud["gps_time"], "scan_angle": np.zeros(len(cloud))}
-        return Cloud(cloud.points, columns), truth
-    stray = cloud[rng.choice(len(cloud), len(cloud) // 5000)]
-    stray.points[:, 2] = -rng.uniform(1, 6, len(stray))
-    return Cloud.concatenate([cloud, stray]), truth
+    return cloud, pd.DataFrame(rows)
 
 
-SEEN = ["points", "sweeps", "span_m", "visible", "distance_m"]
-DAMAGES = ("cropped at 2 m", "0.02 % stray points", "5 % of the points", "no columns but time")
+def with_real_lessons():
+    """Score of the real street, each half by trees that also learned from the other half."""
+    cloud, references = study.oakland()
+    simulated, found = training.lessons(range(EXAMPLES)), []
+    middle = np.median(references["x_m"])
+    for west in (True, False):
+        own, named = ((part < middle) == west for part in (cloud.points[:, 0], references["x_m"]))
+        real = learned.lessons(cloud.points[own], references[named], weight=REAL_WEIGHT)
+        trees = learned.grow(*(pd.concat(parts) for parts in zip(simulated, real, strict=True)))
+        found.append(poles.detect(cloud.points[~own], trees=trees))
+    return poles.score(pd.concat(found), references)
 
 
 def rated(count):
-    """Yield the row, the cloud, the targets and the path of each street, shafts and real cloud."""
-    for seed in SEEDS["own"][:count]:
-        cloud, truth, path = own("table-4-1", seed, 80.0)
-        yield "own generator, table-4-1", cloud, truth, path
-        for kind in DAMAGES:
-            yield f"the same, {kind}", *damaged(kind, cloud, truth), path
-    for plan, seed in GREEN[:count]:
-        yield "own generator, facades and green", *own(plan, seed, 40.0)
-    for seed in SEEDS["dense"][:count]:
-        cloud, truth, path = own("table-4-1", seed, 40.0, "dense-profiler")
-        yield "976 kHz, 5 % of the points", *damaged("5 % of the points", cloud, truth), path
-    for name, scanner in (("profiler", "roamer"), ("32 beams", BEAMS)):
-        for seed in SEEDS["shafts"][:count]:
-            yield f"64 bare shafts, {name}", *study.bare_shafts(scanner, seed=seed), None
-    for row in ("tilted profiler", "clutter", "32 beams"):
-        scanner, more = ("tilted profiler", 8) if row == "clutter" else (row, 0)
-        for seed in SEEDS[row][:count]:
-            yield f"other generator, {row}", *other(scanner, seed, more)
+    """Yield the row, what was asked for, and the score of each street."""
+    scored = partial(poles.score, corridor=30)
+    for seed in range(8201, 8209)[:count]:
+        cloud, targets, path = own(seed)
+        yield "own streets", scored(poles.detect(cloud), targets, trajectory=path)
+    rows = {"nominal": {}, "many cars and people": {"clutter": 8}, "32 beams": {}}
+    for number, (row, choices) in enumerate(rows.items()):
+        scanner = "32 beams" if row == "32 beams" else "tilted profiler"
+        for seed in range(321 + 10 * number, 329 + 10 * number)[:count]:
+            cloud, targets, path, _ = other(seed, scanner, **choices)
+            yield f"other streets, {row}", scored(poles.detect(cloud), targets, trajectory=path)
+    for seed in range(351, 355)[:count]:
+        cloud, targets, path, made = other(seed, porches=True)
+        found = poles.detect(cloud)
+        yield "other streets, porches", scored(found, targets, trajectory=path)
+        columns = pd.DataFrame(np.array(made.columns)[:, :2], columns=["x_m", "y_m"])
+        yield "their columns found as poles", poles.score(found, columns)
+    for name in SCANNERS:
+        for kind in ("bare", *KINDS, *WALLS):
+            cloud, truth = posts(kind, name, 8301)
+            yield f"posts {kind}, {name}", poles.score(poles.detect(cloud), truth)
     if samples.has_real(study.OAKLAND[0]):
-        yield "Oakland part 2", *study.oakland(), None
-
-
-def right_class(result):
-    """Whether each hit has the class of its target; none where the reference has no classes."""
-    hits = result.detections[result.detections["outcome"] == "hit"]
-    if "kind" not in result.targets:
-        return np.empty(0)
-    return (hits["class"] == result.targets.loc[hits["reference"], "kind"].to_numpy()).to_numpy()
-
-
-def print_rates(count):
-    """Print a row for each kind of street."""
-    rows = {}
-    for name, cloud, truth, path in rated(count):
-        scope = {} if path is None else {"corridor": 30, "trajectory": path}
-        rows.setdefault(name, []).append(poles.score(poles.detect(cloud), truth, **scope))
-    for name, results in rows.items():
-        print_row(name, results)
-
-
-def print_row(name, results):
-    """Print the rates of some streets together."""
-    found, asked, made = (
-        sum(numbers)
-        for numbers in zip(*[(r.recall.k, r.recall.n, r.precision.n) for r in results], strict=True)
-    )
-    judged = pd.concat([r.detections for r in results])
-    hits = judged[judged["outcome"] == "hit"]
-    right = np.concatenate([right_class(r) for r in results])
-    reliable = study.reliability(judged)
-    error = ((reliable["right"] - reliable["mean_score"]).abs() * reliable["n"]).sum()
-    print(
-        f"{name:<40}{found:>4}/{asked:<4} {found:>4}/{made:<4} F1 {2 * found / (asked + made):.3f} "
-        f"calibration {error / made:.3f} class {np.mean(right) if len(right) else np.nan:.2f} "
-        f"diameters {hits['diameter_m'].notna().mean():.2f}",
-        flush=True,
-    )
-
-
-def piece():
-    """One drive through 60 m of street."""
-    made = streets.street("table-4-1", length=LENGTH_M, seed=1)
-    cloud = streets.drive(made, "dense-profiler", seed=1)
-    inside = (cloud.points[:, 1] >= 0) & (cloud.points[:, 1] < LENGTH_M)
-    return cloud[inside & (np.abs(cloud.points[:, 0]) < 40)]
-
-
-def repeated(cloud, times):
-    """Copies of a drive, one after the other."""
-    lines = int(cloud["scan_line"].max()) + 10
-    pulses = int(cloud["pulse"].max()) + 1
-    parts = [
-        Cloud(
-            cloud.points + [0, LENGTH_M * k, 0],
-            {"scan_line": cloud["scan_line"] + lines * k, "pulse": cloud["pulse"] + pulses * k},
+        cloud, references = study.oakland()
+        yield (
+            "real street, trees of simulated streets",
+            poles.score(poles.detect(cloud), references),
         )
-        for k in range(times)
-    ]
-    return Cloud.concatenate(parts)
+        yield "real street, with lessons of its other half", with_real_lessons()
+
+
+def row_of(name, results):
+    """A row of rates of some streets together."""
+    k, asked = sum(r.recall.k for r in results), sum(r.recall.n for r in results)
+    made = sum(r.precision.n for r in results)
+    spread = f1_interval(results)
+    hits = pd.concat([r.hits for r in results])
+    inside = hits["true_diameter_m"].between(hits["diameter_low_m"], hits["diameter_high_m"])
+    known = hits["diameter_low_m"].notna() & hits["true_diameter_m"].notna()
+    covered = f"{inside[known].mean():.2f} of {known.sum()}" if known.any() else ""
+    f1 = f"{2 * k / max(asked + made, 1):.3f} {spread}"
+    return {"on": name, "right / asked": f"{k}/{asked}", "right / found": f"{k}/{made}",
+            "F1": f1, "diameters covered": covered}  # fmt: skip
+
+
+def f1_interval(results):
+    """95 % interval of F1: bootstrap over streets, or over blocks of 50 m of a single one."""
+    rows = []
+    for result in results:
+        made = result.detections[~result.detections["outcome"].isin(["ignored", "outside"])]
+        asked = result.targets[result.targets["target"]]
+        if len(results) > 1:
+            rows.append([result.recall.k, len(asked), len(made)])
+            continue
+        block = [np.floor(t[["x_m", "y_m"]] / 50).apply(tuple, axis=1) for t in (made, asked)]
+        for one in {*block[0], *block[1]}:
+            own, named = made[block[0] == one], asked[block[1] == one]
+            rows.append([(own["outcome"] == "hit").sum(), len(named), len(own)])
+    spread = stats.bootstrap(study.f1, np.array(rows), repeats=1000)
+    return f"[{spread.low:.2f}, {spread.high:.2f}]"
+
+
+def large():
+    """Seconds of processor time and memory for five million points."""
+    made = streets.street("table-4-1", length=60.0, seed=1)
+    cloud = streets.drive(made, "dense-profiler", seed=1)
+    inside = (cloud.points[:, 1] >= 0) & (cloud.points[:, 1] < 60) & (abs(cloud.points[:, 0]) < 40)
+    piece = cloud.points[inside]
+    copies = -(-5_000_000 // len(piece))
+    points = np.concatenate([piece + [0, 60.0 * k, 0] for k in range(copies)])[:5_000_000]
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    found = poles.detect(points)
+    seconds, after = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {"points": len(points), "poles": len(found), "processor time (s)": round(seconds, 1),
+            "peak (GB)": round(after / 1e6, 2), "before (GB)": round(before / 1e6, 2)}  # fmt: skip
 
 
 def main():
-    """Print a row for each method and size."""
+    """Print and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rates", action="store_true")
     parser.add_argument("--streets", type=int)
-    parser.add_argument("--copies", type=int, nargs="+", default=[1, 2, 4, 7])
     options = parser.parse_args()
-    warnings.simplefilter("ignore")
-    if options.rates:
-        print_rates(options.streets)
-        return
-    one = piece()
-    for method in poles.METHODS:
-        poles.detect(one[::20], method=method)  # compiles
-    print(f"{'method':<8}{'points':>12}{'poles':>8}{'s':>9}{'CPU s':>9}{'s/1e6':>9}{'peak GB':>9}")
-    for times in options.copies:
-        cloud = repeated(one, times)
-        for method in poles.METHODS:
-            began, cpu = time.perf_counter(), time.process_time()
-            found = poles.detect(cloud, method=method)
-            seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-            rate = 1e6 * seconds / len(cloud)
-            row = f"{method:<8}{len(cloud):>12}{len(found):>8}{seconds:>9.1f}"
-            print(f"{row}{cpu:>9.1f}{rate:>9.2f}{peak:>9.1f}", flush=True)
+    took = large()
+    print(took, flush=True)
+    rows = {}
+    for name, result in rated(options.streets):
+        rows.setdefault(name, []).append(result)
+        print(name, result, flush=True)
+    table = pd.DataFrame([row_of(name, results) for name, results in rows.items()])
+    print(table.to_string(index=False))
+    if options.streets is None:
+        write_section("Poles", table)
+        write_section("Poles, time and memory", pd.DataFrame([took]))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,608 @@
+"""A learned detector of named measures and small trees.
+
+The cloud is thinned, columns of points become candidates, each gets an axis and the ``MEASURES``,
+and shallow trees grown on simulated streets say how surely it is a pole. Scan lines are not needed.
+``python -m mmqa_lab.studies.poles_training`` makes the trees in ``trees.csv`` again.
+"""
+
+from functools import cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy import ndimage
+
+from mmqa_lab.cloud import sort_into_cells
+from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, pairs, table
+
+VOXEL_M = 0.04
+PLACES = ((0, 0, 0), (0.5, 0.5, 0.5), (0.25, 0.75, 0.25), (0.75, 0.25, 0.75))
+"""Shifts of the thinning grid, in cubes, over which scores are averaged."""
+
+GRID_M, BIN_M, BINS = 0.1, 0.25, 64
+"""Plan cells of candidates; height bins, 16 m in all."""
+
+LOW_M = 0.1
+"""What lies lower above the ground belongs to it."""
+
+RADII_M = np.array([0.08, 0.15, 0.25, 0.40, 0.55])
+SHELL_M, CLEAN = 0.25, 0.15
+"""A bin is clean where the shell around the core has at most that share of the core's points."""
+
+NARROW = 0.6
+"""The core is the narrowest whose clean run is that share of the longest: boards stay outside."""
+
+REACH_M, COARSE_M, WIDE_M, ARCS = 1.0, 0.3, 4.0, 24
+MAX_LEAN, WIDEST_M, APART_M = 0.27, 0.6, 0.6
+THRESHOLD, DOUBT, LENGTH_M = 0.4, 0.02, 1.0
+
+MEASURES = {
+    "run_m": ("longest stretch with points in the core and hardly any around it", 1),
+    "clean_150_m": ("the same of a core of 15 cm", 1),
+    "clean_400_m": ("the same of a core of 40 cm", 1),
+    "core_m": ("radius of the core", 0),
+    "low_m": ("height above ground where the run begins", 0),
+    "column_m": ("longest stretch with points in the core, whatever is around", 0),
+    "points": ("log of the core's points a metre, after thinning", 1),
+    "share": ("share of the core in the points of core and shell", 1),
+    "below_core": ("share of the bins below the run with points in the core", 0),
+    "below_shell": ("the same in the shell", 0),
+    "above_core": ("share of the 2 m above the run with points in the core", 0),
+    "above_shell": ("the same in the shell", 0),
+    "roof": ("share of the plan within 1 m with points right above the run", 0),
+    "beside": ("share of the run's bins with points up to 1 m beside", -1),
+    "crowd": ("log of the points within 0.7 m, up to 5 m high, after thinning", 0),
+    "arcs_beside": ("share of directions with points up to 1 m beside the run", -1),
+    "flat": ("how much what stands beside lies on a line in plan", 0),
+    "off_line_m": ("distance of the axis from that line", 0),
+    "radius_m": ("of the circle through the run's points", 0),
+    "rough_m": ("root mean square distance of the points from the circle", 0),
+    "rough": ("the same by the radius", 0),
+    "uneven": ("spread of the bins' mean distance from the centre, by the radius", -1),
+    "arc": ("share of the circle's directions with points", 0),
+    "slender": ("length of the run by the circle's diameter", 1),
+    "wobble_m": ("root mean square distance of the bins' centres from the axis", -1),
+    "lean_deg": ("lean of the axis", -1),
+    "top_m": ("highest point within 1 m", 0),
+    "around_low": ("share of directions with points 1 to 4 m away, up to 1 m high", 0),
+    "around_mid": ("the same, 1 to 2.5 m high", 0),
+    "around_high": ("the same, 2.5 to 5 m high", 0),
+    "around_top": ("the same, above 5 m", 0),
+}
+"""What the trees are told of a candidate, and whether the score may only rise (1) or fall (-1)."""
+
+
+class Thin(NamedTuple):
+    """Thinned points (n, 3) up to 16 m above ground, their height (n,), and coarse cells."""
+
+    points: np.ndarray
+    height: np.ndarray
+    coarse: np.ndarray
+
+
+def thinned(points, height_of, place=(0, 0, 0)):
+    """Return the centres of the points of each cube of a grid, and of the coarse cells."""
+    order, starts, _ = sort_into_cells(points + VOXEL_M * np.array(place), VOXEL_M)
+    centres = np.add.reduceat(points[order], starts[:-1], axis=0) / np.diff(starts)[:, None]
+    height = centres[:, 2] - height_of(centres)
+    used = (height > LOW_M) & (height < BINS * BIN_M)
+    centres, height = centres[used], height[used]
+    if not len(centres):
+        return Thin(centres, height, centres)
+    cells = np.column_stack([centres[:, :2], height * (COARSE_M / 0.5)])
+    coarse = (sort_into_cells(cells, COARSE_M).places + 0.5) * [COARSE_M, COARSE_M, 0.5]
+    return Thin(centres, height, coarse)
+
+
+SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
+"""Half width of the core and of the ring around it, in cells; a ring of 0 asks for no emptiness."""
+
+SCATTER_M, WIDEST = (0.25, 0.06), 4
+"""On the widest scale, core 4, points scatter more about their axis than on the others."""
+
+TILE, MARGIN = 600, 10
+
+
+def candidates(thin):
+    """Return plan places (k, 2), and how widely points scatter about the axis there (k,), metres.
+
+    A place is a cell whose count of height bins with points and an empty ring is a local maximum on
+    one of four scales.
+    """
+    cell = np.floor(thin.points[:, :2] / GRID_M).astype(np.int64)
+    rows = np.unique(np.column_stack([cell, (thin.height / BIN_M).astype(np.int64)]), axis=0)
+    low = rows[:, :2].min(axis=0)
+    tiles = np.unique((rows[:, :2] - low) // TILE, axis=0)
+    found = []
+    for corner in low + tiles * TILE - MARGIN:
+        place = rows[:, :2] - corner
+        inside = ((place >= 0) & (place < TILE + 2 * MARGIN)).all(axis=1)
+        bits = np.zeros((TILE + 2 * MARGIN,) * 2, np.uint64)
+        level = np.uint64(1) << rows[inside, 2].astype(np.uint64)
+        np.add.at(bits, tuple(place[inside].T), level)  # each bit once: a sum is a union
+        found.append(_tops(bits) + [*corner, 0])
+    found = np.unique(np.concatenate(found), axis=0)
+    return (found[:, :2] + 0.5) * GRID_M, np.where(found[:, 2], *SCATTER_M)
+
+
+def _spread(bits, half, axis):
+    """Union over the cells up to ``half`` away along an axis."""
+    out = bits.copy()
+    for k in range(1, half + 1):
+        out |= np.roll(bits, k, axis) | np.roll(bits, -k, axis)
+    return out
+
+
+def _tops(bits):
+    """Cells of a tile that are local maxima of clean bins, and 1 for those of the widest scale."""
+    held = np.bitwise_count(bits).astype(np.float32)
+    found = np.zeros((*bits.shape, 2), bool)
+    for core, ring in SCALES:
+        clean = _spread(_spread(bits, core, 0), core, 1)
+        for half in (ring - 1, ring) if ring else ():
+            for axis in (0, 1):
+                side = _spread(bits, half, axis)
+                clean &= ~(np.roll(side, half, 1 - axis) | np.roll(side, -half, 1 - axis))
+        value = np.bitwise_count(clean).astype(np.float32)
+        more = 4 * held + ndimage.uniform_filter(held, 2 * core + 1) * (2 * core + 1) ** 2
+        value = np.where((value >= 3) & (bits > 0), value + more / (more + 50), 0)
+        size = 2 * max(core + 1, 3) + 1
+        found[..., int(core == WIDEST)] |= (value > 0) & (
+            value == ndimage.maximum_filter(value, size)
+        )
+    found[:MARGIN] = found[-MARGIN:] = found[:, :MARGIN] = found[:, -MARGIN:] = False
+    return np.argwhere(found)
+
+
+def fit_axes(thin, xy, scatter):
+    """Return robust straight axes (k, 5): place (x, y) at a height, lean (x, y), that height.
+
+    Reweighted least squares of the points within 0.5 m, with Geman-McClure weights whose scale
+    shrinks from 0.15 to 0.06 m; a moment of 1 m2 draws leans towards 0.
+    """
+    a, b = pairs(xy, thin.points, 0.5)
+    k = len(xy)
+    sums = lambda values: np.bincount(a, values, k)  # noqa: E731
+    height = thin.height[b]
+    middle = sums(height) / np.maximum(np.bincount(a, minlength=k), 1)
+    rise, place = height - middle[a], thin.points[b, :2] - xy[a]
+    axes = np.zeros((k, 4))
+    for scale in (0.15, 0.13, 0.11, 0.09, 0.075, 0.06, 0.06, 0.06):
+        off = place - axes[a, :2] - axes[a, 2:] * rise[:, None]
+        w = (1 + (off**2).sum(axis=1) / np.maximum(scale, scatter[a]) ** 2) ** -2.0
+        w0, w1, w2 = sums(w) + 1e-9, sums(w * rise), sums(w * rise**2) + 1.0
+        det = w0 * w2 - w1**2
+        for i in (0, 1):
+            s, t = sums(w * place[:, i]), sums(w * rise * place[:, i])
+            axes[:, i], axes[:, 2 + i] = (w2 * s - w1 * t) / det, (w0 * t - w1 * s) / det
+        axes[:, 2:] = axes[:, 2:].clip(-MAX_LEAN, MAX_LEAN)
+    return np.column_stack([xy + axes[:, :2], axes[:, 2:], middle])
+
+
+def longest_runs(flags):
+    """Return first and last + 1 of the longest run of set flags in each row, gaps of one allowed.
+
+    Examples
+    --------
+    >>> longest_runs(np.array([[1, 1, 0, 1, 0, 0, 1]], bool))
+    (array([0]), array([4]))
+    """
+    low, last = np.full(len(flags), -9), np.full(len(flags), -9)
+    best = np.zeros((2, len(flags)), np.int64)
+    for k, flag in enumerate(flags.T):
+        low = np.where(flag & (k - last > 2), k, low)
+        last = np.where(flag, k, last)
+        longer = flag & (k + 1 - low > best[1] - best[0])
+        best = np.where(longer, [low, np.full(len(flags), k + 1)], best)
+    return best[0], best[1]
+
+
+def measure(thin, axes):
+    """Return the ``MEASURES`` of axes as a DataFrame, and what they say of the shaft.
+
+    Returns
+    -------
+    DataFrame, dict of array
+        The shaft: ``low``, ``high`` (k,) of the run above ground, ``centre`` (k, 2) of the circle
+        beside the axis, metres.
+    """
+    k, out = len(axes), {}
+    a, b = pairs(axes[:, :2], thin.points, REACH_M + 0.3)
+    rise = thin.height[b] - axes[a, 4]
+    off = thin.points[b, :2] - axes[a, :2] - axes[a, 2:4] * rise[:, None]
+    across, level = np.hypot(*off.T), (thin.height[b] / BIN_M).astype(np.int64)
+    near = across < REACH_M
+    a, off, across, level = a[near], off[near], across[near], level[near]
+    bins = np.arange(BINS)
+
+    def held(which):
+        """Points of each candidate and bin."""
+        return np.bincount(a[which] * BINS + level[which], minlength=k * BINS).reshape(k, BINS)
+
+    def filled(counts, first, last):
+        """Share of the bins from first to last with points."""
+        inside = (bins >= first[:, None]) & (bins < last[:, None])
+        return ((counts > 0) & inside).sum(axis=1) / np.maximum(last - first, 1)
+
+    cores = [held(across <= r) for r in RADII_M]
+    shells = [held((across > r) & (across <= r + SHELL_M)) for r in RADII_M]
+    runs = [longest_runs((c > 0) & (s <= CLEAN * c)) for c, s in zip(cores, shells, strict=True)]
+    clean = np.array([last - first for first, last in runs])
+    chosen = (clean >= NARROW * clean.max(axis=0)).argmax(axis=0)
+    rows = np.arange(k)
+    core, shell = np.array(cores)[chosen, rows], np.array(shells)[chosen, rows]
+    low, high = np.array(runs)[chosen, :, rows].T
+    first, last = longest_runs(core > 0)
+    low, high = np.where(high > low, low, first), np.where(high > low, high, last)
+    out["run_m"] = BIN_M * clean[chosen, rows]
+    for r in (1, 3):
+        out[f"clean_{RADII_M[r] * 1000:03.0f}_m"] = BIN_M * clean[r]
+    radius = RADII_M[chosen]
+    out |= {"core_m": radius, "low_m": BIN_M * low, "column_m": BIN_M * (last - first)}
+    in_run = (level >= low[a]) & (level < high[a])
+    own = in_run & (across <= radius[a])
+    n = np.bincount(a[own], minlength=k)
+    out["points"] = np.log1p(n / np.maximum(BIN_M * (high - low), BIN_M))
+    inside = (bins >= first[:, None]) & (bins < last[:, None])
+    dense, empty = (core * inside).sum(axis=1), (shell * inside).sum(axis=1)
+    out["share"] = dense / np.maximum(dense + empty, 1)
+    for name, counts in (("core", core), ("shell", shell)):
+        out[f"below_{name}"] = filled(counts, 0 * low, low)
+        out[f"above_{name}"] = filled(counts, high, np.minimum(high + 8, BINS))
+    over = (level >= high[a]) & (level < high[a] + 3)
+    cell = np.floor(off / 0.25).astype(np.int64) + 4
+    seen = np.unique((a[over] * 8 + cell[over, 0]) * 8 + cell[over, 1]) // 64
+    out["roof"] = np.bincount(seen, minlength=k) / 52
+    beside = in_run & (across > radius[a] + 0.03)
+    out["beside"] = filled(held(beside), low, high)
+    low_near = (across < 0.7) & (level * BIN_M < 5)
+    out["crowd"] = np.log1p(np.bincount(a[low_near], minlength=k))
+    out["arcs_beside"] = _arcs(a[beside], off[beside], k)
+    out["flat"], out["off_line_m"] = _line(a[beside], off[beside], k)
+    centre, r, rough = _circles(a[own], off[own], k)
+    out |= {"radius_m": r, "rough_m": rough}
+    out["arc"] = _arcs(a[own], off[own] - centre[a[own]], k)
+    out["slender"] = np.minimum(out["run_m"] / (2 * r + 0.02), 100)
+    out["rough"] = rough / (r + 0.02)
+    spot = a[own] * BINS + level[own]
+    count = np.bincount(spot, minlength=k * BINS).reshape(k, BINS)
+    held_bins = np.maximum((count > 0).sum(axis=1), 1)
+
+    def binned(values):
+        """Mean of the values of each bin, 0 where there are none."""
+        return np.bincount(spot, values, k * BINS).reshape(k, BINS) / np.maximum(count, 1)
+
+    square = sum(binned(c) ** 2 for c in off[own].T).sum(axis=1)
+    out["wobble_m"] = np.sqrt(square / held_bins)
+    from_centre = np.hypot(*(off[own] - centre[a[own]]).T)
+    means = binned(from_centre)
+    mean = means.sum(axis=1) / held_bins
+    spread = (((means - mean[:, None]) * (count > 0)) ** 2).sum(axis=1) / held_bins
+    out["uneven"] = np.sqrt(spread) / (r + 0.02)
+    out["lean_deg"] = np.degrees(np.arctan(np.hypot(axes[:, 2], axes[:, 3])))
+    out["top_m"] = np.zeros(k)
+    np.maximum.at(out["top_m"], a, BIN_M * level)
+    a, b = pairs(axes[:, :2], thin.coarse, WIDE_M)
+    off = thin.coarse[b, :2] - axes[a, :2]
+    away, z = np.hypot(*off.T) > 1.0, thin.coarse[b, 2]
+    bands = {"low": (0, 1), "mid": (1, 2.5), "high": (2.5, 5), "top": (5, 99)}
+    for name, (lowest, highest) in bands.items():
+        which = away & (z >= lowest) & (z < highest)
+        out[f"around_{name}"] = _arcs(a[which], off[which], k)
+    shaft = {"low": BIN_M * low, "high": BIN_M * high, "centre": centre}
+    return pd.DataFrame(out)[list(MEASURES)].round(4), shaft
+
+
+def _arcs(a, off, k):
+    """Share of the directions in which each of k candidates has points."""
+    arc = ((np.arctan2(off[:, 1], off[:, 0]) / (2 * np.pi) % 1) * ARCS).astype(np.int64) % ARCS
+    return np.bincount(np.unique(a * ARCS + arc) // ARCS, minlength=k) / ARCS
+
+
+def _line(a, off, k):
+    """Flatness in plan of the points of each candidate, and how far their line is from the axis."""
+    n = np.bincount(a, minlength=k)
+    u, v = (np.bincount(a, c, k) / np.maximum(n, 1) for c in off.T)
+    x, y = off[:, 0] - u[a], off[:, 1] - v[a]
+    xx, xy, yy = (np.bincount(a, c, k) / np.maximum(n, 1) for c in (x * x, x * y, y * y))
+    mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    turn = np.arctan2(2 * xy, xx - yy) / 2
+    flat = 1 - (mean - half) / np.maximum(mean + half, 1e-9)
+    away = np.abs(u * np.sin(turn) - v * np.cos(turn))
+    return np.where(n < 5, 0, flat), np.where(n < 5, REACH_M, away)
+
+
+def _circles(a, off, k, steps=5, hold=0.02):
+    """Centre, radius and misfit of the circle through the points of each of k candidates.
+
+    An algebraic circle (Taubin), then five steps of Gauss and Newton.
+    """
+    n = np.maximum(np.bincount(a, minlength=k), 1)
+    mean = lambda values: np.bincount(a, values, k) / n  # noqa: E731
+    middle = np.column_stack([mean(c) for c in off.T])
+    x, y = (off - middle[a]).T
+    z = x * x + y * y
+    zz = mean(z)
+    scale = np.sqrt(np.maximum(zz, 1e-9))
+    # Kasa's circle, with Taubin's normalisation left to the steps that follow
+    xx, xy, yy, xz, yz = mean(x * x), mean(x * y), mean(y * y), mean(x * z), mean(y * z)
+    firm = 1e-4 * zz + 1e-7
+    det = (xx + firm) * (yy + firm) - xy**2
+    cx = (xz * (yy + firm) - yz * xy) / det / 2
+    cy = (yz * (xx + firm) - xz * xy) / det / 2
+    far = np.maximum(np.hypot(cx, cy) / WIDEST_M, 1)
+    cx, cy = cx / far, cy / far
+    r = np.sqrt(zz + cx**2 + cy**2)
+    for _ in range(steps):
+        u, v = x - cx[a], y - cy[a]
+        d = np.maximum(np.hypot(u, v), 1e-6)
+        p, q, e = u / d, v / d, d - r[a]
+        w = 1 / (1 + (e / 0.03) ** 2) ** 2
+        terms = [np.ones(len(w)), p, q]
+        m = np.array([[mean(w * s * t) for t in terms] for s in terms]).transpose(2, 0, 1)
+        m[:, range(3), range(3)] += hold
+        step = np.linalg.solve(m, np.stack([mean(w * s * e) for s in terms], -1)[..., None])[..., 0]
+        r = np.clip(r + step[:, 0], 0.01, WIDEST_M)
+        cx, cy = cx + step[:, 1], cy + step[:, 2]
+    e = np.hypot(x - cx[a], y - cy[a]) - r[a]
+    return middle + np.column_stack([cx, cy]), r, np.minimum(np.sqrt(mean(e * e)), scale)
+
+
+class Trees(NamedTuple):
+    """Nodes of all trees, one below the other, (n,) each.
+
+    A node asks whether ``feature`` is at most ``limit``: then ``left`` is the next node, else
+    ``right``; leaves have -1 there. ``value`` is the log odds that all candidates at the node have
+    beside those of the trees before; ``root`` (trees,) has the first node of each.
+    """
+
+    feature: np.ndarray
+    limit: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    value: np.ndarray
+    root: np.ndarray
+
+    def parts(self, measures):
+        """Return what each measure adds to the log odds, (k, measures), and what all begin with.
+
+        On its way through a tree a candidate moves from one node's value to the next one's: the
+        step belongs to the measure that was asked.
+        """
+        x = np.asarray(measures, float)
+        rows, parts = np.arange(len(x)), np.zeros(x.shape)
+        for root in self.root:
+            node = np.full(len(x), root)
+            for _ in range(DEPTH):
+                asked = self.feature[node]
+                inner = self.left[node] >= 0
+                less = x[rows, asked] <= self.limit[node]
+                new = np.where(inner, np.where(less, self.left[node], self.right[node]), node)
+                parts[rows, asked] += self.value[new] - self.value[node]
+                node = new
+        return parts, self.value[self.root].sum()
+
+    def score(self, measures):
+        """Return the probability of a pole that the trees give, (k,)."""
+        parts, first = self.parts(measures)
+        return 1 / (1 + np.exp(-parts.sum(axis=1) - first))
+
+
+DEPTH = 4
+
+
+def grow(measures, label, weight=None, *, rounds=200, leaves=10, rate=0.1, leave=()):
+    """Return ``Trees`` grown by gradient boosting of the log loss.
+
+    Parameters
+    ----------
+    measures : DataFrame
+        Of :func:`measure`.
+    label : array, shape (k,)
+        1 for poles, 0 for others.
+    weight : array, shape (k,), optional
+    rounds, leaves, rate : int, int, float
+        Number of trees, leaves of each, learning rate.
+    leave : tuple of str
+        Measures that the trees may not ask for.
+    """
+    import lightgbm
+
+    x = measures.to_numpy(float) * ~np.isin(list(MEASURES), leave)
+    choices = {"objective": "binary", "num_leaves": leaves, "learning_rate": rate}
+    choices |= {"max_depth": DEPTH, "min_data_in_leaf": 30, "lambda_l2": 5.0}
+    choices |= {"feature_fraction_bynode": 0.4, "deterministic": True, "force_row_wise": True}
+    choices |= {"num_threads": 1, "seed": 0, "verbose": -1}
+    choices["monotone_constraints"] = [way for _, way in MEASURES.values()]
+    weight = None if weight is None else weight / np.mean(weight)
+    data = lightgbm.Dataset(x, label, weight=weight)
+    return trees_of(lightgbm.train(choices, data, num_boost_round=rounds))
+
+
+def trees_of(model):
+    """Return the ``Trees`` of a ``lightgbm.Booster``."""
+    rows = []
+
+    def add(node):
+        """Write a node and what is below it; return its number."""
+        number = len(rows)
+        rows.append([0, 0.0, -1, -1, node.get("leaf_value", node.get("internal_value"))])
+        if "split_feature" in node:
+            sides = add(node["left_child"]), add(node["right_child"])
+            rows[number][:4] = node["split_feature"], node["threshold"], *sides
+        return number
+
+    root = [add(tree["tree_structure"]) for tree in model.dump_model()["tree_info"]]
+    feature, limit, left, right, value = (np.array(column) for column in zip(*rows, strict=True))
+    return Trees(feature, limit, left, right, value, np.array(root))
+
+
+class Described(NamedTuple):
+    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``, height of the ``ground``."""
+
+    axes: np.ndarray
+    measures: pd.DataFrame
+    shaft: dict
+    ground: np.ndarray
+
+    @property
+    def middle(self):
+        """Place of the axes at half the height of the run, (k, 2): where the circle is one, its
+        centre."""
+        half = (self.shaft["low"] + self.shaft["high"]) / 2 - self.axes[:, 4]
+        centre, radius = self.shaft["centre"], self.measures["radius_m"].to_numpy()
+        is_arc = (self.measures["arc"].to_numpy() > 0.2) & (np.hypot(*centre.T) < 1.3 * radius)
+        shift = self.axes[:, 2:4] * half[:, None] + centre * is_arc[:, None]
+        return self.axes[:, :2] + shift
+
+
+def describe(points):
+    """Return the ``Described`` candidates of points (n, 3), metres from an origin nearby."""
+    nothing = Described(np.empty((0, 5)), pd.DataFrame(columns=[*MEASURES]), {}, np.empty(0))
+    if not len(points):
+        return nothing
+    height_of = ground(points)
+    thin = thinned(points, height_of)
+    axes = fit_axes(thin, *candidates(thin)) if len(thin.points) else nothing.axes
+    return Described(axes, *measure(thin, axes), height_of(axes)) if len(axes) else nothing
+
+
+def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
+    """Return the poles of points (n, 3) as :func:`mmqa_lab.poles.detect` does.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Metres from an origin nearby.
+    threshold : float
+        Least score of a pole.
+    trees : Trees, optional
+        The package's where left out.
+    explain : bool
+        Return all candidates with the test that rejected them, the measures, and what each adds to
+        the log odds.
+    """
+    trees = shipped() if trees is None else trees
+    found, height_of = describe(points), ground(points) if len(points) else None
+    if not len(found.axes):
+        return table(dict.fromkeys(COLUMNS, np.empty(0)), "learned", explain=explain)
+    axes = found.axes
+    score = trees.score(found.measures)
+    open_ = score > DOUBT
+    for place in PLACES[1:]:
+        again = measure(thinned(points, height_of, place), axes[open_])[0]
+        score[open_] += trees.score(again)
+    score[open_] /= len(PLACES)
+    low, high = found.shaft["low"], found.shaft["high"]
+    short = found.measures["column_m"].to_numpy() < LENGTH_M
+    reason = first_reason(len(score), score=score < threshold, length=short)
+    xy = found.middle
+    drop_duplicates(xy, score, reason, APART_M)
+    rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": found.ground + low}
+    rows |= {"height_m": high - low}
+    kept = reason == ""
+    for name in ("diameter_m", "diameter_low_m", "diameter_high_m"):
+        rows[name] = np.full(len(score), np.nan)
+    if kept.any():
+        diameter, half = diameters(points, height_of, found, kept)
+        rows["diameter_m"][kept] = diameter
+        rows["diameter_low_m"][kept] = np.maximum(diameter - half, 0)
+        rows["diameter_high_m"][kept] = diameter + half
+    rows |= {"lean_x": axes[:, 2], "lean_y": axes[:, 3], "score": score, "rejected_by": reason}
+    if explain:
+        rows |= dict(found.measures) | {
+            f"adds_{name}": part
+            for name, part in zip(MEASURES, trees.parts(found.measures)[0].T, strict=True)
+        }
+    return table(rows, "learned", explain=explain)
+
+
+GROUPS, FEWEST, ROUGH_M = 8, 15, 0.03
+"""Stretches of height that are left out in turn; points, and misfit, of a circle that tells."""
+
+SHARE, FLOOR_M = 0.03, 0.004
+"""What a circle may miss beside its scatter: tapers, bark, split beams; part of the diameter, m."""
+
+
+def diameters(points, height_of, found, kept):
+    """Return the diameters of kept candidates halfway up their run, and half of a 95 % interval.
+
+    Circles through the points of the cloud around each axis, of all heights and with one of eight
+    stretches of height left out in turn (a jackknife), metres; NaN where points do not make one.
+    """
+    axes, low, high = found.axes[kept], found.shaft["low"][kept], found.shaft["high"][kept]
+    core, k = found.measures["core_m"].to_numpy()[kept], kept.sum()
+    a, b = pairs(axes[:, :2], points, REACH_M)
+    height = points[b, 2] - height_of(points[b])
+    off = points[b, :2] - axes[a, :2] - axes[a, 2:4] * (height - axes[a, 4])[:, None]
+    own = (np.hypot(*off.T) <= core[a]) & (height >= low[a]) & (height < high[a])
+    a, off, height = a[own], off[own], height[own]
+    part = ((height - low[a]) / (high - low)[a] * GROUPS).astype(np.int64)
+    _, radius, rough = _circles(a, off, k, steps=30, hold=1e-3)
+    others = [
+        _circles(a[part != g], off[part != g], k, steps=30, hold=1e-3)[1] for g in range(GROUPS)
+    ]
+    std = np.sqrt((GROUPS - 1) * np.var(others, axis=0)) * 2
+    told = (np.bincount(a, minlength=k) >= FEWEST) & (rough < ROUGH_M)
+    half = np.hypot(3 * std, FLOOR_M + SHARE * 2 * radius)
+    told &= half < radius
+    return np.where(told, 2 * radius, np.nan), np.where(told, half, np.nan)
+
+
+COLUMNS = ("x_m", "y_m", "z_base_m", "height_m", "diameter_m", "diameter_low_m")
+COLUMNS += ("diameter_high_m", "lean_x", "lean_y", "score", "rejected_by")
+
+
+def lessons(points, targets, *, weight=1.0):
+    """Return what a cloud teaches: measures, 1 for visible poles and 0 for others, weights.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Metres.
+    targets : DataFrame
+        Poles: ``x_m``, ``y_m`` at half height, ``lean_x``, ``lean_y``, ``z_base_m``, ``height_m``,
+        ``visible``.
+    weight : float
+        Of this cloud beside others; a cloud weighs as the root of its candidates' number.
+
+    Returns
+    -------
+    DataFrame, Series, Series
+        Candidates nearer than 0.3 m to a visible pole are that pole; those up to 0.6 m away, and
+        those near a pole that the cloud hardly shows, are left out.
+    """
+    origin = np.floor(points.min(axis=0))
+    found = describe(points - origin)
+    half = targets["height_m"].to_numpy() / 2
+    height = found.ground + (found.shaft["low"] + found.shaft["high"]) / 2 + origin[2]
+    rise = np.clip(height[:, None] - targets["z_base_m"].to_numpy() - half, -half, half)
+    off = found.middle[:, None] + origin[:2] - targets[["x_m", "y_m"]].to_numpy()
+    away = np.linalg.norm(off - targets[["lean_x", "lean_y"]].to_numpy() * rise[..., None], axis=2)
+    right = ((away < 0.3) & targets["visible"].to_numpy()).any(axis=1)
+    use = right | (away > 0.6).all(axis=1)
+    label = pd.Series(right[use].astype(int))
+    return found.measures[use], label, 0 * label + weight / np.sqrt(max(use.sum(), 1))
+
+
+def write(trees, path):
+    """Write ``Trees`` as text: one node a row."""
+    first = np.isin(np.arange(len(trees.left)), trees.root)
+    rows = np.column_stack(
+        [first, trees.feature, trees.limit, trees.left, trees.right, trees.value]
+    )
+    head = "first,measure,limit,left,right,value"
+    np.savetxt(path, rows, fmt="%d,%d,%.10g,%d,%d,%.6g", header=head, comments="", newline="\n")
+
+
+FILE = resources.files("mmqa_lab.poles").joinpath("trees.csv")
+
+
+@cache
+def shipped():
+    """Return the trees that come with the package."""
+    with FILE.open() as file:
+        first, feature, limit, left, right, value = np.loadtxt(file, delimiter=",", skiprows=1).T
+    feature, left, right = (part.astype(np.int64) for part in (feature, left, right))
+    return Trees(feature, limit, left, right, value, np.flatnonzero(first))
