@@ -45,7 +45,7 @@ SETTINGS = {
 }
 """All cells stay in the page; no news pop up."""
 
-NOTEBOOKS = ("02_repeatability", "03_anisotropy")
+NOTEBOOKS = ("03_anisotropy",)
 """Of these only the cells with controls and what they need: other tests run them whole."""
 
 

@@ -34,8 +34,25 @@ def outline_corner(picture):
     return int(columns[best]), int(rows[best])
 
 
-def test_dragging_a_vertex_changes_numbers_and_picture(ran):
-    page = ran("02_repeatability")
+WALL = """
+%matplotlib inline
+import numpy as np
+from mmqa_lab import widgets
+
+widgets.SelectionTool(np.random.default_rng(0).uniform(0, 4, (3000, 3)) * [1, 0, 0.5])
+"""
+
+
+def write(folder, name, *sources):
+    """Write a notebook of these cells into the folder that JupyterLab serves."""
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)"}}
+    cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), folder / name)
+
+
+def test_dragging_a_vertex_changes_numbers_and_picture(ran, lab_folder):
+    write(lab_folder, "wall.ipynb", WALL)
+    page = ran("wall")
     line = page.locator(".widget-html", has_text="points/m²").first
     expect(line).to_be_visible(timeout=RUN_MS)
     canvas = page.locator(".jupyter-matplotlib-canvas-div").first
@@ -96,9 +113,7 @@ def show(tool):
 
 
 def test_a_click_in_the_list_chooses_a_plane_and_all_follows(ran, lab_folder):
-    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3 (ipykernel)"}}
-    cells = [nbformat.v4.new_code_cell(source) for source in (SCENE, FOLLOWS)]
-    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), lab_folder / "s.ipynb")
+    write(lab_folder, "s.ipynb", SCENE, FOLLOWS)
     page = ran("s")
     expect(page.get_by_text("slope 0", exact=True)).to_be_visible(timeout=RUN_MS)
     picture = page.locator(".jp-OutputArea-output img").last
