@@ -492,8 +492,8 @@ def poles(
 ):
     """Detect poles in clouds of one street; with a reference, score them.
 
-    Methods: learned (any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu et al.
-    2011).
+    Methods: learned (any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu et
+    al. 2011).
 
     Parameters
     ----------

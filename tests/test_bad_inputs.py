@@ -150,8 +150,10 @@ FUNCTIONS = [
     (lambda: scan_pattern.measure_pattern(LINES, scan_line=[0] * 81), "Invalid patch: 1 profiles"),
     (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
     (lambda: mimic.profile_spacing_horizontal(0.1, np.nan, 0), "Invalid alpha_scan nan"),
-    (lambda: mimic.point_spacing((0, 90), (0, 0), h_r=5, height_difference=0, theta_a=0.1),
-     "Invalid gamma_scan 90"),
+    (
+        lambda: mimic.point_spacing((0, 90), (0, 0), h_r=5, height_difference=0, theta_a=0.1),
+        "Invalid gamma_scan 90",
+    ),
 ]
 
 

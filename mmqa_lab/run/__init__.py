@@ -9,8 +9,6 @@ import platform
 import re
 import subprocess
 import time
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +26,7 @@ from mmqa_lab.io import write_atomically
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Check", "Run", "results_folder"]
+__all__ = ["Run", "results_folder"]
 __dir__ = __all__.copy
 
 FORMATS = ("pdf", "svg", "png")
@@ -51,35 +49,6 @@ KINDS = ("published", "predicted", "fitted", "measured")
 that it comes close, or taken from a real or simulated cloud or image."""
 
 DIGITS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-
-
-@dataclass(frozen=True)
-class Check:
-    """A statement of a study, compared with the numbers of a run.
-
-    Parameters
-    ----------
-    statement : str
-        What the notebook says.
-    passed : bool
-        Whether it is true of this run.
-    obtained : str
-        The numbers of this run.
-    reason : str
-        Where the tolerance comes from.
-
-    Examples
-    --------
-    >>> ratio = 40.1 / 20.0
-    >>> check = Check("f is 2.", abs(ratio - 2) < 0.01, f"f = {ratio:.3f}", "digits of d1 and d4")
-    >>> check.passed, check.obtained
-    (True, 'f = 2.005')
-    """
-
-    statement: str
-    passed: bool
-    obtained: str
-    reason: str
 
 
 def results_folder() -> Path:
@@ -265,12 +234,6 @@ class Run:
         self._record["checks_passed"] = int(frame["passed"].sum())
         self._write_table(frame, "checks")
 
-    def save_checks(self, *groups: Iterable[Check]) -> None:
-        """Check each statement of the groups; a generator that raises is one that did not pass."""
-        for group in groups:
-            for one in _worked_out(group):
-                self.check(**asdict(one))
-
     def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write what the study says of printed results as ``ledger.csv``.
 
@@ -387,19 +350,6 @@ def _commit():
         return subprocess.run(command, cwd=here, capture_output=True, text=True).stdout.strip()
     except OSError:
         return ""
-
-
-def _worked_out(checks):
-    """The checks, with one for an error in place of those that could not be worked out."""
-    try:
-        yield from checks
-    except Exception as error:  # of any kind: with other parameters a table may lack a row
-        yield Check(
-            "The other checks can be worked out for these parameters.",
-            False,
-            f"{type(error).__name__}: {error}",
-            "they look up cases of the delivered parameters",
-        )
 
 
 def _described(figure):
