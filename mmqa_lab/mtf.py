@@ -217,7 +217,7 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     distance = (columns[None, :] - np.polyval(place, rows)[:, None]) * np.cos(angle)
     along = np.broadcast_to((rows / np.abs(rows).max())[:, None], image.shape)
     block = np.broadcast_to((np.arange(len(rows)) * BLOCKS // len(rows))[:, None], image.shape)
-    shape = _logistic if method == "logistic" else _gaussian
+    shape = _logistic if method == "logistic" else spread_edge
     fit = _Sigmoid(distance.ravel(), along.ravel(), image.ravel(), angle, shape)
     fit.check(len(rows))
     seen = _by_bins(fit, block.ravel()) if method == "binned" else _by_sigmoid(fit)
@@ -300,10 +300,6 @@ class _Sigmoid:
                 f"Invalid edge: the profile leaves a single step by {self.strange():.0%} of it. "
                 "Must show one edge between two plain sides."
             )
-
-
-def _gaussian(distance, width, angle):
-    return spread_edge(distance, width, angle)
 
 
 def _logistic(distance, width, angle):
@@ -548,15 +544,6 @@ class StarMtf(Shown):
         spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms) / abs(line[0])
         found = float(np.sqrt(place))
         return found, float(np.hypot(spread / (2 * found), LENS_SHARE * found))
-
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Draw the MTF with 95 % intervals."""
-        from mmqa_lab import plots
-
-        ax = plots.subplots()[1] if ax is None else ax
-        ax.errorbar(self.frequency, self.mtf, yerr=1.96 * self.std, fmt=".", ms=3)
-        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", ylim=(0, None))
-        return ax
 
     def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
@@ -886,19 +873,20 @@ def _diffraction(x):
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
 
 
-LENS_TRANSFERS = {
-    "gaussian": lambda x: np.exp(-2 * (np.pi * x) ** 2),
-    "disc": _disc,
-    "diffraction": _diffraction,
-}
+def _gauss(x):
+    """Transfer of a Gaussian at cycles per standard deviation."""
+    return np.exp(-2 * (np.pi * x) ** 2)
 
 
-def _lens_mtf(shape, width, frequencies):
+LENS_TRANSFERS = (_gauss, _disc, _diffraction)
+
+
+def _lens_mtf(transfer, width, frequencies):
     """Return the transfer function of a lens and a square pixel, the mean of all directions."""
     turn = np.radians(np.arange(2.5, 45, 5))[:, None]
     f = np.ravel(frequencies)
     pixel = (np.sinc(f * np.cos(turn)) * np.sinc(f * np.sin(turn))).mean(axis=0)
-    return (LENS_TRANSFERS[shape](f * width) * pixel).reshape(np.shape(frequencies))
+    return (transfer(f * width) * pixel).reshape(np.shape(frequencies))
 
 
 def _lens_of(frequency, contrast):
@@ -909,14 +897,14 @@ def _lens_of(frequency, contrast):
     known = np.isfinite(contrast) & (contrast > 0.05 * np.nanmax(contrast))
     f, seen = frequency[known], contrast[known]
 
-    def misfit(log_width, shape):
+    def misfit(log_width, transfer):
         """What is left of the contrasts with the best scale."""
-        model = np.abs(_lens_mtf(shape, np.exp(log_width), f))
+        model = np.abs(_lens_mtf(transfer, np.exp(log_width), f))
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     choices = {"bounds": np.log(SIGMAS_PX), "method": "bounded"}
-    fits = {name: minimize_scalar(misfit, args=(name,), **choices) for name in LENS_TRANSFERS}
-    best = min(fits, key=lambda name: fits[name].fun)
+    fits = {one: minimize_scalar(misfit, args=(one,), **choices) for one in LENS_TRANSFERS}
+    best = min(fits, key=lambda one: fits[one].fun)
     return partial(_lens_mtf, best, float(np.exp(fits[best].x)))
 
 

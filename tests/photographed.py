@@ -18,20 +18,6 @@ PERIOD_PX = 8.83
 ROWS = (800.0, 980.0)
 """The rows of the photograph that show nothing but those pairs."""
 
-EDGES = {
-    "slanted_edge.tif": ((slice(None), slice(None)), 0.285),
-    "iso_chart_mono.jpg, left edge": ((slice(478, 652), slice(380, 490)), 0.34),
-    "iso_chart_mono.jpg, top edge": ((slice(353, 440), slice(478, 761)), 0.28),
-}
-"""Rows and columns of real edges, and MTF50 in cycles per pixel by published tools."""
-
-
-def real_edges():
-    """Names, grey values and published MTF50 of the real edges."""
-    for name, (part, published) in EDGES.items():
-        path = samples.real_path(f"images/{name.split(',')[0]}")
-        yield name, io.read_image(path)[part] / 255, published
-
 
 class RealPairs:
     """The photograph of 44 line pairs and where its bars are."""
