@@ -530,8 +530,6 @@ def empirical_line(
     >>> round(float(line.reflectance(600)), 3)
     0.15
     """
-    from statsmodels.regression.linear_model import WLS
-
     dn = np.asarray(dn, dtype=np.float64)
     known = np.broadcast_to(np.asarray(reflectance, np.float64) * anisotropy, dn.shape)
     if dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0:
@@ -549,14 +547,12 @@ def empirical_line(
     std = np.ones_like(dn) if std_dn is None else np.hypot(slope * np.asarray(std_dn), std)
     if (std <= 0).any():
         raise ValueError("Invalid standard errors. Must be > 0 DN.")
-    fit = WLS(
-        known,
-        np.stack([dn, np.ones_like(dn)], axis=1),
-        weights=np.broadcast_to(std, dn.shape) ** -2.0,
-    ).fit()
-    spread = 1.0 if std_dn is not None else fit.scale if len(dn) > 2 else np.nan
-    slope, intercept = map(float, fit.params)
-    return EmpiricalLine(slope, intercept, fit.normalized_cov_params * spread, fit.resid)
+    weight = np.broadcast_to(1 / std, dn.shape)
+    line, covariance = np.polyfit(dn, known, 1, w=weight, cov="unscaled")
+    left = known - np.polyval(line, dn)
+    if std_dn is None:
+        covariance = covariance * (left @ left / (len(dn) - 2) if len(dn) > 2 else np.nan)
+    return EmpiricalLine(*map(float, line), covariance, left)
 
 
 def ndvi(
@@ -847,8 +843,7 @@ def adjust_block(
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= CONVERGED:
             inverse = _covariance(normal, parameters)
-            _warn_of_control(block, estimate, value, std, scaled)
-            _warn_of_shadow((np.abs(scaled) > SHADOW * _misfit_scale(scaled)).mean())
+            _warn(block, estimate, value, std, scaled)
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
             return replace(adjusted, absolute=control is not None)
     raise ValueError(
@@ -995,28 +990,22 @@ def _result(block, observations, estimate, inverse, free, scaled):
     return adjusted
 
 
-def _warn_of_control(block, estimate, value, std, scaled):
-    """Warn of targets whose known reflectance contradicts that of the others."""
+def _warn(block, estimate, value, std, scaled):
+    """Warn of known reflectances that contradict the others, and of many odd observations."""
     value, std, estimate = (one[-len(block.ties) :] for one in (value, std, estimate))
     pull = np.abs(estimate - value) / std  # 0 of ties whose reflectance is not known
-    misfit = pd.Series(scaled).groupby(block.tie).median().abs() / _misfit_scale(scaled)
+    size = scaled / _misfit_scale(scaled)
+    misfit = pd.Series(size).groupby(block.tie).median().abs()
     doubtful = block.ties[np.isfinite(std) & (np.maximum(pull, misfit) > CONTRADICTION)]
-    if len(doubtful):
-        warnings.warn(
-            f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in "
-            "shadow does: the gains may be wrong by more than their deviations.",
-            stacklevel=3,
-        )
-
-
-def _warn_of_shadow(share):
-    """Warn where many observations do not count."""
-    if share > LARGEST_SHADOW:
-        warnings.warn(
-            f"{share:.0%} of the observations contradict the others, as those in shadow do: they "
-            "do not count.",
-            stacklevel=3,
-        )
+    odd = (np.abs(size) > SHADOW).mean()
+    doubts = {
+        f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
+        "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,
+        f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do not "
+        "count.": odd > LARGEST_SHADOW,
+    }
+    for text in (text for text, true in doubts.items() if true):
+        warnings.warn(text, stacklevel=3)
 
 
 def _misfit_scale(scaled):
