@@ -204,7 +204,8 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
     12
     """
     cases = grid(air=airs, band=tuple(BANDS), reference_std=reference_stds)
-    return Comparison(cases, dict(methods or METHODS), field, class_errors, seeds=seeds)
+    choices = {"seeds": seeds, "figures": ("uniform_percent",)}
+    return Comparison(cases, dict(methods or METHODS), field, class_errors, **choices)
 
 
 EXACT = "Targets are simulated; clean air is known to the method exactly: a lower bound."

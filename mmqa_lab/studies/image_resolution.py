@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.optimize import brentq
 
 from mmqa_lab import io, samples
-from mmqa_lab.bench import Comparison, grid
+from mmqa_lab.bench import Comparison, cell_table, grid
 from mmqa_lab.mtf import fit_edge
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate.targets import PointSpread, render_edge
@@ -107,6 +107,26 @@ METHODS = {
 """Estimators of resolution: functions of a patch, grey values (rows, columns) with one edge."""
 
 
+def errors_by_lens(cells, name="mtf50"):
+    """Median error, and the error that 95 % of edges do not exceed, by method and lens.
+
+    Parameters
+    ----------
+    cells : DataFrame
+        Of :func:`mmqa_lab.bench.cell_table`.
+    name : {"mtf50", "fwhm_px"}
+
+    Returns
+    -------
+    DataFrame
+        ``median_percent``, ``largest_95_percent``, ``n``, over method and lens.
+    """
+    errors = cells.groupby(["method", "lens"], sort=False)[f"{name}_error_percent"]
+    table = pd.DataFrame({"median_percent": errors.median()})
+    table["largest_95_percent"] = errors.agg(lambda one: one.abs().quantile(0.95))
+    return table.assign(n=errors.count())
+
+
 def bench(methods=None, mtf50s=(0.1, 0.15, 0.2, 0.3, 0.4), noises=(0.01, 0.03), seeds=range(10)):
     """Return the study's comparison: estimators of resolution on edges of known blur.
 
@@ -125,8 +145,11 @@ def bench(methods=None, mtf50s=(0.1, 0.15, 0.2, 0.3, 0.4), noises=(0.01, 0.03), 
     30
     """
     cases = grid(lens=LENSES, mtf50=mtf50s, noise=noises)
-    methods = dict(methods or METHODS)
-    return Comparison(cases, methods, edge_patch, edge_errors, seeds=seeds)
+    choices = {"seeds": seeds, "figures": ("mtf50_error_percent",)}
+    choices["tables"] = lambda results: {
+        "errors": errors_by_lens(cell_table(results)).reset_index()
+    }
+    return Comparison(cases, dict(methods or METHODS), edge_patch, edge_errors, **choices)
 
 
 def ledger_table(corner):
