@@ -843,7 +843,7 @@ def adjust_block(
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= CONVERGED:
             inverse = _covariance(normal, parameters)
-            _warn(block, estimate, value, std, scaled)
+            _warn(block, estimate, value, std, misfit)
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
             return replace(adjusted, absolute=control is not None)
     raise ValueError(
@@ -990,14 +990,16 @@ def _result(block, observations, estimate, inverse, free, scaled):
     return adjusted
 
 
-def _warn(block, estimate, value, std, scaled):
+def _warn(block, estimate, value, std, misfit):
     """Warn of known reflectances that contradict the others, and of many odd observations."""
     value, std, estimate = (one[-len(block.ties) :] for one in (value, std, estimate))
-    pull = np.abs(estimate - value) / std  # 0 of ties whose reflectance is not known
-    size = scaled / _misfit_scale(scaled)
-    misfit = pd.Series(size).groupby(block.tie).median().abs()
-    doubtful = block.ties[np.isfinite(std) & (np.maximum(pull, misfit) > CONTRADICTION)]
-    odd = (np.abs(size) > SHADOW).mean()
+    share = misfit / np.maximum(block.signal - misfit, block.signal / 10)
+    spread = _misfit_scale(share)
+    # by how much images and control differ, and may differ
+    of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate
+    limit = CONTRADICTION * np.hypot(std, spread * estimate)
+    doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
+    odd = (np.abs(share) > SHADOW * spread).mean()
     doubts = {
         f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
         "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,
