@@ -6,13 +6,30 @@ from dataclasses import replace
 import cv2
 import laspy
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 
-from mmqa_lab import chart_cloud, io, plots, samples, scan_pattern, spacing
+from mmqa_lab import (
+    chart_cloud,
+    charts,
+    io,
+    lines,
+    planes,
+    plots,
+    repeatability,
+    samples,
+    scan_pattern,
+    simulate,
+    spacing,
+    stats,
+)
 from mmqa_lab.__main__ import main
+from mmqa_lab._checks import check_count, check_number
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern import mimic
+from mmqa_lab.simulate import cameras
+from mmqa_lab.simulate.point_patterns import point_pattern
 
 PATCH = str(samples.path("road_patch"))
 PLAN = "plan --pulse-rate 3e5 --mirror-frequency 100 --speed 10 --range 5"
@@ -109,6 +126,12 @@ SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
 HEAD = {"pulse_rate_hz": 3e5, "mirror_frequency_hz": 100, "speed_m_s": 10}
 SETUP, WALL = scan_pattern.ScanSetup(**HEAD), scan_pattern.Target(range_m=5)
 LINES = np.stack(np.meshgrid([0.0], np.arange(9) / 9, np.arange(9) / 9), axis=-1).reshape(-1, 3)
+EDGE = np.array([[[0, 0, 0], [1, 0, 0.0]]])
+SCANNER = simulate.Scanner(pulse_rate_hz=3e5, mirror_frequency_hz=100)
+DRIVE = simulate.straight(10, 1)
+CAMERA, CHART = cameras.PanoramaCamera(2000), charts.imaging_chart()
+STILL = {"h_r": 5, "height_difference": 0, "theta_a": 0.1}
+RATED = pd.DataFrame({"scan": [1, 1, 2], "f": [1, 2, 3.0]})
 
 FUNCTIONS = [
     (lambda: chart_cloud.evaluate_cloud("road_patch.laz"), "Must be real numbers."),
@@ -150,10 +173,46 @@ FUNCTIONS = [
     (lambda: scan_pattern.measure_pattern(LINES, scan_line=[0] * 81), "Invalid patch: 1 profiles"),
     (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
     (lambda: mimic.profile_spacing_horizontal(0.1, np.nan, 0), "Invalid alpha_scan nan"),
-    (
-        lambda: mimic.point_spacing((0, 90), (0, 0), h_r=5, height_difference=0, theta_a=0.1),
-        "Invalid gamma_scan 90",
-    ),
+    (lambda: mimic.point_spacing((0, 90), (0, 0), **STILL), "Invalid gamma_scan 90"),
+    (lambda: check_count(2.5, "repeats"), "Invalid repeats 2.5. Must be a whole number >= 1."),
+    (lambda: check_number(-1, "speed", low=0, unit="m/s"), "Must be >= 0 m/s."),
+    (lambda: Cloud(SQUARE, {"ring": [1, 2]}), "Invalid column 'ring' of shape (2,)."),
+    (lambda: stats.wilson(5, 4), "Invalid k 5. Must be <= n = 4."),
+    (lambda: stats.errors([np.inf]), "Invalid errors: infinite."),
+    (lambda: planes.fit_line([[1, 1], [1, 1]]), "Must span a line"),
+    (lambda: planes.fit_plane(SQUARE).horizontal_axes(), "Must be 0.1 degrees or more"),
+    (lambda: planes.sigma_mad([np.nan]), "Must be a row of finite numbers"),
+    (lambda: lines.extract_edges(SQUARE, minimum=2), "Must be a whole number >= 3"),
+    (lambda: lines.extract_edges(SQUARE, angle=120), "Invalid angle 120"),
+    (lambda: lines.components(0 * EDGE, EDGE), "no length in row 0"),
+    (lambda: lines.components(np.zeros((3, 5)), EDGE), "shape (3, 5)"),
+    (lambda: lines.components(np.float32(EDGE + [6e6, 0, 0]), EDGE), "float32 beyond"),
+    (lambda: lines.components(EDGE, EDGE, rotate="longer"), "Must be one of test, shorter"),
+    (lambda: lines.components(EDGE, EDGE, within="touch"), "one of containment, overlap"),
+    (lambda: lines.peak_threshold([-0.1, 0.2]), "Invalid nearest distances"),
+    (lambda: lines.correspond([[1.0]], 1.0, matcher="fragments"), "Must be test and model"),
+    (lambda: lines.pairing_scores([[True]], [[True, False]]), "the truth's shape"),
+    (lambda: lines.lhd(EDGE, EDGE + 651_000), "one coordinate"),
+    (lambda: lines.lhd(EDGE, EDGE, pairs=[[1]]), "Invalid pairs of type int64"),
+    (lambda: lines.compare({"a": EDGE}), "two or more"),
+    (lambda: lines.compare({"a": EDGE, "b": []}), "empty b"),
+    (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
+    (lambda: simulate.wall((0, 0, 0), (3, 0, 0), 2, openings=[(1, 1, 3, 0.5)]), "Must lie with"),
+    (lambda: simulate.Scene([]), "Invalid surfaces: none"),
+    (lambda: simulate.Scene([simulate.ground()]).cast((0, 0, 1), [[0, 0, 0]]), "in row 0"),
+    (lambda: replace(SCANNER, field_of_view_deg=(30, 10)), "Invalid field_of_view_deg 10"),
+    (lambda: replace(SCANNER, dropout_share=1.5), "Invalid dropout_share 1.5."),
+    (lambda: replace(SCANNER, lever_arm_m=(0, 0)), "Invalid lever_arm_m"),
+    (lambda: simulate.Trajectory([0, 0], SQUARE[:2]), "Invalid time 0.0 in row 1. Must be later"),
+    (lambda: DRIVE.at([11]), "Must be between 0.0 and 10.0 s"),
+    (lambda: cameras.chart_view(CAMERA, distance=5, layout=CHART, heading_deg=90), "Invalid head"),
+    (lambda: cameras.Sensor(jpeg_quality=90), "Invalid bits"),
+    (lambda: point_pattern("spiral", density=9, size=1, seed=1), "Invalid kind 'spiral'"),
+    (lambda: point_pattern("lattice", density=9, size=1, seed=1, ratio=0.5), "Invalid ratio 0.5"),
+    (lambda: repeatability.operator_polygons(SQUARE, repeats=50, click=1, seed=1), "cross them"),
+    (lambda: repeatability.repeatability(RATED[1:], "f"), "a single selection"),
+    (lambda: repeatability.variance_components(RATED, "f", factors=["scan"]), "not balanced"),
+    (lambda: repeatability.variance_components(-RATED, "f", factors=["scan"]), "not positive"),
 ]
 
 

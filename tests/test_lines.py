@@ -8,10 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from mmqa_lab.lines import (
     components,
-    correspond,
     distance_matrix,
-    lhd,
-    pairing_scores,
     peak_threshold,
 )
 
@@ -172,9 +169,6 @@ def test_a_displacement_of_equal_segments_is_the_distance(rng):
         np.testing.assert_allclose(there, np.linalg.norm(vector), atol=1e-12)
 
 
-NEAREST = [0.31, 0.33, 0.36, 0.40, 0.41, 0.47, 0.52, 0.55, 3.2, 4.1, 7.7]
-
-
 def test_a_jump_in_the_last_place_is_found():
     assert peak_threshold([0.1, 0.12, 0.13, 0.15, 9.0]).delta == 0.15
 
@@ -210,37 +204,3 @@ def test_the_peak_is_that_of_a_running_maximum(rng, sensitivity):
         found = peak_threshold(nearest, sensitivity=sensitivity)
         assert found.fallback == (peak is None)
         assert found.delta == nearest[-1 if peak is None else peak + 1]
-
-
-ONE = [[[0, 0, 0], [1, 0, 0]]]
-
-
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: components([[[0, 0, 0], [0, 0, 0]]], ONE), "no length in row 0"),
-        (lambda: components(ONE, [[[0, 0, 0], [0, 0, np.inf]]]), "not finite in row 0"),
-        (lambda: components(np.zeros((3, 5)), ONE), r"shape \(3, 5\)"),
-        (lambda: components(np.float32([[[6e6, 0, 0], [6e6, 9, 0]]]), ONE), "float32 beyond"),
-        (lambda: components([[["a"] * 3] * 2], ONE), "Must be real numbers"),
-        (lambda: distance_matrix(ONE, ONE, weight=-1), "Invalid weight -1"),
-        (lambda: distance_matrix(ONE, ONE, weight=np.nan), "Invalid weight nan"),
-        (lambda: components(ONE, ONE, rotate="longer"), "Must be one of test, shorter"),
-        (lambda: components(ONE, ONE, within="touch"), "Must be one of containment, overlap"),
-        (lambda: peak_threshold([0.1, np.nan]), "Invalid nearest distances"),
-        (lambda: peak_threshold([-0.1, 0.2]), "Invalid nearest distances"),
-        (lambda: peak_threshold(NEAREST, sensitivity=0), "Invalid sensitivity"),
-        (lambda: peak_threshold(NEAREST, order=3), "Invalid order"),
-        (lambda: peak_threshold(NEAREST, at="top"), "Invalid at"),
-        (lambda: correspond([[1.0]], 1.0, matcher="best"), "Must be one of all, nearest"),
-        (lambda: correspond([[1.0]], 1.0, matcher="fragments"), "Must be test and model"),
-        (lambda: pairing_scores([[1]], [[True]]), "Must be Boolean"),
-        (lambda: pairing_scores([[True]], [[True, False]]), "the truth's shape"),
-        (lambda: lhd(ONE, np.add(ONE, 651_000)), r"Invalid sets \d+ m apart.*one coordinate"),
-        (lambda: lhd(ONE, ONE, pairs=[[1]]), "Invalid pairs of type int64"),
-        (lambda: lhd(ONE, ONE, norm="matched"), "Must be one of pairs, all"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(call, said):
-    with pytest.raises((TypeError, ValueError), match=said):
-        call()

@@ -107,22 +107,6 @@ def test_no_planes_in_a_tree(rng):
     assert (len(empty), len(empty.to_frame()), empty.sigma.shape) == (0, 0, (0, 2))
 
 
-@pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"tolerance": 0}, "Invalid tolerance 0. Must be > 0 m"),
-        ({"size": -1}, "Invalid size -1"),
-        ({"minimum": 2}, "Invalid minimum 2. Must be a whole number >= 3"),
-        ({"angle": 120}, "Invalid angle 120"),
-    ],
-)
-def test_bad_settings_are_refused(rng, choices, said):
-    with pytest.raises(ValueError, match=said):
-        extract_edges(room(rng, n=300), **choices)
-    with pytest.raises(ValueError, match="not finite"):
-        extract_edges([[0, 0, np.nan]] * 300)
-
-
 def test_canyon_points_lie_on_their_displaced_faces():
     scene = canyon(2)
     cloud = canyon_cloud(scene, "C1", density=0.5, noise=0.0, seed=1)

@@ -166,27 +166,3 @@ def test_each_selection_is_evaluated_as_study_01_does(rng):
     figures = ["n", "density_polygon_per_m2", "sigma_mad_mm", "d1_mm", "d4_mm"]
     # a metre coordinate at 10,000 km keeps two nanometres
     assert moved[figures].to_numpy() == pytest.approx(table[figures].to_numpy(), rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: operator_polygons(SQUARE, repeats=50, click=1, seed=1), "cross themselves"),
-        (
-            lambda: operator_polygons(SQUARE, repeats=1, click=0.01, seed=1, vertices=6),
-            "Invalid vertices 6. Must be a multiple of four corners.",
-        ),
-        (lambda: repeatability(rated().drop_duplicates("scan"), "f"), "a single selection"),
-        (lambda: repeatability(rated().assign(f=np.nan), "f"), "Invalid f: not finite"),
-        (lambda: variance_components(rated().iloc[1:], "f", factors=["scan"]), "not balanced"),
-        (lambda: variance_components(-rated(), "f", factors=["scan"]), "Invalid f: not positive"),
-        (
-            lambda: variance_components(rated().assign(system=1), "f", factors=["system", "scan"]),
-            "two levels or more",
-        ),
-        (lambda: strip_law(density=0, area=1, click=0.01), "Invalid density 0"),
-    ],
-)
-def test_rejects(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

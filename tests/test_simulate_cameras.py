@@ -175,27 +175,3 @@ def test_mosaics_see_the_colours_of_a_chart():
     grey = photograph(layout, flat_map(0.5, (0, 200)), sensor=Sensor(noise=0.0))
     luminance = 0.06 + 0.64 * np.dot([0.2126, 0.7152, 0.0722], red)
     assert grey.image[60:-60, 40:80] == pytest.approx(luminance, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda: Optics(sigma_px=-1), "Invalid sigma_px -1"),
-        (lambda: Sensor(white=0.01), "Invalid white"),
-        (lambda: Sensor(bits=12), "Invalid bits 12"),
-        (lambda: Sensor(jpeg_quality=90), "Invalid bits"),
-        (lambda: Sensor(gamma="log"), "Invalid gamma"),
-        (lambda: PanoramaCamera.of_megapixels(0), "Invalid megapixels"),
-        (
-            lambda: chart_view(PanoramaCamera(2000), distance=0, layout=CHART),
-            "Invalid distance 0",
-        ),
-        (
-            lambda: chart_view(PanoramaCamera(2000), distance=5, layout=CHART, heading_deg=90),
-            "Invalid heading_deg 90",
-        ),
-    ],
-)
-def test_rejects(make, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        make()

@@ -167,26 +167,3 @@ def test_many_equal_boxes_do_not_break_the_tree():
     stack = [disc((0, 0, 0), (1, 0, 0), 1.0) for _ in range(300)]
     hits = Scene(stack).cast([[5, 0, 0]], [[-1, 0, 0]])
     assert hits.range_m[0] == pytest.approx(5, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
-        (lambda: simulate.cylinder((0, 0, 0), (0, 0, 0), 1), "Must differ from the base"),
-        (lambda: simulate.cylinder((0, 0, 0), (0, 0, 1), 0), "Invalid radius 0. Must be > 0 m."),
-        (lambda: simulate.board((0, 0, 0), 1, 1, reflectance=2), "Must be between 0 and 1"),
-        (
-            lambda: simulate.wall((0, 0, 0), (3, 0, 0), 2, openings=[(1, 1, 3, 0.5)]),
-            "Must lie with",
-        ),
-        (lambda: Scene([]), "Invalid surfaces: none"),
-        (
-            lambda: Scene([simulate.ground()]).cast((0, 0, 1), [[0, 0, 0]]),
-            "Invalid direction in row 0",
-        ),
-    ],
-)
-def test_bad_surfaces_and_rays_are_named(make, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        make()

@@ -165,6 +165,8 @@ def test_measured_path_moves_points_and_not_rays():
     truth, seen = scan(path=path), scan(path=path, measured=known)
     assert np.allclose(seen.points - truth.points, [0.1, -0.2, 0.05], atol=1e-9)
     assert np.array_equal(seen["range_m"], truth["range_m"])
+    with pytest.raises(ValueError, match="Must cover 0"):
+        scan(measured=drive(1.0))
 
 
 def test_boresight_error_turns_the_cloud_about_the_scanner():
@@ -202,56 +204,6 @@ def test_hdl_32e_fires_as_the_real_one(real):
     assert (step == 1).mean() > 0.9  # the rest are pulses without an echo
     azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 0], points[:, 1])))
     assert azimuth[-1] - azimuth[0] > 300  # clockwise from +y, as ours
-
-
-@pytest.mark.real
-def test_a_real_drive_carries_the_scanner(real):
-    table = io.read_trajectory(real("vehicle_trajectory.csv"))
-    table["time_s"] /= 1e6  # the file has microseconds and radians
-    angles = ["roll_deg", "pitch_deg", "heading_deg"]
-    table[angles] = np.degrees(table[angles])
-    step = np.hypot(*np.diff(table[["easting_m", "northing_m"]], axis=0).T)
-    fastest = int(np.argmax(step))
-    table = table.iloc[fastest - 30 : fastest + 30]
-    path = Trajectory.from_table(table)
-    floor = simulate.ground(table["height_m"].mean() - 3, centre=path.position.mean(axis=0)[:2])
-    scanner = replace(PROFILER, pulse_rate_hz=36_000)
-    cloud = scan(Scene([floor]), scanner, path)
-    assert np.abs(cloud.points[:, 2] - floor.centre[0, 2]).max() < 1e-6
-    nadir = np.abs(cloud["scan_angle"]) < 0.5
-    moved = np.linalg.norm(np.diff(cloud.points[nadir][:, :2], axis=0), axis=1)
-    position = np.stack(
-        [np.interp(cloud["gps_time"][nadir], path.time, p) for p in path.position.T]
-    )
-    ranges = np.linalg.norm(cloud.points[nadir] - position.T, axis=1)
-    # linear against spline interpolation of 10 Hz poses: a few mm where the vehicle accelerates
-    assert np.abs(ranges - cloud["range_m"][nadir]).max() < 0.01
-    speed = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1) / np.diff(path.time)
-    assert np.median(moved) == pytest.approx(np.median(speed) / 100, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"pulse_rate_hz": 0}, "Invalid pulse_rate_hz 0. Must be > 0 Hz."),
-        ({"mirror_frequency_hz": -5}, "Invalid mirror_frequency_hz"),
-        ({"field_of_view_deg": (30, 10)}, "Invalid field_of_view_deg 10"),
-        ({"range_noise_m": -0.1}, "Invalid range_noise_m"),
-        ({"dropout_share": 1.5}, "Invalid dropout_share 1.5. Must be between 0 and 1."),
-        ({"lever_arm_m": (0, 0)}, "Invalid lever_arm_m"),
-        ({"min_range_m": float("nan")}, "Must be finite"),
-    ],
-)
-def test_bad_scanners_are_named(change, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        replace(PROFILER, **change)
-
-
-def test_bad_drives_are_named():
-    with pytest.raises(TypeError, match="Invalid scanner"):
-        scan(scanner=["riegl"])
-    with pytest.raises(ValueError, match="Must cover 0"):
-        scan(measured=drive(1.0))
 
 
 def test_parts_of_a_drive_add_up_to_the_whole():

@@ -90,26 +90,6 @@ def test_navigation_errors_have_their_size_and_drift_slowly():
     assert path.position.tolist() == [[0, 0, 0], [0, 12_000, 0]]
 
 
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda: Trajectory([0, 0], np.eye(3)[:2]), "Invalid time 0.0 in row 1. Must be later"),
-        (lambda: Trajectory([0, 1, 2], np.eye(3)[:2]), "Must be 2 finite seconds"),
-        (lambda: Trajectory([0, 1], np.eye(3)[:2], roll=[1, 2, 3]), "Invalid roll of shape"),
-        (lambda: Trajectory([0], [[0, 0, 0]]), "Must be 2 or more"),
-        (lambda: simulate.straight(10, 0), "Invalid speed 0. Must be > 0 m/s."),
-        (lambda: simulate.straight(10, 1).at([11]), "Must be between 0.0 and 10.0 s"),
-        (
-            lambda: simulate.with_speed_variation(simulate.straight(10, 1), share=0.5, seed=1),
-            "Invalid share 0.5. Must be between 0 and 0.3.",
-        ),
-    ],
-)
-def test_bad_trajectories_are_named(make, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        make()
-
-
 def test_a_path_is_the_table_it_was_made_of():
     path = Trajectory([0, 2, 3], [[0, 0, 2], [0, 20, 2], [1, 30, 2.0]], heading=[0, 3, 5])
     again = Trajectory.from_table(path.to_frame())
