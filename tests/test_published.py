@@ -180,20 +180,22 @@ def test_verdicts(printed, ours, expected):
     assert ledger.verdict(printed, ours) == expected
 
 
+D1 = {"source": "pfeifer2021", "table": "table_2", "cell": "A 5 m d1"}
+
+
 def write(folder, study, entries):
     (folder / study).mkdir()
     pd.DataFrame(entries, columns=ledger.COLUMNS).to_csv(folder / study / "ledger.csv", index=False)
 
 
 def test_collect_keeps_every_value_and_lets_one_decide(tmp_path):
-    place = ("pfeifer2021", "table_2")
-    entries = [
-        ledger.entry(*place, "A 5 m d1", 6.0, kind="fitted"),
-        ledger.entry(*place, "A 5 m d1", 4.2, kind="measured", low=3.9, high=4.5),
-        ledger.entry(*place, "A 5 m f", NAN, kind="measured", note="No point has four neighbours."),
+    rows = [
+        D1 | {"value": 6.0, "kind": "fitted"},
+        D1 | {"value": 4.2, "kind": "measured", "low": 3.9, "high": 4.5},
+        D1 | {"cell": "A 5 m f", "kind": "measured", "note": "No point has four neighbours."},
     ]
-    write(tmp_path, "b", entries)
-    write(tmp_path, "a", [ledger.entry(*place, "A 5 m d1", 4.9, kind="predicted", high=5.0)])
+    write(tmp_path, "b", ledger.entries(rows))
+    write(tmp_path, "a", ledger.entries([D1 | {"value": 4.9, "high": 5.0}], kind="predicted"))
     found = ledger.collect(tmp_path)
     d1 = found.query("cell == 'A 5 m d1'")
     assert d1["kind"].tolist() == ["predicted", "measured", "fitted"]
@@ -223,8 +225,8 @@ def test_collect_keeps_every_value_and_lets_one_decide(tmp_path):
     ],
 )
 def test_collect_refuses_what_it_does_not_know(tmp_path, column, word, message):
-    row = ledger.entry("pfeifer2021", "table_2", "A 5 m d1", 4.0, kind="measured")
-    write(tmp_path, "a", [row | {column: word}])
+    table = ledger.entries([D1 | {"value": 4.0}], kind="measured")
+    write(tmp_path, "a", table.assign(**{column: word}))
     with pytest.raises(ValueError, match=re.escape(message)):
         ledger.collect(tmp_path)
 
@@ -238,7 +240,7 @@ def test_collect_refuses_a_file_that_lacks_a_column(tmp_path):
 
 def test_an_entry_lies_within_its_own_interval():
     with pytest.raises(ValueError, match="between its own low 5 and high nan"):
-        ledger.entry("pfeifer2021", "table_2", "A 5 m d1", 4.0, kind="measured", low=5)
+        ledger.entries([D1 | {"value": 4.0, "low": 5}], kind="measured")
 
 
 def test_a_fit_is_no_reproduction():

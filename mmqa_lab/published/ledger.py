@@ -1,7 +1,7 @@
 """The ledger: every number that the five sources print, beside what the studies find.
 
 A *cell* is one printed number. A study writes its own values into ``ledger.csv`` of its results
-folder, a row for each value (:func:`entry`); :func:`collect` joins them with the
+folder, a row for each value (:func:`entries`); :func:`collect` joins them with the
 cells and gives each one a verdict:
 
 - **reproduced**: our value rounds to what is printed, and no parameter was fitted to it;
@@ -29,7 +29,7 @@ import pandas as pd
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice
 
-__all__ = ["cells", "collect", "entry", "summary", "verdict"]
+__all__ = ["cells", "collect", "entries", "summary", "verdict"]
 __dir__ = __all__.copy
 
 KINDS = ("predicted", "measured", "fitted")
@@ -63,55 +63,46 @@ def cells() -> pd.DataFrame:
     return _cells().copy()
 
 
-def entry(
-    source: str,
-    table: str,
-    cell: str,
-    value: float,
-    *,
-    kind: str,
-    low: float = np.nan,
-    high: float = np.nan,
-    note: str = "",
-) -> dict:
-    """Return one row of a study's ``ledger.csv``.
+def entries(rows: pd.DataFrame | list[dict], **same: str) -> pd.DataFrame:
+    """Return a study's values of printed numbers, as they stand in its ``ledger.csv``.
 
     Parameters
     ----------
-    source, table, cell : str
-        Which printed number, as in :func:`cells`.
-    value : float
-        Our value in the cell's unit. NaN where it could not be measured; then the note says why.
-    kind : {'predicted', 'measured', 'fitted'}
-        Predicted from printed inputs alone; measured on simulated or real data; or from a model of
-        which a parameter was fitted to the source's numbers.
-    low, high : float, optional
-        Our 95 % interval.
-    note : str, optional
-        One sentence: how we come to the value, and the argument if it contradicts.
+    rows : DataFrame or list of dict
+        ``source``, ``table``, ``cell``: which printed number, as in :func:`cells`. ``value``: ours
+        in the cell's unit; NaN where it could not be measured, then the note says why. ``kind``:
+        predicted from printed inputs alone; measured on simulated or real data; or fitted, from a
+        model of which a parameter was fitted to the source's numbers. ``low`` and ``high``: our
+        95 % interval, if there is one. ``note``: one sentence how we come to the value, with the
+        argument if it contradicts. Other columns are left out.
+    **same
+        Columns that are the same in all rows.
 
     Returns
     -------
-    dict
-        With the keys ``COLUMNS``.
+    DataFrame
+        With the columns ``COLUMNS``.
 
     Raises
     ------
     ValueError
-        If there is no such cell or kind, or if the value is outside its own interval.
+        If there is no such cell or kind, or if a value is outside its own interval.
 
     Examples
     --------
-    >>> row = entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", low=3.9, high=4.5)
-    >>> row["cell"], row["kind"]
-    ('A 5 m d1', 'measured')
-    >>> entry("pfeifer2021", "table_2", "D 5 m d1", 4.2, kind="measured")
+    >>> d1 = {"cell": "A 5 m d1", "value": 4.2, "low": 3.9, "high": 4.5}
+    >>> table = entries([d1], source="pfeifer2021", table="table_2", kind="measured")
+    >>> table[["cell", "kind", "note"]].to_numpy().tolist()
+    [['A 5 m d1', 'measured', '']]
+    >>> entries([d1 | {"cell": "D 5 m d1"}], source="pfeifer2021", table="table_2", kind="measured")
     Traceback (most recent call last):
     ValueError: Invalid cell pfeifer2021 table_2 D 5 m d1. Must be one that cells() lists.
     """
-    row = dict(zip(COLUMNS, (source, table, cell, value, low, high, kind, note), strict=True))
-    _check_entry(row)
-    return row
+    table = pd.DataFrame(rows).assign(**same).reindex(columns=COLUMNS)
+    table["note"] = table["note"].astype(object).fillna("")
+    for row in table.to_dict("records"):
+        _check_entry(row)
+    return table
 
 
 def verdict(printed: Mapping, ours: Mapping) -> str:
@@ -313,23 +304,21 @@ def _entries(folder):
     """All entries below a folder, those that decide first."""
     files = sorted(Path(folder).glob("*/ledger.csv"))
     none = pd.DataFrame(columns=[*COLUMNS, "study"])
-    entries = pd.concat([_read(file) for file in files] or [none])
-    entries["rank"] = entries["kind"].map(KINDS.index)
+    found = pd.concat([_read(file) for file in files] or [none])
+    found["rank"] = found["kind"].map(KINDS.index)
     numbers = dict.fromkeys(("value", "low", "high"), float)
-    entries = entries.astype(numbers).sort_values("rank", kind="stable")
-    return entries.rename(columns={"value": "ours", "low": "ours_low", "high": "ours_high"})
+    found = found.astype(numbers).sort_values("rank", kind="stable")
+    return found.rename(columns={"value": "ours", "low": "ours_low", "high": "ours_high"})
 
 
 def _read(file):
     """One ledger.csv, checked."""
     empty = {column: ["", "nan", "NaN"] for column in ("value", "low", "high")}
-    entries = pd.read_csv(file, keep_default_na=False, na_values=empty)
-    missing = [column for column in COLUMNS if column not in entries]
+    found = pd.read_csv(file, keep_default_na=False, na_values=empty)
+    missing = [column for column in COLUMNS if column not in found]
     if missing:
         raise ValueError(f"Invalid {file}: no column {missing[0]}. Must have {', '.join(COLUMNS)}.")
-    for row in entries.to_dict("records"):
-        _check_entry(row)
-    return entries[COLUMNS].assign(study=file.parent.name)
+    return entries(found).assign(study=file.parent.name)
 
 
 @cache

@@ -240,7 +240,7 @@ class Run:
         Parameters
         ----------
         entries : DataFrame or list of dict
-            As :func:`mmqa_lab.published.ledger.entry` makes them.
+            As :func:`mmqa_lab.published.ledger.entries` makes them.
         """
         self._write_table(pd.DataFrame(entries), "ledger")
 

@@ -1,4 +1,4 @@
-"""The studies, one module per notebook, and their list and notes, which stand in TOML files."""
+"""The studies, one module per notebook, and their list, which stands in a TOML file."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -55,9 +55,6 @@ class Study:
 
 
 _FOLDER = Path(__file__).parent
-
-NOTES = _tables(_FOLDER / "notes.toml")
-"""What the studies say in words beside their numbers, by study."""
 
 SMALL = _tables(_FOLDER / "quick.toml")
 """Small parameters of the notebooks, by study: for the tests and for copies for a class."""

@@ -192,14 +192,21 @@ def turns(clouds, angles):
     return pd.concat(tables, ignore_index=True)
 
 
+def boards():
+    """Return the points of boards, (n, 3), m, by name, where MMQA_DATA has them."""
+    return {
+        name: io.read_cloud(samples.real_path(file), columns=()).points
+        for name, file in BOARDS.items()
+        if samples.has_real(file)
+    }
+
+
 def real_clouds():
     """Return real clouds in their planes, without repeated points: dict of name to (n, 2), m.
 
     The two heads of the road patch, and both; boards where MMQA_DATA has them.
     """
     clouds = {f"road, {name}": points for name, points in samples.road_patch_heads().items()}
-    for name, relative in BOARDS.items():
-        if samples.has_real(relative):
-            clouds[name] = io.read_cloud(samples.real_path(relative), columns=()).points
+    clouds |= boards()
     distinct = {name: np.unique(points, axis=0) for name, points in clouds.items()}
     return {name: fit_plane(points).project(points) for name, points in distinct.items()}

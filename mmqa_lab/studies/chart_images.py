@@ -15,9 +15,9 @@ from mmqa_lab.chart_image.reading import (
     find_tones,
 )
 from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
 from mmqa_lab.srgb import decode
-from mmqa_lab.studies import NOTES
 
 ROW = ["system", "distance_m", "view"]
 """What names a row of Table 1."""
@@ -294,30 +294,33 @@ def ledger_table(sizes, widths, legibility, repeats_px):
     DataFrame
         As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
     """
-    told = NOTES["chart_images"]
     predicted = {"predicted_mm": "value", "low_mm": "low", "high_mm": "high"}
-    known = sizes["system"].map(told["pixels"]).where(sizes["published_mm"] > 0, told["dash"])
-    fitted = widths[[*ROW, "direction"]].assign(value=widths["fitted_mm"], note=told["fit"])
-    marks = legibility["fitted_mark"].map({"a": 1.0, "b": 2.0, "c": 3.0})
-    marks = legibility[ROW].assign(direction="", value=marks, note=told["mark"])
-    parts = {
-        ("pixel size", "predicted"): sizes.rename(columns=predicted).assign(note=known),
-        ("line-pair width", "predicted"): widths.rename(columns=predicted).assign(
-            note=told["width"]
-        ),
-        ("line-pair width", "fitted"): fitted,
-        ("legibility", "fitted"): marks,
-    }
-    table = pd.concat([part.assign(what=what, kind=kind) for (what, kind), part in parts.items()])
+    pixel = "From megapixels, distance and images every few metres, without stitching and storing."
+    dash = "The simulated grey bar is found; the paper says that it was hard to measure."
+    size = sizes.assign(note=np.where(sizes["published_mm"] > 0, pixel, dash))
+    usual = "From megapixels, distance and a usual point spread; exposure and sharpening unknown."
+    fit = "One number of pixels a pair, fitted to the printed widths; published pixel sizes."
+    fitted = widths[[*ROW, "direction"]].assign(value=widths["fitted_mm"], note=fit)
+    value = legibility["fitted_mark"].map({"a": 1.0, "b": 2.0, "c": 3.0})
+    fit = "Pixels per capital height, with two thresholds fitted to these twelve marks."
+    marks = legibility[ROW].assign(direction="", value=value, note=fit, what="legibility")
+    table = pd.concat(
+        [
+            size.rename(columns=predicted).assign(what="pixel size", kind="predicted"),
+            widths.rename(columns=predicted).assign(kind="predicted", note=usual),
+            fitted.assign(kind="fitted"),
+            marks.assign(kind="fitted"),
+        ],
+        ignore_index=True,
+    ).fillna({"what": "line-pair width"})
     place = table["system"] + table["distance_m"].map(" {:.0f} m ".format) + table["view"]
     cell = (place + " " + table["direction"] + " " + table["what"]).str.split().str.join(" ")
-    table = table.assign(table="table_1", cell=cell)
     std = float(np.max(repeats_px))
     repeated = pd.DataFrame({"cell": ["bar_std", "bar_difference_max"], "value": [std, 4 * std]})
-    note = [f"{told['repeats']}; {times} standard deviations." for times in (1, 4)]
+    note = "Standard deviation along the pixel rows of simulated bars; the largest are four of it."
     repeated = repeated.assign(table="numbers", kind="measured", note=note)
-    table = pd.concat([table, repeated], ignore_index=True).assign(source="pfeifer2021")
-    return table[["source", "table", "cell", "value", "low", "high", "kind", "note"]]
+    table = pd.concat([table.assign(table="table_1", cell=cell), repeated], ignore_index=True)
+    return ledger.entries(table, source="pfeifer2021")
 
 
 def _steps_chart(sigma_px, blur_px):

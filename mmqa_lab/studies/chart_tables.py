@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import pandas as pd
 
 from mmqa_lab import bench as benches
 from mmqa_lab import published
@@ -186,17 +185,7 @@ def ledger_table(chosen):
     DataFrame
     """
     note = "Criteria and tables as printed; text of 60 mm, which was not judged, by its pixels."
-    rows = [
-        ledger.entry(
-            "pfeifer2021",
-            "numbers",
-            row.set.replace(" ", "_") + "_systems",
-            row.likely,
-            low=row.fewest,
-            high=row.most,
-            kind="predicted",
-            note=note,
-        )
-        for row in chosen[chosen["set"] != "test"].itertuples()
-    ]
-    return pd.DataFrame(rows)
+    rows = chosen.rename(columns={"likely": "value", "fewest": "low", "most": "high"})
+    rows["cell"] = rows["set"].str.replace(" ", "_") + "_systems"
+    same = {"source": "pfeifer2021", "table": "numbers", "kind": "predicted", "note": note}
+    return ledger.entries(rows[rows["set"] != "test"], **same)

@@ -4,6 +4,7 @@ The images of the report (EuroSDR 2013, image radiometry) are airborne and not p
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -150,10 +151,8 @@ def one_target(field):
 
 def equation_4(field):
     """Equation 4 with the calibrated sensor and the state of the air."""
-    air, light = (
-        field.air,
-        field.sensor.radiance(field.surfaces["mean_dn"], exposure=field.exposure),
-    )
+    air = field.air
+    light = field.sensor.radiance(field.surfaces["mean_dn"], exposure=field.exposure)
     choices = {"transmittance": air.direct, "spherical_albedo": air.spherical_albedo}
     choices["path_radiance"] = air.radiance(0.0, surroundings=SURROUNDINGS)
     return reflectance_factor(light, air.irradiance, surroundings=SURROUNDINGS, **choices)
@@ -209,9 +208,8 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
 
 
 EXACT = "Targets are simulated; clean air is known to the method exactly: a lower bound."
-LINE = "Three portable targets, assumed to be known to 3 %, which dominates the error."
 COMPARABLE = {
-    "empirical_line_rmse": ("empirical line", "uniform", LINE),
+    "empirical_line_rmse": ("empirical line", "uniform", "Targets known to 3 %, as assumed."),
     "xpro_uniform": ("dark pixel", "uniform", "Stands for XPro: no ground targets, clean air."),
     "atcor_bright_vicarious": ("equation 4", "bright_tarps", EXACT),
     "atcor_bright_1km": ("equation 4", "bright_tarps", EXACT),
@@ -243,9 +241,8 @@ def ledger_table(sensors, stable, reflectance, laboratory):
     rows = []
 
     def add(name, cell, value, ends, note, kind="measured"):
-        ends = {"low": min(*ends, value), "high": max(*ends, value)}
-        name = f"{name}_results"
-        rows.append(ledger.entry(SOURCE, name, cell, value, **ends, kind=kind, note=note))
+        table = f"{name}_results"
+        rows.append((SOURCE, table, cell, value, min(*ends, value), max(*ends, value), kind, note))
 
     ends = sensors["r_squared"].quantile([0.025, 0.975])
     note = "A simulated linear sensor without error of the reference."
@@ -254,12 +251,10 @@ def ledger_table(sensors, stable, reflectance, laboratory):
     offset, std = sensors[["offset_dn", "offset_std_dn"]].mean() - [OFFSET, 0]
     note = "Offset less the simulated dark signal; the report subtracts dark pixels. In DN."
     add("calibration", "dmc_intercept", offset, (offset - 2 * std, offset + 2 * std), note)
-    fitted = "One error of recorded exposures, fitted to the range for the same aperture in R, G, B"
-    told = {"rgb": f"{fitted}; is enough for all three ranges.", "nir": f"{fitted}; not enough."}
-    for change in ("same_aperture", "other_aperture", "other_day"):
-        for band, note in told.items():
-            cell, ends = f"stability_{band}_{change}", stable.quantile([0.025, 0.975])
-            add("calibration", cell, stable.mean(), ends, note, "fitted")
+    note = "One error of recorded exposures, fitted to the range for the same aperture in R, G, B."
+    for band, change in product(("rgb", "nir"), ("same_aperture", "other_aperture", "other_day")):
+        cell, ends = f"stability_{band}_{change}", stable.quantile([0.025, 0.975])
+        add("calibration", cell, stable.mean(), ends, note, "fitted")
     for cell, (method, target_class, note) in COMPARABLE.items():
         errors = reflectance[reflectance["method"] == method][f"{target_class}_percent"]
         rmse = np.sqrt((errors**2).mean())
@@ -271,4 +266,4 @@ def ledger_table(sensors, stable, reflectance, laboratory):
     note = "The corner by the camera's data sheet: 13,824 x 7,680 pixels of 12 um behind 120 mm."
     corner = np.degrees(np.arctan2(np.hypot(13_824, 7_680) / 2 * 0.012, 120.0))
     add("reflectance", "brf_view_angles", corner, (corner - 0.1, corner + 0.1), note, "predicted")
-    return pd.DataFrame(rows)
+    return ledger.entries(pd.DataFrame(rows, columns=ledger.COLUMNS))

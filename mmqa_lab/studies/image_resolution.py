@@ -165,15 +165,11 @@ def ledger_table(corner):
     DataFrame
         As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
     """
-    bars = (
-        "Bars 3 to 12 cm wide at 5 cm per pixel, 1.6 times that in the corner, as printed; read in "
-        "simulated images and regressed on the distance. Blur (0.5 px) and places are assumed."
-    )
+    bars = "Bars 3 to 12 cm wide at 5 cm per pixel, as printed; a blur of 0.5 px is assumed."
     pixel = "One line on each pixel of 12 um prints as 83; the interval is that of 12, rounded."
-    values = [("corner_factor", corner.value, corner.low, corner.high, bars)]
-    values += [("theoretical_resolution", 1000 / 12.0, 1000 / 12.5, 1000 / 11.5, pixel)]
-    rows = []
-    for cell, value, low, high, note in values:
-        ours = {"kind": "predicted", "low": low, "high": high, "note": note}
-        rows.append(ledger.entry(SOURCE, "resolution_results", cell, value, **ours))
-    return pd.DataFrame(rows)
+    values = [
+        ("corner_factor", corner.value, corner.low, corner.high, bars),
+        ("theoretical_resolution", 1000 / 12.0, 1000 / 12.5, 1000 / 11.5, pixel),
+    ]
+    rows = pd.DataFrame(values, columns=["cell", "value", "low", "high", "note"])
+    return ledger.entries(rows, source=SOURCE, table="resolution_results", kind="predicted")

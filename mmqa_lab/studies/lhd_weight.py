@@ -162,17 +162,14 @@ def otsu_threshold(nearest):
     return float(nearest[np.argmax(between)])
 
 
-def _threshold(**choices):
-    """The published method with another reading of the threshold's rule."""
-    return partial(measured, threshold=partial(lines.peak_threshold, **choices))
-
-
 METHODS = {
     "published": measured,
     "plain Hausdorff": lambda sets: lines.hausdorff(sets.test, sets.model),
-    "peak's value": _threshold(at="value"),
-    "differences sorted again": _threshold(sort_again=True),
-    "first differences": _threshold(order=1),
+    "peak's value": partial(measured, threshold=partial(lines.peak_threshold, at="value")),
+    "differences sorted again": partial(
+        measured, threshold=partial(lines.peak_threshold, sort_again=True)
+    ),
+    "first differences": partial(measured, threshold=partial(lines.peak_threshold, order=1)),
     "sensitivity 0.1 m": partial(measured, sensitivity=0.1),
     "sensitivity 2 m": partial(measured, sensitivity=2.0),
     "Otsu's threshold": partial(measured, threshold=otsu_threshold),
@@ -208,9 +205,7 @@ def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURS
     """
     cases = grid(comparison=comparison, **conditions)
     figures = ("f1",) if scored is score else ()
-    return Comparison(
-        cases, dict(methods or METHODS), scene, scored, seeds=seeds, figures=figures or None
-    )
+    return Comparison(cases, dict(methods or METHODS), scene, scored, seeds, figures=figures)
 
 
 def published_rows():
@@ -222,12 +217,9 @@ def published_rows():
         The printed columns, with ``name`` (as in ``COURSES``), ``rate_from_counts_percent``,
         ``null_rate_percent`` (pairing nothing) and ``f1``.
     """
-    rows = pd.concat(
-        [table("poreba2013", name).assign(table=name) for name in ("table_1", "table_2")]
-    )
-    rows = rows.reset_index(drop=True)
-    rows["name"] = rows["test_set"].str.replace("Course", "C") + "-"
-    rows["name"] += rows["model_set"].str.replace("Course", "C")
+    tables = [table("poreba2013", name).assign(table=name) for name in ("table_1", "table_2")]
+    rows = pd.concat(tables, ignore_index=True)
+    rows["name"] = (rows["test_set"] + "-" + rows["model_set"]).str.replace("Course", "C")
     cells = rows["p_test_segments"] * rows["q_model_segments"]
     wrong = rows["false_negative"] + rows["false_positive"]
     rows["rate_from_counts_percent"] = 100 * (1 - wrong / cells)
@@ -254,15 +246,14 @@ def replicas(results):
     rows = []
     for printed in published_rows().itertuples():
         scenes = results.sel({"method": "published", "comparison": printed.name})
-        olhd = scenes[f"{printed.position_in_cell}_olhd_m"].values
-        row = {"name": printed.name, "side": printed.position_in_cell, "table": printed.table}
+        side = printed.position_in_cell
+        row = {"name": printed.name, "side": side, "table": printed.table}
         row["comparison"] = printed.comparison
         for name in ("false_negative", "false_positive"):
             row[f"{name}_printed"] = getattr(printed, name)
-            row[f"{name}_simulated"] = float(scenes[f"{printed.position_in_cell}_{name}"].mean())
-        low, high = _single_scene(olhd)
-        row |= {"olhd_printed_m": printed.olhd_m, "olhd_simulated_m": np.nanmean(olhd)}
-        row |= {"low_m": low, "high_m": high}
+            row[f"{name}_simulated"] = float(scenes[f"{side}_{name}"].mean())
+        row["olhd_printed_m"] = printed.olhd_m
+        row |= _of_scenes(scenes[f"{side}_olhd_m"], ("olhd_simulated_m", "low_m", "high_m"))
         second = "second" in printed.comparison
         row["kind"] = "fitted" if printed.name in FITTED and not second else "predicted"
         rows.append(row)
@@ -282,65 +273,49 @@ def ledger_table(results):
     DataFrame
         As :mod:`mmqa_lab.published.ledger` documents.
     """
-    entries, printed = {}, published_rows()
-    for row, one in zip(replicas(results).itertuples(), printed.itertuples(), strict=True):
-        scenes = results.sel({"method": "published", "comparison": row.name})
+    published, rows = results.sel({"method": "published"}), []
+
+    def say(table, cell, values, kind):
+        how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
+        note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
+        rows.append({"table": table, "cell": cell, "kind": kind, "note": note})
+        rows[-1] |= _of_scenes(values)
+
+    pairs = zip(replicas(results).itertuples(), published_rows().itertuples(), strict=True)
+    for row, printed in pairs:
+        scenes = published.sel({"comparison": row.name})
         cell = f"{row.comparison} {row.side}"
-        for ending in ("olhd_m", "false_negative", "false_positive"):
-            name = f"{cell} {ending.removesuffix('_m').replace('_', ' ')}"
-            values = scenes[f"{row.side}_{ending}"].values
-            entries[row.table, name] = _of_scenes(values, row.kind)
-        entries[row.table, f"{cell} detection rate"] = _identity(one)
-        if "second" in row.comparison:  # the scenes imitate the first extraction of edges
-            continue
-        for name in ("p", "q", "pairs"):  # these were set to those of all rows
-            whose = "TLS" if row.table == "table_2" and name == "q" else row.comparison
-            values = scenes[name].values
-            entries.setdefault((row.table, f"{whose} {name}"), _of_scenes(values, "fitted"))
-    entries |= _of_text(results.sel({"method": "published"}))
-    rows = [
-        ledger.entry("poreba2013", name, cell, **ours) for (name, cell), ours in entries.items()
-    ]
-    return pd.DataFrame(rows)
+        for name in ("olhd_m", "false_negative", "false_positive"):
+            words = name.removesuffix("_m").replace("_", " ")
+            say(row.table, f"{cell} {words}", scenes[f"{row.side}_{name}"], row.kind)
+        rate = printed.rate_from_counts_percent
+        note = "From the printed counts, 100 (1 - (FN + FP) / (p q)): not the counts are checked."
+        if abs(rate - printed.detection_rate_percent) > 0.005 + 1e-9:
+            note += " The printed rate would take twelve errors."
+        told = {"value": rate, "kind": "predicted", "note": note}
+        rows.append({"table": row.table, "cell": f"{cell} detection rate", **told})
+        if "second" not in row.comparison:  # the scenes imitate the first extraction of edges
+            for name in ("p", "q", "pairs"):  # these were set to those of all rows
+                whose = "TLS" if row.table == "table_2" and name == "q" else row.comparison
+                say(row.table, f"{whose} {name}", scenes[name], "fitted")
+    lhd = np.fmax(published["left_olhd_m"], published["right_olhd_m"])
+    for where in ("abstract", "text"):
+        say("numbers", f"precision_{where}", lhd.sel(comparison="C1-C3"), "fitted")
+        far = lhd.sel(comparison=["C1-TLS", "C3-TLS"]).mean("comparison")
+        say("numbers", f"absolute_{where}", far, "fitted")
+    wrong = published["left_false_negative"] + published["left_false_positive"]
+    rates = 100 * (1 - wrong / (published["p"] * published["q"])).mean("comparison")
+    say("numbers", "pairing_confidence", rates, "predicted")
+    table = ledger.entries(rows, source="poreba2013")
+    return table.drop_duplicates(["table", "cell"], ignore_index=True)
 
 
-def _identity(printed):
-    """An entry for a rate that follows from the printed counts."""
-    rate = printed.rate_from_counts_percent
-    note = "From the printed counts, 100 (1 - (FN + FP) / (p q)): not the counts are checked."
-    if abs(rate - printed.detection_rate_percent) > 0.005 + 1e-9:
-        note += " The printed rate would take twelve errors."
-    return {"value": rate, "kind": "predicted", "note": note}
-
-
-def _of_text(results):
-    """Entries for the results that the text prints."""
-    lhd = np.fmax(results["left_olhd_m"], results["right_olhd_m"])
-    wrong = results["left_false_negative"] + results["left_false_positive"]
-    rate = 100 * (1 - wrong / (results["p"] * results["q"])).mean("comparison")
-    near = _of_scenes(lhd.sel(comparison="C1-C3").values, "fitted")
-    far = lhd.sel(comparison=["C1-TLS", "C3-TLS"]).mean("comparison")
-    far = _of_scenes(far.values, "fitted")
-    values = {"precision_abstract": near, "precision_text": near}
-    values |= {"absolute_abstract": far, "absolute_text": far}
-    values["pairing_confidence"] = _of_scenes(rate.values, "predicted")
-    return {("numbers", name): ours for name, ours in values.items()}
-
-
-def _of_scenes(values, kind):
-    """An entry with the mean of simulated scenes and the range of 95 % of them."""
-    how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
-    note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
-    low, high = _single_scene(values)
-    return {"value": np.nanmean(values), "kind": kind, "low": low, "high": high, "note": note}
-
-
-def _single_scene(values):
-    """Where one more scene lies with 95 %: prediction interval by Student's t, not below 0."""
-    values = values[np.isfinite(values)]
+def _of_scenes(values, names=("value", "low", "high")):
+    """Mean of simulated scenes, and where one more lies with 95 % by Student's t, not below 0."""
+    values = values.values[np.isfinite(values)]
     n, middle = len(values), values.mean()
     half = t.ppf(0.975, max(n - 1, 1)) * values.std(ddof=min(1, n - 1)) * np.sqrt(1 + 1 / n)
-    return max(middle - half, 0.0), middle + half
+    return dict(zip(names, (middle, max(middle - half, 0.0), middle + half), strict=True))
 
 
 def true_edges(found, scene, *, near_m=0.1, parallel_deg=2.0):

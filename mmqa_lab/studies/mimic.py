@@ -86,12 +86,11 @@ def parts(case):
     return tuple(kind(**{part.name: case[part.name] for part in fields(kind)}) for kind in kinds)
 
 
-def make(*, seed, size_m=1.0, range_noise_m=0.005, **case):
+def make(*, seed, range_noise_m=0.005, **case):
     """Return a case's simulated scan and its true spacings, those of rays cast on the wall."""
     setup, target = parts(case)
-    cloud, driven = simulate_patch(
-        setup, target, size_m=size_m, seed=seed, range_noise_m=range_noise_m
-    )
+    noise = {"range_noise_m": range_noise_m}
+    cloud, driven = simulate_patch(setup, target, size_m=1.0, seed=seed, **noise)
     return Scan(driven, target, target.patch(setup).points, cloud), cast(driven, target)
 
 
@@ -180,16 +179,15 @@ def paper(scan, *, literal=False, ways=(True, False)):
     The paper does not say whether the spacing is that to the pulse above or below (``ways``).
     """
     setup, target = scan.setup, scan.target
-    angles = (
-        (setup.scanner_heading_deg, setup.scanner_tilt_deg),
-        (target.heading_deg, target.tilt_deg),
-    )
+    scanner = setup.scanner_heading_deg, setup.scanner_tilt_deg
+    wall = target.heading_deg, target.tilt_deg
     d = setup.speed_m_s / setup.mirror_frequency_hz
-    horizontal = mimic.profile_spacing_horizontal(d, angles[0][0], angles[1][0])
-    angle = mimic.profile_angle(*angles[0], *angles[1])
+    horizontal = mimic.profile_spacing_horizontal(d, scanner[0], wall[0])
+    angle = mimic.profile_angle(*scanner, *wall)
     given = {"h_r": target.range_m, "height_difference": target.height_difference_m}
     given["theta_a"] = mimic.pulse_angle(setup.pulse_rate_hz, setup.mirror_frequency_hz)
-    points = [mimic.point_spacing(*angles, **given, literal=literal, upwards=way) for way in ways]
+    given["literal"] = literal
+    points = [mimic.point_spacing(scanner, wall, **given, upwards=way) for way in ways]
     point = np.mean([chain.d_ps for chain in points])
     return _figures(horizontal, mimic.profile_spacing_vertical(horizontal, angle), point, angle)
 
@@ -286,15 +284,12 @@ def bench(*, methods=None, seeds=range(5), ranges_m=(4.0, 8.0, 16.0), cases=None
     """
     cases = cad_walls(ranges_m) if cases is None else cases
     shown = tuple(name.replace("_", "_error_", 1) for name in FIGURES)
-    methods, scanned = dict(methods or METHODS), partial(make, **noise)
-    return Comparison(cases, methods, scanned, score, seeds=seeds, figures=shown)
+    made = dict(methods or METHODS), partial(make, **noise)
+    return Comparison(cases, *made, score, seeds, figures=shown)
 
 
 CAST = "Rays cast on the walls of Tables 3 and 4 in place of the constructed models."
-CLICKS = (
-    "Five distances clicked on simulated surfaces within the printed limits; mountings of 45/45 "
-    "degrees and 5 mm of range noise are assumed, since the paper prints neither."
-)
+CLICKS = "Five distances clicked on simulated surfaces; mounting and range noise are assumed."
 
 
 def ledger_table(*, table_3, standing, readings, field, table_6):
@@ -319,15 +314,13 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
     DataFrame
         As :mod:`mmqa_lab.published.ledger` documents.
     """
-    rows = {}
+    rows = []
 
     def say(name, cell, value, kind, note):
         """Enter a number, or the median of several and their range."""
         values = np.atleast_1d(value)
-        ends = {"low": np.nanmin(values), "high": np.nanmax(values)} if len(values) > 1 else {}
-        middle = float(np.nanmedian(values))
-        row = ledger.entry(SOURCE, name, cell, middle, kind=kind, note=note, **ends)
-        rows[name, cell, note] = row
+        ends = (np.nanmin(values), np.nanmax(values)) if len(values) > 1 else (np.nan, np.nan)
+        rows.append((SOURCE, name, cell, float(np.nanmedian(values)), *ends, kind, note))
 
     printed = table(SOURCE, "table_2").set_index("result")
     for profile in (1, 2):
@@ -374,4 +367,4 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),
     }.items():
         say("numbers", cell, found.values, "measured", CLICKS)
-    return pd.DataFrame(list(rows.values()))
+    return ledger.entries(pd.DataFrame(rows, columns=ledger.COLUMNS).drop_duplicates())

@@ -240,7 +240,7 @@ def ledger_table(beside, *, visible, diameters, walls, crowded):
     for row in beside.to_dict("records"):
         kind, note = ("fitted", chosen) if row["method"] == "fgi" else ("measured", other)
         numbers = [100 * row[f"measured{end}"] for end in ("", "_low", "_high")]
-        rows.append((row["table"], row["cell"], numbers, kind, note))
+        rows.append((row["table"], row["cell"], *numbers, kind, note))
     plain = "Simulated walls are planes without plants, furniture or goods before them."
     for cell, rate, kind, note in (
         ("visible_share", visible, "fitted", chosen),
@@ -248,18 +248,16 @@ def ledger_table(beside, *, visible, diameters, walls, crowded):
         ("missed_points_around", crowded, "measured", other),
     ):
         numbers = [100 * value for value in (rate.value, rate.low, rate.high)]
-        rows.append(("poles_text", cell, numbers, kind, note))
+        rows.append(("poles_text", cell, *numbers, kind, note))
     perfect = "Simulated posts are perfect cylinders and their reference has no error."
     half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1))
     for cell, value, wide in (
         ("diameter_rmse", diameters.rmse / 10, half / 10 / np.sqrt(2)),
         ("diameter_bias", diameters.bias, half),
     ):
-        rows.append(("poles_text", cell, [value, value - wide, value + wide], "measured", perfect))
-    return pd.DataFrame(
-        ledger.entry("eurosdr2013_mls", table, cell, v, low=lo, high=hi, kind=kind, note=note)
-        for table, cell, (v, lo, hi), kind, note in rows
-    )
+        rows.append(("poles_text", cell, value, value - wide, value + wide, "measured", perfect))
+    table = pd.DataFrame(rows, columns=ledger.COLUMNS[1:])
+    return ledger.entries(table, source="eurosdr2013_mls")
 
 
 def outcomes(result):

@@ -15,6 +15,7 @@ from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.published import ledger
 from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.simulate import chart_corners, systems
+from mmqa_lab.studies.anisotropy import boards
 
 UPRIGHT = replace(systems.SYSTEM_B, range_noise_m=0.01)
 """B's range noise is fitted: it gives about the published sigma_MAD of 9.2 mm."""
@@ -57,8 +58,6 @@ REMARKS = {
 HALF_DIGIT_MM = 0.5
 """Half of the last digit that Table 2 prints of a spacing."""
 
-BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
-
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -85,11 +84,7 @@ def real_surfaces():
     """Return the road patch, and boards where MMQA_DATA has them: a dict of Surface by name."""
     road = io.read_cloud(samples.path("road_patch"), columns=()).points
     found = {"road, two heads": _outlined(np.unique(road, axis=0), 0.81, 0.62)}
-    for name, relative in BOARDS.items():
-        if samples.has_real(relative):
-            board = io.read_cloud(samples.real_path(relative), columns=()).points
-            found[name] = _outlined(board, 0.65, 0.45)
-    return found
+    return found | {name: _outlined(points, 0.65, 0.45) for name, points in boards().items()}
 
 
 def _outlined(points, width, height):
@@ -237,22 +232,15 @@ def ledger_table(ranges):
         Of :func:`ranges_of_five`; B tilted at 10 m counts, by the first operator.
     """
     rows = ranges.query("system == 'B tilted' and distance_m == 10")
-    rows = rows[rows["method"] == rows["method"].iloc[0]] if len(rows) else rows
+    rows = rows[rows["method"].isin(rows["method"].head(1))]
     note = (
         f"Median and 95 % of {len(rows)} groups of five simulated selections of B, tilted by 45 "
-        "degrees, by an operator whose clicks are assumed."
+        "degrees, with assumed clicks. Medians of irregular spacings move with the selection."
     )
-    notes = dict.fromkeys(REMARKS, note)
-    notes["selection_distances"] += (
-        " Medians of irregular spacings move with the selection; they are printed in whole "
-        "millimetres, and the code's histograms have bins of 5 mm."
-    )
-    found = []
-    for cell, column in REMARKS.items() if len(rows) else ():
-        low, middle, high = rows[column].quantile([0.025, 0.5, 0.975])
-        given = {"kind": "measured", "low": low, "high": high, "note": notes[cell]}
-        found.append(ledger.entry("pfeifer2021", "numbers", cell, middle, **given))
-    return pd.DataFrame(found, columns=ledger.COLUMNS)
+    found = rows[list(REMARKS.values())].quantile([0.025, 0.5, 0.975]).T
+    found = found.set_axis(["low", "value", "high"], axis=1).assign(cell=list(REMARKS)).dropna()
+    same = {"source": "pfeifer2021", "table": "numbers", "kind": "measured", "note": note}
+    return ledger.entries(found, **same)
 
 
 def with_strays(points, *, share, depths, seed):

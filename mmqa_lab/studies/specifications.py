@@ -40,25 +40,25 @@ TOLERANCE = 0.02
 """Relative part of a fit's tolerance: charts and crops are not known to a per cent."""
 
 NOTES = {
-    ("A", "predicted"): "Simulated at the stated 1 MHz and 200 Hz at 40 km/h, with the plane "
-    "tilted by 30 to 60 degrees and the scanner 0 to 1.5 m above the chart's centre.",
-    ("A", "fitted"): "Tilt, height, noise and mirror frequency fitted, the stated 200 Hz given up.",
-    ("B", "predicted"): "Simulated with the beams and the noise of the data sheet at 40 km/h, the "
-    "axis between upright and pitched by 50 degrees, 0 to 2 m above the chart's centre.",
-    ("B", "fitted"): "Pitch, height and noise fitted to both rows.",
-    ("C", "fitted"): "Points resampled on the surface to one density, with a hard core; density, "
-    "core and noise fitted to both rows.",
+    "predicted": {
+        "A": "Simulated at the stated 1 MHz and 200 Hz, tilted by 30 to 60 degrees, 0 to 1.5 m up.",
+        "B": "Simulated with the data sheet, pitched by 0 to 50 degrees, 0 to 2 m up.",
+    },
+    "fitted": {
+        "A": "Tilt, height, noise and mirror frequency fitted, the stated 200 Hz given up.",
+        "B": "Pitch, height and noise fitted to both rows.",
+        "C": "Resampled to one density; density, hard core and noise fitted to both rows.",
+    },
 }
-"""How an entry of the ledger was obtained, by system and kind."""
+"""How an entry of the ledger was obtained, by kind and system."""
 
 ARGUMENTS = {
-    ("A", "d1_mm"): "At 200 Hz neighbours along a line are at least range x 2 pi / 5000 apart, "
-    "6.3 mm at 5 m; the printed d1 need about 7000 pulses a revolution.",
-    ("A", "f"): "At 200 Hz d1 is too large for it, see d1.",
-    ("A", "density_per_m2"): "At 200 Hz no tilt gives the printed density and d4 together.",
-    ("B", "precision_mm"): "The data sheet's 20 mm are about twice what the chart shows.",
-    ("B", "f"): "The data sheet's noise also moves points across oblique rays and makes f larger.",
-    ("C", "density_per_m2"): "One density for both distances leaves the printed rise of 7 % over.",
+    ("A", "d1_mm"): " At 200 Hz d1 is at least range x 2 pi / 5000; the printed ones need 7000.",
+    ("A", "f"): " At 200 Hz d1 is too large for it, see d1.",
+    ("A", "density_per_m2"): " At 200 Hz no tilt gives the printed density and d4 together.",
+    ("B", "precision_mm"): " The data sheet's 20 mm are about twice what the chart shows.",
+    ("B", "f"): " The data sheet's noise also moves points across oblique rays: f is larger.",
+    ("C", "density_per_m2"): " One density for both distances leaves the rise of 7 % over.",
 }
 """Why a figure differs, added to the note."""
 
@@ -105,8 +105,8 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
     Parameters
     ----------
     methods : dict, optional
-        Functions of a tuple (distance in m, seed), which return points from the chart's centre;
-        by default ``METHODS``.
+        Functions of ``distance_m`` and ``seed``, which return points from the chart's centre; by
+        default ``METHODS``.
     distances_m : tuple of float
     seeds : iterable of int
 
@@ -114,19 +114,9 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
     -------
     Comparison
     """
-    methods = {name: _of_pass(method) for name, method in (methods or METHODS).items()}
+    ways = {name: lambda drive, way=way: way(**drive) for name, way in (methods or METHODS).items()}
     cases = benches.grid(distance_m=distances_m)
-    return benches.Comparison(cases, methods, _drive, lambda cloud, _: read(cloud), seeds=seeds)
-
-
-def _drive(distance_m, *, seed):
-    """What a method is given."""
-    return {"distance_m": distance_m, "seed": seed}
-
-
-def _of_pass(method):
-    """A method as the bench calls it."""
-    return lambda drive: method(**drive)
+    return benches.Comparison(cases, ways, dict, lambda cloud, _: read(cloud), seeds=seeds)
 
 
 def misfits(results):
@@ -154,13 +144,12 @@ def misfits(results):
 
 def measure(system, parameters, *, seeds, distances=(5.0, 10.0)):
     """Return what Appendix A reads of a system with these parameters, a row for each pass."""
-    rows = [
+    return pd.DataFrame(
         {"system": system, "distance_m": distance, "seed": seed}
         | read(chart_cloud(system, distance, seed=seed, **parameters))
         for distance in distances
         for seed in seeds
-    ]
-    return pd.DataFrame(rows)
+    )
 
 
 def fit(*, seed, candidates, repeats):
@@ -297,42 +286,37 @@ def compare(cells, passes):
         ``fitted_low`` and ``fitted_high``, 95 % of further passes; ``fitted_stated``, where the
         stated 200 Hz of A are kept. NaN where there is none.
     """
-    usual = pd.concat(
-        cells[(cells["system"] == name) & (cells[list(values)] == pd.Series(values)).all(axis=1)]
-        for name, values in USUAL.items()
-    )
-    kept = ["system", "distance_m"]
-    rows = {"usual": usual, "all": cells, "free": passes.query("fit == 'free'")}
-    rows["stated"] = passes.query("fit == 'stated'")
-    groups = {name: part.groupby(kept)[list(FIGURES)] for name, part in rows.items()}
+    usual = cells.merge(pd.DataFrame({"system": name, **USUAL[name]} for name in USUAL))
+    free, stated = (passes[passes["fit"] == name] for name in ("free", "stated"))
+    kept, n = ["system", "distance_m"], free["seed"].nunique()
+
+    def figures(rows):
+        return rows.groupby(kept)[list(FIGURES)]
+
+    reach = t.ppf(0.975, n - 1) * np.sqrt(1 + 1 / n) * figures(free).std()
     columns = {
         "published": table_2().set_index(kept)[list(FIGURES)],
-        "predicted": groups["usual"].mean(),
-        "predicted_low": groups["all"].min(),
-        "predicted_high": groups["all"].max(),
-        "fitted": groups["free"].mean(),
-        "fitted_sd": groups["free"].std(),
-        "fitted_stated": groups["stated"].mean(),
+        "predicted": figures(usual).mean(),
+        "predicted_low": figures(cells).min(),
+        "predicted_high": figures(cells).max(),
+        "fitted": figures(free).mean(),
+        "fitted_low": figures(free).mean() - reach,
+        "fitted_high": figures(free).mean() + reach,
+        "fitted_stated": figures(stated).mean(),
     }
     table = pd.concat({name: part.stack() for name, part in columns.items()}, axis=1)
-    n = rows["free"]["seed"].nunique()
-    reach = t.ppf(0.975, n - 1) * np.sqrt(1 + 1 / n) * table.pop("fitted_sd")
-    table.insert(5, "fitted_low", table["fitted"] - reach)
-    table.insert(6, "fitted_high", table["fitted"] + reach)
     return table.rename_axis([*kept, "figure"]).reset_index()
 
 
 def ledger_table(table):
     """Return the ledger's entries on Table 2, from the table of :func:`compare`."""
-    entries = []
+    rows = []
     for row in table.to_dict("records"):
         system, figure = row["system"], row["figure"]
         cell = f"{system} {row['distance_m']:.0f} m {FIGURES[figure]}"
         assumed = (system, figure) == ("A", "precision_mm")  # no noise is stated
-        for kind in ("fitted",) if assumed else ("predicted", "fitted"):
-            if np.isfinite(row[kind]):
-                note = f"{NOTES[system, kind]} {ARGUMENTS.get((system, figure), '')}".strip()
-                ends = {end: row[f"{kind}_{end}"] for end in ("low", "high")}
-                of = ("pfeifer2021", "table_2", cell, row[kind])
-                entries.append(ledger.entry(*of, kind=kind, note=note, **ends))
-    return pd.DataFrame(entries)
+        for kind in ("fitted",) if assumed else NOTES:
+            note = NOTES[kind].get(system, "") + ARGUMENTS.get((system, figure), "")
+            numbers = [row[f"{kind}{end}"] for end in ("", "_low", "_high")]
+            rows.append(("pfeifer2021", "table_2", cell, *numbers, kind, note))
+    return ledger.entries(pd.DataFrame(rows, columns=ledger.COLUMNS).dropna(subset="value"))

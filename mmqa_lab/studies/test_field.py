@@ -36,11 +36,9 @@ STANDS_FOR = {
 report prints no amounts, so one system stands for both."""
 
 NOTES = {
-    "predicted": "Predicted from Table 3-2, section 3.1.3 and the sheets of the navigation units, "
-    "against a reference of 11 mm in height and 2 cm in plan; errors of navigation change over an "
-    "assumed minute. No ray is cast; the ground is a strip as wide as the report's reference.",
-    "fitted": "Roll of the mounting fitted to the std of heights of ROAMER I CCW alone; Table 3-4 "
-    "is predicted from it.",
+    "predicted": "From printed specifications and the navigation units' sheets, with a reference "
+    "of 11 mm in height and 2 cm in plan; errors of navigation change over an assumed minute.",
+    "fitted": "Roll of the mounting fitted to the std of heights of ROAMER I CCW alone.",
 }
 
 TOLERANCE = 0.25
@@ -119,8 +117,7 @@ def predicted(street, tested, *, ground, targets, draws, seed):
         One row a direction and draw, shift removed: ``direction``, ``height_std_mm``,
         ``plan_mean_mm``, ``plan_std_mm``, ``plan_rmse_mm``.
     """
-    rows = []
-    rng = np.random.default_rng(seed)
+    rows, rng = [], np.random.default_rng(seed)
     paths = dict(zip(DIRECTIONS, street.drives(), strict=True))
     for direction, points in ground.items():
         path = paths[direction]
@@ -250,12 +247,10 @@ def columns(compared):
 
 def ledger_table(compared):
     """Return what the study says of each printed result, from :func:`against_published`."""
-    entries = []
-    for row in compared[compared["predicted_mm"].notna()].itertuples():
-        values = {"value": row.predicted_mm / 10, "low": row.low_mm / 10, "high": row.high_mm / 10}
-        told = {"kind": row.kind, "note": NOTES[row.kind]}
-        entries.append(ledger.entry(SOURCE, row.table, row.cell, **values, **told))
-    return pd.DataFrame(entries)
+    rows = compared.dropna(subset="predicted_mm").rename(columns={"predicted_mm": "value"})
+    rows = rows.rename(columns={"low_mm": "low", "high_mm": "high"})
+    rows[["value", "low", "high"]] /= 10
+    return ledger.entries(rows, source=SOURCE, note=rows["kind"].map(NOTES))
 
 
 @dataclass(eq=False)
@@ -382,16 +377,12 @@ def bench(
 
     def make(navigation, reference_std_m, seed):
         street = make_testfield(length_m=length_m, reference_std_m=reference_std_m, seed=seed)
-        choices = {"navigation": navigation, "pulses_per_s": pulses_per_s, "seed": seed + 3}
-        survey = two_drives(street, **choices)
+        survey = two_drives(street, navigation=navigation, pulses_per_s=pulses_per_s, seed=seed + 3)
         return survey, survey
 
     cases = benches.grid(navigation=navigation, reference_std_m=reference_std_m)
-    figures = ("pole_rmse_mm", "height_std_mm")
-    chosen = dict(methods or METHODS)
-    return benches.Comparison(
-        cases, chosen, make, score, seeds, tables=calibration_tables, figures=figures
-    )
+    shown = {"tables": calibration_tables, "figures": ("pole_rmse_mm", "height_std_mm")}
+    return benches.Comparison(cases, dict(methods or METHODS), make, score, seeds, **shown)
 
 
 def calibration_tables(results):

@@ -7,7 +7,7 @@ import nbformat
 import pandas as pd
 import pytest
 
-from mmqa_lab.published.ledger import entry
+from mmqa_lab.published.ledger import entries
 from mmqa_lab.run import Run, notebooks, pages
 from mmqa_lab.run.students import PYTHON
 from mmqa_lab.studies import STUDIES
@@ -39,7 +39,8 @@ def write_study(study, folder):
     pages.write_report(folder / "report.html", title="Report", tables=tables, figures=figures)
     plt.close(figure)
     run.save_answer("f is 2 on a lattice that is stretched by 2. " * 5, figure="seen")
-    run.save_ledger([entry("pfeifer2021", "table_2", "A 5 m d1", 4.2, kind="measured", note="A.")])
+    row = {"source": "pfeifer2021", "table": "table_2", "cell": "A 5 m d1", "value": 4.2}
+    run.save_ledger(entries([row], kind="measured", note="A."))
     run.check("f is 2.", True, "f = 2.0", "digits")
     run.check("g is 2.", False, "3", "")
     run.finish()
