@@ -118,13 +118,7 @@ def true_edges(faces):
                 lines.setdefault(key, [at, way, planes, []])[3].append((a, b))
     ends, normals = [], []
     for at, way, planes, spans in lines.values():
-        spans.sort()
-        merged = [list(spans[0])]
-        for a, b in spans[1:]:
-            if a <= merged[-1][1] + 0.02:
-                merged[-1][1] = max(merged[-1][1], b)
-            else:
-                merged.append([a, b])
+        merged = _union(spans, gap=0.02)
         ends += [at + np.outer(span, way) for span in merged]
         normals += [planes] * len(merged)
     return np.array(ends), np.array(normals)
@@ -169,7 +163,7 @@ def visible(edges, normals, points, noise):
         off = points[near] - ends[0]
         station = off @ way
         height = np.abs(off @ planes.T)
-        runs = []
+        sides = [[], []]
         for here in (0, 1):
             across = np.cross(planes[here], way)
             depth = off @ across
@@ -178,9 +172,9 @@ def visible(edges, normals, points, noise):
                 band = on & (sign * depth > BAND / 2) & (sign * depth < BAND)
                 close = on & (sign * depth > 4 * noise) & (sign * depth <= BAND / 2)
                 spans = [_runs(station[one], length) for one in (band, close)]
-                runs.append((here, _common(*spans)))
-        sides = [_union(*(run for at, run in runs if at == here)) for here in (0, 1)]
-        parts += [(number, a, b) for a, b in _common(*sides) if b - a >= LEAST_M]
+                sides[here] += _common(*spans)
+        both = _common(*map(_union, sides))
+        parts += [(number, a, b) for a, b in both if b - a >= LEAST_M]
     return np.array(parts).reshape(-1, 3)
 
 
@@ -206,10 +200,10 @@ def _common(a, b):
     return [span for span in found if span[1] > span[0]]
 
 
-def _union(a, b):
+def _union(spans, gap=0.0):
     found = []
-    for low, high in sorted([*a, *b]):
-        if found and low <= found[-1][1]:
+    for low, high in sorted(spans):
+        if found and low <= found[-1][1] + gap:
             found[-1][1] = max(found[-1][1], high)
         else:
             found.append([low, high])
@@ -217,10 +211,7 @@ def _union(a, b):
 
 
 def score(found, faces, points, noise):
-    """Recall of visible edges, share of the found length that is true, errors of ends.
-
-    Returns a dict, the rows of missed visible parts, and for each found edge its true share.
-    """
+    """Recall of visible edges, share of the found length that is true, error of ends."""
     edges, normals = true_edges(faces)
     parts = visible(edges, normals, points, noise)
     ways = edges[:, 1] - edges[:, 0]
@@ -238,14 +229,12 @@ def score(found, faces, points, noise):
         over = np.maximum(np.maximum(-station, station - lengths[along]), 0)
         on = (across < NEAR_M) & (over < NEAR_M)
         true_length.append((on.any(axis=1).mean() if on.size else 0.0, size))
-    shares, missed = [], []
+    shares = []
     for number, low, high in parts:
         number = int(number)
         spans = [span for at, span in _along(edges[[number]], ways[[number]], found)]
-        inside = _common(_union(spans, []), [(low, high)])
+        inside = _common(_union(spans), [(low, high)])
         shares.append(sum(b - a for a, b in inside) / (high - low))
-        if shares[-1] < 0.5:
-            missed.append((number, low, high, shares[-1]))
     errors = []
     for ends in found:
         for at, span in _along(edges, ways, ends[None]):
@@ -253,18 +242,13 @@ def score(found, faces, points, noise):
             if span[1] > 0 and span[0] < lengths[at]:
                 errors += [np.abs(marks - end).min() for end in span]
                 break
-    shares, true_length = np.array(shares), np.array(true_length).reshape(-1, 2)
-    size = parts[:, 2] - parts[:, 1]
-    figures = {
+    true, sizes = np.transpose(true_length)
+    return {
         "visible": len(parts),
-        "recall": (shares >= 0.5).mean() if len(parts) else np.nan,
-        "recall_length": shares @ size / size.sum(),
-        "found": len(found),
-        "true_length": np.average(true_length[:, 0], weights=true_length[:, 1]),
+        "recall": np.mean(np.array(shares) >= 0.5),
+        "true_length": np.average(true, weights=sizes),
         "ends_median_m": np.median(np.abs(errors)),
-        "ends_p90_m": np.quantile(np.abs(errors), 0.9),
     }
-    return figures, [(edges[n], normals[n], a, b, s) for n, a, b, s in missed], true_length
 
 
 def _along(edges, ways, found):

@@ -25,16 +25,16 @@ def test_truth_is_where_faces_touch():
 
 @pytest.fixture(scope="module")
 def clutter():
-    """Half a street with windows at 300 points per square metre, what is seen of it, 1 cm noise."""
-    street = street_of_facades(7, length=12.0)
-    return street, covered(street, 300, 0.01, np.random.default_rng(7))
+    """A third of a street with windows, 300 points per square metre of what is seen, its edges."""
+    street = street_of_facades(7, length=10.0)
+    points = covered(street, 300, 0.01, np.random.default_rng(7))
+    return street, points, lines.extract_edges(points).segments
 
 
 def test_edges_of_cluttered_facades_are_found_and_true(clutter):
     """The smallest faces with edges of 1 m are bonnets and dormers; no setting is given."""
-    street, points = clutter
-    found = lines.extract_edges(points)
-    figures, _, _ = score(found.segments, street.faces, points, 0.01)
+    street, points, found = clutter
+    figures = score(found, street.faces, points, 0.01)
     assert figures["visible"] > 25
     assert figures["recall"] >= 0.85
     assert figures["true_length"] >= 0.95
@@ -49,7 +49,7 @@ def test_small_faces_of_a_thin_cloud_have_edges():
         points = covered(street, 10, 0.01, np.random.default_rng(seed))
         for choices, into in (({}, found), ({"minimum": 30}, few)):
             ends = lines.extract_edges(points, **choices).segments
-            figures, _, _ = score(ends, street.faces, points, 0.01)
+            figures = score(ends, street.faces, points, 0.01)
             into.append([figures["recall"], figures["true_length"]])
     recall, true_length = np.mean(found, axis=0)
     assert recall >= 0.85
@@ -59,7 +59,6 @@ def test_small_faces_of_a_thin_cloud_have_edges():
 
 def test_what_ends_before_a_line_has_no_edge_there(clutter):
     """Cars stand 0.3 m above the road: their sides meet it nowhere."""
-    _, points = clutter
-    ends = lines.extract_edges(points).segments
+    _, _, ends = clutter
     level = np.abs(ends[:, :, 2]).max(axis=1) < 0.05
     assert not (level & (np.abs(ends[:, :, 0]).max(axis=1) < 3.3)).any()

@@ -24,10 +24,9 @@ TRUE_ROOM = np.array(
 )
 
 
-def in_order(edges):
-    """Edges of a room in the order of its axes, each from the origin."""
-    ends = edges.segments
-    order = np.abs(lines.directions(edges.segments)).argmax(axis=1).argsort()
+def in_order(ends):
+    """Edges of a room in the order of its axes, each from the origin; and that order."""
+    order = np.abs(lines.directions(ends)).argmax(axis=1).argsort()
     ends = ends[order]
     away = np.linalg.norm(ends[:, 0], axis=1) > np.linalg.norm(ends[:, 1], axis=1)
     ends[away] = ends[away, ::-1]
@@ -41,7 +40,8 @@ def test_a_room_has_three_planes_and_three_edges(rng):
     owners = np.concatenate([patch.index for patch in patches])
     assert len(owners) == len(np.unique(owners)) > 0.98 * len(points)
     edges = extract_edges(points)
-    ends, _ = in_order(edges)
+    np.testing.assert_array_equal(extract_edges(points).segments, edges.segments)
+    ends, _ = in_order(edges.segments)
     across = ends.copy()
     across[range(3), :, range(3)] = 0
     assert np.abs(across).max() < 0.005
@@ -52,27 +52,18 @@ def test_a_room_has_three_planes_and_three_edges(rng):
     assert frame["length_m"].tolist() == lines.lengths(edges.segments).tolist()
 
 
-def test_equal_clouds_give_equal_edges(rng):
-    points = room(rng)
-    first, again = extract_edges(points), extract_edges(points)
-    np.testing.assert_array_equal(first.segments, again.segments)
-
-
 def test_turned_and_far_from_the_origin(rng):
     points = room(rng)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     shift = np.array([651_234.5, 6_862_345.7, 35.0])
-    here, _ = in_order(extract_edges(points))
+    here, _ = in_order(extract_edges(points).segments)
     found = extract_edges(points @ turn.T + shift)
-    back = (found.segments - shift) @ turn
-    back = back[np.abs(back[:, 1] - back[:, 0]).argmax(axis=1).argsort()]
-    away = np.linalg.norm(back[:, 0], axis=1) > np.linalg.norm(back[:, 1], axis=1)
-    back[away] = back[away, ::-1]
+    back, _ = in_order((found.segments - shift) @ turn)
     # the bins along an edge start elsewhere: another point, some 0.1 m off, may be its last
     np.testing.assert_allclose(back, here, atol=0.1)
-    for axis in range(3):
-        other = [k for k in range(3) if k != axis]
-        np.testing.assert_allclose(back[axis][:, other], here[axis][:, other], atol=1e-3)
+    off = back - here
+    off[range(3), :, range(3)] = 0
+    assert np.abs(off).max() < 1e-3
 
 
 def test_profiles_dense_along_and_sparse_across(rng):
@@ -120,8 +111,6 @@ def test_canyon_points_lie_on_their_displaced_faces():
     # the displacement is taken at the displaced point, 0.9 m further: it drifts 2 % along a street
     assert np.abs((local * normal[face]).sum(axis=1)).max() < 0.03
     assert len(canyon_edges(scene)) == 4 * len(scene.buildings)
-    with pytest.raises(ValueError, match="Invalid density 0"):
-        canyon_cloud(scene, "C1", density=0)
 
 
 def boxes(side, density=10, noise=0.01):
@@ -138,9 +127,9 @@ def boxes(side, density=10, noise=0.01):
     return cloud + rng.normal(0, noise, cloud.shape)
 
 
-@pytest.mark.parametrize("side", [2, 6])
+@pytest.mark.parametrize("side", [2, 5])
 def test_edges_survive_the_size_of_the_cloud(side):
-    """4,800 and 43,200 m2 of wall; a fixed sample of points lost nearly all at 30,000."""
+    """4,800 and 30,000 m2 of wall; a fixed sample of points lost nearly all of the larger."""
     edges = extract_edges(boxes(side))
     upright = lines.lengths(edges.segments)[np.abs(lines.directions(edges.segments)[:, 2]) > 0.99]
     assert len(upright) >= 4 * side**2
@@ -163,14 +152,14 @@ def test_an_edge_is_no_longer_than_its_wall(rng, density, noise):
     assert lines.lengths(edges.segments) == pytest.approx([4.0], abs=0.1 + 5 / density)
 
 
-@pytest.mark.parametrize(("density", "noise"), [(12, 0.005), (50, 0.02), (400, 0.01)])
+@pytest.mark.parametrize(("density", "noise"), [(12, 0.005), (50, 0.02), (200, 0.01)])
 def test_stated_uncertainty_covers_the_errors(density, noise):
     """Across the edge and along it, on rooms whose three edges are known."""
     across, along = [], []
     for seed in range(25):
         rng = np.random.default_rng(seed)
         edges = extract_edges(room(rng, n=25 * density, noise=noise))
-        ends, order = in_order(edges)
+        ends, order = in_order(edges.segments)
         for axis in range(3):
             other = [k for k in range(3) if k != axis]
             covariance = edges.covariance[order[axis], 0]
@@ -188,7 +177,7 @@ def test_stated_uncertainty_covers_the_errors(density, noise):
 
 
 def test_a_cloud_too_thin_for_the_size_is_said_to_be(rng):
-    thin = boxes(2, density=2)
+    thin = boxes(1, density=2)
     with pytest.warns(UserWarning, match=r"About \d.* points per square metre are too few"):
         detect_planes(thin)
 
@@ -197,7 +186,9 @@ def test_an_edge_ends_at_the_corner_of_three_planes():
     """The gap behind the last point leaves 7 cm open: 12 points/m2 in a strip of 0.95 m."""
     corner, open_end = [], []
     for seed in range(10):
-        ends, _ = in_order(extract_edges(room(np.random.default_rng(seed), n=300, noise=0.005)))
+        ends, _ = in_order(
+            extract_edges(room(np.random.default_rng(seed), n=300, noise=0.005)).segments
+        )
         corner += np.linalg.norm(ends[:, 0], axis=1).tolist()
         open_end += np.abs(ends[range(3), 1, range(3)] - [6, 5, 4]).tolist()
     assert np.median(corner) < 0.01

@@ -126,14 +126,6 @@ def test_far_from_the_origin_nothing_changes(scene, matcher):
     np.testing.assert_allclose(here.displacement.vector, there.displacement.vector, atol=1e-6)
 
 
-def test_displacement_of_exact_pairs_is_exact(scene):
-    model = scene.edges
-    for vector in ([0.3, -0.2, 0.1], [2.0, 1.0, -0.5]):
-        found = lines.fit_displacement(model + vector, model, np.eye(len(model), dtype=bool))
-        np.testing.assert_allclose(found.vector, vector, atol=1e-6)
-        assert found.n == len(model)
-
-
 def test_parallel_pairs_leave_the_displacement_open():
     upright = [[[x, 0, 0], [x, 0, 9]] for x in range(5)]
     found = lines.fit_displacement(upright, upright, np.eye(5, dtype=bool))
@@ -187,13 +179,6 @@ def test_of_two_neighbours_the_one_with_the_same_ends_is_paired(rng):
         same_ends.append(found[:12, :12].trace() - found[:12, 20:].trace())
     # of twelve; a matcher blind to ends takes six of either
     assert np.mean(same_ends) > 4
-
-
-def test_the_displaced_matcher_knows_the_displacement():
-    scene = canyon(101, displacement_m=3.0)
-    found = match_displaced(*two(scene))
-    true = scene.displacements("C1", "TLS").mean(axis=0)
-    assert np.linalg.norm(found.displacement.vector - true) < 0.1
 
 
 def test_a_displacement_beyond_the_radius_is_found_or_unknown(scene):
@@ -303,20 +288,6 @@ def test_no_warning_where_nothing_is_doubtful(scene):
         warnings.simplefilter("error")
         lhd(*two(scene))
         lhd(*two(scene), matcher="displaced")
-
-
-def test_known_pairs_take_the_place_of_threshold_and_matcher(scene):
-    test, model = two(scene)
-    truth = scene.pairs("C1", "TLS")
-    found = lhd(test, model, pairs=truth)
-    rows, columns = np.nonzero(truth)
-    there, back = lines.distance_matrix(test, model), lines.distance_matrix(model, test)
-    expected = max(
-        np.average(there[rows, columns], weights=lines.lengths(model)[columns]),
-        np.average(back[columns, rows], weights=lines.lengths(test)[rows]),
-    )
-    assert found.value == pytest.approx(expected)
-    assert found.matcher == "given"
 
 
 def test_range_denominator_and_threshold_are_choices(scene):

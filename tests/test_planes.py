@@ -13,7 +13,6 @@ from mmqa_lab.planes import (
     fit_line,
     fit_plane,
     sigma_mad,
-    turned_axes,
 )
 
 
@@ -66,12 +65,6 @@ def test_nothing_changes_when_the_cloud_is_moved(seed):
     assert there.rms == pytest.approx(here.rms, rel=1e-9)
     assert sigma_mad(there.residuals) == pytest.approx(sigma_mad(here.residuals), rel=1e-9)
     assert np.abs(there.normal - here.normal).max() < 1e-12
-
-
-def test_order_of_points_does_not_matter(rng):
-    points = dyadic(rng, 200)
-    turned = fit_plane(points[::-1])
-    assert np.allclose(turned.residuals[::-1], fit_plane(points).residuals, atol=1e-14)
 
 
 def test_robust_fit_withstands_points_behind_the_chart(rng):
@@ -137,19 +130,9 @@ def test_horizontal_axes(rng):
     assert np.cross(level, slope) @ plane.normal == pytest.approx(1)
 
 
-def test_turned_axes_by_a_right_angle():
-    axes = np.eye(3)[:2]
-    assert np.allclose(turned_axes(axes, 90), [[0, 1, 0], [-1, 0, 0]], atol=1e-15)
-
-
-def test_tables_of_fits_have_units_and_intervals():
-    square = [[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]]
-    plane = fit_plane(square).to_frame().iloc[0]
-    assert plane["centre_z_m"] == plane["normal_z"] == 1
-    assert plane["n"] == 4
+def test_table_of_a_circle_has_intervals():
     turn = np.linspace(0, 3, 50)
     circle = fit_circle(np.stack([np.cos(turn), np.sin(turn)], axis=1))
     row = circle.to_frame().iloc[0]
-    assert row["radius_m"] == circle.radius
     both = [row[f"{axis}_high_m"] - row[f"{axis}_low_m"] for axis in "xy"]
     assert both == pytest.approx(2 * 1.96 * np.sqrt(np.diag(circle.covariance)))

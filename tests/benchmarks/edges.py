@@ -30,7 +30,7 @@ def edges(density, windows, seed, length):
     began = time.process_time()
     found = lines.extract_edges(points)
     used = time.process_time() - began
-    figures = score(found.segments, street.faces, points, 0.01)[0]
+    figures = score(found.segments, street.faces, points, 0.01)
     named = {name: figures[name] for name in ("recall", "true_length", "ends_median_m")}
     return {"scene": f"edges, {density} points/m2", **named, "s": used}
 
