@@ -107,18 +107,6 @@ def test_coordinate_systems_are_read_and_written_and_not_mixed(tmp_path, cloud):
     other = Cloud(cloud.points, crs=pyproj.CRS("EPSG:25833"))
     with pytest.raises(ValueError, match="Must be in ETRS89 / UTM zone 32N"):
         Cloud.concatenate([again, other])
-    write_cloud(tmp_path / "feet.laz", Cloud(cloud.points, crs=pyproj.CRS("EPSG:2263")))
-    with pytest.raises(ValueError, match=r"in US survey foot .*Must be projected, in metres\."):
-        read_cloud(tmp_path / "feet.laz")
-
-
-def test_a_polygon_of_another_coordinate_system_is_refused(tmp_path):
-    node = {"type": "Polygon", "coordinates": [[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0]]]}
-    node["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
-    (tmp_path / "p.geojson").write_text(json.dumps(node))
-    assert len(read_polygon(tmp_path / "p.geojson", crs=pyproj.CRS("EPSG:25832"))) == 3
-    with pytest.raises(ValueError, match="zone 33N, the cloud's"):
-        read_polygon(tmp_path / "p.geojson", crs=pyproj.CRS("EPSG:25833"))
 
 
 def test_copc_is_read_whole():
@@ -168,8 +156,6 @@ def test_rejects_writing_what_las_cannot_hold(tmp_path, cloud):
         write_cloud(tmp_path / "c.laz", Cloud([[0, 0, 0], [1e7, 0, 0]]), scale=1e-4)
     with pytest.raises(ValueError, match="Invalid column 'name'"):
         write_cloud(tmp_path / "c.laz", Cloud(cloud.points[:1], {"name": np.array(["a"])}))
-    with pytest.raises(ValueError, match=r"Must be one of \.las, \.laz"):
-        write_cloud(tmp_path / "c.ply", cloud)
     assert not list(tmp_path.iterdir())
 
 
@@ -211,20 +197,12 @@ def test_polygons(tmp_path):
     assert np.array_equal(read_polygon(inline), vertices)
 
 
-NAMES = st.sampled_from(
-    [
-        ("x", "y", "z"),
-        ("X", "Y", "Z"),
-        ("Easting", "Northing", "Height"),
-        ("easting_m", "northing_m", "height_m"),
-        ("x [m]", "y [m]", "z [m]"),
-        ("East", "North", "Elevation"),
-    ]
-)
+NAMES = "x,y,z", "Easting,Northing,Height", "easting_m,northing_m,height_m", "x [m],y [m],z [m]"
+NAMES += "X,Y,Z", "East,North,Elevation"
 
 
 @given(
-    names=NAMES,
+    names=st.sampled_from([names.split(",") for names in NAMES]),
     order=st.permutations(range(5)),
     separator=st.sampled_from([",", ";", "\t", ", ", " "]),
     commas=st.booleans(),
@@ -236,7 +214,7 @@ def test_columns_of_text_are_found_by_their_names(
     tmp_path_factory, names, order, separator, commas, before, commented, end
 ):
     if separator == " " and "[" in names[0]:
-        names = ("x", "y", "z")
+        names = ["x", "y", "z"]
     if commented and before == "\ufeff":
         before = ""
     rng = np.random.default_rng(1)
@@ -275,22 +253,10 @@ def test_rasters_are_the_middles_of_their_cells(tmp_path, type_):
     assert len(read_heights(tmp_path / "h.tif")) == 5
 
 
-@pytest.mark.parametrize(
-    ("number", "same"),
-    [
-        ("25832", True),
-        ("25832+7837", True),
-        ("32632", False),
-        ("25833", False),
-        ("23032", False),
-        ("4258", False),
-    ],
-)
-def test_coordinate_systems_are_compared_in_plan(number, same):
+def test_coordinate_systems_are_compared_in_plan():
     """A height system changes nothing in plan; ED50 in the same zone lies 100 m from ETRS89."""
-    systems = pyproj.CRS(f"EPSG:{number}"), pyproj.CRS("EPSG:25832")
-    if same:
-        check_same_crs("polygon", systems[0], "cloud", systems[1])
-    else:
+    same = pyproj.CRS("EPSG:25832")
+    check_same_crs("polygon", pyproj.CRS("EPSG:25832+7837"), "cloud", same)
+    for number in (32632, 25833, 23032, 4258):
         with pytest.raises(ValueError, match="Must be in ETRS89 / UTM zone 32N, the cloud's"):
-            check_same_crs("polygon", systems[0], "cloud", systems[1])
+            check_same_crs("polygon", pyproj.CRS(number), "cloud", same)

@@ -26,13 +26,6 @@ def field():
     return study.bench(methods=methods, cases=study.surfaces(3), seeds=(0, 1)).run()
 
 
-def test_walls_of_the_bench_are_the_fourteen_of_the_tables():
-    walls = study.cad_walls((4.0, 8.0))
-    assert len(walls) == 28
-    last = walls.query("table == 'table_4' and no == 9").iloc[0]
-    assert last[["heading_deg", "tilt_deg"]].tolist() == [-30, -30]
-
-
 def test_surfaces_keep_the_printed_limits():
     cases = study.surfaces(16)
     assert cases["range_m"].between(5, 16).all()
@@ -85,14 +78,6 @@ def test_simulated_patches_are_square_and_lie_where_they_should():
     assert np.abs(uv).max() < 0.5 + 0.003  # angle noise shifts points by a millimetre or two
     assert np.abs(uv).max() > 0.48
     assert len(cloud) == pytest.approx(0.95 * truth.density_per_m2, rel=0.06)  # 5 % of drop-outs
-
-
-def test_bench_takes_an_equation_of_ones_own():
-    methods = {"scan lattice": study.lattice, "mine": lambda scan: {"point_mm": 5.0}}
-    results = study.bench(methods=methods, ranges_m=(8.0,), seeds=(0,)).run()
-    mine = results.sel({"method": "mine"})
-    assert (mine["point_error_mm"] > 1).all()
-    assert mine["angle_error_deg"].isnull().all()
 
 
 def test_checks_of_the_notebook_fail_with_other_numbers():
