@@ -35,14 +35,14 @@ NARROW = 0.6
 
 REACH_M, COARSE_M, WIDE_M, ARCS = 1.0, 0.3, 4.0, 24
 MAX_LEAN, WIDEST_M, APART_M = 0.27, 0.6, 0.6
-THRESHOLD, DOUBT, LENGTH_M = 0.4, 0.02, 1.0
+THRESHOLD, DOUBT, LENGTH_M = 0.5, 0.02, 1.0
 
 MEASURES = {
     "run_m": ("longest stretch with points in the core and hardly any around it", 1),
     "clean_150_m": ("the same of a core of 15 cm", 1),
     "clean_400_m": ("the same of a core of 40 cm", 1),
     "core_m": ("radius of the core", 0),
-    "low_m": ("height above ground where the run begins", 0),
+    "low_m": ("height above ground where the run begins", -1),
     "column_m": ("longest stretch with points in the core, whatever is around", 0),
     "points": ("log of the core's points a metre, after thinning", 1),
     "share": ("share of the core in the points of core and shell", 1),
@@ -389,10 +389,10 @@ class Trees(NamedTuple):
         return 1 / (1 + np.exp(-parts.sum(axis=1) - first))
 
 
-DEPTH = 4
+DEPTH = 6
 
 
-def grow(measures, label, weight=None, *, rounds=200, leaves=10, rate=0.1, leave=()):
+def grow(measures, label, weight=None, *, rounds=200, leaves=16, rate=0.07, leave=()):
     """Return ``Trees`` grown by gradient boosting of the log loss.
 
     Parameters
@@ -411,7 +411,7 @@ def grow(measures, label, weight=None, *, rounds=200, leaves=10, rate=0.1, leave
 
     x = measures.to_numpy(float) * ~np.isin(list(MEASURES), leave)
     choices = {"objective": "binary", "num_leaves": leaves, "learning_rate": rate}
-    choices |= {"max_depth": DEPTH, "min_data_in_leaf": 30, "lambda_l2": 5.0}
+    choices |= {"max_depth": DEPTH, "min_data_in_leaf": 100, "lambda_l2": 20.0}
     choices |= {"feature_fraction_bynode": 0.4, "deterministic": True, "force_row_wise": True}
     choices |= {"num_threads": 1, "seed": 0, "verbose": -1}
     choices["monotone_constraints"] = [way for _, way in MEASURES.values()]
