@@ -49,7 +49,7 @@ def test_limit_lies_a_little_above_that_of_the_noise_free_contrast(sigma, blur):
 
 
 def test_limit_never_falls_below_beats():
-    assert study.pair_limit(0.1) >= study.SMALLEST_PAIR_PX
+    assert study.pair_limit(0.1) >= study.reading.SMALLEST_PAIR_PX
 
 
 @given(finest=st.floats(1, 60), direction=DIRECTIONS)

@@ -8,12 +8,7 @@ import pandas as pd
 
 from mmqa_lab import chart_image, charts, published
 from mmqa_lab.bench import Comparison, grid
-from mmqa_lab.chart_image.reading import (
-    SMALLEST_GAP,
-    SMALLEST_PAIR_PX,
-    expected_contrast,
-    find_tones,
-)
+from mmqa_lab.chart_image import reading
 from mmqa_lab.charts import Bar, Layout, LinePairs
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
@@ -33,6 +28,9 @@ FITTED_PX = 0.8
 SENSOR = cameras.Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=90)
 
 SPEED_KMH = 40.0
+
+MARKS = {"a": 1.0, "b": 2.0, "c": 3.0}
+"""Legibility as the ledger counts it."""
 
 LIMIT_STEP, LIMIT_STEPS, LIMIT_LENGTH_PX, MAP_ERROR_PX = 1.04, 9, 24.0, 0.1
 """Line pairs that find the limit: their steps, number and length, and the error of their place."""
@@ -115,7 +113,7 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     optics = cameras.Optics(sigma_px, travel=(blur_px * c, blur_px * s, 0.0))
     photo = cameras.photograph(layout, there, optics=optics, margin=3, seed=seed)
     place = photo.chart_map.within(*rng.normal(0, MAP_ERROR_PX, 2))
-    levels = find_tones(photo.image, layout, place)
+    levels = reading.find_tones(photo.image, layout, place)
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
@@ -192,13 +190,14 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
     seen = chart_image.evaluate_image(image, layout, place)
     blurs = [_blur_px(photo.chart_map, travel, layout[name]) for name in seen.pairs["name"]]
     width_px = seen.pairs["width_px"].to_numpy()
-    carried = (expected_contrast(width_px, spread_px, blurs) >= SMALLEST_GAP) & (width_px >= 2)
+    carried = reading.expected_contrast(width_px, spread_px, blurs) >= reading.SMALLEST_GAP
     middle = {"h": (0, [[500.0, 50.0]]), "v": (1, [[154.0, 500.0], [856.0, 500.0]])}
     truth = {
         f"pixel_{direction}_mm": photo.chart_map.pixel_sizes_mm(places)[:, axis].mean()
         for direction, (axis, places) in middle.items()
     }
-    return seen, truth | {"published": row, "patterns": seen.pairs.assign(there=carried)}
+    patterns = seen.pairs.assign(there=carried & (width_px >= 2))
+    return seen, truth | {"published": row, "patterns": patterns}
 
 
 def score_rule(resolved, truth):
@@ -237,7 +236,7 @@ def every_gap(seen):
 
 def contrast_alone(seen):
     """Accept a pattern when its bars differ by a tenth of the contrast, whichever is darker."""
-    return seen.pairs["contrast"].abs() >= SMALLEST_GAP
+    return seen.pairs["contrast"].abs() >= reading.SMALLEST_GAP
 
 
 def enough_pixels(seen):
@@ -264,14 +263,8 @@ def bench(systems="ABC", photo_spreads_px=(0.4, FITTED_PX), exposures_ms=(0, 0.5
         if row["view"] == "orthogonal" and row["distance_m"] == 10:
             cases += grid(**row, spread_px=photo_spreads_px, exposure_ms=exposures)
     cases = [case for k, case in enumerate(cases) if case not in cases[:k]]
-    rules = {
-        "every gap": every_gap,
-        "contrast alone": contrast_alone,
-        "2.74 pixels": enough_pixels,
-    }
-    return Comparison(
-        cases, rules, photo_case, score_rule, seeds=[seed], figures=("spurious", "missed")
-    )
+    rules = {"every gap": every_gap, "contrast alone": contrast_alone, "2.74 pixels": enough_pixels}
+    return Comparison(cases, rules, photo_case, score_rule, [seed], figures=("spurious", "missed"))
 
 
 def ledger_table(sizes, widths, legibility, repeats_px):
@@ -294,41 +287,40 @@ def ledger_table(sizes, widths, legibility, repeats_px):
     DataFrame
         As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
     """
-    predicted = {"predicted_mm": "value", "low_mm": "low", "high_mm": "high"}
     pixel = "From megapixels, distance and images every few metres, without stitching and storing."
     dash = "The simulated grey bar is found; the paper says that it was hard to measure."
-    size = sizes.assign(note=np.where(sizes["published_mm"] > 0, pixel, dash))
     usual = "From megapixels, distance and a usual point spread; exposure and sharpening unknown."
     fit = "One number of pixels a pair, fitted to the printed widths; published pixel sizes."
-    fitted = widths[[*ROW, "direction"]].assign(value=widths["fitted_mm"], note=fit)
-    value = legibility["fitted_mark"].map({"a": 1.0, "b": 2.0, "c": 3.0})
-    fit = "Pixels per capital height, with two thresholds fitted to these twelve marks."
-    marks = legibility[ROW].assign(direction="", value=value, note=fit, what="legibility")
-    table = pd.concat(
-        [
-            size.rename(columns=predicted).assign(what="pixel size", kind="predicted"),
-            widths.rename(columns=predicted).assign(kind="predicted", note=usual),
-            fitted.assign(kind="fitted"),
-            marks.assign(kind="fitted"),
-        ],
-        ignore_index=True,
-    ).fillna({"what": "line-pair width"})
-    place = table["system"] + table["distance_m"].map(" {:.0f} m ".format) + table["view"]
-    cell = (place + " " + table["direction"] + " " + table["what"]).str.split().str.join(" ")
+    marked = "Pixels per capital height, with two thresholds fitted to these twelve marks."
+    sizes = sizes.assign(note=np.where(sizes["published_mm"] > 0, pixel, dash))
+    marks = legibility.assign(direction="", mark=legibility["fitted_mark"].map(MARKS))
+    tables = []
+    for what, part, value in (
+        ("pixel size", sizes, "predicted_mm"),
+        ("line-pair width", widths.assign(note=usual), "predicted_mm"),
+        ("line-pair width", widths.assign(note=fit), "fitted_mm"),
+        ("legibility", marks.assign(note=marked), "mark"),
+    ):
+        predicted = value == "predicted_mm"
+        ends = {"low_mm": "low", "high_mm": "high"} if predicted else {}
+        rows = part.rename(columns={value: "value", **ends})
+        place = rows["system"] + rows["distance_m"].map(" {:.0f} m ".format) + rows["view"]
+        cell = (place + " " + rows["direction"] + " " + what).str.split().str.join(" ")
+        kind = "predicted" if predicted else "fitted"
+        tables.append(rows.assign(table="table_1", cell=cell, kind=kind))
     std = float(np.max(repeats_px))
     repeated = pd.DataFrame({"cell": ["bar_std", "bar_difference_max"], "value": [std, 4 * std]})
     note = "Standard deviation along the pixel rows of simulated bars; the largest are four of it."
     repeated = repeated.assign(table="numbers", kind="measured", note=note)
-    table = pd.concat([table.assign(table="table_1", cell=cell), repeated], ignore_index=True)
-    return ledger.entries(table, source="pfeifer2021")
+    return ledger.entries(pd.concat([*tables, repeated], ignore_index=True), source="pfeifer2021")
 
 
 def _steps_chart(sigma_px, blur_px):
     """A chart of line pairs around the limit, a millimetre for each pixel."""
-    widths = np.geomspace(60, SMALLEST_PAIR_PX, 2000)
-    poor = expected_contrast(widths, sigma_px, blur_px) < SMALLEST_GAP
-    closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else SMALLEST_PAIR_PX
-    start = max(closed / LIMIT_STEP, SMALLEST_PAIR_PX)
+    widths = np.geomspace(60, reading.SMALLEST_PAIR_PX, 2000)
+    poor = reading.expected_contrast(widths, sigma_px, blur_px) < reading.SMALLEST_GAP
+    closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else reading.SMALLEST_PAIR_PX
+    start = max(closed / LIMIT_STEP, reading.SMALLEST_PAIR_PX)
     pairs, low = [], 10.0
     for width in start * LIMIT_STEP ** np.arange(LIMIT_STEPS):
         name = f"pairs_{width:.3f}"

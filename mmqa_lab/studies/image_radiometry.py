@@ -9,15 +9,9 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
+from mmqa_lab import radiometry
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import ledger, table
-from mmqa_lab.radiometry import (
-    empirical_line,
-    fit_sensor,
-    patch_statistics,
-    reflectance_factor,
-    relative_exposure,
-)
 from mmqa_lab.simulate.targets import ATMOSPHERES, Atmosphere, expose
 
 SOURCE = "eurosdr2013_radiometry"
@@ -62,10 +56,10 @@ def wedge_targets(exposure_std, seed, settings=None):
     rng = np.random.default_rng([seed, 7])
     radiance, tables = ATMOSPHERES["clean"].radiance(GREY_STEPS), []
     for number, setting in enumerate(SETTINGS if settings is None else settings):
-        recorded = relative_exposure(*setting, reference=REFERENCE_SETTING)
+        recorded = radiometry.relative_exposure(*setting, reference=REFERENCE_SETTING)
         true = recorded * np.exp(exposure_std * rng.standard_normal())
         image, places = grey_wedge(radiance, true, [seed, number])
-        found = patch_statistics(image, places, full_scale=FULL_SCALE)
+        found = radiometry.patch_statistics(image, places, full_scale=FULL_SCALE)
         known = dict(zip(("time_s", "f_number"), setting, strict=True))
         known["setting"] = f"{1000 * setting[0]:g} ms, f/{setting[1]:g}"
         tables.append(found.assign(**known, radiance=radiance, exposure=recorded))
@@ -76,7 +70,7 @@ def calibrated(targets):
     """The sensor that targets show: weighted, and without the saturated ones."""
     std = targets["std_dn"].clip(0.3)  # rounding alone gives a pixel 0.3 DN
     choices = {"exposure": targets["exposure"], "std_dn": std, "full_scale": FULL_SCALE}
-    return fit_sensor(targets["radiance"], targets["mean_dn"], **choices)
+    return radiometry.fit_sensor(targets["radiance"], targets["mean_dn"], **choices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +113,12 @@ def field(air, band, reference_std, seed):
     rng, mean = np.random.default_rng([*key, 5]), air_of(air, band)
     targets = table(SOURCE, "reference_targets").query("campaign == 'Sjökulla'")
     true, surfaces = targets["reflectance"].dropna().to_numpy(), surfaces_of(band)
-    exposure = relative_exposure(0.0035, 11.0, reference=REFERENCE_SETTING)
+    exposure = radiometry.relative_exposure(0.0035, 11.0, reference=REFERENCE_SETTING)
 
     def measured(reflectance, number):
         light = mean.radiance(reflectance, surroundings=SURROUNDINGS, seed=[*key, number])
         image, places = grey_wedge(light, exposure, [*key, number])
-        return patch_statistics(image, places, full_scale=FULL_SCALE)
+        return radiometry.patch_statistics(image, places, full_scale=FULL_SCALE)
 
     known = true * (1 + reference_std * rng.standard_normal(len(true)))
     references = measured(true * ANISOTROPY, 1).assign(reflectance=known, anisotropy=ANISOTROPY)
@@ -139,7 +133,7 @@ def line(field, anisotropy=True):
     known = field.references
     factor = known["anisotropy"] if anisotropy else 1.0
     choices = {"std_dn": known["std_error_dn"], "anisotropy": factor}
-    fit = empirical_line(known["mean_dn"], known["reflectance"], **choices)
+    fit = radiometry.empirical_line(known["mean_dn"], known["reflectance"], **choices)
     return fit.reflectance(field.surfaces["mean_dn"])
 
 
@@ -154,8 +148,9 @@ def equation_4(field):
     air = field.air
     light = field.sensor.radiance(field.surfaces["mean_dn"], exposure=field.exposure)
     choices = {"transmittance": air.direct, "spherical_albedo": air.spherical_albedo}
-    choices["path_radiance"] = air.radiance(0.0, surroundings=SURROUNDINGS)
-    return reflectance_factor(light, air.irradiance, surroundings=SURROUNDINGS, **choices)
+    choices |= {"path_radiance": air.radiance(0.0, surroundings=SURROUNDINGS)}
+    choices |= {"surroundings": SURROUNDINGS}
+    return radiometry.reflectance_factor(light, air.irradiance, **choices)
 
 
 def dark_pixel(field):
@@ -164,7 +159,8 @@ def dark_pixel(field):
     dn = field.surfaces["mean_dn"], field.darkest_dn
     light, dark = (field.sensor.radiance(value, exposure=field.exposure) for value in dn)
     path = dark - 0.01 * air.irradiance * air.direct / np.pi
-    return reflectance_factor(light, air.irradiance, path_radiance=path, transmittance=air.direct)
+    choices = {"path_radiance": path, "transmittance": air.direct}
+    return radiometry.reflectance_factor(light, air.irradiance, **choices)
 
 
 METHODS = {

@@ -30,16 +30,8 @@ SENSORS = {
 degrees and noise are assumed. B's mounting is not stated: once upright, once tilted by 45 degrees,
 which comes close to the published spacings. C is fitted to Table 2."""
 
-FIGURES = {
-    "density_polygon_per_m2": "density",
-    "std_mm": "std",
-    "sigma_mad_mm": "sigma_MAD",
-    "d1_mm": "d1",
-    "d2_mm": "d2",
-    "d3_mm": "d3",
-    "d4_mm": "d4",
-    "f": "f",
-}
+FIGURES = {"density_polygon_per_m2": "density", "std_mm": "std", "sigma_mad_mm": "sigma_MAD"}
+FIGURES |= {name: name.removesuffix("_mm") for name in ("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f")}
 """What is evaluated, and its name in tables."""
 
 INFLUENCE = {"density_polygon_per_m2": 1.0, "std_mm": np.sqrt(0.5), "sigma_mad_mm": 1.1664}
@@ -168,17 +160,15 @@ def limits(results):
         ``method``, ``system``, ``distance_m``, ``figure``, and the fields of
         :class:`mmqa_lab.repeatability.Repeatability` with ``relative_s_r_percent``.
     """
-    cells, tables = benches.cell_table(results), []
+    cells, tables = benches.cell_table(results), {}
     keys = ["method", "system", "distance_m"]
     for surface, part in cells.groupby(keys, sort=False):
         for figure in part.columns.intersection(list(FIGURES)):
             known = part[np.isfinite(part[figure])]
             known = known.groupby("scan").filter(lambda rows: len(rows) > 1)
             if len(known):
-                about = dict(zip(keys, surface, strict=True)) | {"figure": figure}
-                tables.append(repeatability(known, figure).to_frame().assign(**about))
-    table = pd.concat(tables, ignore_index=True)
-    return table[[*keys, "figure", *table.columns.drop([*keys, "figure"])]]
+                tables[*surface, figure] = repeatability(known, figure).to_frame()
+    return pd.concat(tables, names=[*keys, "figure"]).droplevel(-1).reset_index()
 
 
 def ranges_of_five(results):
@@ -216,9 +206,9 @@ def remarks(ranges):
         is true: density below 1 %, precision below 1 mm, medians within half of a printed digit.
     """
     keys = ["method", "system", "distance_m"]
-    printed = {name: published.number("pfeifer2021", name)["value"] for name in REMARKS}
-    allowed = {REMARKS[name]: max(float(value), HALF_DIGIT_MM) for name, value in printed.items()}
-    below = ranges[list(allowed)] < pd.Series(allowed)
+    printed = [published.number("pfeifer2021", name)["value"] for name in REMARKS]
+    allowed = pd.Series(np.maximum(printed, HALF_DIGIT_MM), REMARKS.values())
+    below = ranges[allowed.index] < allowed
     table = pd.concat([ranges[keys], below], axis=1).groupby(keys, sort=False).mean()
     return table.rename(columns=lambda name: f"{name}_true_share").reset_index()
 
