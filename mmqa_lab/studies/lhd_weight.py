@@ -318,15 +318,13 @@ def _of_scenes(values, names=("value", "low", "high")):
     return dict(zip(names, (middle, max(middle - half, 0.0), middle + half), strict=True))
 
 
-def true_edges(found, scene, *, near_m=0.1, parallel_deg=2.0):
-    """Compare extracted edges with the true ones of a canyon.
+def true_edges(found, scene):
+    """Compare extracted edges with the true ones of a canyon, those within 0.1 m and 2 degrees.
 
     Parameters
     ----------
     found : Edges
     scene : Canyon
-    near_m, parallel_deg : float
-        An extracted edge shows a true one when it is as near and as parallel.
 
     Returns
     -------
@@ -337,8 +335,8 @@ def true_edges(found, scene, *, near_m=0.1, parallel_deg=2.0):
     true = canyon_edges(scene)
     parts = lines.components(found.segments, true)
     shorter = np.minimum(lines.lengths(found.segments)[:, None], lines.lengths(true))
-    near = parts.angle < np.sin(np.radians(parallel_deg)) * shorter
-    near &= (parts.perpendicular < near_m) & (parts.parallel < near_m)
+    near = parts.angle < np.sin(np.radians(2)) * shorter
+    near &= (parts.perpendicular < 0.1) & (parts.parallel < 0.1)
     rows = np.flatnonzero(near.any(axis=1))
     columns = np.where(near[rows], parts.perpendicular[rows], np.inf).argmin(axis=1)
     axes = lines.directions(true)[columns]

@@ -175,11 +175,8 @@ def fit(*, seed, candidates, repeats):
     passes : DataFrame
         Of :func:`measure`, with ``fit``.
     """
-    judges = {
-        "A": closed_form,
-        "B": partial(simulated, "B", seed, (5.0, 10.0)),
-        "C": partial(simulated, "C", seed, (5.0,)),
-    }
+    judges = {"A": closed_form, "B": partial(simulated, "B", seed, (5.0, 10.0))}
+    judges["C"] = partial(simulated, "C", seed, (5.0,))
     rows, passes = [], []
     for system, name, bounds in tqdm(FITS, unit="fit", leave=False):
         target = table_2().query("system == @system")
@@ -226,12 +223,9 @@ def closed_form(names, values):
     """
     given = dict(zip(names, values.T[:, :, None], strict=True))
     scanner = SENSORS["A"]
-    setup = ScanSetup(
-        pulse_rate_hz=scanner.pulse_rate_hz,
-        mirror_frequency_hz=given.get("mirror_frequency_hz", scanner.mirror_frequency_hz),
-        scanner_tilt_deg=given["tilt_deg"],
-        speed_m_s=systems.SPEED,
-    )
+    known = {"pulse_rate_hz": scanner.pulse_rate_hz, "speed_m_s": systems.SPEED}
+    known["mirror_frequency_hz"] = given.get("mirror_frequency_hz", scanner.mirror_frequency_hz)
+    setup = ScanSetup(scanner_tilt_deg=given["tilt_deg"], **known)
     points = np.zeros((len(values), 2, 3))
     points[..., 0], points[..., 2] = (5.0, 10.0), -given["height_m"]
     lattice = scan_lattice(setup, Patch(points, [1, 0, 0]))
@@ -241,11 +235,9 @@ def closed_form(names, values):
 
 def simulated(system, seed, distances, names, values):
     """Return density, d1, d4 and f of candidates, one pass each: shape (n, m, 4)."""
-    passes = [
-        measure(system, dict(zip(names, row, strict=True)), seeds=[seed], distances=distances)
-        for row in values
-    ]
-    return np.array([rows[FITTED].to_numpy() for rows in passes])
+    given, choices = pd.DataFrame(values, columns=names), {"seeds": [seed], "distances": distances}
+    passes = [measure(system, one, **choices) for one in given.to_dict("records")]
+    return np.array([rows[FITTED] for rows in passes])
 
 
 def fitted_noise(system, parameters, target, seed):
