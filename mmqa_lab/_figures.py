@@ -36,7 +36,17 @@ def finish_figure(figure):
     >>> plt.close(figure)
     """
     _letter(figure)
-    _set_symbols(figure)
+    for text in figure.findobj(mpl.text.Text):
+        if text.get_gid() != "letter":
+            text.set_text(_with_symbols(text.get_text()))
+    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+        form = axis.get_major_formatter()
+        if not isinstance(form, NAMING):
+            continue
+        ticks = axis.get_majorticklocs()
+        names = [str(name) for name in form.format_ticks(ticks)]
+        if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
+            axis.set_ticks(ticks, labels=[_with_symbols(name) for name in names])
 
 
 def say_kind(figure, kind):
@@ -64,14 +74,9 @@ def say_kind(figure, kind):
         figure.supxlabel(kind, x=0.99, ha="right", fontsize=6, color="0.35")
 
 
-def panels(figure):
-    """The axes of a figure that are shown, without colour bars."""
-    return [ax for ax in figure.axes if ax.axison and ax.get_label() != "<colorbar>"]
-
-
 def _letter(figure):
     """(a), (b), ... outside the upper left corner of each panel, where there are several."""
-    shown = panels(figure)
+    shown = [ax for ax in figure.axes if ax.axison and ax.get_label() != "<colorbar>"]
     places = {tuple(ax.get_position().bounds): ax for ax in reversed(shown)}  # twins count once
     shown = [ax for ax in shown if ax in places.values()]
     if len(shown) < 2 or any(text.get_gid() == "letter" for text in shown[0].texts):
@@ -79,26 +84,6 @@ def _letter(figure):
     for letter, ax in zip("abcdefghijklmnopqrstuvwxyz", shown, strict=False):
         choices = {"textcoords": "offset points", "ha": "right", "va": "bottom", "gid": "letter"}
         ax.annotate(f"({letter})", (0, 1), (-3, 3), "axes fraction", **choices)
-
-
-def _set_symbols(figure):
-    """Set symbols as formulas are set, in titles, labels, legends and names of places."""
-    for text in figure.findobj(mpl.text.Text):
-        if text.get_gid() != "letter":
-            text.set_text(_with_symbols(text.get_text()))
-    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
-        ticks, names = _ticks(axis)
-        if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
-            axis.set_ticks(ticks, labels=[_with_symbols(name) for name in names])
-
-
-def _ticks(axis):
-    """Places with names on an axis, and the names; nothing where it has numbers."""
-    form = axis.get_major_formatter()
-    if not isinstance(form, NAMING):
-        return [], []
-    ticks = axis.get_majorticklocs()
-    return ticks, [str(name) for name in form.format_ticks(ticks)]
 
 
 def _with_symbols(text):

@@ -132,8 +132,6 @@ def run(
 
     Raises
     ------
-    TypeError
-        If cases, methods, ``make`` or ``score`` are of another type.
     ValueError
         If there are no cases, methods or seeds, cases differ in their parameters, or a parameter
         has a name that the Dataset needs.
@@ -162,7 +160,7 @@ def run(
     array([1., 2.])
     """
     cases, seeds = _listed(cases, seeds)
-    _refuse_unusable(cases, methods, make, score, seeds)
+    _refuse_unusable(cases, methods, seeds)
     study = Comparison(cases, dict(methods), make, score, seeds)
     jobs = list(itertools.product(range(len(cases)), seeds))
     done = dict.fromkeys(jobs)
@@ -227,19 +225,19 @@ def _measured(study, case, seed):
         except BROKEN as error:
             return dict.fromkeys(("", *study.methods), _failed(error, "make: "))
         data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
-        names, reserved = ("", *study.methods), {*RESERVED, *case}
-        return {name: _record(study, name, data, truth, reserved) for name in names}
+        records = {"": _truth_record(truth)}
+        for name, method in study.methods.items():
+            records[name] = _record(method, study.score, data, truth, {*RESERVED, *case})
+        return records
 
 
-def _record(study, method, data, truth, reserved):
+def _record(method, score, data, truth, reserved):
     """The numbers that a method gives, and a sentence on those that are none."""
-    if not method:
-        return _truth_record(truth)
     stage = ""
     try:
-        result = study.methods[method](copy.deepcopy(data))  # it may change its own copy
+        result = method(copy.deepcopy(data))  # it may change its own copy
         stage = "score: "
-        result = result if study.score is None else study.score(result, truth)
+        result = result if score is None else score(result, truth)
     except BROKEN as error:
         return _failed(error, stage)
     named = result if isinstance(result, Mapping) else {"value": result}
@@ -295,12 +293,10 @@ def _computed(study, jobs, executor):
     futures = {executor.submit(_unpacked, kit, job): job for job in jobs}
     for future in as_completed(futures):
         try:
-            yield futures[future], future.result()
+            records = future.result()
         except Exception as error:  # the process died, perhaps for want of memory
-            yield (
-                futures[future],
-                dict.fromkeys(("", *study.methods), _failed(error.with_traceback(None))),
-            )
+            records = dict.fromkeys(("", *study.methods), _failed(error.with_traceback(None)))
+        yield futures[future], records
 
 
 def _unpacked(kit, job):
@@ -313,7 +309,7 @@ def _unpacked(kit, job):
 
 def _several(value):
     """The values of an axis."""
-    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+    if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         return [value]
     return list(value)
 
@@ -324,7 +320,7 @@ def _listed(cases, seeds):
     return [dict(row) for row in rows], _several(seeds)
 
 
-def _refuse_unusable(cases, methods, make, score, seeds):
+def _refuse_unusable(cases, methods, seeds):
     """Say in one sentence what cannot be run."""
     if not cases or not methods or not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(
@@ -337,12 +333,6 @@ def _refuse_unusable(cases, methods, make, score, seeds):
     taken = [name for name in cases[0] if name in RESERVED or name.startswith("truth_")]
     if taken:
         raise ValueError(f"Invalid parameter {taken[0]!r}. Must not be a name of the results.")
-    functions = {**methods, "make": make} | ({"score": score} if score is not None else {})
-    for name, function in functions.items():
-        if not callable(function):
-            raise TypeError(
-                f"Invalid {name} of type {type(function).__name__}. Must be a function."
-            )
 
 
 def _dataset(cases, methods, seeds, records):
@@ -434,16 +424,15 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     [['mine', 'ArithmeticError: no signal (line 2 of upset)', 2, 'n=3, seed=4']]
     """
     cells = cell_table(results)
-    failed = cells[cells["failure"] != ""]
     case = [name for name in (*_parameters(results), "seed") if name in cells]
     rows = []
-    for (method, reason), part in failed.groupby(["method", "failure"], sort=False):
-        first = ", ".join(f"{name}={part[name].iloc[0]}" for name in case)
-        rows.append((method, reason, len(part), first))
-    table = pd.DataFrame(rows, columns=["method", "reason", "count", "first_case"])
-    order = list(np.atleast_1d(results["method"].values))
-    place = table["method"].map(order.index)
-    return table.iloc[np.lexsort((-table["count"], place))].reset_index(drop=True)
+    for _, part in cells.groupby("method", sort=False):
+        failed = part[part["failure"] != ""]
+        for reason, count in failed["failure"].value_counts().items():
+            first = failed[failed["failure"] == reason].iloc[0]
+            place = ", ".join(f"{name}={first[name]}" for name in case)
+            rows.append((first["method"], reason, count, place))
+    return pd.DataFrame(rows, columns=["method", "reason", "count", "first_case"])
 
 
 def cell_table(results: xr.Dataset) -> pd.DataFrame:
@@ -555,7 +544,7 @@ def plot(results: xr.Dataset, figures: Sequence[str] = (), *, own: Sequence[str]
     -------
     matplotlib.figure.Figure
     """
-    names = [figures] if isinstance(figures, str) else list(figures or figure_names(results))
+    names = list(figures) or figure_names(results)
     return plot_tables({name: summary(results, name) for name in names}, own=own)
 
 

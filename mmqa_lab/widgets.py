@@ -203,10 +203,8 @@ class SelectionTool:
 
     def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices: Any):
         self.choices, self.quality, self._followers = choices, None, []
-        self.text, self.figure = (
-            ipywidgets.HTML(),
-            Figure(figsize=(8.4, 4.3), dpi=100, layout="none"),
-        )
+        self.text = ipywidgets.HTML()
+        self.figure = Figure(figsize=(8.4, 4.3), dpi=100, layout="none")
         places = ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
         self._panels = [self.figure.add_axes(place) for place in places]
         self._panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
@@ -343,18 +341,13 @@ class SurfaceTool(SelectionTool):
         **choices: Any,
     ):
         self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
-        self._patches = {
-            name: detect_planes(points, tolerance=tolerance, size=size)
-            for name, points in self._points.items()
-        }
-        for name, patches in self._patches.items():
+        self._patches, rows = {}, []
+        for name, points in self._points.items():
+            patches = self._patches[name] = detect_planes(points, tolerance=tolerance, size=size)
             if not patches:
                 raise ValueError(f"Invalid cloud {name}: no plane of {size} m. Must have one.")
-        rows = [
-            {"cloud": name, "plane": number, **_described(patch, self._points[name])}
-            for name, patches in self._patches.items()
-            for number, patch in enumerate(patches)
-        ]
+            for number, patch in enumerate(patches):
+                rows.append({"cloud": name, "plane": number, **_described(patch, points)})
         self.planes = pd.DataFrame(rows)
         self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
         self._scene_canvas = _canvas(self._scene)
@@ -368,7 +361,6 @@ class SurfaceTool(SelectionTool):
     def choose(self, cloud: str, plane: int = 0) -> None:
         """Choose a plane by its cloud and its number in ``planes``."""
         check_choice(cloud, "cloud", tuple(self._points))
-        check_choice(plane, "plane", tuple(range(len(self._patches[cloud]))))
         self._enter(cloud, plane)
         self.show(self.surface(cloud, plane))
 
@@ -402,11 +394,9 @@ class SurfaceTool(SelectionTool):
         ax = self._scene.add_subplot(aspect="equal")
         x, y = (shown - offset)[:, [across, up]].T
         self._scene_dots = ax.scatter(x, y, s=3, lw=0)
-        labels = [
-            f"{AXES[k]} - {offset[k]:,.0f} (m)" if offset[k] else f"{AXES[k]} (m)"
-            for k in (across, up)
-        ]
-        ax.set(xlabel=labels[0], ylabel=labels[1])
+        taken = [f" - {one:,.0f}" if one else "" for one in offset]
+        names = [f"{name}{less} (m)" for name, less in zip(AXES, taken, strict=True)]
+        ax.set(xlabel=names[across], ylabel=names[up])
         ax.ticklabel_format(useOffset=False)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         self._list.children = [self._button(row) for row in rows.to_dict("records")]
@@ -502,15 +492,13 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
 
 def _summary(quality):
     """The quality in one line, and what speaks against it in others."""
-    return "<br>".join(
-        [
-            f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
-            f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
-            f"d1 {quality.d1_mm:.1f} mm, d{len(quality.d_mm)} {quality.d_mm[-1]:.1f} mm, "
-            f"f {quality.f:.2f}",
-            *quality.remarks,
-        ]
+    figures = (
+        f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
+        f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
+        f"d1 {quality.d1_mm:.1f} mm, d{len(quality.d_mm)} {quality.d_mm[-1]:.1f} mm, "
+        f"f {quality.f:.2f}"
     )
+    return "<br>".join([figures, *quality.remarks])
 
 
 class JuryForm:

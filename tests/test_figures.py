@@ -1,26 +1,11 @@
-"""What every figure gets: letters of panels, lines that one can tell apart without colour."""
+"""What every figure gets: letters of panels, symbols set as formulas."""
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pytest
 from overlaps import doubled_names
 
 from mmqa_lab import plots
 from mmqa_lab._figures import finish_figure
-
-
-@pytest.fixture
-def figure():
-    """Two panels in the house style, nine lines of nine colours, a picture with its colour bar."""
-    with plots.style():
-        figure, axes = plots.subplots(1, 2, width="double")
-        for k, colour in enumerate((*plots.COLOURS.values(), "#777777")):
-            axes[0].plot([0, 1, 2], np.arange(3) * k, color=colour, label=f"line {k}")
-        axes[0].legend(loc="upper left", ncols=3)
-        axes[0].set(title="lines", ylim=(-1, 40))
-        figure.colorbar(axes[1].imshow(np.eye(3)), ax=axes[1], label="value")
-        yield figure
-    plt.close(figure)
 
 
 def test_symbols_are_set_as_formulas_by_one_rule():
@@ -36,7 +21,9 @@ def test_symbols_are_set_as_formulas_by_one_rule():
     plt.close(figure)
 
 
-def test_panels_have_letters_once_and_colour_bars_none(figure):
+def test_panels_have_letters_once_and_colour_bars_none():
+    figure, axes = plots.subplots(1, 2)
+    figure.colorbar(axes[1].imshow(np.eye(3)), ax=axes[1])
     for _ in range(2):
         finish_figure(figure)
     letters = [[text.get_text() for text in ax.texts] for ax in figure.axes]
@@ -44,7 +31,7 @@ def test_panels_have_letters_once_and_colour_bars_none(figure):
     single, ax = plots.subplots()
     finish_figure(single)
     assert not ax.texts
-    plt.close(single)
+    plt.close("all")
 
 
 def test_a_name_that_is_in_the_legend_twice_is_found():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mmqa_lab.run import write_text
+from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import write_outcome
 from mmqa_lab.run.pages import Outcome
 from mmqa_lab.run.store import LARGEST_BYTES, code_hash, store
@@ -63,10 +63,10 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     cells = [nbformat.v4.new_code_cell("draw()")]
     nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
     cells[0].outputs = outputs
-    write_text(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
+    write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
     answer = {"sentence": "Yes, by 3 mm.", "figure": "key"}
-    write_text(results / "run.json", json.dumps({"answer": answer}))
+    write_atomically(results / "run.json", json.dumps({"answer": answer}))
     write_outcome(Outcome("ran", False, failure=""), results)
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
@@ -77,6 +77,6 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     assert stored.metadata["mmqa_lab"]["code"] == code_hash(stored)
     assert (tmp_path / "answers.csv").read_text() == 'study,answer\nran,"Yes, by 3 mm."\n'
     assert (tmp_path / "thumbnails" / "99_ran.png").is_file()
-    write_text(study.path, study.path.read_text().replace("draw()", "draw(2)"))
+    write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])

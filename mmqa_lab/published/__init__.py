@@ -136,8 +136,12 @@ def number(source: str, key: str) -> dict:
     ('about', 0.3, 'm')
     """
     check_choice(source, "source", tuple(_strings("sources")["source"]))
-    rows = {row["id"]: row for row in _numbers(source) if row["id"]}
-    check_choice(key, f"number of {source}", tuple(rows))
+    rows = {}
+    for name in _strings("contents").query("source == @source and kind == 'published'")["table"]:
+        frame = table(source, name)
+        if "id" in frame:
+            rows |= {row["id"]: row for row in frame.assign(table=name).to_dict("records")}
+    check_choice(key, f"number of {source}", tuple(filter(None, rows)))
     return rows[key]
 
 
@@ -160,11 +164,3 @@ def _typed(cells, kind):
     numbers = pd.to_numeric(cells).astype(float)
     whole = kind == "int" and numbers.notna().all()
     return numbers.astype(int) if whole else numbers
-
-
-def _numbers(source):
-    """All rows of a source that have an id, as dicts."""
-    for name in _strings("contents").query("source == @source and kind == 'published'")["table"]:
-        frame = table(source, name)
-        if "id" in frame:
-            yield from frame.assign(table=name).to_dict("records")

@@ -166,7 +166,7 @@ def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.D
     Raises
     ------
     ValueError
-        If a ``ledger.csv`` lacks a column, or names a cell or a kind that does not exist.
+        If a ``ledger.csv`` names a cell or a kind that does not exist.
 
     Examples
     --------
@@ -315,9 +315,6 @@ def _read(file):
     """One ledger.csv, checked."""
     empty = {column: ["", "nan", "NaN"] for column in ("value", "low", "high")}
     found = pd.read_csv(file, keep_default_na=False, na_values=empty)
-    missing = [column for column in COLUMNS if column not in found]
-    if missing:
-        raise ValueError(f"Invalid {file}: no column {missing[0]}. Must have {', '.join(COLUMNS)}.")
     return entries(found).assign(study=file.parent.name)
 
 
@@ -345,5 +342,5 @@ def _verdict_of_row(row, not_run):
     if pd.isna(row["kind"]):
         waits = row["role"] == "result" and f"{row['source']} {row['table']}" in not_run
         return "not run" if waits else "not comparable"
-    ours = {name: row[f"ours_{name}"] for name in ("low", "high")}
-    return verdict(row, {"value": row["ours"], "kind": row["kind"], **ours})
+    ours = {"value": row["ours"], "low": row["ours_low"], "high": row["ours_high"]}
+    return verdict(row, ours | {"kind": row["kind"]})

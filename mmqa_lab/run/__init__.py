@@ -117,7 +117,8 @@ class Run:
             "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
         }
         self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
-        for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, _files_of(self.folder))]:
+        files = read_record(self.folder).get("files", [])
+        for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, files)]:
             left.unlink(missing_ok=True)  # of an earlier run, or one that was killed
         self._write_record()
         if get_ipython() is not None:
@@ -143,12 +144,10 @@ class Run:
                 f"Invalid table {name}: nothing says which kind its numbers are. "
                 f"Must be one of {', '.join(KINDS)}."
             )
-        self._remove(name, ("csv", "tex"))
-        self._write_table(frame, name)
+        self._remove(name)
+        self._write(f"{name}.csv", frame)
         if len(frame) <= LONGEST_LATEX:
-            self._write(
-                f"{name}.tex", lambda path: path.write_text(_latex(frame), encoding="utf-8")
-            )
+            self._write(f"{name}.tex", _latex(frame))
 
     def save_figure(
         self,
@@ -168,7 +167,7 @@ class Run:
         the picture. Without it the axes' labels do.
         """
         if name not in self._kinds or data is not None:
-            self._remove(name, ("csv", "tex"))
+            self._remove(name)
         known = "" if data is None else _kind_of(data)
         say_kind(figure, kind or known or self._kinds.get(name, ""))
         finish_figure(figure)
@@ -192,16 +191,15 @@ class Run:
                 )
         captions = {name: one["seen"] for name, one in self._record["figures"].items()}
         rows = pd.DataFrame(captions.items(), columns=["figure", "caption"])
-        self._write_table(rows.assign(licence=LICENCE), "captions")
+        self._write("captions.csv", rows.assign(licence=LICENCE))
         if data is not None:
-            self._write_table(data, name)
+            self._write(f"{name}.csv", data)
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
         """Keep a named number of a kind in ``values.csv``, and as a macro in ``values.tex``."""
         self._values[name] = {"name": name, "value": float(value), "unit": unit, "kind": kind}
-        self._write_table(pd.DataFrame(list(self._values.values())), "values")
-        macros = [_macro(**kept) for kept in self._values.values()]
-        self._write("values.tex", lambda path: path.write_text("\n".join(macros), "utf-8"))
+        self._write("values.csv", pd.DataFrame(list(self._values.values())))
+        self._write("values.tex", "\n".join(_macro(**kept) for kept in self._values.values()))
 
     def save_answer(self, sentence: str, *, figure: str) -> None:
         """Keep the study's answer with its numbers, and the name of the figure that shows it.
@@ -232,7 +230,7 @@ class Run:
         frame = pd.DataFrame(list(self._checks.values()))
         self._record["checks"] = len(frame)
         self._record["checks_passed"] = int(frame["passed"].sum())
-        self._write_table(frame, "checks")
+        self._write("checks.csv", frame)
 
     def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write what the study says of printed results as ``ledger.csv``.
@@ -242,23 +240,18 @@ class Run:
         entries : DataFrame or list of dict
             As :func:`mmqa_lab.published.ledger.entries` makes them.
         """
-        self._write_table(pd.DataFrame(entries), "ledger")
+        self._write("ledger.csv", pd.DataFrame(entries))
 
     def finish(self) -> None:
         """Mark the run as complete in its record."""
         self._record["finished"] = True
         self._write_record()
 
-    def _write_table(self, frame, name, **choices):
-        """Write a table as CSV."""
-        self._write(f"{name}.csv", lambda path: frame.to_csv(path, index=False, **choices))
-
-    def _remove(self, name, endings):
-        """Remove what an earlier cell wrote under a name."""
-        for file in (f"{name}.{ending}" for ending in endings):
-            (self.folder / file).unlink(missing_ok=True)
-            if file in self._record["files"]:
-                self._record["files"].remove(file)
+    def _remove(self, name):
+        """Remove the table that an earlier cell wrote under a name."""
+        for file in {f"{name}.csv", f"{name}.tex"} & set(self._record["files"]):
+            (self.folder / file).unlink()
+            self._record["files"].remove(file)
 
     def _write(self, name, write):
         """Write one file of this run and enter it into the record."""
@@ -270,12 +263,8 @@ class Run:
     def _write_record(self):
         """Write the run record as it stands."""
         self._record["seconds"] = round(time.time() - self._began, 1)
-        write_text(self.folder / RECORD, json.dumps(self._record, indent=1, default=_plain))
-
-
-def _files_of(folder):
-    """The files that the record in a folder lists."""
-    return read_record(folder).get("files", [])
+        text = json.dumps(self._record, indent=1, default=_plain)
+        write_atomically(self.folder / RECORD, text)
 
 
 def _macro(name, value, unit, kind):
@@ -289,11 +278,6 @@ def read_record(folder):
     """Return the run record in a study's folder; empty where a run did not get that far."""
     file = Path(folder) / RECORD
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-
-
-def write_text(path, text):
-    """Write a text file whole or not at all."""
-    write_atomically(path, text)
 
 
 def parameter_names(notebook):
@@ -375,8 +359,8 @@ def _latex(frame):
 def _heading(name):
     """A column's name in words, and its unit in brackets; shares have none."""
     plain, unit = split_unit(name)
-    words = (name if unit in ("", "1") else plain).replace("_", " ")
-    return words if unit in ("", "1") else f"{words} ({unit})"
+    shown = name if unit in ("", "1") else f"{plain} ({unit})"
+    return shown.replace("_", " ")
 
 
 def _typeset(number):

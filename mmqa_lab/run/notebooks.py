@@ -8,7 +8,8 @@ from pathlib import Path
 
 import nbformat
 
-from mmqa_lab.run import read_record, write_text
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run import read_record
 from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page
 
 ENVIRONMENT = {
@@ -48,10 +49,10 @@ def run_study(study, folder, *, quick=False):
     began = time.monotonic()
     failure = execute(notebook, study.path.parent, results=target.parent)
     seconds, record = round(time.monotonic() - began, 1), read_record(target)
-    write_text(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
+    write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
     seen = record.get("figures", {})
     page = notebook_page(notebook, study.title, figures=seen, failure=failure, quick=quick)
-    write_text(target / f"{study.stem}.html", page)
+    write_atomically(target / f"{study.stem}.html", page)
     counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
     outcome = replace(outcome, seconds=seconds, failure=failure, **counts)
     write_outcome(outcome, target)
@@ -60,7 +61,7 @@ def run_study(study, folder, *, quick=False):
 
 def write_outcome(outcome, folder):
     """Write how a run ended beside its results."""
-    write_text(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
+    write_atomically(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
 
 
 def inject(notebook, parameters):

@@ -20,7 +20,8 @@ import pandas as pd
 from matplotlib.font_manager import FontProperties
 
 from mmqa_lab import __version__
-from mmqa_lab.run import FORMATS, four_digits, read_record, write_text
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run import FORMATS, four_digits, read_record
 from mmqa_lab.studies import notebooks_folder
 
 OUTCOME = "outcome.json"
@@ -97,10 +98,10 @@ def write_pages(folder, studies):
     cards = [_card(study, folder / study.stem, stored.get(study.stem, "")) for study in ran]
     ledger = _ledger(folder, studies)
     if ledger is not None:
-        write_text(folder / "ledger.html", filled("ledger.html", ledger=ledger))
-    write_text(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
+        write_atomically(folder / "ledger.html", filled("ledger.html", ledger=ledger))
+    write_atomically(folder / "glossary.html", filled("glossary.html", rows=glossary_rows()))
     shown = {"cards": cards, "ledger": ledger, "formats": FORMATS}
-    write_text(folder / "index.html", filled("index.html", **shown))
+    write_atomically(folder / "index.html", filled("index.html", **shown))
 
 
 def glossary_rows():
@@ -211,7 +212,7 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
         Path(file).name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files
     }
     whole = {"title": title, "sentences": sentences, "tables": rows, "pictures": pictures}
-    write_text(path, filled("report.html", **whole, files=hashes, version=__version__))
+    write_atomically(path, filled("report.html", **whole, files=hashes, version=__version__))
 
 
 def filled(name, **values):

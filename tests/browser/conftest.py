@@ -1,6 +1,5 @@
 """JupyterLab on copies of the study notebooks, driven by Chromium."""
 
-import ast
 import json
 import os
 import shutil
@@ -11,13 +10,7 @@ import time
 import urllib.error
 import urllib.request
 
-import nbformat
 import pytest
-from IPython.core.inputtransformer2 import TransformerManager
-
-from mmqa_lab.run.notebooks import inject
-from mmqa_lab.run.students import needed_cells
-from mmqa_lab.studies import chosen, notebooks_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -44,9 +37,6 @@ SETTINGS = {
     "apputils-extension/notification": {"fetchNews": "false"},
 }
 """All cells stay in the page; no news pop up."""
-
-NOTEBOOKS = ("03_anisotropy",)
-"""Of these only the cells with controls and what they need: other tests run them whole."""
 
 
 def pytest_collection_modifyitems(items):
@@ -97,19 +87,14 @@ def lab_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def lab(lab_folder):
-    """JupyterLab that serves quick copies of the notebooks; its address."""
-    folder, copies = lab_folder.parent, lab_folder
-    for name in NOTEBOOKS:
-        notebook = nbformat.read(notebooks_folder() / f"{name}.ipynb", as_version=4)
-        inject(notebook, chosen([name])[0].quick)
-        notebook.cells = explorers(notebook.cells)
-        nbformat.write(notebook, copies / f"{name}.ipynb")
+    """JupyterLab that serves the folder; its address."""
+    folder = lab_folder.parent
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     options = (
         *("--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}"),
-        *("--IdentityProvider.token=", f"--ServerApp.root_dir={copies}"),
+        *("--IdentityProvider.token=", f"--ServerApp.root_dir={lab_folder}"),
         "--expose-app-in-browser",
     )
     log = folder / "server.log"
@@ -126,15 +111,6 @@ def lab(lab_folder):
         finally:
             server.terminate()
             server.wait(30)
-
-
-def explorers(cells):
-    """The cells with controls, and those that they need."""
-    shown = [cell for cell in cells if cell.cell_type == "code" and "widgets." in cell.source]
-    code = (ast.parse(TransformerManager().transform_cell(cell.source)) for cell in shown)
-    names = {n.id for tree in code for n in ast.walk(tree) if isinstance(n, ast.Name)}
-    needed = needed_cells(cells, names)
-    return [cell for cell in cells if cell in shown or cell in needed]
 
 
 def _environment(folder):

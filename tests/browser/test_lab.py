@@ -123,8 +123,23 @@ def test_a_click_in_the_list_chooses_a_plane_and_all_follows(ran, lab_folder):
     expect(picture).not_to_have_attribute("src", before, timeout=10_000)
 
 
-def test_moving_a_slider_changes_numbers_and_picture(ran):
-    page = ran("03_anisotropy")
+EXPLORED = """
+%matplotlib inline
+import matplotlib.pyplot as plt
+from mmqa_lab import widgets
+
+def draw(spacing):
+    figure, ax = plt.subplots()
+    ax.plot([0, spacing])
+    return figure
+
+widgets.explore(draw, spacing=widgets.slider("spacing", 5, 1, 20, 1, unit="mm"))
+"""
+
+
+def test_moving_a_slider_changes_numbers_and_picture(ran, lab_folder):
+    write(lab_folder, "explored.ipynb", EXPLORED)
+    page = ran("explored")
     handle = page.locator(".jupyter-widgets .noUi-handle").first
     expect(handle).to_be_visible(timeout=RUN_MS)
     explorer = page.locator(".jp-OutputArea-output", has=page.locator(".noUi-handle")).first
