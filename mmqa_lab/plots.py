@@ -29,10 +29,6 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-WIDTHS = ("single", "double")
-"""One column, and the whole width of the page's text."""
-
-
 JOURNALS = _tables(Path(__file__).with_suffix(".toml"))
 """What a publisher asks of a figure: widths of one column and of the whole text, fonts in the order
 of preference, size of the letters, and where the publisher says so. Others join with their source.
@@ -92,11 +88,11 @@ STYLE = {
 """The house style as matplotlib's settings: fonts embedded as TrueType (Type 42), text in SVG stays
 text, and files are equal to the byte from run to run."""
 
-_in_use = {"single": 85.0, "double": 178.0, "default": 85.0}
+_in_use = {"single": 85.0, "double": 178.0}
 
 
 @contextlib.contextmanager
-def style(journal: str = "house", *, width: str = "single") -> Iterator[dict]:
+def style(journal: str = "house") -> Iterator[dict]:
     """Draw figures as a publisher asks, for the lines of a ``with`` or, above it, of a function.
 
     Widths, fonts and lettering are those of ``JOURNALS``; matplotlib's settings are as they were
@@ -110,8 +106,6 @@ def style(journal: str = "house", *, width: str = "single") -> Iterator[dict]:
         artwork sizing), 88.9 and 182 mm (IEEE, size requirements for graphics), 138.6 and 184.6 mm
         (MDPI, its LaTeX class of 2024), 82 and 170 mm (ISPRS, guidelines for authors), 84 and
         174 mm (Springer, artwork instructions).
-    width : {"single", "double"}
-        Of figures that do not say their own.
 
     Yields
     ------
@@ -121,22 +115,20 @@ def style(journal: str = "house", *, width: str = "single") -> Iterator[dict]:
     Raises
     ------
     ValueError
-        If the width or the journal is not known.
+        If the journal is not known.
 
     Examples
     --------
-    >>> with warnings.catch_warnings(action="ignore"), style("elsevier", width="double"):
-    ...     figure, ax = subplots()
+    >>> with warnings.catch_warnings(action="ignore"), style("elsevier"):
+    ...     figure, ax = subplots(width="double")
     >>> round(figure.get_size_inches()[0] * 25.4)
     190
     >>> plt.close(figure)
     """
     chosen = JOURNALS[check_choice(journal, "journal", tuple(JOURNALS))]
-    check_choice(width, "width", WIDTHS)
-    widths = dict(zip(WIDTHS, chosen["widths_mm"], strict=True))
     before = dict(_in_use)
     with mpl.rc_context(STYLE | _lettering(chosen)):
-        _in_use.update(widths, default=widths[width])
+        _in_use.update(zip(before, chosen["widths_mm"], strict=True))
         try:
             yield chosen
         finally:
@@ -158,7 +150,7 @@ def subplots(
     rows: int = 1,
     columns: int = 1,
     *,
-    width: str = "default",
+    width: str = "single",
     height_mm: float = 60.0,
     **choices: Any,
 ) -> tuple[plt.Figure, plt.Axes | np.ndarray]:
@@ -167,8 +159,9 @@ def subplots(
     Parameters
     ----------
     rows, columns : int
-    width : {"default", "single", "double"}
-        Of the journal that :func:`style` was given; "default" is the width given there.
+    width : {"single", "double"}
+        One column, or the whole width of the page's text, of the journal that :func:`style` was
+        given.
     height_mm : float
     **choices
         Handed to ``matplotlib.pyplot.subplots``.
@@ -190,7 +183,7 @@ def subplots(
     85
     >>> plt.close(figure)
     """
-    check_choice(width, "width", ("default", *WIDTHS))
+    check_choice(width, "width", tuple(_in_use))
     size = (_in_use[width] / 25.4, height_mm / 25.4)
     return plt.subplots(rows, columns, figsize=size, **choices)
 

@@ -124,9 +124,9 @@ def test_figures_are_equal_to_the_byte(run):
     assert contents[0] == contents[1]
 
 
-def drawn(height_mm=40):
+def drawn():
     """A figure with a legend and a title, drawn."""
-    figure, ax = plots.subplots(height_mm=height_mm)
+    figure, ax = plots.subplots(height_mm=40)
     ax.plot([0.1, 1], [0, 1], label="a line")
     ax.set(xlabel="range (m)", ylabel="error (mm)", title="plain")
     ax.legend()
@@ -213,8 +213,8 @@ def test_texts_on_each_other_or_outside_are_named():
 @pytest.mark.filterwarnings("ignore:Fonts not installed")
 @pytest.mark.parametrize("journal", plots.JOURNALS)
 def test_files_have_the_width_that_the_journal_asks_for(journal, tmp_path):
-    with plots.style(journal, width="double"):
-        figure, _ = drawn()
+    with plots.style(journal):
+        figure, _ = plots.subplots(width="double")
         figure.savefig(tmp_path / "page.pdf")
     plt.close(figure)
     box = re.search(rb"/MediaBox \[ ?([^\]]+)\]", (tmp_path / "page.pdf").read_bytes())
@@ -225,7 +225,7 @@ def test_files_have_the_width_that_the_journal_asks_for(journal, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:Fonts not installed")
 def test_a_style_leaves_everything_as_it_was():
-    @plots.style("elsevier", width="double")
+    @plots.style("elsevier")
     def interrupted():
         assert plt.rcParams["font.size"] == 7
         raise KeyError

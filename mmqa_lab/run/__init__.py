@@ -250,7 +250,7 @@ class Run:
     def _remove(self, name):
         """Remove the table that an earlier cell wrote under a name."""
         for file in {f"{name}.csv", f"{name}.tex"} & set(self._record["files"]):
-            (self.folder / file).unlink()
+            (self.folder / file).unlink(missing_ok=True)
             self._record["files"].remove(file)
 
     def _write(self, name, write):
