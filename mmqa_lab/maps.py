@@ -3,7 +3,7 @@
 What a chart gets as a whole, each cell gets: density, spacings d1..d4, f and sigma_MAD about the
 plane of its points. :func:`map_cloud` maps a cloud; :func:`map_campaign` maps files tile by tile on
 Dask, and :func:`open_map` opens what it made. Figures are those of the whole cloud, whatever the
-tiles.
+tiles. ``dataset["f"].plot()`` draws one of them.
 """
 
 from __future__ import annotations
@@ -19,23 +19,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import (
-    check_choice,
-    check_file,
-    check_points,
-    check_positive,
-    check_same_crs,
-)
+from mmqa_lab._checks import check_choice, check_file, check_points, check_positive, check_same_crs
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import exempt, quadrant_distances
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-__all__ = ["map_campaign", "map_cloud", "open_map", "plot_map", "summarise", "write_map"]
+__all__ = ["map_campaign", "map_cloud", "open_map", "summarise", "write_map"]
 
 FIGURES = {
     "n": ("1", "points in the cell"),
@@ -97,14 +90,14 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     plan = points[:, :2]
     low, high = (np.floor(end / cell).astype(int) for end in (plan.min(axis=0), plan.max(axis=0)))
-    return _evaluated(points - np.append(low, 0) * cell, low, high + 1 - low, cell, radius)
+    inner = np.ones(len(points), dtype=bool)
+    return _evaluated(points - np.append(low, 0) * cell, low, high + 1 - low, cell, radius, inner)
 
 
-def _evaluated(local, first, size, cell, radius, inner=None):
+def _evaluated(local, first, size, cell, radius, inner):
     """The Dataset of some cells, from points whose coordinates begin at the first cell's corner."""
     import xarray as xr
 
-    inner = np.ones(len(local), dtype=bool) if inner is None else inner
     column, row = np.floor(local[inner, :2] / cell).astype(int).T
     order = np.argsort(row * size[0] + column, kind="stable")
     cells, starts = np.unique((row * size[0] + column)[order], return_index=True)
@@ -113,14 +106,14 @@ def _evaluated(local, first, size, cell, radius, inner=None):
     distances = quadrant_distances(local[:, :2], radius=radius, of=inner)[inner][order]
     found = {"n": counts, "density": counts / cell**2}
     for k in range(4):
-        found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group, len(cells))
+        found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group)
     with np.errstate(invalid="ignore", divide="ignore"):
         found["f"] = np.where(found["d1"] > 0, found["d4"] / found["d1"], np.nan)
     missing = np.isnan(distances[:, 3]).astype(float)
-    found["incomplete_share"] = np.add.reduceat(missing, starts) / counts if len(cells) else counts
+    found["incomplete_share"] = np.add.reduceat(missing, starts) / counts
     deviations = _deviations(local[inner][order], starts, counts, group)
-    off = np.abs(deviations - _medians(deviations, group, len(cells))[group])
-    sigma = 1000 * CONSISTENT_SCALE * _medians(off, group, len(cells))
+    off = np.abs(deviations - _medians(deviations, group)[group])
+    sigma = 1000 * CONSISTENT_SCALE * _medians(off, group)
     found["sigma_mad"] = np.where(counts >= MINIMUM, sigma, np.nan)
     data = {}
     for name, (unit, meaning) in FIGURES.items():
@@ -133,23 +126,13 @@ def _evaluated(local, first, size, cell, radius, inner=None):
     return xr.Dataset(data, coords=axes, attrs={"cell_m": cell, "radius_m": radius})
 
 
-def _medians(values, group, count):
+def _medians(values, group):
     """Median of each group's numbers, NaN left out; NaN where there are none."""
-    pairs = np.empty(len(values) + 1, dtype=complex)  # sorted by their real, then imaginary part
-    pairs.real = np.append(group, count)
-    pairs.imag = np.append(np.where(np.isnan(values), np.inf, values), np.inf)
-    pairs.sort()
-    pairs.imag[-1] = np.nan
-    known = np.bincount(group, weights=np.isfinite(values), minlength=count).astype(int)
-    starts = np.append(0, np.cumsum(np.bincount(group, minlength=count)))[:-1]
-    low, high = (np.where(known > 0, starts + (known - k) // 2, -1) for k in (1, 0))
-    return (pairs.imag[low] + pairs.imag[high]) / 2
+    return pd.Series(values).groupby(group).median().to_numpy()
 
 
 def _deviations(points, starts, counts, group):
     """Signed distances from the regression planes of the groups, m."""
-    if not len(points):
-        return np.empty(0)
     centres = np.add.reduceat(points, starts) / counts[:, None]
     centred = points - centres[group]
     scatter = np.add.reduceat(centred[:, :, None] * centred[:, None, :], starts)
@@ -282,19 +265,18 @@ def _map_tile(folder, place, run):
     """Evaluate one tile with the points around it, and write it whole."""
     side, cell, radius = run["tile"] * run["cell"], run["cell"], run["radius"]
     parts, corner = [], np.array([*place, 0]) * side
+    low, high = corner[:2] - radius, corner[:2] + side + radius
     reach = int(np.ceil(radius / side))
     for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
         near = np.array(place) + step - reach
         file = folder / f"{near[0]}_{near[1]}.xyz"
         if file.is_file():
             points = np.fromfile(file).reshape(-1, 3)
-            low, high = corner[:2] - radius, corner[:2] + side + radius
             parts.append(points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)])
     points = np.concatenate(parts)
     inner = (np.floor(points[:, :2] / side) == place).all(axis=1)
     first = np.round((np.array(run["origin"][:2]) + corner[:2]) / cell).astype(int)
-    size = np.array([run["tile"]] * 2)
-    dataset = _evaluated(points - corner, first, size, cell, radius, inner)
+    dataset = _evaluated(points - corner, first, (run["tile"],) * 2, cell, radius, inner)
     write_atomically(_tile(folder, place), lambda path: dataset.to_netcdf(path, engine="scipy"))
 
 
@@ -327,10 +309,11 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
     files = [_tile(Path(folder), place) for place in run["tiles"]]
     tiles = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
     whole = xr.combine_by_coords(tiles, combine_attrs="override")
-    filled = whole["n"] > 0
-    whole = whole.isel(y=_span(filled.any("x")), x=_span(filled.any("y")))
-    full = {axis: _steps(whole[axis].values, run["cell"]) for axis in ("y", "x")}
-    whole = whole.reindex(full, method="nearest", tolerance=run["cell"] / 4)
+    full, cell = {}, run["cell"]
+    for axis, other in ("yx", "xy"):  # from the first to the last place with points
+        places = whole[axis].values[(whole["n"] > 0).any(other)]
+        full[axis] = places[0] + cell * np.arange(round((places[-1] - places[0]) / cell) + 1)
+    whole = whole.reindex(full, method="nearest", tolerance=cell / 4)
     whole["n"] = whole["n"].fillna(0)
     if rho0 is not None:
         check_positive(rho0, "rho0", unit="points per m2")
@@ -342,17 +325,6 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
 
         whole = whole.rio.write_crs(run["crs"])
     return whole
-
-
-def _span(seen):
-    """From the first to the last place with points."""
-    places = np.flatnonzero(seen.values)
-    return slice(places[0], places[-1] + 1)
-
-
-def _steps(places, cell):
-    """All places from the first to the last, those of tiles without points too."""
-    return places[0] + cell * np.arange(round((places[-1] - places[0]) / cell) + 1)
 
 
 def summarise(dataset: xr.Dataset) -> pd.DataFrame:
@@ -397,20 +369,3 @@ def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
 def check_ending(path):
     """The ending of a map, or the sentence that says which there are."""
     return check_choice(Path(path).suffix, "ending of the map", (".nc", ".tif"))
-
-
-def plot_map(dataset: xr.Dataset) -> Figure:
-    """Draw density, d4, f and sigma_MAD side by side."""
-    from mmqa_lab import plots
-
-    labels = {"density": "points/m²", "d4": "d4 (mm)", "f": "f", "sigma_mad": "sigma_MAD (mm)"}
-    figure, axes = plots.subplots(1, 4, width="double", height_mm=70, sharex=True, sharey=True)
-    x, y = dataset["x"].values, dataset["y"].values
-    for ax, (name, label) in zip(axes, labels.items(), strict=True):
-        low, high = np.nanquantile(dataset[name], (0.02, 0.98))
-        look = {"cmap": plots.MAP, "vmin": low, "vmax": high, "shading": "nearest"}
-        drawn = ax.pcolormesh(x - x[0], y - y[0], dataset[name], **look)
-        figure.colorbar(drawn, ax=ax, label=label, location="top")
-        ax.set(aspect="equal", xlabel=f"easting - {x[0]:.0f} (m)")
-    axes[0].set_ylabel(f"northing - {y[0]:.0f} (m)")
-    return figure
