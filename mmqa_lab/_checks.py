@@ -34,11 +34,11 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     if len(values) < minimum:
         raise ValueError(f"Invalid {name}: {len(values)} given. Must be {minimum} or more.")
     values = values.astype(np.float64, copy=False)
-    if not np.isfinite(values).all():
-        bad = ~np.isfinite(values).all(axis=1)
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
         raise ValueError(
             f"Invalid {name}: {bad.sum()} of {len(values)} not finite, the first in row "
-            f"{int(np.argmax(bad))}. Must be finite coordinates."
+            f"{np.argmax(bad)}. Must be finite coordinates."
         )
     return values
 
@@ -52,10 +52,9 @@ def check_plan(points, *, name="points", minimum=1):
     [[1.0, 2.0]]
     """
     values = np.asarray(points)
-    in_space = values.ndim == 2 and values.shape[1] == 3
-    return check_points(
-        values[:, :2] if in_space else values, name=name, columns=2, minimum=minimum
-    )
+    if values.ndim == 2 and values.shape[1] == 3:
+        values = values[:, :2]
+    return check_points(values, name=name, columns=2, minimum=minimum)
 
 
 def check_polygon(vertices, *, name="polygon"):
@@ -90,7 +89,9 @@ def check_image(image, *, convert=True):
 
 
 def check_same_crs(name, crs, other_name, other):
-    """Raise where two coordinate reference systems are known and differ in plan.
+    """Raise where a coordinate reference system differs from another in plan or is not in metres.
+
+    What is not known, None, agrees with all.
 
     Examples
     --------
@@ -101,22 +102,16 @@ def check_same_crs(name, crs, other_name, other):
     ValueError: Invalid polygon in ETRS89 / UTM zone 33N. Must be in ETRS89 / UTM zone 32N, the
     cloud's.
     """
-    if crs is None or other is None:
+    if crs is None:
         return
-    ours, theirs = (one.sub_crs_list[0] if one.is_compound else one for one in (crs, other))
+    ours, theirs = (one.sub_crs_list[0] if one.is_compound else one for one in (crs, other or crs))
     if ours.name != theirs.name and not ours.equals(theirs, ignore_axis_order=True):
         raise ValueError(
             f"Invalid {name} in {ours.name}. Must be in {theirs.name}, the {other_name}'s."
         )
-
-
-def check_metres(crs, name):
-    """Return a coordinate reference system whose axes are in metres, or None; refuse others."""
-    axes = [] if crs is None else crs.axis_info
-    other = next((axis.unit_name for axis in axes if axis.unit_conversion_factor != 1), None)
-    if other is not None:
-        raise ValueError(f"Invalid {name} in {other} ({crs.name}). Must be projected, in metres.")
-    return crs
+    odd = [axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1]
+    if odd:
+        raise ValueError(f"Invalid {name} in {odd[0]} ({crs.name}). Must be projected, in metres.")
 
 
 def check_file(path, name):
@@ -157,7 +152,11 @@ def check_number(value, name, *, low=None, high=None, unit=""):
     Traceback (most recent call last):
     ValueError: Invalid amount 5. Must be between 0 and 1.
     """
-    number = _finite(value, name)
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise TypeError(f"Invalid {name} {value!r}. Must be a number.")
+    if not np.isfinite(value):
+        raise ValueError(f"Invalid {name} {value}. Must be finite.")
+    number = float(value)
     if (low is not None and number < low) or (high is not None and number > high):
         bounds = f">= {low}" if high is None else f"between {low} and {high}"
         bounds = f"<= {high}" if low is None else bounds
@@ -174,7 +173,7 @@ def check_positive(value, name, *, unit=""):
     Traceback (most recent call last):
     ValueError: Invalid radius -0.2. Must be > 0 m.
     """
-    number = _finite(value, name)
+    number = check_number(value, name)
     if number <= 0:
         raise ValueError(f"Invalid {name} {value}. Must be > 0 {unit}".strip() + ".")
     return number
@@ -205,15 +204,7 @@ def check_choice(value, name, choices):
     ValueError: Invalid axes 'up'. Must be one of principal, horizontal.
     """
     if value not in choices:
-        listed = ", ".join(str(choice) for choice in choices)
-        raise ValueError(f"Invalid {name} {value!r}. Must be one of {listed}.")
+        raise ValueError(
+            f"Invalid {name} {value!r}. Must be one of {', '.join(map(str, choices))}."
+        )
     return value
-
-
-def _finite(value, name):
-    """``value`` as a finite float, or the sentence that says why not."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise TypeError(f"Invalid {name} {value!r}. Must be a number.")
-    if not np.isfinite(value):
-        raise ValueError(f"Invalid {name} {value}. Must be finite.")
-    return float(value)

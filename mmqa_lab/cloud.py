@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pandas as pd
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_same_crs
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-__all__ = ["Cloud", "describe"]
-__dir__ = __all__.copy
+from mmqa_lab._checks import check_choice, check_points, check_same_crs
 
 MISSING = {
     "gps_time": "No time of the points: drives and scan lines cannot be told apart by it.",
@@ -23,13 +16,6 @@ MISSING = {
     "intensity": "No intensities.",
 }
 """What is said of a column that is missing or the same for all points."""
-
-
-class _MissingColumnError(KeyError, ValueError):
-    """A column that a cloud does not have."""
-
-    def __str__(self):
-        return str(self.args[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,12 +84,7 @@ class Cloud:
 
     def __getitem__(self, which: str | ArrayLike | slice) -> np.ndarray | Cloud:
         if isinstance(which, str):
-            if which in self.columns:
-                return self.columns[which]
-            present = ", ".join(self.columns) or "none"
-            raise _MissingColumnError(
-                f"Invalid column {which!r}. Must be one of those present: {present}."
-            )
+            return self.columns[check_choice(which, "column", self.columns)]
         points = self.points[which]
         if points.ndim == 1:
             return points
@@ -117,12 +98,6 @@ class Cloud:
         columns = ", ".join(self.columns) or "none"
         return f"<Cloud{name}: {len(self)} points, {extent}, columns {columns}>"
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return a DataFrame with ``x_m``, ``y_m``, ``z_m`` and the one-valued columns."""
-        frame = pd.DataFrame(self.points, columns=["x_m", "y_m", "z_m"])
-        plain = {key: values for key, values in self.columns.items() if values.ndim == 1}
-        return frame.assign(**plain)
-
     @classmethod
     def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
         """Return one cloud of several, with the columns that all of them have.
@@ -130,7 +105,7 @@ class Cloud:
         Raises
         ------
         ValueError
-            If they have different coordinate reference systems.
+            If they have different coordinate reference systems, or one that is not in metres.
         """
         clouds = list(clouds)
         if not clouds:
@@ -188,15 +163,7 @@ def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:
     return shapely.distance(shapely.points(xy), line)
 
 
-class _Cells(NamedTuple):
-    """What :func:`sort_into_cells` gives."""
-
-    order: np.ndarray
-    starts: np.ndarray
-    places: np.ndarray
-
-
-def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
+def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     """Sort points into square or cubic cells whose borders lie at multiples of their size.
 
     Parameters
@@ -222,8 +189,8 @@ def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
 
     Examples
     --------
-    >>> cells = sort_into_cells(np.array([[0.9, 0.2], [0.1, 0.1], [0.8, 0.3]]), 0.5)
-    >>> cells.order.tolist(), cells.starts.tolist(), cells.places.tolist()
+    >>> order, starts, places = sort_into_cells(np.array([[0.9, 0.2], [0.1, 0.1], [0.8, 0.3]]), 0.5)
+    >>> order.tolist(), starts.tolist(), places.tolist()
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
     index = np.floor(points / size).astype(np.int64)
@@ -234,4 +201,4 @@ def sort_into_cells(points: np.ndarray, size: float) -> _Cells:
     key = np.ravel_multi_index(tuple(local.T), tuple(wide))
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return _Cells(order, np.append(first, len(order)), index[order[first]])
+    return order, np.append(first, len(order)), index[order[first]]

@@ -14,40 +14,31 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import (
     check_choice,
     check_columns,
     check_file,
-    check_metres,
     check_points,
     check_polygon,
-    check_positive,
     check_same_crs,
 )
 from mmqa_lab.cloud import Cloud
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
 LAS_ENDINGS = (".las", ".laz")
-TEXT_ENDINGS = (".txt", ".csv", ".xyz")
-CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
-
-LAS_POINT_FORMAT = 6
+CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", ".txt", ".csv", ".xyz")
 
 SCAN_ANGLE_STEP = 0.006
 """Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10)."""
 
-PLY_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
-}
+PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+PLY_TYPES |= {"float": "f4", "double": "f8"}
+"""Names of numpy's types in PLY, besides its own: int8, float32, ..."""
+
 PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 
 SAMPLED_LINES = 60
@@ -179,10 +170,10 @@ def iterate_cloud(
     """
     path = check_file(path, "cloud")
     ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
-    if ending in TEXT_ENDINGS:
-        pieces = _text_cloud(path)
+    if ending in LAS_ENDINGS:
+        pieces = _las_clouds(path, chunk, columns)
     else:
-        pieces = _ply_cloud(path) if ending == ".ply" else _las_clouds(path, chunk, columns)
+        pieces = _ply_cloud(path) if ending == ".ply" else _text_cloud(path)
     for points, attributes, about in pieces:
         if columns is not None:
             check_columns(attributes, columns, f"cloud {path}")
@@ -229,14 +220,18 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: flo
     check_choice(Path(path).suffix.lower(), "ending", LAS_ENDINGS)
     cloud = cloud if isinstance(cloud, Cloud) else Cloud(cloud)
     points = check_points(cloud.points)
-    if np.ptp(points, axis=0).max() / check_positive(scale, "scale", unit="m") >= 2**31:
+    if not np.ptp(points, axis=0).max() < scale * 2**31:
         raise ValueError(f"Invalid scale {scale}. Must be coarser for a cloud as wide as this.")
-    header = laspy.LasHeader(point_format=LAS_POINT_FORMAT, version="1.4")
+    header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, scale), np.floor(points.min(axis=0))
     if cloud.crs is not None:
         header.add_crs(cloud.crs)
     for name in cloud.columns.keys() - set(header.point_format.dimension_names):
-        header.add_extra_dim(laspy.ExtraBytesParams(name, _extra_type(name, cloud[name])))
+        values = cloud[name]
+        if values.ndim != 1 or values.dtype.kind not in "fiub":
+            raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
+        kind = np.uint8 if values.dtype.kind == "b" else values.dtype
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las = laspy.LasData(header)
     las.xyz = points
     for name, values in cloud.columns.items():
@@ -245,13 +240,6 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: flo
         wrapped = (np.asarray(cloud["scan_angle"], dtype=np.float64) + 180) % 360 - 180
         las["scan_angle"] = np.round(wrapped / SCAN_ANGLE_STEP).astype(np.int16)
     write_atomically(path, lambda temporary: las.write(str(temporary)))
-
-
-def _extra_type(name, values):
-    """The LAS extra-bytes type of a column."""
-    if values.ndim != 1 or values.dtype.kind not in "fiub":
-        raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
-    return np.uint8 if values.dtype.kind == "b" else values.dtype
 
 
 @contextlib.contextmanager
@@ -272,7 +260,6 @@ def _las_clouds(path, chunk, columns):
 
     with _damage_named(path, "a complete LAS or LAZ file"), laspy.open(path) as reader:
         header, read = reader.header, 0
-        _check_count(path, header)
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         if columns is not None:
             names = [name for name in names if name in columns]
@@ -282,30 +269,17 @@ def _las_clouds(path, chunk, columns):
             attributes = {name: np.array(part[name]) for name in names}
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
-            points = [np.asarray(axis) for axis in (part.x, part.y, part.z)]
-            yield np.stack(points, axis=1), attributes, about
+            yield np.stack([part.x, part.y, part.z], axis=1), attributes, about
         if read < header.point_count:
-            raise ValueError(f"{read} points where the header says {header.point_count}")
-
-
-def _check_count(path, header):
-    """Raise where the points that a LAS header counts are not those that the bytes hold."""
-    if header.are_points_compressed:
-        return
-    end = header.start_of_first_evlr if header.number_of_evlrs else path.stat().st_size
-    held = (end - header.offset_to_point_data) // header.point_format.size
-    if held != header.point_count:
-        raise ValueError(f"bytes for {held} points where the header says {header.point_count}")
+            raise ValueError(f"bytes for {read} points where the header says {header.point_count}")
 
 
 def _las_crs(path, header):
-    """The coordinate reference system that a LAS header names, in metres; None without one."""
+    """The coordinate reference system that a LAS header names; None without one."""
     try:
-        crs = header.parse_crs()
+        return header.parse_crs()
     except Exception:
         warnings.warn(f"{path} names a coordinate system that is not known.", stacklevel=2)
-        return None
-    return check_metres(crs, "cloud")
 
 
 def _ply_cloud(path):
@@ -315,13 +289,11 @@ def _ply_cloud(path):
         words = list(islice(lines, 1000))
         order = next(PLY_ORDERS[row[1]] for row in words if row[0] == "format")
         first, *others = [k for k, row in enumerate(words) if row[0] == "element"] + [len(words)]
-        name, count = words[first][1], int(words[first][2])
+        count = int(words[first][2])
         fields = [row for row in words[first : others[0]] if row[0] == "property"]
-        if name != "vertex":
-            raise ValueError(f"its first element is {name}")
-        kind = np.dtype([(row[-1], order + PLY_TYPES[row[1]]) for row in fields])
+        kind = np.dtype([(row[-1], PLY_TYPES.get(row[1], row[1])) for row in fields])
         if order:
-            rows = np.frombuffer(file.read(count * kind.itemsize), kind)
+            rows = np.frombuffer(file.read(count * kind.itemsize), kind.newbyteorder(order))
         else:
             rows = np.loadtxt(file, dtype=kind, max_rows=count, ndmin=1)
         if len(rows) != count:
@@ -363,9 +335,7 @@ def _read_text(path, name):
         table = pd.read_csv(
             path, header=None, comment="#", skipinitialspace=True, encoding="utf-8-sig", **layout
         )
-    except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        if names and isinstance(error, pd.errors.EmptyDataError):
-            return pd.DataFrame(columns=names, dtype=float)
+    except ValueError as error:  # pandas' own errors and those of decoding are such
         raise ValueError(f"Invalid {name} {path}: {error}. Must be rows of columns.") from error
     return _with_names(table, names, f"{name} {path}")
 
@@ -392,9 +362,8 @@ def _separator(line):
         if mark in line:
             return mark
     words = line.split()
-    in_numbers = len(words) > 2 and all(word.strip(",") == word for word in words)
-    in_numbers = in_numbers and _is_data(words)
-    return "," if "," in line and not in_numbers else r"\s+"
+    inside = len(words) > 2 and all(word.strip(",") == word for word in words)
+    return "," if "," in line and not (inside and _is_data(words)) else r"\s+"
 
 
 def _words(line):
@@ -434,20 +403,18 @@ def _plain_name(name):
     return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
 
 
-def read_table(
-    path: str | os.PathLike, name: str, columns: Sequence[str] = (), **choices: object
-) -> pd.DataFrame:
+def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) -> pd.DataFrame:
     """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
 
     Semicolons between columns are read too, then with decimal commas where there are some.
-    Choices are those of ``pandas.read_csv``.
     """
     with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
         head, row = file.readline(), file.readline()
+    marks = {}
     if head.count(";") > head.count(","):
-        choices |= {"sep": ";", "decimal": "," if "," in row else "."}
+        marks = {"sep": ";", "decimal": "," if "," in row else "."}
     try:
-        table = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig", **choices)
+        table = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig", **marks)
     except ValueError as error:  # pandas' own errors and those of decoding are such
         raise ValueError(f"Invalid {name} {path}: {error}. Must be rows of columns.") from error
     check_columns(table, columns, f"{name} {path}")
@@ -502,8 +469,7 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
     raw.columns = [_plain_name(name) for name in raw.columns]
     names = dict(zip(coordinate_columns(raw.columns), PATH_COLUMNS[1:4], strict=False))
     table = raw.rename(columns=names | PATH_NAMES).filter(PATH_COLUMNS)
-    check_columns(table, PATH_COLUMNS[:4], f"trajectory {path}")
-    table = with_numbers(table, list(table), f"trajectory {path}")
+    table = with_numbers(table, [*PATH_COLUMNS[:4], *table.columns[4:]], f"trajectory {path}")
     table = table.sort_values("time_s", ignore_index=True)
     if (table["time_s"].diff() <= 0).any():
         raise ValueError(f"Invalid trajectory {path}: a time repeats. Must be distinct times.")
@@ -566,7 +532,7 @@ def _polygon_of_geojson(path, crs):
     if stated is not None:
         import pyproj
 
-        check_same_crs("polygon", check_metres(pyproj.CRS(stated), "polygon"), "cloud", crs)
+        check_same_crs("polygon", pyproj.CRS(stated), "cloud", crs)
     return vertices
 
 
@@ -655,13 +621,8 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
 
     _check_complete(check_file(path, "image"))
     # OpenCV prints what it dislikes of a file; the sentence below says it
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    except cv2.error:
-        grey = None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
         raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF of 8 or 16 bits.")
     return grey
@@ -676,15 +637,10 @@ def read_bands(path: str | os.PathLike) -> tuple[np.ndarray, list[str]]:
     names : list of str
         What the file calls the bands, or their numbers.
     """
-    import rasterio
-
     _check_complete(check_file(path, "image"))
     with _raster(path, "image") as file:
         names = [name or str(k) for k, name in enumerate(file.descriptions, start=1)]
-        try:
-            return file.read(), names
-        except rasterio.errors.RasterioError as error:
-            raise ValueError(f"Invalid image {path}. Must be a complete file.") from error
+        return file.read(), names
 
 
 def _check_complete(path):
@@ -697,17 +653,16 @@ def _check_complete(path):
 
 @contextlib.contextmanager
 def _raster(path, name):
-    """An image file as rasterio opens it."""
+    """An image file as rasterio opens it; what it raises on a damaged one is one sentence."""
     import rasterio
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
-            file = rasterio.open(path)
+            with rasterio.open(path) as file:
+                yield file
         except rasterio.errors.RasterioError as error:
-            raise ValueError(f"Invalid {name} {path}. Must be JPEG, PNG or TIFF.") from error
-        with file:
-            yield file
+            raise ValueError(f"Invalid {name} {path}. Must be whole JPEG, PNG or TIFF.") from error
 
 
 def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
@@ -740,28 +695,23 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     ...     read_heights(Path(folder) / "levelled.csv").tolist()
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
-    if check_file(path, "reference").suffix.lower() in (".tif", ".tiff"):
-        points, stated = _heights_of_raster(path)
-    else:
-        cloud = read_cloud(path, columns=())
-        points, stated = cloud.points, cloud.crs
-    check_same_crs(f"reference {path}", stated, "cloud", crs)
-    points = points[np.abs(points[:, 2]) < NO_HEIGHT_M]
+    raster = check_file(path, "reference").suffix.lower() in (".tif", ".tiff")
+    cloud = _raster_cloud(path) if raster else read_cloud(path, columns=())
+    check_same_crs(f"reference {path}", cloud.crs, "cloud", crs)
+    points = cloud.points[np.abs(cloud.points[:, 2]) < NO_HEIGHT_M]
     return check_points(points, name=f"heights of {path}")
 
 
-def _heights_of_raster(path):
-    """The cells of a GeoTIFF that have a height, as points, and its coordinate system."""
+def _raster_cloud(path):
+    """The cells of a GeoTIFF that have a height."""
     import pyproj
     import rasterio
 
     with _raster(path, "reference") as raster:
         if raster.count != 1 or raster.transform.is_identity:
-            raise ValueError(
-                f"Invalid reference {path}. Must be a GeoTIFF of one band with places."
-            )
+            raise ValueError(f"Invalid reference {path}. Must be a placed GeoTIFF of one band.")
         heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
         crs = None if raster.crs is None else pyproj.CRS(raster.crs.to_wkt())
         rows, columns = np.nonzero(np.isfinite(heights))
         x, y = rasterio.transform.xy(raster.transform, rows, columns)
-    return np.column_stack([x, y, heights[rows, columns]]), check_metres(crs, "reference")
+    return Cloud(np.column_stack([x, y, heights[rows, columns]]), crs=crs)

@@ -652,11 +652,11 @@ def usual_size(points):
     """The extent of the smallest plane that points carry, m."""
     if not len(points):
         return USUAL_SIZES[1]
-    fine = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE)
-    doubled = sort_into_cells(fine.places, 2)
-    in_cell = _points_per_cell(fine.starts)
+    _, starts, fine = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE)
+    doubled = sort_into_cells(fine, 2)[2]
+    in_cell = _points_per_cell(starts)
     at_random = 4 * np.expm1(-in_cell) / np.expm1(-4 * in_cell)
-    filled = len(fine.places) >= FILLED * at_random * len(doubled.places)
+    filled = len(fine) >= FILLED * at_random * len(doubled)
     carried = USUAL_SIZES[0] * np.sqrt(USUAL_COUNT / in_cell)
     return float(np.clip(carried, USUAL_SIZES[0 if filled else 1], USUAL_SIZES[2]))
 

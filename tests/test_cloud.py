@@ -38,10 +38,9 @@ def test_an_empty_selection_is_an_empty_cloud():
     assert "0 points" in repr(none)
 
 
-def test_a_missing_column_is_a_key_error_that_lists_those_present():
-    with pytest.raises(KeyError) as error:
+def test_a_missing_column_lists_those_present():
+    with pytest.raises(ValueError, match=r"Invalid column 'gps_time'\. Must be one of ring\."):
         CLOUD["gps_time"]
-    assert str(error.value) == "Invalid column 'gps_time'. Must be one of those present: ring."
 
 
 def test_concatenating_keeps_what_all_have():
@@ -51,8 +50,3 @@ def test_concatenating_keeps_what_all_have():
     assert both["ring"].tolist() == [1, 2, 3]
     assert "time" not in both
     assert len(Cloud.concatenate([])) == 0
-
-
-def test_frame_has_units_in_its_names():
-    frame = Cloud([[1, 2, 3]], {"ring": [7], "rgb": [[1, 2, 3]]}).to_frame()
-    assert frame.columns.tolist() == ["x_m", "y_m", "z_m", "ring"]

@@ -91,7 +91,7 @@ def thinned(points, height_of, place=(0, 0, 0)):
     if not len(centres):
         return Thin(centres, height, centres)
     cells = np.column_stack([centres[:, :2], height * (COARSE_M / 0.5)])
-    coarse = (sort_into_cells(cells, COARSE_M).places + 0.5) * [COARSE_M, COARSE_M, 0.5]
+    coarse = (sort_into_cells(cells, COARSE_M)[2] + 0.5) * [COARSE_M, COARSE_M, 0.5]
     return Thin(centres, height, coarse)
 
 
