@@ -284,8 +284,8 @@ def bench(*, methods=None, seeds=range(5), ranges_m=(4.0, 8.0, 16.0), cases=None
     """
     cases = cad_walls(ranges_m) if cases is None else cases
     shown = tuple(name.replace("_", "_error_", 1) for name in FIGURES)
-    made = dict(methods or METHODS), partial(make, **noise)
-    return Comparison(cases, *made, score, seeds, figures=shown)
+    methods, scanned = dict(methods or METHODS), partial(make, **noise)
+    return Comparison(cases, methods, scanned, score, seeds, figures=shown)
 
 
 CAST = "Rays cast on the walls of Tables 3 and 4 in place of the constructed models."
