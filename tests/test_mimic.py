@@ -129,16 +129,6 @@ def test_moving_lattice_tends_to_mimics_as_the_vehicle_slows(rng):
         assert lattice.profile_angle_deg == pytest.approx(angle, abs=1e-4)
 
 
-def test_scan_plane_in_motion_turns_profiles():
-    setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
-                      scanner_heading_deg=45, scanner_tilt_deg=45)  # fmt: skip
-    at_rest = mimic.profile_angle(45, 45, 15, 0)
-    for range_m, shift in ((4.0, 0.08), (8.0, 0.04)):
-        patch = Target(heading_deg=15, range_m=range_m).patch(setup)
-        turned = scan_lattice(setup, patch).profile_angle_deg - at_rest
-        assert turned == pytest.approx(shift, abs=0.002)
-
-
 def test_table_3_to_the_printed_digits_and_its_reading():
     table = printed_table("cahalane2014", "table_3")
     found = [mimic.profile_spacing_horizontal(0.1, 45, a) for a in table["alpha_targ_deg"]]

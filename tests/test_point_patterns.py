@@ -58,15 +58,6 @@ def test_the_law_behind_f_5_by_drawing():
     assert np.median(last.max(axis=1)) == point_patterns.aligned_lines_f()
 
 
-def test_lattice_and_lines_have_their_spacing_across_and_along():
-    xy = point_pattern("lattice", density=DENSITY, size=1, seed=3, ratio=4)
-    columns, rows = np.unique(xy[:, 0].round(9)), np.unique(xy[:, 1].round(9))
-    assert np.diff(columns) == pytest.approx(0.01)
-    assert np.diff(rows) == pytest.approx(0.04)
-    lines = point_pattern("scan_lines", density=DENSITY, size=1, seed=3, ratio=4, angle=90)
-    assert np.diff(np.unique(lines[:, 0].round(9))) == pytest.approx(0.04)
-
-
 def test_hexagonal_points_have_six_equal_neighbours():
     xy = point_pattern("hexagonal", density=DENSITY, size=1, seed=3, angle=11)
     inside = (np.abs(xy - 0.5) < 0.4).all(axis=1)
@@ -118,8 +109,3 @@ def test_any_pattern_lies_in_its_window_and_repeats(kind, ratio, angle, noise, s
     assert np.array_equal(xy, point_pattern(kind, seed=seed, **choices))
     rounded = point_pattern(kind, seed=seed, rounding=0.01, **choices)
     assert np.abs(rounded - xy).max(initial=0) <= 0.005 + 1e-12
-
-
-def test_closed_forms_agree_where_lines_are_far_apart():
-    assert expected_f("scan_lines", 50) == pytest.approx(50, rel=1e-4)
-    assert np.isnan(expected_f("clusters", 2))

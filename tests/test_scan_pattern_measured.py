@@ -113,16 +113,6 @@ def test_time_and_scan_line_give_the_same():
     assert np.isnan(with_line.point_spacing_m)  # pulses are counted by time
 
 
-def test_neighbour_distances_are_too_long():
-    cloud, truth = simulated("5 m, 45/45", size_m=1.0, seed=1)
-    order = np.lexsort((cloud["gps_time"], cloud["scan_line"]))
-    steps = np.linalg.norm(np.diff(cloud.points[order], axis=0), axis=1)
-    naive = steps[np.diff(cloud["scan_line"][order]) == 0].mean()
-    found = measure_pattern(cloud, gps_time=cloud["gps_time"], reference=truth.beam)
-    assert naive - truth.point_spacing_m > 0.001
-    assert abs(found.point_spacing_m - truth.point_spacing_m) < 3e-5
-
-
 def test_clocks_coarser_than_pulses_give_no_point_spacing():
     cloud, truth = simulated("6 m, 45/20, -10/0", size_m=1.0, seed=5)
     tick = 4 / 125e3

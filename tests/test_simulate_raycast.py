@@ -103,15 +103,6 @@ def test_cone_closes_at_its_tip_and_at_its_caps():
     assert hits.incidence_deg[3] == pytest.approx(0, abs=1e-5)  # arccos near 1
 
 
-def test_box_seen_from_inside_and_outside():
-    scene = Scene([simulate.box((0, 0, 0), (2, 4, 1.5), heading=90)])
-    outside = scene.cast([[9, 0, 1], [0, 9, 1], [0, 0, 9]], [[-1, 0, 0], [0, -1, 0], [0, 0, -1]])
-    assert np.allclose(outside.range_m, [7, 8, 7.5], atol=1e-12)
-    assert np.allclose(outside.cosine, 1, atol=1e-12)
-    inside = scene.cast([[0, 0, 0.5]] * 2, [[1, 0, 0], [0, 0, -1]])
-    assert np.allclose(inside.range_m, [2, 0.5], atol=1e-12)
-
-
 def test_crown_lets_through_what_beer_and_lambert_say(rng):
     leaves, leaf, radius = 3000, 0.04, 2.0
     crown = foliage((0, 0, 0), radius, leaves=leaves, leaf_radius=leaf, seed=4)
@@ -121,15 +112,6 @@ def test_crown_lets_through_what_beer_and_lambert_say(rng):
     expected = np.exp(-leaves / volume * np.pi * leaf**2 / 2 * 2 * radius)
     # 3000 leaves seen through the middle: the sampling error of the crown itself is about 0.01
     assert gap == pytest.approx(expected, abs=0.03)
-
-
-def test_wall_openings_show_reveals_and_panes():
-    wall = simulate.wall((5, 0, 0), (0, 6, 0), 4, openings=[(1, 1, 1, 2)], reveal=0.2)
-    hits = Scene(wall).cast((0, 1.5, 2), [[1, 0, 0], [5, 3, 0], [5.1, 0.5, 0], [0, 0, 1]])
-    labels = [wall[k].label if k >= 0 else "" for k in hits.surface]
-    assert labels == ["pane", "wall", "reveal", ""]
-    assert hits.range_m[0] == pytest.approx(5.2)
-    assert hits.cosine[2] == pytest.approx(0.5 / np.hypot(5.1, 0.5))
 
 
 def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):

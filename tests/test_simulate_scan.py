@@ -54,11 +54,8 @@ def test_points_lie_in_the_scan_plane_at_their_range_on_their_surface():
     h, p, r, a, g = np.radians([10, -3, 2, 30, -20])
     turn = Rotation.from_euler
     body = (turn("z", -h) * turn("x", p) * turn("y", r)).as_matrix()
-    origin = np.outer(SPEED * cloud["pulse"] / 3e5, [np.sin(h), np.cos(h), 0]) + body @ [
-        0.3,
-        -1,
-        0.5,
-    ]
+    arm = body @ scanner.lever_arm_m
+    origin = np.outer(SPEED * cloud["pulse"] / 3e5, [np.sin(h), np.cos(h), 0]) + arm
     ray = cloud.points - origin
     assert np.abs(np.linalg.norm(ray, axis=1) - cloud["range_m"]).max() < 1e-9
     normal = body @ (turn("z", a) * turn("x", g)).apply([0, 1, 0])
@@ -117,17 +114,16 @@ def test_weak_signals_get_lost():
     assert rates == pytest.approx([1, 0.5, 0], abs=0.03)
 
 
-def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
-    def edge(gap):
-        surfaces = [
-            simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 20)),
-            simulate.rectangle((5 + gap, -60, -20), (0, 120, 0), (0, 0, 40)),
-        ]
-        wide = replace(PROFILER, exit_diameter_m=0.02, divergence_mrad=2.0)
-        cloud = scan(Scene(surfaces), wide)
-        return cloud[np.abs(cloud["scan_angle"] - 90) < 3]
+def edge(gap):
+    """The top of a wall, and a higher one behind it."""
+    front = simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 20))
+    return Scene([front, simulate.rectangle((5 + gap, -60, -20), (0, 120, 0), (0, 0, 40))])
 
-    near, far = edge(0.3), edge(2.0)
+
+def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
+    wide = replace(PROFILER, exit_diameter_m=0.02, divergence_mrad=2.0)
+    near, far = (scan(edge(gap), wide) for gap in (0.3, 2.0))
+    near, far = (cloud[np.abs(cloud["scan_angle"] - 90) < 3] for cloud in (near, far))
     between = (near.points[:, 0] > 5.02) & (near.points[:, 0] < 5.28)
     assert between.any()
     assert (near["mixed"][between] == 1).all()
@@ -138,13 +134,9 @@ def test_beam_over_an_edge_mixes_near_surfaces_and_keeps_far_ones_apart():
 
 
 def test_mixed_share_is_footprint_over_spacing():
-    surfaces = [
-        simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 20)),
-        simulate.rectangle((5.3, -60, -20), (0, 120, 0), (0, 0, 40)),
-    ]
     # a pulse rate that the mirror frequency does not divide: pulses lie anywhere about the edge
     wide = replace(PROFILER, exit_diameter_m=0.06, pulse_rate_hz=299_987)
-    cloud = scan(Scene(surfaces), wide, drive(20.0))
+    cloud = scan(edge(0.3), wide, drive(20.0))
     # six rays on a ring of radius r reach r cos(u) high, u uniform within 30 degrees of the top
     reach = 0.651 * 0.03 * np.sin(np.pi / 6) / (np.pi / 6)
     expected = 2 * reach / (5 * 2 * np.pi * 100 / 3e5) * 200  # profiles

@@ -22,19 +22,6 @@ def test_rotations_equal_scipy(roll, pitch, heading):
     assert np.abs(rotations(*np.array([[r], [p], [h]]))[0] - expected).max() < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("attitude", "axis", "points_to"),
-    [
-        ({"heading": 90}, 1, (1, 0, 0)),  # travel looks east
-        ({"pitch": 90}, 1, (0, 0, 1)),  # nose up
-        ({"roll": 90}, 0, (0, 0, -1)),  # right side down
-    ],
-)
-def test_signs_of_attitude(attitude, axis, points_to):
-    path = Trajectory([0, 1], [[0, 0, 0], [0, 1, 0]], **attitude)
-    assert np.allclose(path.at([0.5])[1][0][:, axis], points_to, atol=1e-12)
-
-
 def test_a_circle_is_followed_between_its_rows():
     time = np.arange(0, 20.01, 0.1)
     angle = 0.3 * time
