@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["CloudQuality", "chart_polygon", "evaluate_cloud", "inside_polygon"]
 __dir__ = __all__.copy
 
-AXES = ("principal", "horizontal")
-
 UPRIGHT = 0.7
 """Cosine of the slope below which a surface is upright: its axes are horizontal by default."""
 
@@ -127,16 +125,6 @@ class CloudQuality(Shown):
     def d1_mm(self) -> float:
         """The smallest of ``d_mm``."""
         return float(self.d_mm[0])
-
-    @property
-    def d2_mm(self) -> float:
-        """The second of ``d_mm``."""
-        return float(self.d_mm[1])
-
-    @property
-    def d3_mm(self) -> float:
-        """The third of ``d_mm``."""
-        return float(self.d_mm[2])
 
     @property
     def d4_mm(self) -> float:
@@ -277,12 +265,11 @@ class CloudQuality(Shown):
 
     def _density_interval(self):
         """Density of the outline and its interval, from counts in strips of it."""
-        if self.outline.area == 0 or self.n < FEWEST:
-            return self.n / self.outline.area if self.outline.area else np.nan, np.nan, np.nan
-        density = self.n / self.outline.area
-        low_x, low_y, high_x, high_y = self.outline.bounds
-        ends = ((low_x, high_x), (low_y, high_y))
-        x, y = np.meshgrid(*(low + (high - low) * GRID for low, high in ends))
+        density = self.n / self.outline.area if self.outline.area else np.nan
+        if np.isnan(density) or self.n < FEWEST:
+            return density, np.nan, np.nan
+        low, high = np.reshape(self.outline.bounds, (2, 2))
+        x, y = np.meshgrid(*(low + (high - low) * GRID[:, None]).T)
         places = np.column_stack([x.ravel(), y.ravel()])
         places = places[shapely.contains_xy(self.outline, *places.T)]
         block = line_strips(np.vstack([self.xy, places]), self.directional)
@@ -376,29 +363,18 @@ def evaluate_cloud(
     remarks = []
     if polygon is not None:
         polygon, inside, remarks, surface = _selected(points, polygon, thickness)
-        _check_found(points, polygon, inside)
-        points = points[inside]
+        points = _found(points, polygon, inside)
     plane = fit_plane(points)
     if axes is None:
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT else "principal"
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
     gaps = quadrants(xy, radius=radius, sectors=sectors, statistic=statistic)
-    hull = _hull(xy)
+    hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
-    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull)
-    spread = np.sort(np.linalg.eigvalsh(np.cov(xy.T)))
-    if axes != "horizontal" and spread[1] < ALIKE * spread[0]:
-        remarks.append(
-            "Points spread alike in all directions: principal axes, and f, are by chance."
-        )
-    if outline.area > FULL * hull.area:
-        share = 100 * hull.area / outline.area
-        remarks.append(
-            f"Points lie on {share:.0f} % of the polygon: its density counts the rest too."
-        )
+    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
@@ -502,26 +478,21 @@ def chart_polygon(
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (c - a) * u * v
 
 
-def _hull(xy):
-    """The convex hull, a line where the points lie on one."""
-    outline = xy if len(xy) > 1 else np.repeat(xy, 2, axis=0)
-    return shapely.convex_hull(shapely.linestrings(outline))
-
-
 def _directions(plane, axes):
     """The axes of the quadrants, shape (2, 3)."""
     if not isinstance(axes, str):
         return turned_axes(plane.axes, check_number(axes, "axes", unit="degrees"))
-    check_choice(axes, "axes", AXES)
+    check_choice(axes, "axes", ("principal", "horizontal"))
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _remarks_on_points(gaps, step_mm, sigma_mm, hull):
+def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     """Sentences on what the points cannot tell, or tell wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR * np.quantile(away, 0.9)
     share = 100 * gaps.coincident / gaps.n
+    narrow, wide = np.linalg.eigvalsh(np.cov(gaps.xy.T))
     sentences = {
         f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
         f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.": (
@@ -530,7 +501,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull):
         f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
         "hull, which lowers its density, and turn the plane.": far.any(),
         "More than 10 points/mm2: are the coordinates in degrees, not metres?": (
-            gaps.n > DENSEST * max(hull.area, 1e-300)
+            gaps.n > DENSEST * max(hull_m2, 1e-300)
         ),
         "No point has neighbours in all four quadrants within the search radius: d4 and f are "
         "not measured.": gaps.incomplete_share == 1,
@@ -539,6 +510,11 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull):
         f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as by two returns of a pulse "
         "or a scan that is there twice; density and f count both.": d2_mm > PAIRS * d1_mm,
         f"Fewer than {FEWEST} points: no confidence intervals.": gaps.n < FEWEST,
+        "Points spread alike in all directions: principal axes, and f, are by chance.": (
+            axes != "horizontal" and wide < ALIKE * narrow
+        ),
+        f"Points lie on {100 * hull_m2 / max(outline_m2, 1e-300):.0f} % of the polygon: its "
+        "density counts the rest too.": outline_m2 > FULL * hull_m2,
     }
     return [sentence for sentence, applies in sentences.items() if applies]
 
@@ -576,10 +552,10 @@ def _selected(points, polygon, thickness):
     return vertices, near, remarks, plane
 
 
-def _check_found(points, vertices, inside):
-    """Raise where a polygon has fewer than three points; say where the cloud is."""
+def _found(points, vertices, inside):
+    """The points inside a polygon; where they are fewer than three, say where the cloud is."""
     if inside.sum() >= 3:
-        return
+        return points[inside]
     away = np.linalg.norm(points - vertices.mean(axis=0), axis=1).min()
     low, high = points.min(axis=0), points.max(axis=0)
     extent = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))

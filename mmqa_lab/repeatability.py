@@ -160,8 +160,8 @@ class Repeatability(Shown):
     Examples
     --------
     >>> found = Repeatability(100.0, 1.0, 0.0, 0.0, 0.0, 0.2, 0.8, 1.2, groups=4, n=40)
-    >>> found.r, found.reproducibility_limit
-    (2.8, 2.8)
+    >>> found.r
+    2.8
     """
 
     mean: float
@@ -180,11 +180,6 @@ class Repeatability(Shown):
         """Repeatability limit 2.8 s_r."""
         return LIMIT * self.s_r
 
-    @property
-    def reproducibility_limit(self) -> float:
-        """2.8 s_R with s_R^2 = s_L^2 + s_r^2: another selection of another scan."""
-        return LIMIT * float(np.hypot(self.s_r, self.s_l))
-
     def to_frame(self) -> pd.DataFrame:
         """Return one row with all parts, ``r`` and ``relative_s_r_percent`` with its interval."""
         percent = 100 / self.mean
@@ -196,19 +191,18 @@ class Repeatability(Shown):
         return pd.DataFrame([asdict(self) | {"r": self.r} | relative])
 
 
-def repeatability(table: pd.DataFrame, value: str, *, group: str = "scan") -> Repeatability:
+def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     """Separate repeatability and the variance between scans.
 
-    One-way analysis of variance of ``value`` over ``group`` (ISO 5725-2, section 7.4); unequal
+    One-way analysis of variance of a figure over the scans (ISO 5725-2, section 7.4); unequal
     numbers are allowed.
 
     Parameters
     ----------
     table : DataFrame
-        A row per selection.
-    value, group : str
-        Columns: the figure, and what names the scan; all rows are of one scan where a table has
-        no such column.
+        A row per selection; its column ``scan`` names the scan, all rows are of one without it.
+    value : str
+        The column of the figure.
 
     Returns
     -------
@@ -231,10 +225,10 @@ def repeatability(table: pd.DataFrame, value: str, *, group: str = "scan") -> Re
     >>> round(found.s_r, 3), round(found.s_l, 3), round(found.icc, 3)
     (0.141, 0.7, 0.961)
     """
-    grouped = table.groupby(group if group in table else np.zeros(len(table)))[value]
+    grouped = table.groupby("scan" if "scan" in table else np.zeros(len(table)))[value]
     parts = [rows.to_numpy(dtype=np.float64) for _, rows in grouped]
     if not parts or min(len(part) for part in parts) < 2:
-        raise ValueError(f"Invalid {group}: a single selection. Must be two or more of each.")
+        raise ValueError("Invalid scan: a single selection. Must be two or more of each.")
     if not np.isfinite(np.concatenate(parts)).all():
         raise ValueError(f"Invalid {value}: not finite. Must be measured in every selection.")
     off = np.concatenate([part - part.mean() for part in parts])
@@ -338,13 +332,13 @@ def _between(parts, within):
     return s_l, *map(float, shares)
 
 
-def strip_law(*, density: float, area: float, click: float, influence: float = 1.0) -> float:
-    """Predicted relative s_r of a figure when square selections of one random pattern vary.
+def strip_law(*, density: float, area: float, click: float) -> float:
+    """Predicted relative s_r of the density when square selections of one random pattern vary.
 
     Two selections share all points but those in the strip between their outlines, whose mean area
-    is 0.916 P click for the perimeter P. The figure changes by the chance in these points:
-    s_r / value = influence sqrt(0.458 P click / density) / area, with P = 4 sqrt(area). So it falls
-    with area^(-3/4) and density^(-1/2), not with the number of points alone.
+    is 0.916 P click for the perimeter P. The density changes by the chance in these points:
+    s_r / value = sqrt(0.458 P click / density) / area, with P = 4 sqrt(area). So it falls with
+    area^(-3/4) and density^(-1/2), not with the number of points alone.
 
     Parameters
     ----------
@@ -354,9 +348,6 @@ def strip_law(*, density: float, area: float, click: float, influence: float = 1
         Of the selection, square metres.
     click : float
         Standard deviation of a vertex in each direction, m.
-    influence : float
-        Standard deviation of one point's influence over the value: 1 for the density,
-        sqrt(1/2) for std, 1.166 for sigma_MAD of normal residuals (asymptotic).
 
     Returns
     -------
@@ -369,7 +360,9 @@ def strip_law(*, density: float, area: float, click: float, influence: float = 1
 
     Notes
     -----
-    For a Poisson pattern; points on scan lines come in whole lines and vary otherwise.
+    For a Poisson pattern; points on scan lines come in whole lines and vary otherwise. Figures
+    other than the density vary by the influence of one point on them times as much: sqrt(1/2) for
+    std, 1.166 for sigma_MAD of normal residuals (asymptotic).
 
     Examples
     --------
@@ -379,4 +372,4 @@ def strip_law(*, density: float, area: float, click: float, influence: float = 1
     density = check_positive(density, "density", unit="points per m2")
     area = check_positive(area, "area", unit="m2")
     click = check_number(click, "click", low=0, unit="m")
-    return float(influence * np.sqrt(STRIP * 4 * np.sqrt(area) * click / density) / area)
+    return float(np.sqrt(STRIP * 4 * np.sqrt(area) * click / density) / area)

@@ -51,10 +51,9 @@ def test_intraclass_correlation_as_published():
     assert found.icc_low < 0 < found.icc < found.icc_high
 
 
-def test_limits_of_repeatability_and_reproducibility():
+def test_limit_of_repeatability():
     found = repeatability(rated(), "f")
     assert found.r == pytest.approx(2.8 * np.sqrt(6.26), rel=1e-3)
-    assert found.reproducibility_limit == pytest.approx(2.8 * np.hypot(found.s_r, found.s_l))
     assert (found.groups, found.n) == (6, 24)
 
 

@@ -97,7 +97,7 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
     quality = evaluate_cloud(surface.points, polygon=polygon, axes=axes)
-    return {name: float(getattr(quality, name)) for name in FIGURES}
+    return quality.to_frame()[list(FIGURES)].iloc[0].to_dict()
 
 
 METHODS = {
