@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -36,15 +36,8 @@ CONSISTENT_SCALE = 1.482602218505602
 PAPER_SCALE = 1.4862
 """The factor in the code of Pfeifer et al. 2021, Appendix A (two digits changed places)."""
 
-CLEARLY = 5.0
-"""Log of the likelihood ratio by which a circle must fit better than one on the other side."""
-
 TUKEY = 4.685
 """Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
-
-LOOSE, THICK = 0.12, 0.15
-"""Standard deviation of a free radius, and of the distances from the circle, as shares of the
-radius, beyond which the centre is not known: its errors are then no longer like a normal one."""
 
 FAR = 0.01
 """Distances from a circle beyond this weigh less, m."""
@@ -397,7 +390,9 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     points = check_points(points, columns=2, minimum=3)
     origin = np.median(points, axis=0)
     xy = points - origin
-    *middle, algebraic = algebraic_circle(xy)
+    # the algebraic circle
+    (a, b, c), *_ = np.linalg.lstsq(np.column_stack([xy, np.ones(len(xy))]), (xy**2).sum(axis=1))
+    middle, algebraic = (a / 2, b / 2), np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
     free = diameter is None
     radius = np.clip(algebraic, 0.01, 1.0) if free else check_positive(diameter, "diameter") / 2
     aside = radius * np.linalg.eigh(xy.T @ xy)[1][:, 0]  # across the points, to either side
@@ -425,9 +420,13 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     pulls = off / (1 + (off / FAR) ** 2)
     normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
     freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
-    rivals = [_opposite(one[:2], centre, radius / 2) for one in circles]
+    # a rival lies apart and more than 120 degrees about the points' middle
+    others = np.array(circles)[:, :2]
+    apart = np.hypot(*(others - centre).T) > radius / 2
+    rivals = apart & (others @ centre < -0.5 * np.hypot(*others.T) * np.hypot(*centre))
     ratio = np.min(costs[rivals], initial=np.inf) / max(costs[best], 1e-300)
-    if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 2 * CLEARLY:
+    # it must fit worse by a log of the likelihood ratio of 5
+    if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 10:
         inverse = np.linalg.inv(normal)
         effects = inverse @ (ways * pulls[:, None]).T
         # from each residual and from their mean; two less, as their spread is uncertain itself
@@ -435,30 +434,29 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         alike = pulls @ off / (freedom - 2) * inverse
         larger = max(each, alike, key=lambda one: np.trace(one[:2, :2]))
         scatter = np.sqrt(pulls @ off / freedom) / radius
-        if not free or (larger[2, 2] < LOOSE**2 and scatter < THICK):
+        # beyond, errors of the centre are no longer like normal ones
+        if not free or (larger[2, 2] < 0.12**2 and scatter < 0.15):
             covariance = larger[:2, :2]
     return Circle(origin + centre, float(radius), covariance)
-
-
-def _opposite(a, b, apart):
-    """Whether two centres lie so far apart and more than 120 degrees about the points' middle."""
-    return np.hypot(*(a - b)) > apart and a @ b < -0.5 * np.hypot(*a) * np.hypot(*b)
-
-
-def algebraic_circle(xy):
-    """Centre x, centre y and radius of the circle with the least algebraic distance."""
-    design = np.column_stack([xy, np.ones(len(xy))])
-    (a, b, c), *_ = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)
-    return a / 2, b / 2, np.sqrt(max(c + a**2 / 4 + b**2 / 4, 0.0))
 
 
 def _principal_axes(points, robust):
     """Mean, weighted centre from there, and directions by extent, largest component positive."""
     origin = points.mean(axis=0)
     local = points - origin
-    centre, vectors = _principal(local, np.ones(len(local)))
-    if robust:
-        centre, vectors = _reweighted(local, centre, vectors)
+    previous = np.ones(len(local))
+    centre, vectors = _principal(local, previous)
+    for _ in range(50 if robust else 0):
+        residuals = (local - centre) @ vectors[0]
+        sigma = sigma_mad(residuals)
+        if sigma == 0:
+            break
+        u = (residuals - np.median(residuals)) / (TUKEY * sigma)
+        weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+        if np.abs(weights - previous).max() < 1e-6:
+            break
+        centre, vectors = _principal(local, weights)
+        previous = weights
     signs = np.sign(vectors[np.arange(len(vectors)), np.abs(vectors).argmax(axis=1)])
     return origin, centre, vectors * signs[:, None]
 
@@ -473,23 +471,6 @@ def _principal(local, weights):
         shape = "line or spot. Must span a plane" if len(values) == 3 else "spot. Must span a line"
         raise ValueError(f"Invalid points: {len(local)} of them on one {shape}.")
     return centre, vectors.T
-
-
-def _reweighted(local, centre, vectors):
-    """Tukey-weighted plane, from a start that outliers may have turned."""
-    previous = np.ones(len(local))
-    for _ in range(50):
-        residuals = (local - centre) @ vectors[0]
-        sigma = sigma_mad(residuals)
-        if sigma == 0:
-            break
-        u = (residuals - np.median(residuals)) / (TUKEY * sigma)
-        weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
-        if np.abs(weights - previous).max() < 1e-6:
-            break
-        centre, vectors = _principal(local, weights)
-        previous = weights
-    return centre, vectors
 
 
 def across(axes):
@@ -511,33 +492,8 @@ USUAL_SIZES = 1.5, 2.0, 3.0
 """Default extents of the smallest plane, m: where points fill its cells, where lines of points are
 too far apart to, and the largest, in thin clouds."""
 
-FILLED, USUAL_COUNT, THINNEST = 0.8, 3.2, 1.0
-"""Occupied cells per occupied cell of twice their side, in those of points at random; points of a
-surface per cell, for which the default extent is enlarged in thin clouds (of 2.4 to 4.4 those from
-2.8 to 3.8 found most edges of simulated streets); and fewest for a surface to hang together."""
-
-ROUGHEST, NARROWEST = 0.48, 1.2
-"""Largest residual standard deviation in tolerances (points without any plane have 0.58); least
-standard deviation of a plane's points along its shorter axis, in tolerances."""
-
-ROUNDS, PASSES = 4, 4
-"""Trials are repeated this often among the points that are left; growth of a plane is."""
-
-PER_CELL, REACH, MOST_NEAR = 3, 2.5, 64
-"""Of the points of a trial: so many of a cell (dense and sparse parts then count alike), within so
-many cells along each axis, so many at most."""
-
-TRIALS, LEAST_TRIAL, LEAST_SPREAD, CHUNK = 32, 6, 0.5, 1000
-"""Trials around a seed, its points at least, twice the area of a trial's triangle in squared cells,
-and seeds at a time."""
-
-SHARE, STANDS_OUT = 0.25, 1.5
-"""A plane takes a cell in which it has this share of all points: tails of a noisy wall and strips
-of a floor have less. It has so many points at least for one beside it, within three tolerances and
-in all cells that were looked at; a volume filled with points has 1/2."""
-
-ROUGH = 1 / 3
-"""Mean square residual, in squared tolerances, of points without any plane."""
+LEAST_TRIAL = 6
+"""Points of a trial at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -636,11 +592,17 @@ def detect_planes(
     if len(points) < (minimum or FEWEST[0]):
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
-    _warn_if_thin(grid, size)
-    expected = LEAST_AREA * CELLS_PER_SIZE**2 * _points_per_cell(grid.start)
-    minimum = minimum or int(np.clip(expected, *FEWEST))
+    in_cell = _points_per_cell(grid.start)
+    if in_cell < 1:  # surfaces do not hang together
+        warnings.warn(
+            f"About {in_cell / grid.edge**2:.2g} points per square metre are too few for planes of "
+            f"{size:g} m: some will be missed. "
+            f"Must have a size of {size / np.sqrt(in_cell):.2g} m or more.",
+            stacklevel=2,
+        )
+    minimum = minimum or int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))
     search = _Search(grid, tolerance, minimum)
-    for _ in range(ROUNDS):
+    for _ in range(4):
         if not search.round():
             break
     owner, clear = np.full(len(points), -1), np.zeros(len(points), dtype=bool)
@@ -656,8 +618,9 @@ def usual_size(points):
     doubled = sort_into_cells(fine, 2)[2]
     in_cell = _points_per_cell(starts)
     at_random = 4 * np.expm1(-in_cell) / np.expm1(-4 * in_cell)
-    filled = len(fine) >= FILLED * at_random * len(doubled)
-    carried = USUAL_SIZES[0] * np.sqrt(USUAL_COUNT / in_cell)
+    filled = len(fine) >= 0.8 * at_random * len(doubled)
+    # of 2.4 to 4.4 points per cell those from 2.8 to 3.8 found most edges of simulated streets
+    carried = USUAL_SIZES[0] * np.sqrt(3.2 / in_cell)
     return float(np.clip(carried, USUAL_SIZES[0 if filled else 1], USUAL_SIZES[2]))
 
 
@@ -671,33 +634,18 @@ def _points_per_cell(start):
     return mean + lambertw(-mean * np.exp(-mean)).real
 
 
-def _warn_if_thin(grid, size):
-    """Say when surfaces have too few points for their cells to hang together."""
-    in_cell = _points_per_cell(grid.start)
-    if in_cell < THINNEST:
-        density = in_cell / grid.edge**2
-        needed = size * np.sqrt(THINNEST / in_cell)
-        warnings.warn(
-            f"About {density:.2g} points per square metre are too few for planes of {size:g} m: "
-            f"some will be missed. Must have a size of {needed:.2g} m or more.",
-            stacklevel=3,
-        )
-
-
 def _patches(points, owner, clear, tolerance, minimum):
     """Fitted patches of each owner's points, those without a clear plane left out."""
-    order = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[order], np.arange(owner.max(initial=-1) + 2))
     patches = []
-    for first, last in pairwise(bounds):
-        index = order[first:last]
+    for index in _members(owner, owner.max() + 1):
         fitted = index[clear[index]]
         if len(index) < minimum or len(fitted) < 3:
             continue
         plane = fit_plane(points[fitted])
         moments = (plane.project(points[fitted]) ** 2).sum(axis=0)
-        narrow = np.sqrt(moments.min() / plane.n) < NARROWEST * tolerance
-        if plane.std <= ROUGHEST * tolerance and not narrow:
+        narrow = np.sqrt(moments.min() / plane.n) < 1.2 * tolerance
+        # points without any plane have 0.58
+        if plane.std <= 0.48 * tolerance and not narrow:
             patches.append(Patch(plane, index, moments, _untruncated(plane.std, tolerance)))
     return sorted(patches, key=len, reverse=True)
 
@@ -746,19 +694,7 @@ class Grid:
 
     def around(self, cells):
         """The same cells and all that touch one of them."""
-        ends = self.near.indptr[cells], self.near.indptr[cells + 1]
-        sizes = ends[1] - ends[0]
-        first = np.cumsum(sizes) - sizes
-        return np.unique(
-            self.near.indices[np.repeat(ends[0] - first, sizes) + np.arange(sizes.sum())]
-        )
-
-    def fullest(self, counts):
-        """Of every eight cells the one with the highest count, where it is above zero."""
-        blocks = self.places // 2
-        order = np.lexsort((-counts, *blocks.T))
-        cells = order[np.r_[True, (np.diff(blocks[order], axis=0) != 0).any(axis=1)]]
-        return cells[counts[cells] > 0]
+        return np.unique(self.near[cells].indices)
 
 
 class _Search:
@@ -769,24 +705,28 @@ class _Search:
         self.owner = np.full(len(grid.points), -1)
         self.seen = np.zeros(len(grid.size), dtype=bool)
         self.planes, self.taken = [], []
-        self.trials = np.random.default_rng(0).random((TRIALS, 3))
+        self.trials = np.random.default_rng(0).random((32, 3))
 
     def round(self):
         """Try planes among the points that nobody owns and grow them; whether any was found."""
         grid, before = self.grid, len(self.planes)
         free = np.flatnonzero(self.owner < 0)
         counts = np.bincount(grid.cell[free], minlength=len(grid.size))
-        seeds = grid.fullest(counts)
+        # of every eight cells the fullest
+        blocks = grid.places // 2
+        order = np.lexsort((-counts, *blocks.T))
+        seeds = order[np.r_[True, (np.diff(blocks[order], axis=0) != 0).any(axis=1)]]
+        seeds = seeds[counts[seeds] > 0]
         first = np.searchsorted(grid.cell[free], np.arange(len(counts)))
         rank = np.arange(len(free)) - first[grid.cell[free]]
-        stride = -(-counts // PER_CELL)[grid.cell[free]]
+        # three points of a cell: dense and sparse parts count alike
+        stride = -(-counts // 3)[grid.cell[free]]
         drawn = grid.points[free[rank % stride == 0]]
-        pieces = [
-            _pieces(drawn, tree_near, self.trials, self.tolerance, grid.edge)
-            for tree_near in _neighbourhoods(drawn, grid, seeds)
-        ]
-        if not pieces:
-            return False
+        tree, low = cKDTree(drawn), grid.points[grid.start[seeds]]
+        pieces = []
+        for part in np.array_split(low, len(low) // 1000 + 1):
+            near = tree.query(part, 64, p=np.inf, distance_upper_bound=2.5 * grid.edge)[1]
+            pieces.append(_pieces(drawn, near, self.trials, self.tolerance, grid.edge))
         scores, centres, normals = (np.concatenate(part) for part in zip(*pieces, strict=True))
         for k in np.argsort(-scores, kind="stable"):
             if scores[k] <= LEAST_TRIAL / 2:
@@ -797,14 +737,14 @@ class _Search:
     def grow(self, seed, centre, normal):
         """Keep the plane of the points that hang together with a seed's cell, if it is large."""
         cells, grown = np.array([seed]), 0
-        for turn in range(PASSES):
+        for turn in range(4):
             cells, number, beside, plane = self._spread(cells, centre, normal, refit=turn == 0)
             if len(cells) < LEAST_AREA * CELLS_PER_SIZE**2 or number < self.least:
                 return
             if len(cells) <= grown:
                 break
             grown, (centre, normal) = len(cells), plane
-        if number < STANDS_OUT * beside:
+        if number < 1.5 * beside:  # a volume filled with points has half of them beside
             return
         rows, _ = self.grid.rows(cells)
         rows = rows[self.owner[rows] < 0]
@@ -844,7 +784,8 @@ class _Search:
         off, free = np.abs((points - centre) @ normal), self.owner[rows] < 0
         on = free & (off <= self.tolerance)
         counts = np.add.reduceat(on, first, dtype=int)
-        takes = (counts > 0) & (counts >= SHARE * self.grid.size[cells])
+        # tails of a noisy wall and strips of a floor have a smaller share
+        takes = (counts > 0) & (counts >= 0.25 * self.grid.size[cells])
         beside = (free & (off <= 3 * self.tolerance)).sum() - counts[takes].sum()
         return cells[takes], points[on & np.repeat(takes, self.grid.size[cells])], beside
 
@@ -856,30 +797,32 @@ class _Search:
         off one side of the plane as off the other.
         """
         grid, points, planes = self.grid, self.grid.points, list(self.planes)
-        around = [grid.around(cells) for cells in self.taken]
+        around = [grid.rows(grid.around(cells))[0] for cells in self.taken]
         for _ in range(2):
             least = np.full(len(points), self.tolerance)
             owner, height = np.full(len(points), -1), np.zeros(len(points))
             for k, (centre, normal) in enumerate(planes):
-                rows, _ = grid.rows(around[k])
+                rows = around[k]
                 off = (points[rows] - centre) @ normal
                 nearer = np.abs(off) <= least[rows]
                 rows, off = rows[nearer], off[nearer]
                 owner[rows], height[rows], least[rows] = k, off, np.abs(off)
             clear, normals = owner >= 0, np.array([normal for _, normal in planes]).reshape(-1, 3)
             for k, (centre, normal) in enumerate(planes):
-                rows, _ = grid.rows(around[k])
-                rows = rows[(owner[rows] >= 0) & (owner[rows] != k)]
+                rows = around[k][(owner[around[k]] >= 0) & (owner[around[k]] != k)]
                 foot = (points[rows] - centre) @ normal
                 foot -= (normals @ normal)[owner[rows]] * height[rows]
                 clear[rows] &= np.abs(foot) > self.tolerance
-            own = np.flatnonzero(clear)
-            own = own[np.argsort(owner[own], kind="stable")]
-            bounds = np.searchsorted(owner[own], np.arange(len(planes) + 1))
-            for k, (first, last) in enumerate(pairwise(bounds)):
-                if last - first >= 3:
-                    planes[k] = _fitted(points[own[first:last]])
+            for k, rows in enumerate(_members(np.where(clear, owner, -1), len(planes))):
+                if len(rows) >= 3:
+                    planes[k] = _fitted(points[rows])
         return owner, clear
+
+
+def _members(owner, number):
+    """Rows of each of a number of owners."""
+    order = np.argsort(owner, kind="stable")
+    return np.split(order, np.searchsorted(owner[order], np.arange(number + 1)))[1:-1]
 
 
 def _fitted(points):
@@ -887,16 +830,6 @@ def _fitted(points):
     centre = points.mean(axis=0)
     local = points - centre
     return centre, np.linalg.eigh(local.T @ local)[1][:, 0]
-
-
-def _neighbourhoods(drawn, grid, seeds):
-    """Rows of the drawn points around some seeds at a time; their number where there is none."""
-    tree = cKDTree(drawn)
-    low = grid.points[grid.start[seeds]]
-    for first in range(0, len(seeds), CHUNK):
-        yield tree.query(
-            low[first : first + CHUNK], MOST_NEAR, p=np.inf, distance_upper_bound=REACH * grid.edge
-        )[1]
 
 
 def _pieces(drawn, near, trials, tolerance, edge):
@@ -909,7 +842,7 @@ def _pieces(drawn, near, trials, tolerance, edge):
     area = np.linalg.norm(across, axis=2)
     normals = across / np.maximum(area, 1e-12)[..., None]
     off = np.abs(np.einsum("std,snd->stn", normals, local) - (normals * a).sum(axis=2)[..., None])
-    votes = (off <= tolerance).sum(axis=2) * (area > LEAST_SPREAD * edge**2)
+    votes = (off <= tolerance).sum(axis=2) * (area > 0.5 * edge**2)
     best = votes.argmax(axis=1)[:, None, None]
     centre = np.take_along_axis(a, best, axis=1)[:, 0]
     normal = np.take_along_axis(normals, best, axis=1)[:, 0]
@@ -923,5 +856,6 @@ def _pieces(drawn, near, trials, tolerance, edge):
         shifted = (local - centre[:, None]) * on[..., None]
         values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
         normal = vectors[:, :, 0]
-    score = number * (1 - values[:, 0] / number / (ROUGH * tolerance**2))
+    # points without any plane have a mean square residual of a third of the squared tolerance
+    score = number * (1 - values[:, 0] / number / (tolerance**2 / 3))
     return np.where(good, score, 0.0), centre, normal

@@ -194,7 +194,7 @@ def prediction(seed, plan):
 
 
 def displaced(seed, comparison, matched, turn_deg):
-    """The mean displacement of the lines of a street and their turn, pairs given or found.
+    """The mean displacement of the lines of a street, pairs given or found.
 
     The courses drift by 8 cm along a street, and the test set is turned about the vertical.
     """
@@ -214,10 +214,7 @@ def displaced(seed, comparison, matched, turn_deg):
     known = found.n > 2 and np.isfinite(found.vector).all()
     if not known:
         return {}
-    vector = ellipsoid(found.vector - moves.mean(axis=0), found.covariance)
-    yaw = np.subtract(*(scene.surveys[name].positioning.yaw for name in names))
-    turned = around(found.turn_deg, found.turn_sigma_deg, np.degrees(turn + yaw))
-    return {"vector": vector, "turn": turned}
+    return {"vector": ellipsoid(found.vector - moves.mean(axis=0), found.covariance)}
 
 
 def line_distance(seed, n):

@@ -13,21 +13,9 @@ from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
-LEAST_BIN = 0.25
-"""A bin of an edge has this share of the median of its side, so that strays do not lengthen it."""
-
 BEYOND = 40.0
 """Of 40 rows of points one ends further before the end of its face than is allowed for, so that the
 shorter of two does so in 5 %."""
-
-BIN_GAPS = 4.0
-"""Mean gaps of a bin at least, so that by chance few bins of a thin cloud are empty."""
-
-LEAST_SUPPORT = 4
-"""Points beside an edge on either plane."""
-
-LONGEST_GAP = 4.0
-"""The points of a bin come as near to the line as this, in their mean gaps across it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +33,15 @@ class Edges(Shown):
         Points of either plane beside the edge and clear of the other plane.
     angle : array, shape (n,)
         Angle between the planes, degrees, 0 to 90.
-    patches : array of int, shape (n, 2)
-        Numbers of the two patches.
     """
 
     segments: np.ndarray
     covariance: np.ndarray
     support: np.ndarray
     angle: np.ndarray
-    patches: np.ndarray
 
     def __len__(self):
         return len(self.segments)
-
-    def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        return np.array(self.segments, dtype=dtype, copy=copy)
 
     @property
     def _directions(self):
@@ -135,7 +117,10 @@ def extract_edges(
     -----
     The uncertainty is that of two planes whose points err independently by their residual standard
     deviation. Errors that neighbouring points share (positioning, relief, a bowed wall) are not in
-    it: compare surveys to see those.
+    it: compare surveys to see those. On simulated streets the 95 % ellipse across plain walls held
+    94 % of the ends, that across walls with windows 75 %: points of their reveals within the
+    tolerance move a wall by 1 mm. Faces nearer to each other than the tolerance, as the body of a
+    car and its cabin, are one plane, whose edges are off by centimetres.
 
     References
     ----------
@@ -159,15 +144,14 @@ def extract_edges(
         for line, sides in lines.supported(tolerance, size / 2):
             clear = tolerance / np.sqrt(lines.sine2[line])
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
-                if high[0] - low[0] >= size / 2 and min(counts) >= LEAST_SUPPORT:
+                if high[0] - low[0] >= size / 2 and min(counts) >= 4:
                     rows.append(lines.edge(line, low, high, counts))
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 5
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 4
     return Edges(
         segments=np.array(columns[0]).reshape(-1, 2, 3),
         covariance=np.array(columns[1]).reshape(-1, 2, 3, 3),
         support=np.array(columns[2], dtype=int).reshape(-1, 2),
         angle=np.array(columns[3], dtype=float),
-        patches=np.array(columns[4], dtype=int).reshape(-1, 2),
     )
 
 
@@ -228,7 +212,7 @@ class _Lines:
         return side[:, np.argsort(side[0], kind="stable")]
 
     def edge(self, line, low, high, counts):
-        """Ends, covariances, support, angle and numbers of an edge."""
+        """Ends, covariances, support and angle of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
@@ -241,7 +225,7 @@ class _Lines:
             along = spread**2 + noise**2
             covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
-        return ends, covariance, counts, opening, pair
+        return ends, covariance, counts, opening
 
     def _corner(self, line, end, most):
         """Where a third plane meets both within ``most`` of an end, with its spread; else the end.
@@ -264,7 +248,8 @@ class _Lines:
 def _runs(sides, cell, clear):
     """Edges along a line: (low end, its spread), (high end, its spread), numbers of points."""
     gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
-    cell = max(cell, BIN_GAPS * max(gaps, default=0.0))
+    # four mean gaps of a bin, so that by chance few bins of a thin cloud are empty
+    cell = max(cell, 4 * max(gaps, default=0.0))
     low = max(side[0, 0] for side in sides)
     bins = int(np.ceil((min(side[0, -1] for side in sides) - low) / cell))
     if bins < 1:
@@ -293,8 +278,10 @@ def _full(side, edges, cell, clear):
     nearest = np.full(len(counts), np.inf)
     np.minimum.at(nearest, bins[inside], distance[inside])
     lines_apart = np.diff(np.sort(distance)).max(initial=0)
-    away = np.maximum(max(cell / 4, lines_apart), LONGEST_GAP * 2 * cell / (counts + 1))
-    fair = counts >= max(1, LEAST_BIN * usual - np.sqrt(usual))
+    # four mean gaps across the line
+    away = np.maximum(max(cell / 4, lines_apart), 8 * cell / (counts + 1))
+    # strays do not lengthen an edge
+    fair = counts >= max(1, 0.25 * usual - np.sqrt(usual))
     return fair & (nearest <= clear + away)
 
 
