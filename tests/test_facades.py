@@ -25,8 +25,8 @@ def test_truth_is_where_faces_touch():
 
 @pytest.fixture(scope="module")
 def clutter():
-    """A third of a street with windows, 300 points per square metre of what is seen, its edges."""
-    street = street_of_facades(7, length=10.0)
+    """A fifth of a street with windows, 300 points per square metre of what is seen, its edges."""
+    street = street_of_facades(7, length=6.0)
     points = covered(street, 300, 0.01, np.random.default_rng(7))
     return street, points, lines.extract_edges(points).segments
 
