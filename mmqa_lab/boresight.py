@@ -31,14 +31,11 @@ from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 from tqdm.auto import tqdm
 
-from mmqa_lab._checks import check_choice, check_points, check_positive
+from mmqa_lab._checks import check_choice, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.scan_pattern import rotations
-
-__all__ = ["Calibration", "calibrate", "corrected"]
-__dir__ = __all__.copy
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Of each head: boresight, then what is to be added to the assumed lever arm."""
@@ -66,6 +63,9 @@ SAMPLE = 1_000_000
 
 BLOCK = 200_000
 """Points corrected at a time."""
+
+CELL_M = 1.0
+"""Diameter of the balls that planes are looked for in."""
 
 ROUGHNESS_M, GAP_M, SAME_DEG = 0.03, 0.3, 5.0
 """Planes of one ball are rougher, farther apart or turned by more: they are different things."""
@@ -169,7 +169,6 @@ def calibrate(
     poles: pd.DataFrame | None = None,
     control: ArrayLike | None = None,
     keep: Sequence[str] = (),
-    cell: float = 1.0,
     patches: int = 500,
     path_std_m: ArrayLike | None = None,
     path_std_deg: ArrayLike | None = None,
@@ -199,8 +198,6 @@ def calibrate(
     keep : sequence of str
         Parameters (``roll_deg``, ``pitch_deg``, ``heading_deg``, ``x_m``, ``y_m``, ``z_m``) that
         stay as assumed, of all heads: those that the drives do not determine.
-    cell : float
-        Diameter of the balls, m.
     patches : int
         Patches used at most, shared out over directions of their normals.
     path_std_m, path_std_deg : float or array_like, shape (3,), optional
@@ -245,7 +242,6 @@ def calibrate(
     [0.3]
     """
     lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
-    check_positive(cell, "cell", unit="m")
     longest = np.linalg.norm(lever, axis=1).max()
     if longest > LONGEST_ARM_M:
         raise ValueError(
@@ -263,7 +259,7 @@ def calibrate(
     for _ in tqdm(range(ROUNDS), unit="round", disable=not progress):
         placed = shots.placed(values)
         kinds = [
-            _OnPlanes(shots, _planes(placed, group, cell, patches, rng)),
+            _OnPlanes(shots, _planes(placed, group, patches, rng)),
             _OnPoles(shots, _poles(placed, group, poles, origin)),
             _OnGround(shots, _heights(placed, control)),
         ]
@@ -331,27 +327,27 @@ class _Shots:
         return table.reshape(len(way), -1)
 
 
-def _planes(placed, group, cell, most, rng):
+def _planes(placed, group, most, rng):
     """Planes that two or more groups show in a ball around one place.
 
     Cubes only say where to look: a plane along the side of a cube is cut by it according to the
     noise.
     """
-    cube = np.floor(placed / cell).astype(np.int64)
+    cube = np.floor(placed / CELL_M).astype(np.int64)
     cube = np.ravel_multi_index((cube - cube.min(axis=0)).T, np.ptp(cube, axis=0) + 1)
     seeds = _shared(placed, cube, group).drop_duplicates("place").sample(frac=1, random_state=rng)
     seeds = seeds.iloc[seeds.groupby("side").cumcount().argsort(kind="stable")]  # sides by turns
     centres = np.empty((0, 3))
     for centre in seeds["centre"]:
-        if (np.abs(centres - centre).max(axis=1) >= 0.7 * cell).all() and len(centres) < most:
+        if (np.abs(centres - centre).max(axis=1) >= 0.7 * CELL_M).all() and len(centres) < most:
             centres = np.vstack([centres, centre])
-    balls = cKDTree(placed).query_ball_point(centres, cell / 2) if len(centres) else []
+    balls = cKDTree(placed).query_ball_point(centres, CELL_M / 2) if len(centres) else []
     index = np.concatenate([np.empty(0, int), *map(rng.permutation, balls)])
     ball = np.repeat(np.arange(len(balls)), [len(ball) for ball in balls])
     shown = _shared(placed[index], ball, group[index])
     if shown.empty:
         raise ValueError(
-            f"Invalid drives: no planes in common within cubes of {cell} m. Must overlap."
+            f"Invalid drives: no planes in common within cubes of {CELL_M} m. Must overlap."
         )
     places = shown.groupby("place")["rows"]
     return [(index[np.concatenate(rows.tolist())], None) for _, rows in places]

@@ -16,21 +16,6 @@ from scipy.special import stdtrit
 from mmqa_lab._checks import check_count
 from mmqa_lab._results import Shown
 
-__all__ = [
-    "Errors",
-    "Interval",
-    "Rate",
-    "blocks",
-    "bootstrap",
-    "errors",
-    "mean_reach",
-    "median_interval",
-    "median_ratio_interval",
-    "strips",
-    "wilson",
-]
-__dir__ = __all__.copy
-
 NMAD_SCALE = 1.4826022185056018
 """1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their deviation."""
 

@@ -21,10 +21,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, QhullError, cKDTree
 from threadpoolctl import threadpool_limits
 
@@ -40,25 +40,6 @@ from mmqa_lab._results import Shown
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from numpy.typing import ArrayLike
-
-__all__ = [
-    "Accuracy",
-    "compare_heights",
-    "compare_plan",
-    "distance_to_path",
-    "height_accuracy",
-    "height_differences",
-    "plan_accuracy",
-    "plan_differences",
-    "split_drives",
-    "thinned",
-    "trend",
-]
-__dir__ = __all__.copy
 
 CHECKPOINTS = 30
 """Fewest that the ASPRS standards ask for."""
@@ -129,21 +110,6 @@ class Accuracy(Shown):
         """Return the summary with the remarks."""
         return self.summary.assign(remarks=self.remarks)
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Draw the differences that count: a histogram of heights, or easting and northing."""
-        from mmqa_lab import plots
-
-        ax = plots.subplots()[1] if ax is None else ax
-        used = self.differences[self.differences["reason"] == ""]
-        if "dz_m" in used:
-            ax.hist(1000 * used["dz_m"], bins=30)
-            ax.set(xlabel="cloud less reference (mm)", ylabel="reference points")
-        else:
-            ax.plot(1000 * used["dx_m"], 1000 * used["dy_m"], ".")
-            ax.set(xlabel="easting, cloud less reference (mm)", ylabel="northing (mm)")
-            ax.set_aspect("equal")
-        return ax
-
 
 def compare_heights(
     points: ArrayLike,
@@ -151,13 +117,12 @@ def compare_heights(
     *,
     path: ArrayLike | None = None,
     radius: float = 0.2,
-    slope_limit: float = 20.0,
 ) -> Accuracy:
     """Compare a cloud with surveyed heights: differences, figures, growth with distance, remarks.
 
     Parameters
     ----------
-    points, reference, radius, slope_limit
+    points, reference, radius
         As of :func:`height_differences`.
     path : array_like, shape (k, 2 or 3), optional
         Vertices of the trajectory: adds the trend of absolute differences, their shift removed,
@@ -173,7 +138,7 @@ def compare_heights(
     ValueError
         As of :func:`height_differences`, and if no difference is valid.
     """
-    table = height_differences(points, reference, radius=radius, slope_limit=slope_limit)
+    table = height_differences(points, reference, radius=radius)
     used = table[table["reason"] == ""]
     if used.empty:
         raise ValueError(

@@ -43,22 +43,6 @@ from mmqa_lab.scan_pattern.mimic import LEVEL, check_values, rotations, target_n
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "QUANTITIES",
-    "Patch",
-    "ScanSetup",
-    "Target",
-    "explain_error",
-    "largest_speed",
-    "measure_pattern",
-    "mimic",
-    "propagate",
-    "revolutions_from_time",
-    "rotations",
-    "scan_lattice",
-]
-__dir__ = __all__.copy
-
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
 SMOOTH = (*MEASURED, "density_per_m2")
 QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")

@@ -20,7 +20,7 @@ Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_
 one. ``system("vmx-250")`` and the other systems of the sources are in ``systems``.
 """
 
-from mmqa_lab.simulate.scan import Scanner, scan, scan_all
+from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import board, box, chart_corners, cylinder, ground, rectangle, wall
 from mmqa_lab.simulate.systems import PRESETS, System, system
@@ -31,25 +31,3 @@ from mmqa_lab.simulate.trajectories import (
     straight,
     with_speed_variation,
 )
-
-__all__ = [
-    "PRESETS",
-    "NavigationErrors",
-    "Scanner",
-    "Scene",
-    "System",
-    "Trajectory",
-    "board",
-    "box",
-    "chart_corners",
-    "cylinder",
-    "ground",
-    "measured",
-    "rectangle",
-    "scan",
-    "scan_all",
-    "straight",
-    "system",
-    "wall",
-    "with_speed_variation",
-]

@@ -297,7 +297,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     >>> 10_000 < len(cloud) < 30_000
     True
     """
-    check_choice(survey, "survey", SURVEYS)
+    positioning = scene._survey(survey).positioning
     density = check_positive(density, "density", unit="per m2")
     rng = np.random.default_rng(seed)
     faces, streets = canyon_faces(scene)
@@ -307,7 +307,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     a, b = rng.random((2, len(face), 1))
     points = corner[face] + a * along[face] + b * up[face]
     street = streets[face]
-    points += scene.surveys[survey].positioning.at(points, street)
+    points += positioning.at(points, street)
     points += rng.normal(0, noise, points.shape)
     return Cloud(points, {"face": face, "street": street}, f"canyon {survey}")
 

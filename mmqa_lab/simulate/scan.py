@@ -264,9 +264,6 @@ def scan(
     return Cloud.concatenate(clouds)
 
 
-scan_all = scan
-
-
 def _shoot(scene, scanner, trajectory, known, pulse, rng):
     """The cloud of some pulses of one head."""
     fired = scanner.fire(pulse)

@@ -33,26 +33,21 @@ class Hits(NamedTuple):
     surface : array of int, shape (n,)
         Ids in the order of the scene's surfaces.
     cosine : array, shape (n,)
-        Of the angle of incidence, between ray and normal; see ``incidence_deg``.
+        Of the angle of incidence, between ray and normal.
     reflectance : array, shape (n,)
 
     Examples
     --------
     >>> from mmqa_lab.simulate import ground
     >>> hits = Scene([ground()]).cast([[0, 0, 2.0]], [[0, 1, -1], [0, 0, 1]])
-    >>> hits.incidence_deg.round(6).tolist(), hits.surface.tolist()
-    ([45.0, nan], [0, -1])
+    >>> hits.cosine.round(6).tolist(), hits.surface.tolist()
+    ([0.707107, nan], [0, -1])
     """
 
     range_m: np.ndarray
     surface: np.ndarray
     cosine: np.ndarray
     reflectance: np.ndarray
-
-    @property
-    def incidence_deg(self) -> np.ndarray:
-        """Angle between ray and normal, 0 to 90."""
-        return np.degrees(np.arccos(np.minimum(self.cosine, 1)))
 
 
 class Scene:

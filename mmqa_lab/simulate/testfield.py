@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
@@ -25,6 +25,9 @@ ANTENNA_M = 2.2
 
 LANE_M = 2.5
 """Distance of the two paths from the street's axis."""
+
+SPEED = 10.0
+"""Of both drives, m/s."""
 
 OPEN_M = 50.0
 """The open ground on the left side ends this far from the street's axis."""
@@ -64,8 +67,8 @@ class SimulatedField:
     origin: np.ndarray
     length_m: float
     targets: pd.DataFrame
-    reference_std_m: float = REFERENCE_STD_M
-    plan_std_m: float = PLAN_STD_M
+    reference_std_m: float
+    plan_std_m: float
 
     @property
     def poles(self):
@@ -98,26 +101,22 @@ class SimulatedField:
         points[:, 2] += rng.normal(0, self.reference_std_m, len(points))
         return points
 
-    def drives(self, speed=10.0):
+    def drives(self):
         """Return the two true paths, south to north on the right lane, and back."""
         x, y, z = self.origin + [0, 0, ANTENNA_M]
-        there = straight(self.length_m, speed, start=(x + LANE_M, y, z))
+        there = straight(self.length_m, SPEED, start=(x + LANE_M, y, z))
         away = (x - LANE_M, y + self.length_m, z)
-        back = straight(self.length_m, speed, start=away, heading=180, start_time=1000.0)
+        back = straight(self.length_m, SPEED, start=away, heading=180, start_time=1000.0)
         return [there, back]
 
 
-def make_testfield(
-    *, length_m=120.0, origin=ORIGIN, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1
-):
+def make_testfield(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1):
     """Return a street with everything that is measured on the test field.
 
     Parameters
     ----------
     length_m : float
         Of the street, m; 40 or more.
-    origin : array_like, shape (3,)
-        Its south end in projected coordinates.
     reference_std_m : float
         Standard deviation of each surveyed height, m.
     plan_std_m : float, optional
@@ -146,7 +145,7 @@ def make_testfield(
     length = check_positive(length_m, "length_m", unit="m")
     if length < 40:
         raise ValueError(f"Invalid length_m {length_m}. Must be >= 40 m.")
-    origin = check_points([origin], name="origin")[0]
+    origin = np.array(ORIGIN)
     rng = np.random.default_rng(seed)
     poles, shafts = _poles(length, rng)
     houses, house_corners = _houses(length, rng)
@@ -163,20 +162,17 @@ def make_testfield(
     return SimulatedField(scene, origin, length, targets, survey, plan)
 
 
-def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, progress=False):
+def drive_testfield(street, system, *, seed, pulses_per_s=np.inf):
     """Return what a system delivers of both drives.
 
     Parameters
     ----------
     street : SimulatedField
     system : System
-    speed : float
-        m/s.
     seed : int
     pulses_per_s : float
         Most pulses a second that are simulated, of all heads together. Faster systems get points
         farther apart along their profiles; the mirror's frequency stays.
-    progress : bool
 
     Returns
     -------
@@ -187,10 +183,9 @@ def drive_testfield(street, system, *, speed=10.0, seed, pulses_per_s=np.inf, pr
     share = min(1.0, pulses_per_s / sum(head.pulse_rate_hz for head in system.heads))
     heads = [replace(head, pulse_rate_hz=share * head.pulse_rate_hz) for head in system.heads]
     drives = []
-    for number, path in enumerate(street.drives(speed)):
+    for number, path in enumerate(street.drives()):
         known = measured(path, system.navigation, seed=[seed, number])
-        choices = {"seed": seed + number, "measured": known, "progress": progress}
-        cloud = scan(street.scene, heads, path, **choices)
+        cloud = scan(street.scene, heads, path, seed=seed + number, measured=known)
         cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
         if system.lever_arm_error_m:
             error = np.array(system.lever_arm_error_m)[cloud["head"]]

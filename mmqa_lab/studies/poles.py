@@ -17,7 +17,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
-from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.simulate.scan import scan
 
 CORRIDORS_M = (30.0, 15.0, 12.5)
 CLASSES = ("tree", "sign", "lamp", "other")
@@ -53,7 +53,7 @@ def _drive(plan, scanner, length, speed, seed, both_ways):
     if both_ways:
         turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
         back = replace(there, position=there.position[::-1].copy(), **turned)
-        again = scan_all(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
+        again = scan(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
         columns = dict(again.columns) | {"scan_line": again["scan_line"] + 1_000_000}
         cloud = Cloud.concatenate([cloud, Cloud(again.points, columns)])
     return made, cloud, targets, there.position

@@ -19,7 +19,7 @@ from mmqa_lab import poles, samples, simulate, stats
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import learned
 from mmqa_lab.simulate import streets, surfaces
-from mmqa_lab.simulate.scan import scan_all
+from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.studies import poles as study
 from mmqa_lab.studies import poles_training as training
@@ -88,7 +88,7 @@ def posts(kind, scanner, seed, n=30):
             corner = foot + [side * (0.5 + wide / 2), -1.4, 0]
             things.append(surfaces.rectangle(corner, (0, 2.8, 0), (0, 0, rise)))
     path = simulate.straight(30 + step * len(sizes), 14.0)
-    cloud = scan_all(simulate.Scene(things), SCANNERS[scanner], path, seed=seed)
+    cloud = scan(simulate.Scene(things), SCANNERS[scanner], path, seed=seed)
     if kind == "cut at 2 m":
         cloud = cloud[cloud.points[:, 2] < 2]
     return cloud, pd.DataFrame(rows)
