@@ -77,8 +77,8 @@ def test_navigation_errors_have_their_size_and_drift_slowly():
     assert path.position.tolist() == [[0, 0, 0], [0, 12_000, 0]]
 
 
-def test_a_path_is_the_table_it_was_made_of():
-    path = Trajectory([0, 2, 3], [[0, 0, 2], [0, 20, 2], [1, 30, 2.0]], heading=[0, 3, 5])
-    again = Trajectory.from_table(path.to_frame())
-    assert np.array_equal(again.position, path.position)
-    assert np.array_equal(again.heading, path.heading)
+def test_attitude_of_a_table_is_taken():
+    table = pd.DataFrame({"time_s": [0, 2], "easting_m": 0, "northing_m": [0, 20], "height_m": 2})
+    path = Trajectory.from_table(table.assign(heading_deg=[0, 3], pitch_deg=[1, 2]))
+    assert path.heading.tolist() == [0, 3]
+    assert path.pitch.tolist() == [1, 2]

@@ -114,13 +114,11 @@ class Street:
         ``clear_height_m`` (of a tree up to its crown, else the same), ``diameter_base_m``,
         ``diameter_top_m``, ``surface`` (id of the shaft in the scene).
     length_m : float
-    plan : Plan
     """
 
     scene: Scene
     targets: pd.DataFrame
     length_m: float
-    plan: Plan
 
     @property
     def labels(self):
@@ -161,7 +159,7 @@ def street(plan, *, length, seed):
     things += _clutter(plan, length, seed)
     for number, block in enumerate(blocks):
         things += _building(_stream(seed, f"building {number}"), *block, plan)
-    return Street(Scene(things), pd.DataFrame(rows), length, plan)
+    return Street(Scene(things), pd.DataFrame(rows), length)
 
 
 def drive(made, scanner, *, seed, speed=30 / 3.6, **options):

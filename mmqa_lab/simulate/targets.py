@@ -321,6 +321,13 @@ GAIN_DN, WINDOW_PIXELS = 9000.0, 25
 TIE_SPACING_M = 20.0
 """Metres between tie points."""
 
+WIDTH_M, LENGTH_M, HEIGHT_M = 360.0, 240.0, 300.0
+"""Ground that an image of a block sees across and along the flight, height of flight."""
+
+FORWARD_OVERLAP, SIDE_OVERLAP = 0.6, 0.4
+SUN_ZENITH_DEG, SUN_AZIMUTH_DEG = (40.0, 47.0), (150.0, 175.0)
+"""At the first and the last image of a block."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
@@ -330,11 +337,6 @@ class Flight:
     ----------
     strips, images : int
         Strips, and images in each; neighbouring strips are flown in opposite directions.
-    width_m, length_m, height_m : float
-        Ground that an image sees across and along the flight, height of flight.
-    forward_overlap, side_overlap : float
-    sun_zenith_deg, sun_azimuth_deg : (float, float)
-        At the first and the last image.
     gain_std : float
         Standard deviation of the logarithm of what an image's exposure differs from its label.
     radial : float
@@ -345,13 +347,6 @@ class Flight:
 
     strips: int = 4
     images: int = 7
-    width_m: float = 360.0
-    length_m: float = 240.0
-    height_m: float = 300.0
-    forward_overlap: float = 0.6
-    side_overlap: float = 0.4
-    sun_zenith_deg: tuple = (40.0, 47.0)
-    sun_azimuth_deg: tuple = (150.0, 175.0)
     gain_std: float = 0.04
     radial: float = 0.12
     haze: float = 0.02
@@ -393,15 +388,15 @@ def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
     """
     rng = np.random.default_rng(seed)
     stations = _stations(flight, rng)
-    seen = stations.merge(_ties(stations, flight, rng), how="cross")
+    seen = stations.merge(_ties(stations, rng), how="cross")
     dx, dy = seen["x_m"] - seen["centre_x_m"], seen["y_m"] - seen["centre_y_m"]
-    inside = (dx.abs() < flight.width_m / 2) & (dy.abs() < flight.length_m / 2)
+    inside = (dx.abs() < WIDTH_M / 2) & (dy.abs() < LENGTH_M / 2)
     often = inside.groupby(seen["tie"]).transform("sum") > 1
     seen, dx, dy = (table[inside & often].reset_index(drop=True) for table in (seen, dx, dy))
     distance, to_camera = np.hypot(dx, dy), np.degrees(np.arctan2(-dx, -dy))
-    seen["view_zenith_deg"] = np.degrees(np.arctan2(distance, flight.height_m))
+    seen["view_zenith_deg"] = np.degrees(np.arctan2(distance, HEIGHT_M))
     seen["azimuth_deg"] = np.abs((to_camera - seen["sun_azimuth_deg"] + 180) % 360 - 180)
-    seen["radius"] = 2 * distance / np.hypot(flight.width_m, flight.length_m)
+    seen["radius"] = 2 * distance / np.hypot(WIDTH_M, LENGTH_M)
     view, azimuth = np.radians(seen["view_zenith_deg"]), np.radians(seen["azimuth_deg"])
     turned = 1 + seen["b1"] * view**2 + seen["b2"] * view * np.cos(azimuth)
     sun = np.cos(np.radians(seen["sun_zenith_deg"]))
@@ -418,26 +413,26 @@ def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
 def _stations(flight, rng):
     """Images of the flight in the order of time."""
     strips, images = check_count(flight.strips, "strips"), check_count(flight.images, "images")
-    base = flight.length_m * (1 - flight.forward_overlap)
+    base = LENGTH_M * (1 - FORWARD_OVERLAP)
     strip, k = (v.ravel() for v in np.indices((strips, images)))
     n = strips * images
     exposure = np.round(np.exp(rng.normal(0, 0.1, n)) * 20) / 20
     return pd.DataFrame(
         {
             "image": np.arange(n),
-            "centre_x_m": flight.width_m * (0.5 + strip * (1 - flight.side_overlap)),
-            "centre_y_m": flight.length_m / 2 + base * np.where(strip % 2 == 0, k, images - 1 - k),
+            "centre_x_m": WIDTH_M * (0.5 + strip * (1 - SIDE_OVERLAP)),
+            "centre_y_m": LENGTH_M / 2 + base * np.where(strip % 2 == 0, k, images - 1 - k),
             "exposure": exposure,
-            "sun_zenith_deg": np.linspace(*flight.sun_zenith_deg, n),
-            "sun_azimuth_deg": np.linspace(*flight.sun_azimuth_deg, n),
+            "sun_zenith_deg": np.linspace(*SUN_ZENITH_DEG, n),
+            "sun_azimuth_deg": np.linspace(*SUN_AZIMUTH_DEG, n),
             "gain": np.exp(rng.normal(0, flight.gain_std, n)),
         }
     )
 
 
-def _ties(stations, flight, rng, fields=60):
+def _ties(stations, rng, fields=60):
     """A grid of tie points: each has the surface of the nearest of some fields, and details."""
-    size = stations[["centre_x_m", "centre_y_m"]].max() + [flight.width_m / 2, flight.length_m / 2]
+    size = stations[["centre_x_m", "centre_y_m"]].max() + [WIDTH_M / 2, LENGTH_M / 2]
     x, y = np.meshgrid(*(np.arange(TIE_SPACING_M / 2, side, TIE_SPACING_M) for side in size))
     places = np.column_stack([x.ravel(), y.ravel()])
     kind = rng.permutation(np.arange(fields) % len(SURFACES))

@@ -15,12 +15,11 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern import rotations
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(Shown):
+class Trajectory:
     """A path with attitude, interpolated by cubic splines between its rows.
 
     Parameters
@@ -98,13 +97,6 @@ class Trajectory(Shown):
             east, north, _ = np.gradient(position, axis=0).T
             heading = np.degrees(np.unwrap(np.arctan2(east, north)))
         return cls(table["time_s"], position, heading=heading, **known)
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the table that :meth:`from_table` takes."""
-        columns = {"time_s": self.time}
-        columns |= dict(zip(("easting_m", "northing_m", "height_m"), self.position.T, strict=True))
-        angles = {f"{name}_deg": getattr(self, name) for name in ("roll", "pitch", "heading")}
-        return pd.DataFrame(columns | angles)
 
     @property
     def duration_s(self) -> float:

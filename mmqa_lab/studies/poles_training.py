@@ -63,7 +63,7 @@ def yard(rng, length):
                 things.append(surfaces.rectangle(foot, draw(0.1, 0.6) * along, (0, 0, draw(1, 6))))
         else:
             things.append(_bush(rng, at + [0, 0, rng.choice([0, draw(1, 5)])], 0.15, 0.6, 1.75))
-    return streets.Street(Scene(things), pd.DataFrame(rows), length, streets.PLANS["quiet"])
+    return streets.Street(Scene(things), pd.DataFrame(rows), length)
 
 
 def _bush(rng, at, least, most, tall):
