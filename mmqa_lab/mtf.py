@@ -36,7 +36,6 @@ from mmqa_lab._results import Shown
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.axes import Axes
 
 __all__ = ["fit_edge", "haar_sharpness", "measure_star", "read_bars", "resolving_power"]
 __dir__ = __all__.copy
@@ -153,16 +152,6 @@ class EdgeResponse(Shown):
     esf: np.ndarray
     lsf: np.ndarray
     remark: str = ""
-
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Draw the MTF, and MTF50 with its 95 % interval."""
-        from mmqa_lab import plots
-
-        ax = plots.subplots()[1] if ax is None else ax
-        ax.plot(self.frequencies, self.mtf)
-        ax.errorbar(self.mtf50, 0.5, xerr=1.96 * self.mtf50_sigma, fmt="o", ms=3, capsize=2)
-        ax.set(xlabel="frequency (cycles/px)", ylabel="contrast (MTF)", xlim=(0, 1))
-        return ax
 
 
 def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:

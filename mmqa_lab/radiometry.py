@@ -87,6 +87,9 @@ CONTRADICTION = 3.0
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
 """Weights are computed anew in so many iterations, at first by Huber, and then stay."""
 
+RINGS, FALLS_OTHERWISE = 5, 5.0
+"""Rings around the centre of an image, and standard errors by which one may differ from others."""
+
 CONVERGED = 1e-7
 """Largest change of a gain, coefficient or relative reflectance in the last iteration."""
 
@@ -788,8 +791,8 @@ def adjust_block(
     Warns
     -----
     UserWarning
-        If control targets contradict each other, or more than a hundredth of the observations do
-        not count.
+        If control targets contradict each other, more than a hundredth of the observations do not
+        count, or the light falls off to the corners otherwise than with the square of the radius.
 
     Notes
     -----
@@ -1000,11 +1003,16 @@ def _warn(block, estimate, value, std, misfit):
     limit = CONTRADICTION * np.hypot(std, spread * estimate)
     doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
     odd = (np.abs(share) > SHADOW * spread).mean()
+    # medians of rings of one area, in their standard errors
+    rings = pd.Series(share).groupby(np.minimum(RINGS * block.radius2, RINGS - 1).astype(int))
+    uneven = rings.median().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
     doubts = {
         f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
         "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,
         f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do not "
         "count.": odd > LARGEST_SHADOW,
+        "The light falls off to the corners otherwise than radial and its square say: the gains "
+        "may be wrong by more than their deviations.": uneven.any(),
     }
     for text in (text for text, true in doubts.items() if true):
         warnings.warn(text, stacklevel=3)

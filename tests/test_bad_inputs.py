@@ -12,11 +12,14 @@ import pytest
 
 from mmqa_lab import (
     chart_cloud,
+    chart_image,
     charts,
     io,
     lines,
+    mtf,
     planes,
     plots,
+    radiometry,
     repeatability,
     samples,
     scan_pattern,
@@ -113,6 +116,7 @@ SCANNER = simulate.Scanner(pulse_rate_hz=3e5, mirror_frequency_hz=100)
 DRIVE = simulate.straight(10, 1)
 CAMERA, CHART = cameras.PanoramaCamera(2000), charts.imaging_chart()
 STILL = {"h_r": 5, "height_difference": 0, "theta_a": 0.1}
+VOTES = pd.DataFrame({"juror": [1], "element": ["x"], "mark": ["a"]})
 RATED = pd.DataFrame({"scan": [1, 1, 2], "f": [1, 2, 3.0]})
 
 FUNCTIONS = [
@@ -187,6 +191,25 @@ FUNCTIONS = [
     (lambda: DRIVE.at([11]), "Must be between 0.0 and 10.0 s"),
     (lambda: cameras.chart_view(CAMERA, distance=5, layout=CHART, heading_deg=90), "Invalid head"),
     (lambda: cameras.Sensor(jpeg_quality=90), "Invalid bits"),
+    (lambda: charts.imaging_chart(horizontal_bar="red"), "Must be one of grey, black"),
+    (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 5, 5, 9, 1),)), "Must lie within"),
+    (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 1, 1, 1, 1),) * 2), "Must be distinct"),
+    (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 1, 1, 1, 1, 2),)), "between 0 and 1"),
+    (lambda: charts.layout_of("kind,name\nBall,a\n", name="a"), "Must be one of Bar"),
+    (lambda: charts.layout_of("kind,name\nBar,a\n", name="a"), "Must have the fields of Bar"),
+    (lambda: charts.Text("a", 9, 9, "\U0001f697", 40).width, "not in the font"),
+    (lambda: charts.reflectance(CHART, cell=0.001), "Must be 1e9 or fewer"),
+    (lambda: chart_image.locate(None, CHART, corners=SQUARE[:3, :2]), "Must be 4"),
+    (lambda: chart_image.locate(None, CHART, corners=SQUARE[:, :2]), "four corners in order"),
+    (lambda: chart_image.locate(np.zeros((50, 50)), CHART), "0 of 4 coded targets"),
+    (lambda: chart_image.agreement(VOTES.assign(mark="d")), "Invalid mark 'd'"),
+    (lambda: chart_image.agreement(pd.concat([VOTES] * 2)), "juror 1 marked x twice"),
+    (lambda: mtf.fit_edge(np.zeros((4, 4))), "Must be 10 x 10 or larger."),
+    (lambda: mtf.fit_edge(np.zeros((20, 20))), "no edge"),
+    (lambda: mtf.measure_star(np.zeros((60, 60)), (30, 30), cycles=36, radius_px=25), "larger"),
+    (lambda: mtf.haar_sharpness(np.zeros((20, 20))), "at least a block large"),
+    (lambda: radiometry.fit_sensor([1, 1, 1], [2, 2, 2]), "of different radiance"),
+    (lambda: radiometry.adjust_block(VOTES), "no column 'image'"),
     (lambda: point_pattern("spiral", density=9, size=1, seed=1), "Invalid kind 'spiral'"),
     (lambda: point_pattern("lattice", density=9, size=1, seed=1, ratio=0.5), "Invalid ratio 0.5"),
     (lambda: repeatability.operator_polygons(SQUARE, repeats=50, click=1, seed=1), "cross them"),

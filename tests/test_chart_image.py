@@ -1,7 +1,5 @@
 """Measuring in images of the chart: known renderings, closed forms, real photographs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -67,15 +65,6 @@ def test_pixel_size_of_an_oblique_view_is_the_chord_between_the_ends(oblique):
         assert row.pixel_mm == pytest.approx(row.length_mm / truth, rel=0.003)
 
 
-def test_a_bar_outside_the_image_is_not_measured():
-    photo, image = photo_of(8.0)
-    short = image[:, :-40]
-    levels = reading.find_tones(short, CHART, photo.chart_map)
-    sizes = reading.pixel_sizes(levels, CHART, photo.chart_map).set_index("name")
-    assert np.isnan(sizes.loc["bar_right", "pixel_mm"])
-    assert np.isfinite(sizes.loc["bar_left", "pixel_mm"])
-
-
 # --- line pairs
 
 
@@ -105,12 +94,11 @@ SPURIOUS = {
 }
 
 
-@pytest.mark.parametrize("sensor", [{}, JPEG], ids=["plain", "jpeg"])
 @pytest.mark.parametrize("kind", SPURIOUS)
-def test_spurious_pairs_are_refused_with_a_reason(kind, sensor):
+def test_spurious_pairs_are_refused_with_a_reason(kind):
     rng = np.random.default_rng(11)
     for direction in "hv":
-        reading = SPURIOUS[kind](rng, {**sensor, "direction": direction})
+        reading = SPURIOUS[kind](rng, {**JPEG, "direction": direction})
         assert not reading.resolved
         assert reading.reason
 
@@ -145,16 +133,10 @@ def test_expected_contrast_is_the_integral_over_the_bars(width, sigma, blur):
     assert float(found) == pytest.approx(centre_contrast(width, sigma, blur), abs=0.005)
 
 
-def readings(resolved, contrast=None):
+def readings(resolved):
     """A table of readings of one direction, coarse to fine, pairs of 40, 39, ... mm."""
-    count = len(resolved)
-    contrast = np.linspace(1, 0, count) if contrast is None else contrast
-    return pd.DataFrame(
-        [
-            reading.PairReading("p", "h", 40.0 - k, 40.0 - k, float(c), 1, 1, 0, 8, 1, bool(r), "")
-            for k, (r, c) in enumerate(zip(resolved, contrast, strict=True))
-        ]
-    )
+    widths = 40.0 - np.arange(len(resolved))
+    return pd.DataFrame({"direction": "h", "width_mm": widths, "resolved": resolved})
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=9))
@@ -229,29 +211,6 @@ def test_alignment_says_when_the_chart_is_not_there():
         align(image, CHART, photo.chart_map.within(60, 30))
 
 
-@pytest.mark.parametrize(
-    ("corners", "sentence"),
-    [
-        ([[0, 9], [9, 9], [9, 0]], "Must be 4"),
-        ([[0, 9], [9, 0], [9, 9], [0, 0]], "Must be four corners in order"),
-        ([[0, 9], [9, 9], [np.nan, 0], [0, 0]], "Invalid (pixels|corners)"),
-    ],
-)
-def test_corners_in_another_order_are_refused(corners, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        chart_image.locate(None, CHART, corners=corners)
-
-
-def test_charts_without_targets_or_images_without_them_say_so():
-    bare = replace(CHART, elements=tuple(CHART.of_kind(charts.Bar)))
-    with pytest.raises(ValueError, match="0 of 0 coded targets"):
-        chart_image.locate(np.zeros((50, 50)), bare)
-    with pytest.raises(ValueError, match="0 of 4 coded targets"):
-        chart_image.locate(np.zeros((50, 50), dtype=np.uint8), CHART)
-    with pytest.raises(TypeError, match="Must be real numbers"):
-        chart_image.locate(np.zeros((50, 50), dtype=complex), CHART)
-
-
 # --- everything together
 
 
@@ -283,15 +242,6 @@ def test_brightness_changes_no_verdict():
     assert first.black == pytest.approx(0.06, abs=0.01)
     assert first.white == pytest.approx(0.70, abs=0.01)
     assert first.noise == pytest.approx(0.01 / 0.64, rel=0.5)
-
-
-def test_a_plain_image_has_no_black_and_white():
-    photo, image = photo_of(8.0)
-    with pytest.raises(ValueError, match="is the chart there"):
-        reading.find_tones(np.full_like(image, 0.5), CHART, photo.chart_map)
-    tiny = chart_image.locate(None, CHART, corners=[[2, 9], [9, 9], [9, 2], [2, 2]])
-    with pytest.raises(ValueError, match=r"Must be imaged larger|is the chart there"):
-        reading.find_tones(np.full((12, 12), 0.5), CHART, tiny)
 
 
 def test_clipped_images_say_so():
@@ -343,5 +293,3 @@ def test_a_board_that_no_image_shows_has_none():
     past = stations([20.0, 30.0, 40.0])
     none = chart_image.choose_images(past, SITE.loc["image forward", "corners"], distance=10)
     assert none.iloc[0].isna().tolist() == [False, True, True, True]
-    with pytest.raises(ValueError, match="Must be two or more"):
-        chart_image.choose_images(past[:1], SITE.loc["image forward", "corners"], distance=10)

@@ -16,25 +16,7 @@ from mmqa_lab.charts import Bar, Layout, Text
 CHART = charts.imaging_chart()
 
 
-def test_bars_and_pairs_have_the_published_lengths():
-    assert CHART["bar_left"].height == CHART["bar_right"].height == 800
-    assert CHART["bar_horizontal"].width == 600
-    assert (CHART.width, CHART.height) == (1000, 1000)
-    pairs = CHART.of_kind(charts.LinePairs)
-    assert {p.repeats for p in pairs} == {8}
-    assert {p.length for p in pairs} == {80}
-    widths = {d: [p.pair for p in pairs if p.direction == d] for d in "hv"}
-    assert (widths["h"][0], widths["h"][-1]) == (40, 2)
-    assert (max(widths["v"]), min(widths["v"])) == (30, 2)
-
-
-@pytest.mark.parametrize(
-    "layout",
-    [
-        CHART,
-        charts.imaging_chart(revised=True),
-    ],
-)
+@pytest.mark.parametrize("layout", [CHART, charts.imaging_chart(revised=True)])
 def test_nothing_overlaps_but_text_on_its_panel(layout):
     boxes = []
     for element in layout.elements:
@@ -64,7 +46,7 @@ def test_reflectance_keeps_the_printed_area():
     assert (1 - image).sum() * 0.49 == pytest.approx(31.1 * 12.9, rel=1e-5)
 
 
-@pytest.mark.parametrize("letter", "gü8§³ªB½ʰ")
+@pytest.mark.parametrize("letter", "gü§ʰ")
 @pytest.mark.parametrize("face", ["DejaVuSans", "DejaVuSerif"])
 def test_letters_match_freetype(letter, face):
     from PIL import Image, ImageDraw, ImageFont
@@ -107,12 +89,6 @@ def test_targets_are_read_back_by_opencv():
     assert np.abs(first + 0.5 - expected).max() <= 1
 
 
-def page_of(pdf):
-    """The drawing operators of a PDF's page."""
-    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
-    return b"\n".join(zlib.decompress(part) for part in streams)
-
-
 def test_svg_has_every_element_at_true_size():
     tree = ElementTree.fromstring(CHART.to_svg())
     points = [float(tree.get(side).removesuffix("pt")) for side in ("width", "height")]
@@ -136,18 +112,18 @@ def test_pdf_is_one_page_at_true_size_whatever_the_style():
     assert CHART.to_pdf() == pdf
 
 
-def pages_of(pdf):
-    """What the pages of a PDF show: per page, colour and rings (mm) of each filled path."""
-    size = re.search(rb"/MediaBox \[ ?([^\]]+)\]", pdf).group(1).split()
-    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+def page_of(pdf):
+    """What the page of a PDF shows: colour and rings (mm) of each filled path; its size in mm."""
     mm = 25.4 / 72
-    pages = [list(shapes_of(zlib.decompress(one).decode(), mm)) for one in streams]
-    return pages, [float(number) * mm for number in size[2:]]
+    size = re.search(rb"/MediaBox \[ ?([^\]]+)\]", pdf).group(1).split()
+    stream = re.search(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL).group(1)
+    shapes = list(shapes_of(zlib.decompress(stream).decode(), mm))
+    return shapes, [float(number) * mm for number in size[2:]]
 
 
 def shapes_of(stream, mm):
-    """Colour, rings and clip of each filled path; an unknown operator is an error."""
-    numbers, rings, colour, clip, box = [], [], (0.0,), None, None
+    """Colour and rings of each filled path; an unknown operator is an error."""
+    numbers, rings, colour = [], [], (0.0,)
     for word in stream.split():
         if re.fullmatch(r"-?[\d.]+", word):
             numbers.append(float(word))
@@ -157,17 +133,12 @@ def shapes_of(stream, mm):
             rings[-1].append([mm * value for value in numbers])
         elif word in ("g", "rg"):
             colour = tuple(numbers)
-        elif word == "re":
-            box = [mm * value for value in numbers]
-        elif word == "W":
-            clip = box
         elif word == "f":
-            yield colour, [np.array(ring) for ring in rings], clip
+            yield colour, [np.array(ring) for ring in rings]
             rings = []
-        elif word == "q":
-            clip = None
         else:
-            assert word in ("h", "j", "w", "n", "Q", "CS", "cs", "/DeviceRGB"), word
+            known = ("re", "W", "h", "j", "w", "n", "q", "Q", "CS", "cs", "/DeviceRGB")
+            assert word in known, word
         numbers = []
 
 
@@ -177,11 +148,11 @@ def linear(colour):
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
-def painted(shapes, size, per_mm, shift=(0, 0)):
+def painted(shapes, size, per_mm):
     """A page as an image of reflectances, shape (rows, columns, 3), lower row first."""
     tones, areas = [[1, 1, 1]], []
-    for colour, rings, _ in shapes:
-        corners = [np.vstack([ring, ring[:1]]) - shift for ring in rings]
+    for colour, rings in shapes:
+        corners = [np.vstack([ring, ring[:1]]) for ring in rings]
         areas.append(({"type": "Polygon", "coordinates": corners}, len(tones)))
         tones.append(np.broadcast_to(linear(colour), 3))
     pixels = (round(size[1] * per_mm), round(size[0] * per_mm))
@@ -201,8 +172,7 @@ def along(image, line, axis, per_mm):
 @pytest.fixture(scope="module")
 def printed():
     """The page of the imaging chart, four pixels a millimetre: its green."""
-    (shapes,), size = pages_of(CHART.to_pdf())
-    return painted(shapes, size, 4)[..., 1]
+    return painted(*page_of(CHART.to_pdf()), 4)[..., 1]
 
 
 def runs_within(runs, low, length):
@@ -247,8 +217,7 @@ def test_printed_bars_are_800_and_600_mm_long_and_the_lying_one_grey(printed):
     ids=["image", "points"],
 )
 def test_the_simulated_chart_is_the_printed_one(layout):
-    (shapes,), size = pages_of(layout.to_pdf())
-    page = painted(shapes, size, 2).reshape(100, 20, 100, 20, 3)
+    page = painted(*page_of(layout.to_pdf()), 2).reshape(100, 20, 100, 20, 3)
     mean = page.mean(axis=(1, 3), dtype=np.float32)
     off = np.abs(mean - charts.reflectance(layout, cell=10, colour=True))
     # of a cell of 20 pixels a side an outline across it leaves out half a pixel
@@ -284,26 +253,3 @@ def test_point_chart_is_random_with_two_plain_squares():
     border[5:-5, 5:-5] = False
     assert (image[border] == 1).all()
     assert charts.point_chart(seed=4) != layout
-
-
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda: charts.imaging_chart(horizontal_bar="red"), "Must be one of grey, black"),
-        (lambda: Layout("a", 99, 99, (Text("a", 9, 9, "x" * 9, 40),)), "Must lie within"),
-        (lambda: Layout("a", 99, 99, (Text("a", 9, 9, "\U0001f697", 40),)), "not in the font"),
-        (lambda: Text("a", 9, 9, "x", 40, font="Comic").width, "Invalid font 'Comic'"),
-        (lambda: Layout("a", 9, 9, (Bar("a", 1, 1, 1, 1, (0, 2.0, 0)),)), "between 0 and 1"),
-        (lambda: Layout("a", 10, 10, (Bar("a", 5, 5, 9, 1),)), "Must lie within"),
-        (lambda: Layout("a", 9, 9, (Bar("a", 1, 1, 1, 1),) * 2), "Must be distinct"),
-        (lambda: Layout("a", 9, 9, (Bar("a", 1, 1, -1, 1),)), "Must be > 0 mm"),
-        (lambda: charts.layout_of("kind,name\nBall,a\n", name="a"), "Must be one of Bar"),
-        (lambda: charts.layout_of("kind,name\nBar,a\n", name="a"), "Must have the fields of Bar"),
-        (lambda: charts.reflectance(CHART, cell=0), "Must be > 0 mm"),
-        (lambda: charts.reflectance(CHART, cell=0.001), "Must be 1e9 or fewer"),
-        (lambda: charts.point_chart(seed=-1), "Invalid seed -1"),
-    ],
-)
-def test_rejects(make, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        make()

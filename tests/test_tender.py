@@ -67,13 +67,6 @@ def test_verdicts_and_margins_as_written_out_by_hand():
     assert summary.loc["V", "not_measured"] == 2
 
 
-def test_a_criterion_without_any_figure_leaves_it_open():
-    results = RESULTS[RESULTS["quantity"] == "density_per_m2"]
-    table = tender.verdicts(CRITERIA, results)
-    assert (table.query("criterion == 'text'")["verdict"] == "not measured").all()
-    assert "qualifies" not in tender.qualification(table)["verdict"].tolist()
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     st.sampled_from([">=", ">", "<=", "<"]),
@@ -216,17 +209,13 @@ def test_an_uncertain_exemption_leaves_open_what_f_does_not_meet(low, high, f, v
     ("criteria", "results", "sentence"),
     [
         (CRITERIA.drop(columns="relation"), RESULTS, "no column 'relation'"),
-        (CRITERIA, RESULTS.drop(columns="system"), "no column 'system'"),
         (CRITERIA[:0], RESULTS, "criteria: no rows"),
-        (CRITERIA, RESULTS[:0], "results: no rows"),
         (pd.concat([CRITERIA, CRITERIA]), RESULTS, "'density' twice"),
         (CRITERIA.assign(relation="="), RESULTS, "relation of 'density'"),
         (CRITERIA.assign(threshold=np.nan), RESULTS, "threshold of 'density'"),
-        (CRITERIA.assign(threshold="d"), RESULTS, "Must be a number or a mark a, b, c"),
         (CRITERIA, RESULTS.assign(value="good"), "Must be a number or a mark a, b, c"),
         (CRITERIA, RESULTS.assign(sigma=-1.0), "Invalid sigma -1.0"),
         (CRITERIA, RESULTS.assign(sigma="wide"), "Invalid sigma in results"),
-        (CRITERIA, RESULTS.assign(distance_m="near"), "Invalid distance_m in results"),
         (CRITERIA, RESULTS.replace({"value": {"a": 1.0}}), "Must be of the kind"),
         (CRITERIA, RESULTS.assign(value=np.inf), "Must be finite"),
         (CRITERIA, RESULTS.assign(low=3, high=2), "Must lie between them"),

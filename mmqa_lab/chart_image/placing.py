@@ -247,10 +247,6 @@ class ChartMap:
         offset = np.asarray(self.offset) + [column, row]
         return replace(self, offset=tuple(offset))
 
-    def corrected(self, change: np.ndarray) -> ChartMap:
-        """Return the map after a 3 x 3 change of places on the chart."""
-        return replace(self, matrix=self.matrix @ change, source=f"{self.source}, aligned")
-
     def scale(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""
         xy = np.asarray(xy, dtype=float)
@@ -345,7 +341,7 @@ def locate(
     if there is None:
         raise ValueError(
             f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
-            "Must show them, or the corners of the chart must be given."
+            "Must show the whole chart, not cut by the border, or its corners must be given."
         )
     steps = np.linspace(0, 1, 5)
     mesh = np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
@@ -429,9 +425,9 @@ def align(image, layout, chart_map):
     >>> bool(off.max() < 0.1)
     True
     """
-    image = check_image(image)
-    start = chart_map
-    finest = min(int(layout.width / np.median(start.pixel_sizes_mm(layout.corners()))), FINEST)
+    image, start, corners = check_image(image), chart_map, layout.corners()
+    pixel_mm = float(np.median(start.pixel_sizes_mm(corners)))
+    finest = min(int(layout.width / pixel_mm), FINEST)
     for along in sorted({min(60, finest), min(160, finest)}):
         chart_map, *_ = _compared(image, layout, chart_map, along)
     tried = [_compared(image, layout, chart_map, max(finest, 12), blur) for blur in SIGMAS_PX]
@@ -447,9 +443,7 @@ def align(image, layout, chart_map):
         remarks.append(
             f"{strange:.0%} of the print differ from the layout: hidden, or another chart"
         )
-    corners = layout.corners()
     moved = np.linalg.norm(chart_map.pixels(corners) - start.pixels(corners), axis=1).max()
-    pixel_mm = float(np.median(start.pixel_sizes_mm(layout.corners())))
     limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
     if moved > limit:
         raise ValueError(
@@ -490,7 +484,8 @@ def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
     size = {"dsize": (columns, rows), "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
     moved = cv2.warpPerspective(seen, warp, **size)
     to_mm = np.array([[cell, 0, cell / 2], [0, cell, cell / 2], [0, 0, 1]])
-    better = chart_map.corrected(to_mm @ warp @ np.linalg.inv(to_mm))
+    change = to_mm @ warp @ np.linalg.inv(to_mm)
+    better = replace(chart_map, matrix=chart_map.matrix @ change)
     product = np.clip(moved, -SPREADS, SPREADS) * np.clip(printed, -SPREADS, SPREADS) * trusted
     weight = np.clip(printed, -SPREADS, SPREADS) ** 2 * trusted
     other = np.clip(moved, -SPREADS, SPREADS) ** 2 * trusted
@@ -621,7 +616,7 @@ def _suggested(streaks, bars):
             ends = np.concatenate([streaks[first], streaks[second]], axis=1)[:, order]
             affine = np.linalg.pinv(design) @ ends
             misfit = np.sqrt(((design @ affine - ends) ** 2).mean(axis=(1, 2)))
-            size = np.linalg.svd(affine[:, :2], compute_uv=False) if len(ends) else np.ones((0, 2))
+            size = np.linalg.svd(affine[:, :2], compute_uv=False)
             good = misfit < LARGEST_MISFIT * np.ptp(places) * size[:, 1]
             # rows count downwards: the chart's axes are mirrored in the image
             good &= (size[:, 1] > 0.35 * size[:, 0]) & (np.linalg.det(affine[:, :2]) < 0)

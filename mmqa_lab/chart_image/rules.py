@@ -12,7 +12,6 @@ pairs stand in for them; they have columns of their own and are never merged wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -104,13 +103,7 @@ class Agreement(Shown):
         return self.verdict
 
 
-def text_crops(
-    image: np.ndarray,
-    layout: Layout,
-    chart_map: ChartMap,
-    *,
-    texts: Sequence[Text] | None = None,
-) -> list[Crop]:
+def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[Crop]:
     """Cut lines of text out of an image, upright as they are printed.
 
     Parameters
@@ -118,13 +111,12 @@ def text_crops(
     image : array, shape (rows, columns)
     layout : Layout
     chart_map : ChartMap
-    texts : sequence of Text, optional
-        By default all of the layout but the printed widths and lengths.
 
     Returns
     -------
     list of Crop
-        In the order of the texts; without those that reach over the image's edge.
+        In the order of the layout; without the printed widths and lengths, and without texts that
+        reach over the image's edge.
 
     Examples
     --------
@@ -136,10 +128,10 @@ def text_crops(
     >>> [crop.text for crop in text_crops(image, layout, there)][:2]
     ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
-    if texts is None:
-        texts = [text for text in layout.of_kind(Text) if not text.name.startswith("label_")]
     crops = []
-    for element in texts:
+    for element in layout.of_kind(Text):
+        if element.name.startswith("label_"):
+            continue
         low, size = np.array([element.x, element.y]), np.array([element.width, element.cap])
         high = low + size + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
         low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])

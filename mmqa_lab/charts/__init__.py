@@ -10,7 +10,6 @@ Pfeifer et al. 2021, 1 m x 1 m, from one description.
 from __future__ import annotations
 
 import csv
-import dataclasses
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -328,13 +327,6 @@ POSITIVE = ("width", "height", "pair", "length", "size", "cap", "stretch", "repe
 
 KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
 
-COLUMNS = (
-    *("kind", "name", "x", "y", "width", "height", "size", "pair", "direction", "repeats"),
-    *("length", "text", "cap", "font", "stretch", "dictionary", "identifier", "count", "bits"),
-    *("tone", "ground"),
-)
-"""Of a table of elements."""
-
 
 @dataclass(frozen=True)
 class Layout(_Element):
@@ -356,8 +348,8 @@ class Layout(_Element):
     Examples
     --------
     >>> chart = Layout("two bars", 100, 50, (Bar("a", 10, 10, 5, 30), Bar("b", 60, 10, 5, 30)))
-    >>> chart["b"].x, layout_of(chart.to_csv(), name="two bars", width=100, height=50) == chart
-    (60, True)
+    >>> chart["b"].x
+    60
     >>> chart.to_pdf()[:5], b'<g id="a">' in chart.to_svg()
     (b'%PDF-', True)
     """
@@ -375,10 +367,10 @@ class Layout(_Element):
             raise ValueError(f"Invalid chart {self.name!r}: a name repeats. Must be distinct.")
         for element in self.elements:
             _check_element(element)
-            high = element.x + element.width, element.y + element.height
-            if min(element.x, element.y) < 0 or high[0] > self.width or high[1] > self.height:
+            corners = element.corners()
+            if not ((corners >= 0) & (corners <= [self.width, self.height])).all():
                 raise ValueError(
-                    f"Invalid element {element.name!r}: ends at {high[0]:.1f}, {high[1]:.1f} mm. "
+                    f"Invalid element {element.name!r}: from {corners[0]} to {corners[2]} mm. "
                     f"Must lie within {self.width} mm x {self.height} mm."
                 )
 
@@ -400,18 +392,6 @@ class Layout(_Element):
     def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
         return self._drawn("svg", {"Date": None, "Title": self.name})
-
-    def to_csv(self) -> str:
-        """Return the table of elements as CSV, which :func:`read_layout` reads back unchanged."""
-        rows = []
-        for element in self.elements:
-            fields = {"kind": type(element).__name__, **dataclasses.asdict(element)}
-            rows.append({name: _cell(value) for name, value in fields.items()})
-        stream = StringIO()
-        table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-        return stream.getvalue()
 
     def _drawn(self, form, metadata):
         """The chart in a file format, at true size."""
@@ -488,7 +468,7 @@ def read_layout(source: str | os.PathLike) -> Layout:
     Parameters
     ----------
     source : str or path
-        A table is of a chart of 1 m x 1 m; ``Layout.to_csv`` writes one to begin with.
+        A table is of a chart of 1 m x 1 m; ``imaging.csv`` beside this module is one to begin with.
 
     Returns
     -------
@@ -605,13 +585,6 @@ def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1
     return Layout(name, width, height, tuple(elements))
 
 
-def _cell(value):
-    """A field as it stands in a table."""
-    if isinstance(value, tuple):
-        return " ".join(f"{share:g}" for share in value)
-    return f"{value:.10g}" if isinstance(value, float) else value
-
-
 def _value(field, text):
     """A field from what stands in a table."""
     if field in ("name", "direction", "text", "font", "dictionary", "bits"):
@@ -679,7 +652,7 @@ def _seen(element, weights):
     tones = {name: getattr(element, name, None) for name in ("tone", "ground")}
     colours = {name: tone for name, tone in tones.items() if isinstance(tone, tuple)}
     grey = {name: float(np.dot(weights, tone)) for name, tone in colours.items()}
-    return dataclasses.replace(element, **grey) if grey else element
+    return replace(element, **grey) if grey else element
 
 
 def _ink(tone):
@@ -695,8 +668,6 @@ def _check_element(element):
         if field in ("tone", "ground"):
             for share in value if isinstance(value, tuple) else (value,):
                 check_number(share, name, low=0, high=1)
-        elif field in ("x", "y"):
-            check_number(value, name)
         elif field in POSITIVE:
             check_positive(value, name, unit="mm")
         elif field == "direction":
@@ -750,16 +721,15 @@ def _shapes(element):
 
     if isinstance(element, Text):
         return {element.tone: element.outline()}
-    x, y, tones = element.grid()
-    low, high = np.stack(np.meshgrid(x[:-1], y[:-1])), np.stack(np.meshgrid(x[1:], y[1:]))
-    boxes, outlines = shapely.box(*low, *high), {}
     if isinstance(element, Bar):
-        return {element.tone: Outline(shapely.get_coordinates(boxes[0, 0]), closed=True)}
+        return {element.tone: Outline(element.corners()[[0, 1, 2, 3, 0]], closed=True)}
+    x, y, tones = element.grid()
+    boxes = shapely.box(*np.meshgrid(x[:-1], y[:-1]), *np.meshgrid(x[1:], y[1:]))
+    outlines = {}
     for tone in np.unique(tones):
         if tone != WHITE or element.ground != WHITE:
-            shape = shapely.union_all(boxes[tones == tone])
-            parts = [shapely.geometry.polygon.orient(part) for part in shapely.get_parts(shape)]
-            rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+            shape = shapely.normalize(shapely.union_all(boxes[tones == tone]))
+            rings = shapely.get_rings(shapely.get_parts(shape))
             paths = [Outline(shapely.get_coordinates(ring), closed=True) for ring in rings]
             outlines[float(tone)] = Outline.make_compound_path(*paths)
     return outlines
