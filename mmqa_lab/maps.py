@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -176,7 +175,7 @@ def map_campaign(
         or parameters.
     """
     import dask
-    from dask.diagnostics import ProgressBar
+    from tqdm.dask import TqdmCallback
 
     folder, paths = Path(folder), _files(paths)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
@@ -194,7 +193,7 @@ def map_campaign(
     if client is not None:
         client.gather(client.compute(tasks))
     else:
-        with ProgressBar(minimum=5, out=sys.stderr):  # standard output is for tables
+        with TqdmCallback(desc="tiles", disable=None, leave=False):  # none where nobody looks
             dask.compute(tasks, scheduler="processes")
     return folder
 
