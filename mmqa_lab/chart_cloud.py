@@ -375,6 +375,7 @@ def evaluate_cloud(
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
     remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
+    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
@@ -493,10 +494,11 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     far = away > FAR * np.quantile(away, 0.9)
     share = 100 * gaps.coincident / gaps.n
     narrow, wide = np.linalg.eigvalsh(np.cov(gaps.xy.T))
+    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
+    coarse += [f"d1 {d1_mm:.3g} mm"] * int(step_mm > d1_mm / 5)
     sentences = {
-        f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for sigma_MAD "
-        f"{sigma_mm:.3g} mm or d1 {d1_mm:.3g} mm.": (
-            step_mm > COARSE_MM and (step_mm > sigma_mm or step_mm > d1_mm / 5)
+        f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.": (
+            step_mm > COARSE_MM and coarse
         ),
         f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
         "hull, which lowers its density, and turn the plane.": far.any(),
@@ -517,6 +519,23 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
         "density counts the rest too.": outline_m2 > FULL * hull_m2,
     }
     return [sentence for sentence, applies in sentences.items() if applies]
+
+
+def _remark_on_layers(residuals_mm, step_mm):
+    """A sentence where the distances from the plane have two peaks, so that noise is not all."""
+    low, high = np.quantile(residuals_mm, [0.005, 0.995])
+    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
+    if len(residuals_mm) < 100 or not high - low > 4 * width:
+        return []
+    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
+    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
+    lower = np.minimum(before, after)
+    k = np.argmax(lower - counts)
+    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+        return []
+    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
+    a, b = np.add(peaks, width / 2)
+    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
 def _step(points):

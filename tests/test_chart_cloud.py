@@ -249,3 +249,11 @@ def test_a_polygon_that_is_mostly_empty_is_said(rng):
     square = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0.0]])
     remarks = evaluate_cloud(points, polygon=square).remarks
     assert "Points lie on 20 % of the polygon: its density counts the rest too." in remarks
+
+
+@pytest.mark.parametrize(("apart_m", "said"), [(0, False), (0.1, True)])
+def test_two_layers_are_said(rng, apart_m, said):
+    points = rng.random((4000, 3)) * [1, 1, 0] + [0, 0, 1] * rng.normal(0, 0.01, (4000, 1))
+    points[::2, 2] += apart_m
+    remarks = " ".join(evaluate_cloud(points).remarks)
+    assert ("two layers" in remarks) == said
