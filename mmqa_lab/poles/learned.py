@@ -410,8 +410,9 @@ def grow(measures, label, weight=None, *, rounds=200, leaves=16, rate=0.07, leav
     import lightgbm
 
     x = measures.to_numpy(float) * ~np.isin(list(MEASURES), leave)
+    fewest = int(np.clip(len(label) / 280, 5, 100))  # of candidates in a leaf
     choices = {"objective": "binary", "num_leaves": leaves, "learning_rate": rate}
-    choices |= {"max_depth": DEPTH, "min_data_in_leaf": 100, "lambda_l2": 20.0}
+    choices |= {"max_depth": DEPTH, "min_data_in_leaf": fewest, "lambda_l2": fewest / 5}
     choices |= {"feature_fraction_bynode": 0.4, "deterministic": True, "force_row_wise": True}
     choices |= {"num_threads": 1, "seed": 0, "verbose": -1}
     choices["monotone_constraints"] = [way for _, way in MEASURES.values()]

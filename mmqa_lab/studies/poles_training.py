@@ -17,7 +17,7 @@ from mmqa_lab.simulate import streets, surfaces
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.systems import PRESETS
 
-EXAMPLES, FIRST_SEED = 64, 9_500_000
+EXAMPLES, FIRST_SEED = 112, 9_500_000
 """Seeds of tests and studies are smaller."""
 
 DRIVES = (("roamer", 50), ("push-broom", 60), ("hdl-32e", 24), ("push-broom", 60), ("vq-450", 24))
