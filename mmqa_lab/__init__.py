@@ -1,7 +1,8 @@
 """A laboratory for the quality of mobile mapping point clouds and images.
 
 The package is a set of rooms, each a module named by a noun of the field; import the room you
-need (``from mmqa_lab import chart_cloud``). Nothing heavy is imported here.
+need (``from mmqa_lab import chart_cloud``); CONTRIBUTING.md lists them. Nothing heavy is imported
+here.
 """
 
 import sysconfig
