@@ -88,6 +88,7 @@ def explore(
         """The figure of the controls' present values."""
         figure = function(**{name: control.value for name, control in controls.items()})
         finish_figure(figure)
+        plt.close(figure)  # the cell that returns it shows it, pyplot would show it once more
         return figure
 
     if is_headless():
@@ -100,7 +101,6 @@ def explore(
             figure = drawn()
             output.clear_output(wait=True)
             display(figure)
-            plt.close(figure)
 
     for control in controls.values():
         control.observe(redraw, names="value")
