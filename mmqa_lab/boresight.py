@@ -29,7 +29,6 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
-from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_choice, check_points
 from mmqa_lab._results import Shown
@@ -172,7 +171,6 @@ def calibrate(
     patches: int = 500,
     path_std_m: ArrayLike | None = None,
     path_std_deg: ArrayLike | None = None,
-    progress: bool = False,
 ) -> Calibration:
     """Estimate boresight and lever arm of every head from planes and poles seen several times.
 
@@ -204,8 +202,6 @@ def calibrate(
         Standard deviations of the paths, each error lasting a whole drive: east, north, height, m;
         roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. Where neither is
         given, the result says that its intervals do not contain them.
-    progress : bool
-        Show a bar.
 
     Returns
     -------
@@ -256,7 +252,7 @@ def calibrate(
     control = None if control is None else check_points(control, name="control") - origin
     values = np.zeros((len(lever), len(PARAMETERS)))
     group = shots.drive * len(lever) + shots.head
-    for _ in tqdm(range(ROUNDS), unit="round", disable=not progress):
+    for _ in range(ROUNDS):
         placed = shots.placed(values)
         kinds = [
             _OnPlanes(shots, _planes(placed, group, patches, rng)),

@@ -640,7 +640,6 @@ def calibrate(
         lever_arms_m=arms,
         poles=None if poles is None else _targets(poles, kind="pole"),
         control=None if control is None else io.read_heights(control),
-        progress=sys.stderr.isatty(),
     )
     for number, (file, cloud, path) in enumerate(zip(drives, clouds, paths, strict=True), start=1):
         if out is not None:

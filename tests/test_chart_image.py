@@ -32,7 +32,6 @@ def photo_of(pixel_mm, *, heading=0.0, roll=0.7, sigma=0.6, layout=CHART, seed=0
         view,
         optics=cameras.Optics(sigma),
         sensor=cameras.Sensor(**sensor),
-        supersampling=4,
         seed=seed,
     )
     return photo, grey(photo.image, sensor.get("gamma", "linear"))

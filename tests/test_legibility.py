@@ -44,7 +44,7 @@ def test_kappa_leaves_out_elements_that_a_juror_did_not_mark():
 def test_crops_hold_one_text_each_at_its_height():
     layout, camera = charts.imaging_chart(), cameras.PanoramaCamera.of_megapixels(250)
     view = cameras.chart_view(camera, distance=10, layout=layout)
-    taken = cameras.photograph(layout, view, supersampling=3, seed=1)
+    taken = cameras.photograph(layout, view, seed=1)
     crops = chart_image.text_crops(taken.image, layout, taken.chart_map)
     texts = [text for text in layout.of_kind(charts.Text) if text.name.startswith("text")]
     assert [crop.text for crop in crops] == [text.text for text in texts]
@@ -104,13 +104,12 @@ def test_colours_fringe_at_the_limit_of_resolution_of_a_mosaic_and_nowhere_else(
     view = cameras.chart_view(camera, distance=10, layout=layout)
     sensor = cameras.Sensor(noise=0.0, bayer=True)
     optics = cameras.Optics(0.3)
-    choices = {"optics": optics, "supersampling": 3}
-    taken = cameras.photograph(layout, view, sensor=sensor, **choices)
+    taken = cameras.photograph(layout, view, optics=optics, sensor=sensor)
     found = rules.colour_fringes(taken.image, layout, taken.chart_map).set_index("name")
     standing = found[found["direction"] == "h"]
     assert 1.8 < standing.loc[standing["fringe"].idxmax(), "width_px"] < 4
     assert standing["fringe"].max() > 1.4 * standing["fringe"]["pairs_h_40"]
-    grey = cameras.photograph(layout, view, sensor=cameras.Sensor(noise=0.0), **choices)
+    grey = cameras.photograph(layout, view, optics=optics, sensor=cameras.Sensor(noise=0.0))
     neutral = np.dstack([0.9 * grey.image, grey.image, 0.8 * grey.image])
     none = rules.colour_fringes(neutral, layout, grey.chart_map)
     assert none["fringe"].max() < 1e-3  # a cast of the light is no fringe

@@ -44,7 +44,7 @@ def test_points_of_a_pitched_multi_beam_scanner_equal_brute_force():
 
 
 @pytest.mark.parametrize("preset", [systems.SYSTEM_A, PRESETS["zf-9012-fitted"]])
-@pytest.mark.parametrize("distance", systems.DISTANCES)
+@pytest.mark.parametrize("distance", [5.0, 10.0])
 def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
     quality = read(systems.pass_chart(preset, distance, seed=2), distance)
     setup = ScanSetup.of_scanner(preset, speed_m_s=systems.SPEED)
@@ -57,7 +57,7 @@ def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
 
 def test_system_c_keeps_its_density_and_pattern_at_any_distance():
     """Table 2: d1 = 3 mm, d4 = 8 mm, f = 2.6 at 5 m and at 10 m; 28,901 and 30,915 points/m2."""
-    for distance in systems.DISTANCES:
+    for distance in (5.0, 10.0):
         quality = read(systems.pass_chart(systems.SYSTEM_C, distance, seed=3), distance)
         # 15,000 points: the count repeats to 1 %, d1 and d4 to 1 %
         assert quality.density_polygon_per_m2 == pytest.approx(29_900, rel=0.03)

@@ -13,7 +13,7 @@ Frames and signs: world x east, y north, z up; vehicle x right, y travel, z up. 
         pulse_rate_hz=300_000, mirror_frequency_hz=100, heading_deg=45, tilt_deg=45,
         lever_arm_m=(0, 0, 2.5), range_noise_m=0.005, divergence_mrad=0.5,
     )
-    cloud = simulate.scan(scene, scanner, simulate.straight(50, 10), seed=1, progress=True)
+    cloud = simulate.scan(scene, scanner, simulate.straight(50, 10), seed=1)
     cloud["surface"], cloud["scan_line"], cloud["range_m"]     # and the rest of the truth
 
 Real scanners are in ``PRESETS``; ``dataclasses.replace(PRESETS["roamer"], tilt_deg=30)`` varies

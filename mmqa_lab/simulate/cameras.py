@@ -24,7 +24,7 @@ from mmqa_lab.srgb import GAMMAS, encode
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
-SUPERSAMPLING, SURROUND = 6, 0.4
+FINE, SURROUND = 6, 0.4
 """Samples along each side of a pixel; tone around a chart."""
 
 
@@ -158,21 +158,12 @@ def _turned(place, roll, aim):
     return aside @ np.stack([right, np.cross(view, right), view])
 
 
-def photograph(
-    layout,
-    chart_map,
-    *,
-    optics=Optics(),
-    sensor=Sensor(),
-    margin=12,
-    supersampling=SUPERSAMPLING,
-    seed=0,
-):
+def photograph(layout, chart_map, *, optics=Optics(), sensor=Sensor(), margin=12, seed=0):
     """Photograph a chart.
 
-    Each pixel averages ``supersampling`` squared samples of the printed tones after point spread
-    and motion; the motion averages exposures along the way. The remaining width of the samples is
-    taken off the point spread, so that its standard deviation is the one asked for.
+    Each pixel averages 6 x 6 samples of the printed tones after point spread and motion; the motion
+    averages exposures along the way. The width of the samples themselves is taken off the point
+    spread, so that its standard deviation is the one asked for.
 
     Parameters
     ----------
@@ -182,8 +173,6 @@ def photograph(
     sensor : Sensor
     margin : int
         Pixels around the chart.
-    supersampling : int
-        Samples along each side of a pixel.
     seed : int
         Of the noise.
 
@@ -205,10 +194,9 @@ def photograph(
     >>> photo.image.shape
     (149, 150)
     """
-    fine = check_count(supersampling, "supersampling")
     low, size = _window(layout, chart_map, check_count(margin, "margin", low=0))
     inside = chart_map.within(*low)
-    tones = _exposed(layout, inside, size, optics, fine, colour=sensor.bayer)
+    tones = _exposed(layout, inside, size, optics, colour=sensor.bayer)
     if sensor.bayer:
         tones = _mosaic(tones)
     signal = sensor.black + (sensor.white - sensor.black) * tones
@@ -232,27 +220,27 @@ def _window(layout, chart_map, margin):
     return low, size
 
 
-def _exposed(layout, chart_map, size, optics, fine, colour=False):
+def _exposed(layout, chart_map, size, optics, colour):
     """The mean tone in each pixel after motion, point spread and integration."""
     centre = np.array([[layout.width / 2, layout.height / 2]])
-    cell = max(chart_map.pixel_sizes_mm(centre).min() / fine, max(layout.corners()[2]) / 12_000)
+    cell = max(chart_map.pixel_sizes_mm(centre).min() / FINE, max(layout.corners()[2]) / 12_000)
     printed = reflectance(layout, cell=cell, colour=colour)
     travel = np.asarray(optics.travel, dtype=float)
     instants = 1
     if travel.any():
         start, end = (_moved(chart_map, travel, t).pixels(centre) for t in (-0.5, 0.5))
-        instants = int(np.ceil(np.linalg.norm(end - start) * fine / 2)) + 1
+        instants = int(np.ceil(np.linalg.norm(end - start) * FINE / 2)) + 1
     total = 0
     for t in (np.arange(instants) + 0.5) / instants - 0.5:
-        total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size, fine)
+        total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size)
     samples = total / instants
     # samples add a cell (1/12) read bilinearly (1/6), less 1/12, in squares of their steps
-    left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / fine**2
+    left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / FINE**2
     if left > 0:
-        samples = cv2.GaussianBlur(samples, (0, 0), fine * np.sqrt(left))
+        samples = cv2.GaussianBlur(samples, (0, 0), FINE * np.sqrt(left))
     if optics.defocus_px > 0:
-        samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * fine))
-    return samples.reshape(size[1], fine, size[0], fine, *samples.shape[2:]).mean(axis=(1, 3))
+        samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * FINE))
+    return samples.reshape(size[1], FINE, size[0], FINE, *samples.shape[2:]).mean(axis=(1, 3))
 
 
 def _moved(chart_map, travel, t):
@@ -262,15 +250,15 @@ def _moved(chart_map, travel, t):
     return replace(chart_map, matrix=matrix)
 
 
-def _sampled(printed, cell, chart_map, size, fine):
-    """The tones at a regular grid of samples, ``fine`` along each side of a pixel."""
+def _sampled(printed, cell, chart_map, size):
+    """The tones at a regular grid of samples, ``FINE`` along each side of a pixel."""
     columns, rows = size
     column, row = np.meshgrid(np.arange(-1, columns + 1.0), np.arange(-1, rows + 1.0))
     places = chart_map.chart(np.column_stack([column.ravel(), row.ravel()]))
     places = (places / cell - 0.5).astype(np.float32).reshape(rows + 2, columns + 2, 2)
     # within a pixel the map is straight to 1e-4 px; resizing interpolates between centres
-    dense = cv2.resize(places, None, fx=fine, fy=fine, interpolation=cv2.INTER_LINEAR)
-    dense = np.ascontiguousarray(dense[fine:-fine, fine:-fine])
+    dense = cv2.resize(places, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_LINEAR)
+    dense = np.ascontiguousarray(dense[FINE:-FINE, FINE:-FINE])
     samples = np.empty((*dense.shape[:2], *printed.shape[2:]), dtype=np.float32)
     # remap addresses at most 32,767 rows at once
     for first in range(0, len(dense), 16_384):

@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
@@ -186,7 +185,6 @@ def scan(
     seed: int | Sequence[int],
     measured: Trajectory | None = None,
     between: tuple[float, float] | None = None,
-    progress: bool = False,
 ) -> Cloud:
     """Return the point cloud of a drive.
 
@@ -207,8 +205,6 @@ def scan(
     between : (float, float), optional
         Drive only from one time to another, seconds after the start. Pulses are counted from the
         start all the same.
-    progress : bool
-        Show a bar.
 
     Returns
     -------
@@ -256,7 +252,7 @@ def scan(
         pulses += [(number, np.arange(*ends)) for ends in pairwise(cuts)]
     streams = [np.random.default_rng([*np.atleast_1d(seed), n]) for n in range(len(heads))]
     clouds = []
-    for number, pulse in tqdm(pulses, desc="scan", disable=not progress):
+    for number, pulse in pulses:
         cloud = _shoot(scene, heads[number], trajectory, known, pulse, streams[number])
         if len(heads) > 1:
             cloud.columns["head"] = np.full(len(cloud), number, np.uint8)

@@ -213,9 +213,6 @@ def system(name: str) -> System:
 SPEED = 40 / 3.6
 """Metres per second: the least that section 4.1 asks for; the speed driven is not printed."""
 
-DISTANCES = (5.0, 10.0)
-"""Metres from the paths of the two drives to the chart."""
-
 FACING_THE_ROAD = 270.0
 """Heading of charts that stand to the right of a drive to the north."""
 

@@ -111,14 +111,11 @@ class Trajectory:
     @cached_property
     def _spline(self):
         """Offset from ``origin`` (m) and roll, pitch, heading (rad) over seconds from the start."""
-        from scipy.interpolate import CubicSpline, make_interp_spline
+        from scipy.interpolate import CubicSpline
 
         angles = np.unwrap(np.radians([self.roll, self.pitch, self.heading]), axis=1)
         values = np.hstack([self.position - self.origin, angles.T])
-        since = self.time - self.time[0]
-        if len(since) < 3:
-            return make_interp_spline(since, values, k=1)
-        return CubicSpline(since, values)
+        return CubicSpline(self.time - self.time[0], values)
 
     def states(self, since_start: ArrayLike) -> np.ndarray:
         """Return offsets from ``origin`` in metres and roll, pitch, heading in radians, (n, 6).
