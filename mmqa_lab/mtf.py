@@ -314,24 +314,20 @@ def _by_sigmoid(fit):
 
 def _by_bins(fit, block):
     """MTF and profiles by the standard's binning; the interval from leaving out blocks of rows."""
-    mtf, places, esf, lsf = _binned(fit.distance, fit.values)
+    transfer, places, esf, lsf = _binned(fit.distance, fit.values)
+    mtf, parts = np.abs(transfer), block[fit.rows]
     mtf50 = crossing(FREQUENCIES, mtf, 0.5)
-    parts = block[fit.rows]
-    left = [
-        crossing(FREQUENCIES, _binned(fit.distance[parts != k], fit.values[parts != k])[0], 0.5)
-        for k in range(BLOCKS)
-    ]
+    rest = [_binned(fit.distance[parts != k], fit.values[parts != k])[0] for k in range(BLOCKS)]
+    left = [crossing(FREQUENCIES, np.abs(one), 0.5) for one in rest]
     # 2.36 is Student's quantile of seven degrees of freedom
     sigma = float(np.sqrt((BLOCKS - 1) * np.var(left))) * 2.365 / 1.96
     known = {"distance_px": places, "esf": (esf - fit.low) / fit.contrast, "mtf": mtf}
     lsf = lsf / np.trapezoid(lsf, places)
-    # noise outlives the signal: from a tenth of the contrast on a Gaussian takes its place
-    mtf10 = crossing(FREQUENCIES, mtf, 0.1)
-    tail = np.exp(np.log(0.1) * (FREQUENCIES / mtf10) ** 2)
-    known_mtf = np.where(mtf10 > FREQUENCIES, mtf, tail)
+    # noise outlives the signal: from twice the frequency of a tenth of the contrast on it fades
+    fade = np.clip(2 - FREQUENCIES / crossing(FREQUENCIES, mtf, 0.1) / 2, 0, 1)
     fine = np.linspace(-20, 20, 4001)
     waves = np.cos(2 * np.pi * fine[:, None] * FREQUENCIES)
-    spread = np.trapezoid(waves * known_mtf, FREQUENCIES, axis=1)
+    spread = np.trapezoid(waves * transfer.real * fade, FREQUENCIES, axis=1)
     fwhm = _fwhm(fine, spread) if np.isfinite(mtf50) else np.nan
     return known | {"lsf": lsf, "mtf50": mtf50, "mtf50_sigma": sigma, "fwhm_px": fwhm}
 
@@ -355,16 +351,30 @@ def _binned(distance, values):
     centres = _bins(distance, distance)[1]  # pixels do not fill a bin evenly
     profile = np.interp(places, centres[filled], means[filled])
     half = min(-places[0], places[-1])
-    # the ends of the window fall off as a cosine; what they cut of long tails raises the transfer
+    # the ends of the window fall off as a cosine
     window = np.clip(10 * (1 - np.abs(places) / half), 0, 1)
     spread = np.gradient(profile, places) * np.sin(np.pi / 2 * window) ** 2
     waves = np.exp(-2j * np.pi * FREQUENCIES[:, None] * places)
     steps = FREQUENCIES / BINS_PER_PIXEL
     # ISO 12233 takes out the central difference; the bins' width likewise
-    transfer = np.abs(waves @ spread) / (np.sinc(2 * steps) * np.sinc(steps))
+    transfer = (waves @ spread) / (np.sinc(2 * steps) * np.sinc(steps))
     if (~filled).mean() > 0.1 or not filled[np.abs(places) <= 2].all():
         transfer = np.full(len(FREQUENCIES), np.nan)
-    return transfer / transfer[0], places, profile, spread
+    transfer = transfer / (BINS_PER_PIXEL * _whole_step(places, profile, half))
+    transfer[0] = 1.0
+    return transfer, places, profile, spread
+
+
+def _whole_step(places, profile, half):
+    """The step between both plain sides, as far as a lens spreads light.
+
+    Behind a lens limited by diffraction the profile nears its levels with the inverse of the
+    distance: the window would cut a part of the step off, and the transfer would be too high.
+    """
+    outer = (np.abs(places) > half / 2) & (np.abs(places) <= half)
+    far = places[outer]
+    design = np.column_stack([np.ones_like(far), np.sign(far) / 2, 1 / far])
+    return float(np.linalg.lstsq(design, profile[outer], rcond=None)[0][1])
 
 
 def _fwhm(places, lsf):
