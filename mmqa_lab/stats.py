@@ -290,8 +290,10 @@ def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
     place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
-    rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0)
-    return rank.T * count // len(rank)
+    order = np.argsort(place, axis=0, kind="stable").T
+    found = np.empty_like(order)
+    np.put_along_axis(found, order, np.arange(len(place)) * count // len(place), axis=1)
+    return found
 
 
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
@@ -431,7 +433,7 @@ def _reach(rows, block):
     one with the largest counts.
     """
     ways = np.atleast_2d(block)
-    least = min(len(np.unique(way)) for way in ways)
+    least = min(np.count_nonzero(np.bincount(way)) for way in ways)
     if least < 2:
         return np.full(len(rows), np.nan)
     variances = [_variance(rows, way) for way in ways]
@@ -448,6 +450,6 @@ def _reach(rows, block):
 
 def _variance(rows, block):
     """Variance of each row's sum, from its sums over blocks."""
-    numbers, places = np.unique(block, return_inverse=True)
-    sums = np.array([np.bincount(places, row) for row in rows])
-    return (sums**2).sum(axis=1) * len(numbers) / (len(numbers) - 1)
+    filled = np.bincount(block) > 0
+    sums = np.array([np.bincount(block, row)[filled] for row in rows])
+    return (sums**2).sum(axis=1) * filled.sum() / (filled.sum() - 1)

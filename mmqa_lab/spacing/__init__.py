@@ -50,7 +50,7 @@ AT_ONCE = 1_000_000
 """Neighbours that are searched together: bounds the memory."""
 
 FEW = 10_000
-"""Points that are searched by scipy, where numba is not imported yet: that would take longest."""
+"""Points that are searched by scipy, in all, before numba is imported: that takes as long."""
 
 CHANCE = 3.2
 """95 % of random patterns of n points have a g below 1 + CHANCE / sqrt(n)."""
@@ -601,12 +601,16 @@ def _quantile(values, share):
     return float(np.quantile(values, share)) if len(values) else np.nan
 
 
+_searched = []  # numbers of points that scipy searched
+
+
 def _nearest_per_quadrant(xy, radius, of):
-    """The compiled search, but for small clouds where numba is not imported yet."""
-    if len(xy) > FEW or "numba" in sys.modules:
+    """The compiled search, but scipy's for the first few points where numba is not imported."""
+    if "numba" in sys.modules or sum(_searched) + len(xy) > FEW:
         from mmqa_lab.spacing._search import nearest_per_quadrant
 
         return nearest_per_quadrant(xy, radius, of)
+    _searched.append(len(xy))
     found = _sector_distances(xy, radius, 0.0, 4)
     found[~of] = np.nan
     return found
@@ -642,10 +646,12 @@ def _nearest(xy, radius, reach, ranks, fold):
     while waiting:
         rows, reach = waiting.pop()
         bound = radius * (1 + 1e-9)  # a little beyond, as scipy compares squares
-        away, other = tree.query(xy[rows], k=[*range(1, reach + 1)], distance_upper_bound=bound)
+        choices = {"distance_upper_bound": bound, "workers": 1 + len(rows) // FEW}
+        away, other = tree.query(xy[rows], np.arange(1, reach + 1), **choices)
         all_seen = np.isinf(away[:, -1]) | (reach == len(xy))
         offset = xy[np.minimum(other, len(xy) - 1)] - xy[rows, None]
-        away = np.where(np.isinf(away), away, np.sqrt((offset**2).sum(axis=2)))
+        length = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
+        away = np.where(np.isinf(away), away, length)
         away[(away > radius) | (away == 0)] = np.inf
         found[rows] = fold(away, offset)
         is_open = ~all_seen & np.isinf(found[rows]).any(axis=1)
@@ -680,6 +686,7 @@ def _by_direction(away, offset):
 
 def _least(away, place, count):
     """The least distance of each row in each of ``count`` places, infinite where none is."""
-    found = np.full((len(away), count), np.inf)
-    np.minimum.at(found, (np.arange(len(away))[:, None], place), away)
-    return found
+    found = np.full(len(away) * count, np.inf)
+    first = count * np.arange(len(away))[:, None]
+    np.minimum.at(found, (first + place).ravel(), away.ravel())
+    return found.reshape(-1, count)

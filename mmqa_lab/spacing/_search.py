@@ -40,7 +40,7 @@ def nearest_per_quadrant(xy, radius, of):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
 def _halve(first, last, points, rows, size):
     """Reorder some blocks of points so that a half of each lies to one side of the other."""
     for block in range(first, last):
@@ -60,27 +60,31 @@ def _halve(first, last, points, rows, size):
 
 @njit(cache=True)
 def _select(key, other, rows, low, high, middle):
-    """Reorder low..high until key[:middle] <= key[middle] <= key[middle:] (Hoare's selection)."""
+    """Reorder low..high until key[:middle] <= key[middle] <= key[middle:] (quickselect)."""
     while low < high:
         a, b, c = key[low], key[(low + high) // 2], key[high]
         pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while key[i] < pivot:
-                i += 1
-            while pivot < key[j]:
-                j -= 1
-            if i <= j:
-                key[i], key[j] = key[j], key[i]
-                other[i], other[j] = other[j], other[i]
-                rows[i], rows[j] = rows[j], rows[i]
-                i, j = i + 1, j - 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
+        first = _put_below(pivot, key, other, rows, low, high)
+        if first == low:  # the pivot is the least: those equal to it go first
+            first = _put_below(np.nextafter(pivot, np.inf), key, other, rows, low, high)
+            if middle < first:
+                break
+        if middle < first:
+            high = first - 1
         else:
-            break
+            low = first
+
+
+@njit(cache=True)
+def _put_below(bound, key, other, rows, low, high):
+    """Put what is below a bound first and return where the rest begins; no branch to mispredict."""
+    first = low
+    for i in range(low, high + 1):
+        x, y, row = key[i], other[i], rows[i]
+        key[i], other[i], rows[i] = key[first], other[first], rows[first]
+        key[first], other[first], rows[first] = x, y, row
+        first += x < bound
+    return first
 
 
 def _boxes(leaves, bottom):
