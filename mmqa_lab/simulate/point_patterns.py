@@ -9,7 +9,6 @@ from functools import partial
 from math import comb
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
@@ -29,17 +28,8 @@ HOLE_RADIUS, HOLE_SHARE = 4.0, 0.2
 
 
 def point_pattern(
-    kind: str,
-    *,
-    density: float,
-    size: float,
-    seed: int,
-    ratio: float = 1.0,
-    angle: float = 0.0,
-    noise: float = 0.0,
-    rounding: float = 0.0,
-    jitter: float = 0.1,
-) -> np.ndarray:
+    kind, *, density, size, seed, ratio=1.0, angle=0.0, noise=0.0, rounding=0.0, jitter=0.1
+):
     """Return a point pattern in a square window.
 
     Parameters
@@ -115,7 +105,7 @@ def point_pattern(
     return rounding * np.round(xy / rounding) if rounding else xy
 
 
-def true_ratio(kind: str, ratio: float) -> float:
+def true_ratio(kind, ratio):
     """Return the ratio across / along that a measure of anisotropy should find.
 
     Random patterns have the same law however they are stretched, with a gradient or holes too, and
@@ -130,7 +120,7 @@ def true_ratio(kind: str, ratio: float) -> float:
     return 1.0 if kind in ISOTROPIC else check_number(ratio, "ratio", low=1)
 
 
-def expected_f(kind: str, ratio: float) -> float:
+def expected_f(kind, ratio):
     """Return f = d4/d1 in closed form, without edges and noise, for axes turned off the lines.
 
     With the unit along the line and the line spacing ``a``, d1 is 1 and d4 the larger of the
@@ -158,7 +148,7 @@ def expected_f(kind: str, ratio: float) -> float:
     return forms.get(kind, np.nan)
 
 
-def aligned_lines_f() -> int:
+def aligned_lines_f():
     """Return f of scan lines along an axis, with the least noise across: 5, at any line spacing.
 
     The neighbours along the line then lie above or below by chance, and fill the quadrants above
@@ -182,7 +172,7 @@ def aligned_lines_f() -> int:
     return k
 
 
-def thin(points: ArrayLike, least: float, *, period: ArrayLike | None = None) -> np.ndarray:
+def thin(points, least, *, period=None):
     """Say which points remain when none may be nearer to another one than a least distance.
 
     A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in

@@ -5,18 +5,14 @@ every hit solves the primitive's own equation: no mesh, no marching. Shafts are 
 ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads
-from mmqa_lab.simulate.surfaces import DISC, SHAFT, Surface, group
+from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
 LEAF_SIZE = 4
 DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
@@ -79,7 +75,7 @@ class Scene:
     (4.9, 'post')
     """
 
-    def __init__(self, surfaces: Iterable[Surface]):
+    def __init__(self, surfaces):
         self.surfaces = list(surfaces)
         if not self.surfaces:
             raise ValueError("Invalid surfaces: none given. Must be one or more.")
@@ -93,7 +89,7 @@ class Scene:
         self._surface = np.append(ids[order], np.int32(-1))
         self._reflectance = np.append(whole.reflectance[order], np.nan)
 
-    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+    def cast(self, origins, directions):
         """Return the ``Hits`` of rays.
 
         Parameters
@@ -116,7 +112,7 @@ class Scene:
         local = np.broadcast_to(check_points(np.atleast_2d(origins)) - self.origin, unit.shape)
         return Hits(*(values[:, 0] for values in self.cast_beams(local[:, None], unit[:, None])))
 
-    def cast_beams(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+    def cast_beams(self, origins, directions):
         """Return the ``Hits`` (n, k) of n beams of k rays that stay close together, (n, k, 3).
 
         Starts count from the scene's origin, directions have the length 1.

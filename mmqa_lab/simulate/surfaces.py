@@ -4,11 +4,9 @@ A surface is one thing with one id; it may consist of many primitives (a box of 
 of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Lengths are metres.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.planes import across
@@ -51,7 +49,7 @@ class Surface:
         return len(self.kind)
 
 
-def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
+def group(surfaces, *, label):
     """Return one surface, with one id, of several.
 
     Parameters
@@ -74,14 +72,7 @@ def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
     return Surface(label, *(np.concatenate([getattr(s, name) for s in surfaces]) for name in names))
 
 
-def rectangle(
-    corner: ArrayLike,
-    along: ArrayLike,
-    up: ArrayLike,
-    *,
-    label: str = "wall",
-    reflectance: float = 0.5,
-) -> Surface:
+def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     """Return a rectangle or parallelogram from a corner and the two sides that leave it.
 
     Parameters
@@ -112,12 +103,7 @@ def rectangle(
     return _surface(label, RECTANGLE, centre, _planar_shape(u, v), half, reflectance)
 
 
-def ground(
-    height: float = 0.0,
-    *,
-    centre: tuple[float, float] = (0.0, 0.0),
-    size: tuple[float, float] = (2000.0, 2000.0),
-) -> Surface:
+def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0)):
     """Return a level rectangle called ``"ground"``, of reflectance 0.2.
 
     Parameters
@@ -143,15 +129,7 @@ def ground(
     return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=0.2)
 
 
-def board(
-    centre: ArrayLike,
-    width: float,
-    height: float,
-    *,
-    heading: float = 0.0,
-    label: str = "board",
-    reflectance: float = 0.8,
-) -> Surface:
+def board(centre, width, height, *, heading=0.0, label="board", reflectance=0.8):
     """Return a rectangular board that faces ``heading``.
 
     Parameters
@@ -197,16 +175,7 @@ def disc(centre, normal, radius):
     return _discs("board", centre, _vector(normal, "normal")[None], radius, 0.5)
 
 
-def cylinder(
-    base: ArrayLike,
-    top: ArrayLike,
-    radius: float,
-    *,
-    top_radius: float | None = None,
-    capped: bool = True,
-    label: str = "post",
-    reflectance: float = 0.5,
-) -> Surface:
+def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", reflectance=0.5):
     """Return a round post, lamp or trunk, upright or tilted, tapering where ``top_radius`` says so.
 
     Parameters
@@ -248,14 +217,7 @@ def cylinder(
     return _surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
 
 
-def box(
-    base: ArrayLike,
-    size: ArrayLike,
-    *,
-    heading: float = 0.0,
-    label: str = "car",
-    reflectance: float = 0.4,
-) -> Surface:
+def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
     """Return a box from the middle of its bottom.
 
     Parameters
@@ -326,15 +288,7 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
     return _discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
 
 
-def wall(
-    corner: ArrayLike,
-    along: ArrayLike,
-    height: float,
-    *,
-    openings: Sequence[tuple[float, float, float, float]] = (),
-    reveal: float = 0.2,
-    label: str = "wall",
-) -> list[Surface]:
+def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall"):
     """Return a wall with openings, their reveals and the panes behind them.
 
     Parameters
@@ -398,7 +352,7 @@ def wall(
     return [group(part, label=name) for name, part in parts.items() if part]
 
 
-def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
+def chart_corners(centre, *, heading):
     """Return the corners of a chart of 1 m, from the lower left around, as one looks at its front.
 
     Parameters

@@ -7,8 +7,6 @@ parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL
 matching).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -113,12 +111,12 @@ class System:
     source: str = ""
 
     @property
-    def assumed_lever_arms(self) -> np.ndarray:
+    def assumed_lever_arms(self):
         """Lever arms that the evaluation uses, (heads, 3)."""
         true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
 
-    def delivered(self, cloud: Cloud, *, share: float = 1.0) -> Cloud:
+    def delivered(self, cloud, *, share=1.0):
         """Return what is left of a cloud when dark points, then isolated ones, are removed.
 
         Parameters
@@ -181,7 +179,7 @@ SYSTEMS = _systems(_TABLES)
 others."""
 
 
-def system(name: str) -> System:
+def system(name):
     """Return a mobile mapping system by its name.
 
     Parameters
@@ -235,9 +233,7 @@ how, is not. Density, hard core and noise are fitted to Table 2, whose density d
 the distance: it takes more than two points per pixel at 10 m, so several pairs, and resampling."""
 
 
-def pass_chart(
-    sensor: Scanner | MatchingCamera, distance: float, *, seed: int, height: float = 0.0
-) -> Cloud:
+def pass_chart(sensor, distance, *, seed, height=0.0):
     """Return the points of a chart that a sensor drives past.
 
     Parameters

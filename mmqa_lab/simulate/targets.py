@@ -374,7 +374,7 @@ class ImageBlock:
     flight: Flight
 
 
-def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
+def fly_block(flight=Flight(), *, seed):
     """Return what a simulated block of images shows of tie points on flat ground.
 
     Parameters

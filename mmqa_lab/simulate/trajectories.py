@@ -5,14 +5,10 @@ Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: hea
 vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import pandas as pd
-from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.scan_pattern import rotations
@@ -80,7 +76,7 @@ class Trajectory:
         return np.broadcast_to(values, self.time.shape)
 
     @classmethod
-    def from_table(cls, table: pd.DataFrame) -> Trajectory:
+    def from_table(cls, table):
         """Return the trajectory of a table as ``io.read_trajectory`` reads it.
 
         Parameters
@@ -99,12 +95,12 @@ class Trajectory:
         return cls(table["time_s"], position, heading=heading, **known)
 
     @property
-    def duration_s(self) -> float:
+    def duration_s(self):
         """Seconds from the first row to the last."""
         return float(self.time[-1] - self.time[0])
 
     @property
-    def origin(self) -> np.ndarray:
+    def origin(self):
         """The position of the first row, from which the spline counts."""
         return self.position[0]
 
@@ -117,7 +113,7 @@ class Trajectory:
         values = np.hstack([self.position - self.origin, angles.T])
         return CubicSpline(self.time - self.time[0], values)
 
-    def states(self, since_start: ArrayLike) -> np.ndarray:
+    def states(self, since_start):
         """Return offsets from ``origin`` in metres and roll, pitch, heading in radians, (n, 6).
 
         Parameters
@@ -127,7 +123,7 @@ class Trajectory:
         """
         return self._spline(since_start)
 
-    def at(self, time: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, time):
         """Return positions (n, 3) and vehicle-to-world rotations (n, 3, 3) at times in seconds.
 
         Raises
@@ -169,15 +165,8 @@ class NavigationErrors:
 
 
 def straight(
-    length: float,
-    speed: float,
-    *,
-    start: ArrayLike = (0.0, 0.0, 0.0),
-    heading: float = 0.0,
-    roll: float = 0.0,
-    pitch: float = 0.0,
-    start_time: float = 0.0,
-) -> Trajectory:
+    length, speed, *, start=(0.0, 0.0, 0.0), heading=0.0, roll=0.0, pitch=0.0, start_time=0.0
+):
     """Return a straight level drive at constant speed.
 
     Parameters
@@ -216,7 +205,7 @@ def straight(
     return Trajectory(times, np.array([start, end]), roll, pitch, heading)
 
 
-def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> Trajectory:
+def with_speed_variation(trajectory, *, share, seed):
     """Return the same path driven at a speed that varies about its own within half a second.
 
     Parameters
@@ -258,9 +247,7 @@ def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> 
     return Trajectory(trajectory.time[0] + since, trajectory.origin + values[:, :3], *angles.T)
 
 
-def measured(
-    trajectory: Trajectory, errors: NavigationErrors, *, seed: int, interval_s: float = 0.01
-) -> Trajectory:
+def measured(trajectory, errors, *, seed, interval_s=0.01):
     """Return the path that navigation with ``errors`` reports for a true path.
 
     Parameters
