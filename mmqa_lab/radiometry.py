@@ -87,7 +87,7 @@ CONTRADICTION = 3.0
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
 """Weights are computed anew in so many iterations, at first by Huber, and then stay."""
 
-RINGS, FALLS_OTHERWISE = 5, 5.0
+RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
 
 CONVERGED = 1e-7
@@ -1003,9 +1003,11 @@ def _warn(block, estimate, value, std, misfit):
     limit = CONTRADICTION * np.hypot(std, spread * estimate)
     doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
     odd = (np.abs(share) > SHADOW * spread).mean()
-    # medians of rings of one area, in their standard errors
-    rings = pd.Series(share).groupby(np.minimum(RINGS * block.radius2, RINGS - 1).astype(int))
-    uneven = rings.median().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
+    # means of rings of one area, in their standard errors, without the odd observations
+    kept = np.abs(share) < 3 * spread
+    ring = np.minimum(RINGS * block.radius2[kept], RINGS - 1).astype(int)
+    rings = pd.Series(share[kept]).groupby(ring)
+    uneven = rings.mean().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
     doubts = {
         f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
         "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,

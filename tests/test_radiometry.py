@@ -131,13 +131,20 @@ def test_a_control_target_in_shadow_is_doubted(rng, recwarn):
         adjust_block(table.assign(radiance=dark * table["radiance"]), control=control, **PRIORS)
 
 
-def test_light_that_falls_off_otherwise_is_said(rng):
+OTHER_FALLS = [(0.2, 4.0, np.inf), (0.1, 1.7, 0.002), (0.1, 1.7, 0.0)]
+
+
+@pytest.mark.parametrize(("loss", "power", "std"), OTHER_FALLS)
+def test_light_that_falls_off_otherwise_is_said(loss, power, std, rng, recwarn):
     table, ground, _ = block(rng, noise=0.002)
     control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 0.002})
-    r2 = table["radius"] ** 2
-    other = table["radiance"] / (1 - 0.1 * r2) * (1 - 0.2 * r2**2)
+    adjust_block(table, control=control, radial=(0.1, std))
+    assert not recwarn
+    other = (1 - loss * table["radius"] ** power) / (1 - 0.1 * table["radius"] ** 2)
     with pytest.warns(UserWarning, match="falls off to the corners otherwise"):
-        adjust_block(table.assign(radiance=other), control=control, radial=(0.1, np.inf))
+        adjust_block(
+            table.assign(radiance=other * table["radiance"]), control=control, radial=(0.1, std)
+        )
 
 
 def test_shadowed_observations_do_not_move_the_gains(rng):
