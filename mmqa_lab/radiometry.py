@@ -1002,11 +1002,11 @@ def _warn(block, estimate, value, std, misfit):
     of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate
     limit = CONTRADICTION * np.hypot(std, spread * estimate)
     doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
-    odd = (np.abs(share) > SHADOW * spread).mean()
-    # means of rings of one area, in their standard errors, without the odd observations
-    kept = np.abs(share) < 3 * spread
-    ring = np.minimum(RINGS * block.radius2[kept], RINGS - 1).astype(int)
-    rings = pd.Series(share[kept]).groupby(ring)
+    counts = np.abs(share) <= SHADOW * spread
+    odd = 1 - counts.mean()
+    # means of rings of one area, in their standard errors
+    ring = np.minimum(RINGS * block.radius2[counts], RINGS - 1).astype(int)
+    rings = pd.Series(share[counts]).groupby(ring)
     uneven = rings.mean().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
     doubts = {
         f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
