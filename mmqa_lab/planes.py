@@ -21,7 +21,6 @@ from itertools import product
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
@@ -387,6 +386,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     >>> fit_circle(arc).centre.round(6).tolist(), round(fit_circle(arc, diameter=0.2).radius, 6)
     ([5.0, 5.0], 0.1)
     """
+    from scipy.optimize import least_squares  # slow to import, and planes do not need it
+
     points = check_points(points, columns=2, minimum=3)
     origin = np.median(points, axis=0)
     xy = points - origin

@@ -49,7 +49,7 @@ SECTOR_STEPS = 15
 AT_ONCE = 1_000_000
 """Neighbours that are searched together: bounds the memory."""
 
-FEW = 10_000
+FEW = 30_000
 """Points that are searched by scipy, in all, before numba is imported: that takes as long."""
 
 CHANCE = 3.2
@@ -611,7 +611,8 @@ def _nearest_per_quadrant(xy, radius, of):
 
         return nearest_per_quadrant(xy, radius, of)
     _searched.append(len(xy))
-    found = _sector_distances(xy, radius, 0.0, 4)
+    places, place = np.unique(xy, axis=0, return_inverse=True)
+    found = _sector_distances(places, radius, 0.0, 4)[place]
     found[~of] = np.nan
     return found
 
