@@ -128,13 +128,13 @@ def as_json(frame):
 
 def as_text(frame):
     """A table as text of at most 100 columns, its remarks below it, each sentence once."""
-
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
     below = _sentences(frame, "remarks")
-    frame = (
-        frame.drop(columns="remarks", errors="ignore").replace("", None).dropna(axis=1, how="all")
-    )
+    frame = frame.drop(columns="remarks", errors="ignore").replace("", None)
+    if "missing" in frame and not frame["missing"].any():
+        frame = frame.drop(columns="missing")
+    frame = frame.dropna(axis=1, how="all")
     for name in frame.columns[1:]:
         if frame[name].astype(str).str.len().max() > WIDTH / 2:
             below = [*_sentences(frame, name), *below]
