@@ -145,12 +145,11 @@ def one_target(field):
 
 def equation_4(field):
     """Equation 4 with the calibrated sensor and the state of the air."""
-    air = field.air
+    air, mean = field.air, {"surroundings": SURROUNDINGS}
     light = field.sensor.radiance(field.surfaces["mean_dn"], exposure=field.exposure)
-    choices = {"transmittance": air.direct, "spherical_albedo": air.spherical_albedo}
-    choices |= {"path_radiance": air.radiance(0.0, surroundings=SURROUNDINGS)}
-    choices |= {"surroundings": SURROUNDINGS}
-    return radiometry.reflectance_factor(light, air.irradiance, **choices)
+    known = {"path_radiance": air.radiance(0.0, **mean), "transmittance": air.direct, **mean}
+    known["spherical_albedo"] = air.spherical_albedo
+    return radiometry.reflectance_factor(light, air.irradiance, **known)
 
 
 def dark_pixel(field):
@@ -158,9 +157,8 @@ def dark_pixel(field):
     air = field.standard_air
     dn = field.surfaces["mean_dn"], field.darkest_dn
     light, dark = (field.sensor.radiance(value, exposure=field.exposure) for value in dn)
-    path = dark - 0.01 * air.irradiance * air.direct / np.pi
-    choices = {"path_radiance": path, "transmittance": air.direct}
-    return radiometry.reflectance_factor(light, air.irradiance, **choices)
+    known = {"path_radiance": dark - 0.01 * air.irradiance * air.direct / np.pi}
+    return radiometry.reflectance_factor(light, air.irradiance, transmittance=air.direct, **known)
 
 
 METHODS = {
@@ -199,8 +197,8 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
     12
     """
     cases = grid(air=airs, band=tuple(BANDS), reference_std=reference_stds)
-    choices = {"seeds": seeds, "figures": ("uniform_percent",)}
-    return Comparison(cases, dict(methods or METHODS), field, class_errors, **choices)
+    shown = {"figures": ("uniform_percent",)}
+    return Comparison(cases, dict(methods or METHODS), field, class_errors, seeds, **shown)
 
 
 EXACT = "Targets are simulated; clean air is known to the method exactly: a lower bound."
@@ -240,7 +238,8 @@ def ledger_table(sensors, stable, reflectance, laboratory):
         table = f"{name}_results"
         rows.append((SOURCE, table, cell, value, min(*ends, value), max(*ends, value), kind, note))
 
-    ends = sensors["r_squared"].quantile([0.025, 0.975])
+    middle = [0.025, 0.975]
+    ends = sensors["r_squared"].quantile(middle)
     note = "A simulated linear sensor without error of the reference."
     for site in ("sjokulla", "banyoles"):
         add("calibration", f"dmc_r2_{site}", ends.iloc[0], ends, note)
@@ -249,8 +248,8 @@ def ledger_table(sensors, stable, reflectance, laboratory):
     add("calibration", "dmc_intercept", offset, (offset - 2 * std, offset + 2 * std), note)
     note = "One error of recorded exposures, fitted to the range for the same aperture in R, G, B."
     for band, change in product(("rgb", "nir"), ("same_aperture", "other_aperture", "other_day")):
-        cell, ends = f"stability_{band}_{change}", stable.quantile([0.025, 0.975])
-        add("calibration", cell, stable.mean(), ends, note, "fitted")
+        cell = f"stability_{band}_{change}"
+        add("calibration", cell, stable.mean(), stable.quantile(middle), note, "fitted")
     for cell, (method, target_class, note) in COMPARABLE.items():
         errors = reflectance[reflectance["method"] == method][f"{target_class}_percent"]
         rmse = np.sqrt((errors**2).mean())

@@ -23,15 +23,13 @@ LOW, HIGH = 0.1, 0.6
 
 LENSES = ("gaussian", "disc", "diffraction")
 
+# Those tools were given the codes of the files, not light: so are ours.
 REAL_EDGES = {
     "slanted edge": ("images/slanted_edge.tif", (slice(None), slice(None)), 0.285),
     "ISO chart, left": ("images/iso_chart_mono.jpg", (slice(478, 652), slice(380, 490)), 0.34),
     "ISO chart, top": ("images/iso_chart_mono.jpg", (slice(353, 440), slice(478, 761)), 0.28),
 }
-"""File, rows and columns of an edge, and MTF50 (cycles per pixel) by other tools.
-
-Those tools were given the codes of the files, not light: so are ours.
-"""
+"""File, rows and columns of an edge, and MTF50 (cycles per pixel) by other tools."""
 
 
 def noisy(image, noise, rng):
@@ -144,12 +142,13 @@ def bench(methods=None, mtf50s=(0.1, 0.15, 0.2, 0.3, 0.4), noises=(0.01, 0.03), 
     >>> len(bench().cases)
     30
     """
+
+    def tables(results):
+        return {"errors": errors_by_lens(cell_table(results)).reset_index()}
+
     cases = grid(lens=LENSES, mtf50=mtf50s, noise=noises)
-    choices = {"seeds": seeds, "figures": ("mtf50_error_percent",)}
-    choices["tables"] = lambda results: {
-        "errors": errors_by_lens(cell_table(results)).reset_index()
-    }
-    return Comparison(cases, dict(methods or METHODS), edge_patch, edge_errors, **choices)
+    shown = {"tables": tables, "figures": ("mtf50_error_percent",)}
+    return Comparison(cases, dict(methods or METHODS), edge_patch, edge_errors, seeds, **shown)
 
 
 def ledger_table(corner):
@@ -165,11 +164,10 @@ def ledger_table(corner):
     DataFrame
         As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
     """
+    rows = pd.DataFrame({"cell": ["corner_factor", "theoretical_resolution"]})
+    rows["value"] = [corner.value, 1000 / 12.0]
+    rows["low"] = [corner.low, 1000 / 12.5]
+    rows["high"] = [corner.high, 1000 / 11.5]
     bars = "Bars 3 to 12 cm wide at 5 cm per pixel, as printed; a blur of 0.5 px is assumed."
-    pixel = "One line on each pixel of 12 um prints as 83; the interval is that of 12, rounded."
-    values = [
-        ("corner_factor", corner.value, corner.low, corner.high, bars),
-        ("theoretical_resolution", 1000 / 12.0, 1000 / 12.5, 1000 / 11.5, pixel),
-    ]
-    rows = pd.DataFrame(values, columns=["cell", "value", "low", "high", "note"])
+    rows["note"] = bars, "One line on each pixel of 12 um; the interval is that of 12, rounded."
     return ledger.entries(rows, source=SOURCE, table="resolution_results", kind="predicted")

@@ -13,6 +13,7 @@ from mmqa_lab.scan_pattern import Patch, ScanSetup, Target, measure_pattern, mim
 
 SOURCE = "cahalane2014"
 
+# The mirror frequency is not printed; 0.100 m in row 2 of Table 3 needs 100 Hz.
 SETUP = ScanSetup(
     pulse_rate_hz=36_000 / number(SOURCE, "cad_point_step")["value"],
     mirror_frequency_hz=100.0,
@@ -20,16 +21,10 @@ SETUP = ScanSetup(
     scanner_heading_deg=45.0,
     scanner_tilt_deg=45.0,
 )
-"""The scanner of the constructed models: 45/45 degrees and 10 m/s (4.1.1), 0.12 degrees (4.2.1).
+"""The scanner of the constructed models: 45/45 degrees and 10 m/s (4.1.1), 0.12 degrees (4.2.1)."""
 
-The mirror frequency is not printed; 0.100 m in row 2 of Table 3 needs 100 Hz."""
-
-RATES = (
-    {"pulse_rate_hz": 300e3, "mirror_frequency_hz": 100.0},
-    {"pulse_rate_hz": 125e3, "mirror_frequency_hz": 100.0},
-    {"pulse_rate_hz": 500e3, "mirror_frequency_hz": 200.0},
-)
-"""Of the XP1 and of two settings of the Lynx M1 (section 4.2.2)."""
+RATES_HZ = ((300e3, 100.0), (125e3, 100.0), (500e3, 200.0))
+"""Pulses and revolutions a second of the XP1 and of two settings of the Lynx M1 (section 4.2.2)."""
 
 FIGURES = ("horizontal_mm", "vertical_mm", "point_mm", "angle_deg")
 
@@ -47,10 +42,10 @@ class Scan:
 def cad_walls(ranges_m, *, height_m=-1.5):
     """Return the 14 walls of Tables 3 and 4 at some ranges as cases of the bench."""
     walls = pd.concat([table(SOURCE, name).assign(table=name) for name in ("table_3", "table_4")])
-    names = {"alpha_targ_deg": "heading_deg", "beta_targ_deg": "tilt_deg"}
-    walls = walls.rename(columns=names)[["table", "no", *names.values()]]
-    walls = walls.assign(**vars(SETUP), height_difference_m=height_m)
-    return walls.merge(pd.DataFrame({"range_m": list(ranges_m)}), how="cross")
+    walls = walls.rename(columns={"alpha_targ_deg": "heading_deg", "beta_targ_deg": "tilt_deg"})
+    walls = walls[["table", "no", "heading_deg", "tilt_deg"]].assign(**vars(SETUP))
+    walls["height_difference_m"] = height_m
+    return walls.merge(pd.DataFrame({"range_m": ranges_m}), how="cross")
 
 
 def surfaces(n, *, seed=1):
@@ -69,7 +64,8 @@ def surfaces(n, *, seed=1):
     rows = []
     while len(rows) < n:
         range_m, heading, tilt = rng.uniform(low, high)
-        case = {"table": "surfaces", "no": len(rows) + 1, **RATES[len(rows) % 3]}
+        pulses, turns = RATES_HZ[len(rows) % 3]
+        case = {"no": len(rows) + 1, "pulse_rate_hz": pulses, "mirror_frequency_hz": turns}
         case |= {"heading_deg": heading, "tilt_deg": tilt, "range_m": range_m, "speed_m_s": 1.0}
         case |= {"scanner_heading_deg": float(np.copysign(45, heading)), "scanner_tilt_deg": 45.0}
         case |= {"height_difference_m": rng.uniform(-2, 2)}
@@ -324,34 +320,32 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
 
     printed = table(SOURCE, "table_2").set_index("result")
     for profile in (1, 2):
-        both = printed.loc[["Measured (Average)", "MIMIC"], f"profile_{profile}_m"]
+        by_tape, by_mimic = printed.loc[["Measured (Average)", "MIMIC"], f"profile_{profile}_m"]
         note = "The difference of the two values above it."
-        say("table_2", f"Error profile {profile}", abs(both.diff().iloc[-1]), "predicted", note)
+        say("table_2", f"Error profile {profile}", abs(by_mimic - by_tape), "predicted", note)
     for row in table_3.itertuples():
-        kind, note = "fitted" if row.no == 2 else "predicted", "Equations 2 and 3 at 100 Hz."
-        say("table_3", f"wall {row.no} mimic", row.predicted_m, kind, note)
+        kind, error = "fitted" if row.no == 2 else "predicted", row.ray_cast_m - row.predicted_m
+        say("table_3", f"wall {row.no} mimic", row.predicted_m, kind, "Equations 2, 3 at 100 Hz.")
         say("table_3", f"wall {row.no} cad", row.ray_cast_m, "measured", CAST)
-        error = abs(row.ray_cast_m - row.predicted_m)
-        say("table_3", f"wall {row.no} error", error, "measured", CAST)
+        say("table_3", f"wall {row.no} error", abs(error), "measured", CAST)
     for note, reading in readings.items():
         for row in reading.dropna(subset="fitted_mm").itertuples():
             for what in ("mimic", "cad"):
                 say("table_4", f"wall {row.no} {what}", row.fitted_mm / 1000, "fitted", note)
-    for place, error in enumerate(standing["point_mm"].abs().iloc[-9:] / 1000, start=1):
+    standing = standing.abs() / 1000
+    for place, error in enumerate(standing["point_mm"].iloc[-9:], start=1):
         say("table_4", f"wall {place} error", error, "measured", CAST)
     by_click = field.sel({"method": "clicked"})
-    clicks = np.abs(by_click[list(FIGURES[:3])] - field.sel({"method": EQUATIONS[1]})) / 1000
+    clicks = np.abs(by_click[list(FIGURES[:3])] - field.sel({"method": EQUATIONS[1]}))
     for output, name in zip(("d_PrSH", "d_PrSV", "d_PS"), FIGURES, strict=False):
         for way in ("min", "mean", "max"):
-            error = getattr(standing[name].abs() / 1000, way)()
-            say("table_5", f"Constructed {output} {way}", error, "measured", CAST)
-            errors = getattr(clicks[name], way)("case").values
+            errors = getattr(clicks[name] / 1000, way)("case").values
+            say("table_5", f"Constructed {output} {way}", standing[name].agg(way), "measured", CAST)
             say("table_5", f"Real World {output} {way}", errors, "measured", CLICKS)
     for row in table_6.dropna(subset="change_fitted").itertuples():
         say("table_6", f"{row.output} {row.name}", abs(row.change_fitted), "fitted", row.note)
         say("table_6", f"{row.output} error", row.error_fitted, "fitted", row.note)
-    lines, points = 1000 * clicks["horizontal_mm"], 1000 * clicks["point_mm"]
-    farthest = field["range_m"][points.fillna(-1).argmax("case")]
+    lines, points = clicks["horizontal_mm"], clicks["point_mm"]
     for cell, found in {
         "profile_cases_above_1mm": 15 * (lines >= 1).mean("case"),
         "profile_error_majority": lines.median("case"),
@@ -361,7 +355,7 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
         "point_sigma_max": by_click["std_point_mm"].max("case"),
         "point_sigma_majority": by_click["std_point_mm"].median("case"),
         "point_error_max": points.max("case"),
-        "point_error_max_range": farthest,
+        "point_error_max_range": field["range_m"][points.fillna(-1).argmax("case")],
         "point_mean_error_max": points.mean("case") / 1000,
         "largest_error": np.maximum(lines.max("case"), points.max("case")),
         "largest_mean_error": np.maximum(lines.mean("case"), points.mean("case")),

@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from mmqa_lab import io, poles, samples, stats
-from mmqa_lab.bench import Comparison, grid
+from mmqa_lab.bench import Comparison, cell_table
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
@@ -101,40 +101,34 @@ def counts(found, truth):
     numbers = {}
     for corridor in CORRIDORS_M:
         result = poles.score(found, truth["targets"], corridor=corridor, trajectory=truth["path"])
-        end = f"{corridor:g}"
+        end, targets = f"{corridor:g}", result.targets[result.targets["target"]]
         numbers |= {f"hits_{end}": result.recall.k, f"targets_{end}": result.recall.n}
         numbers[f"finds_{end}"] = result.precision.n
         for kind in CLASSES:
-            own = result.targets[result.targets["target"] & (result.targets["class"] == kind)]
-            numbers |= {f"{kind}_hits_{end}": own["found"].sum()}
-            numbers |= {f"{kind}_targets_{end}": len(own)}
+            own = targets.loc[targets["class"] == kind, "found"]
+            numbers |= {f"{kind}_hits_{end}": own.sum(), f"{kind}_targets_{end}": len(own)}
     return numbers
 
 
-def rates(results, by=()):
+def rates(results):
     """Return recall, precision and F1 of each method, all streets together.
 
     Parameters
     ----------
     results : xarray.Dataset
         Of :func:`bench`.
-    by : str or sequence of str
-        Parameters of the cases that get rows of their own.
 
     Returns
     -------
     DataFrame
-        ``method``, the parameters, ``quantity`` (recall, precision, f1), ``corridor_m``, ``class``,
-        ``k``, ``n``, ``value``, ``low``, ``high`` (Wilson; F1: bootstrap over streets, NaN for
-        one).
+        ``method``, ``quantity`` (recall, precision, f1), ``corridor_m``, ``class``, ``k``, ``n``,
+        ``value``, ``low``, ``high`` (Wilson; F1: bootstrap over streets, NaN for one).
     """
-    keys = ["method", *([by] if isinstance(by, str) else by)]
-    cells = results.drop_vars("failure").to_dataframe().reset_index()
     rows = []
-    for key, part in cells.groupby(keys, sort=False):
+    for method, streets_of in cell_table(results).groupby("method", sort=False):
         for corridor in CORRIDORS_M:
-            first = dict(zip(keys, key, strict=True)) | {"corridor_m": corridor}
-            rows += [first | row for row in _pooled(part, f"{corridor:g}")]
+            first = {"method": method, "corridor_m": corridor}
+            rows += [first | row for row in _pooled(streets_of, f"{corridor:g}")]
     return pd.DataFrame(rows)
 
 
@@ -142,17 +136,20 @@ def _pooled(cells, end):
     """Rates of several streets together."""
     cells = cells.dropna(subset=[f"hits_{end}"])
     total = cells.sum(numeric_only=True).astype(int)
-    hits = total[f"hits_{end}"]
-    for quantity, n in {"recall": "targets", "precision": "finds"}.items():
-        yield {"quantity": quantity, "class": "all"} | vars(stats.wilson(hits, total[f"{n}_{end}"]))
+
+    def rate(quantity, kind, hits, of):
+        found = stats.wilson(total[f"{hits}_{end}"], total[f"{of}_{end}"])
+        return {"quantity": quantity, "class": kind} | vars(found)
+
+    yield rate("recall", "all", "hits", "targets")
+    yield rate("precision", "all", "hits", "finds")
     own = cells[[f"{name}_{end}" for name in ("hits", "targets", "finds")]].to_numpy()
     spread = stats.bootstrap(f1, own, repeats=500) if len(own) > 1 else None
     low, high = (spread.low, spread.high) if spread else (np.nan, np.nan)
-    counted = {"k": hits, "n": total[f"targets_{end}"], "value": f1(own), "low": low, "high": high}
-    yield {"quantity": "f1", "class": "all"} | counted
+    whole = rate("f1", "all", "hits", "targets")
+    yield whole | {"value": f1(own), "low": low, "high": high}
     for kind in CLASSES:
-        rate = stats.wilson(total[f"{kind}_hits_{end}"], total[f"{kind}_targets_{end}"])
-        yield {"quantity": "recall", "class": kind} | vars(rate)
+        yield rate("recall", kind, f"{kind}_hits", f"{kind}_targets")
 
 
 def f1(counted):
@@ -171,21 +168,14 @@ def bench(*, methods=None, seeds=SEEDS, **conditions):
     seeds : iterable of int
         One street each.
     **conditions
-        Values of the conditions of :func:`scene`.
+        The conditions of :func:`scene`, one value each.
 
     Returns
     -------
     Comparison
     """
-    by = [name for name, value in conditions.items() if isinstance(value, (list, tuple))]
-    return Comparison(
-        grid(**conditions) if conditions else [{}],
-        dict(methods or METHODS),
-        scene,
-        counts,
-        seeds,
-        tables=lambda results: {"rates": rates(results, by=by)},
-    )
+    methods, tables = dict(methods or METHODS), lambda results: {"rates": rates(results)}
+    return Comparison([conditions], methods, scene, counts, seeds, tables=tables)
 
 
 def beside_published(one_way, both_ways):
@@ -204,17 +194,20 @@ def beside_published(one_way, both_ways):
         ``published`` with the Wilson interval of its counts and where ``n`` comes from,
         ``measured`` with its interval.
     """
-    columns = ["method", "quantity", "corridor_m", "class"]
-    printed = ledger.cells().query("source == 'eurosdr2013_mls'").set_index("cell")
-    rows = []
-    for *key, cell, k, n, source in PRINTED:
-        mine = {"fgi": one_way, "itc": both_ways}[key[0]].set_index(columns).loc[tuple(key)]
-        rate, place = stats.wilson(k, n), printed.loc[cell]
-        row = dict(zip(columns, key, strict=True)) | {"table": place["table"], "cell": cell}
-        row |= {"published": place["value"] / 100, "published_low": rate.low}
-        row |= {"published_high": rate.high, "published_n": source, "measured": mine["value"]}
-        rows.append(row | {"measured_low": mine["low"], "measured_high": mine["high"]})
-    return pd.DataFrame(rows)
+    keys = ["method", "quantity", "corridor_m", "class"]
+    rows = pd.DataFrame(PRINTED, columns=[*keys, "cell", "k", "n", "published_n"])
+    printed = [stats.wilson(k, n) for k, n in zip(rows["k"], rows["n"], strict=True)]
+    rows["published_low"] = [rate.low for rate in printed]
+    rows["published_high"] = [rate.high for rate in printed]
+    cells = ledger.cells().query("source == 'eurosdr2013_mls'")[["table", "cell", "value"]]
+    rows = rows.merge(cells, on="cell")
+    rows["published"] = rows["value"] / 100
+    ours = pd.concat([one_way.query("method == 'fgi'"), both_ways.query("method == 'itc'")])
+    names = {"value": "measured", "low": "measured_low", "high": "measured_high"}
+    shown = [*keys, "table", "cell", "published", "published_low", "published_high", "published_n"]
+    shown += ["measured", "measured_low", "measured_high"]
+    ours = ours.drop(columns=["k", "n"]).rename(columns=names)
+    return rows.merge(ours, on=keys)[shown]
 
 
 def ledger_table(beside, *, visible, diameters, walls, crowded):
@@ -236,26 +229,30 @@ def ledger_table(beside, *, visible, diameters, walls, crowded):
     """
     chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
     other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
+    plain = "Simulated walls are planes without plants, furniture or goods before them."
+    perfect = "Simulated posts are perfect cylinders and their reference has no error."
     rows = []
+
+    def say(table, cell, values, kind, note):
+        rows.append((table, cell, *values, kind, note))
+
     for row in beside.to_dict("records"):
         kind, note = ("fitted", chosen) if row["method"] == "fgi" else ("measured", other)
-        numbers = [100 * row[f"measured{end}"] for end in ("", "_low", "_high")]
-        rows.append((row["table"], row["cell"], *numbers, kind, note))
-    plain = "Simulated walls are planes without plants, furniture or goods before them."
+        values = [100 * row[f"measured{end}"] for end in ("", "_low", "_high")]
+        say(row["table"], row["cell"], values, kind, note)
     for cell, rate, kind, note in (
         ("visible_share", visible, "fitted", chosen),
         ("facade_points_correct", walls, "measured", plain),
         ("missed_points_around", crowded, "measured", other),
     ):
-        numbers = [100 * value for value in (rate.value, rate.low, rate.high)]
-        rows.append(("poles_text", cell, *numbers, kind, note))
-    perfect = "Simulated posts are perfect cylinders and their reference has no error."
+        percent = [100 * value for value in (rate.value, rate.low, rate.high)]
+        say("poles_text", cell, percent, kind, note)
     half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1))
     for cell, value, wide in (
         ("diameter_rmse", diameters.rmse / 10, half / 10 / np.sqrt(2)),
         ("diameter_bias", diameters.bias, half),
     ):
-        rows.append(("poles_text", cell, value, value - wide, value + wide, "measured", perfect))
+        say("poles_text", cell, (value, value - wide, value + wide), "measured", perfect)
     table = pd.DataFrame(rows, columns=ledger.COLUMNS[1:])
     return ledger.entries(table, source="eurosdr2013_mls")
 
@@ -301,10 +298,8 @@ def crowded(result, cloud):
 
 # Oakland part 2: real streets with labels, without time, trajectory and scan lines
 
-OAKLAND = tuple(
-    f"oakland/part2_{part}.laz"
-    for part in ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
-)
+PARTS = ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
+OAKLAND = tuple(f"oakland/part2_{part}.laz" for part in PARTS)
 
 ASKED = (1103, 1107, 1110, 1111, 1116, 1119, 1302, 1303)
 """Utility pole, lamp support, post, sign, traffic light support, parking meter, trunks."""

@@ -36,8 +36,8 @@ STANDS_FOR = {
 report prints no amounts, so one system stands for both."""
 
 NOTES = {
-    "predicted": "From printed specifications and the navigation units' sheets, with a reference "
-    "of 11 mm in height and 2 cm in plan; errors of navigation change over an assumed minute.",
+    "predicted": "From specifications and data sheets; a survey of 11 mm and 2 cm; an assumed "
+    "minute in which errors of navigation change.",
     "fitted": "Roll of the mounting fitted to the std of heights of ROAMER I CCW alone.",
 }
 
@@ -53,9 +53,9 @@ GOOD_NAVIGATION = NavigationErrors(
 )
 """Assumed of post-processed positioning with good satellites, for the bench."""
 
+# 3283 points at 0.3 per square metre on 350 m of road (section 3.1.2.3), about the road's axis.
 STRIP_M, STEP_M = 31.3, 4.0
-"""Width of the report's reference on the ground, on average (computed: 3283 points at 0.3 per
-square metre on 350 m of road, section 3.1.2.3), about the road's axis; distance of its points."""
+"""Mean width of the report's reference on the ground; distance of its points here."""
 
 TARGETS_M = 45.0
 """Targets in plan up to this far from the path are measured."""
@@ -80,10 +80,10 @@ def places(street, tested):
     ground = street.origin + np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
     feet = street.targets[["x_m", "y_m", "z_m"]].to_numpy()
     poles = feet[street.targets["kind"] == "pole"]
+    aims = {"ground": ground, "targets": np.vstack([feet + [0, 0, 1], poles + [0, 0, 5]])}
     found, head = {"ground": {}, "targets": {}}, tested.heads[0]
     low, high = head.field_of_view_deg
     for direction, path in zip(DIRECTIONS, street.drives(), strict=True):
-        aims = {"ground": ground, "targets": np.vstack([feet + [0, 0, 1], poles + [0, 0, 5]])}
         for kind, points in aims.items():
             offset = (points - path.origin) @ path.at(path.time[:1])[1][0]
             angle = head.angles(((offset - head.lever_arm_m) * [1, 0, 1]) @ head.mounting)[0]
@@ -131,19 +131,19 @@ def predicted(street, tested, *, ground, targets, draws, seed):
             plan = _carried(known, *at_targets)[:, :2]
             plan = plan + rng.normal(0, street.plan_std_m, plan.shape)
             away = 1000 * np.hypot(*(plan - plan.mean(axis=0)).T)
-            figures = away.mean(), away.std(ddof=1), np.sqrt(np.mean(away**2))
-            rows.append((direction, 1000 * dz.std(ddof=1), *figures))
-    names = ["direction", "height_std_mm", "plan_mean_mm", "plan_std_mm", "plan_rmse_mm"]
-    return pd.DataFrame(rows, columns=names)
+            row = {"direction": direction, "height_std_mm": 1000 * dz.std(ddof=1)}
+            row |= {"plan_mean_mm": away.mean(), "plan_std_mm": away.std(ddof=1)}
+            rows.append(row | {"plan_rmse_mm": np.sqrt(np.mean(away**2))})
+    return pd.DataFrame(rows)
 
 
 def _looked_at(path, tested, places):
     """Places with their times and beams in the assumed frame; the sine of the beams' fall."""
     head = tested.heads[0]
-    normal = getattr(head, "plane_normal", np.array([0.0, 1.0, 0.0]))
     start, rotation = (value[0] for value in path.at(path.time[:1]))
     speed = np.linalg.norm(np.diff(path.position[[0, -1]], axis=0)) / path.duration_s
-    ahead = ((places - start) @ rotation - head.lever_arm_m) @ normal / normal[1]
+    normal = head.plane_normal / head.plane_normal[1]
+    ahead = ((places - start) @ rotation - head.lever_arm_m) @ normal
     time = path.time[0] + np.clip(ahead / speed, 0, path.duration_s)
     place, rotation = path.at(time)
     beam = np.einsum("nij,ni->nj", rotation, places - place) - head.lever_arm_m
@@ -168,23 +168,22 @@ def prediction_table(predictions):
     return table.set_axis(["low_mm", "predicted_mm", "high_mm"], axis=1).reset_index()
 
 
-def rolled(tested, roll_deg, name=None):
+def rolled(tested, roll_deg):
     """Return a system whose one head has a boresight error in roll."""
     head = replace(tested.heads[0], boresight_deg=(float(roll_deg), 0.0, 0.0))
-    return replace(tested, heads=(head,), name=name or tested.name)
+    return replace(tested, heads=(head,))
 
 
 def fitted_system(street, *, ground, targets, draws, seed):
     """Return ROAMER with the roll that gives the std of heights of ROAMER I CCW in Table 3-3."""
-    rows = published_rows()
-    printed = rows[(rows["cell"] == "ROAMER I CCW std") & (rows["figure"] == "height_std")]
+    printed = published_rows().set_index(["figure", "cell"])["published_mm"]
     known = {"ground": {"there": ground["there"]}, "targets": targets, "draws": draws, "seed": seed}
 
     def miss(roll):
         drawn = predicted(street, rolled(system("roamer"), roll), **known)
-        return drawn["height_std_mm"].median() - printed["published_mm"].item()
+        return drawn["height_std_mm"].median() - printed["height_std", "ROAMER I CCW std"]
 
-    return rolled(system("roamer"), brentq(miss, 0.0, 1.0, xtol=1e-4), name="ROAMER I")
+    return rolled(system("roamer"), brentq(miss, 0.0, 1.0, xtol=1e-4))
 
 
 def published_rows():
@@ -196,30 +195,26 @@ def published_rows():
         ``system`` (with its calibration), ``direction`` (there, back), ``figure`` as in
         :func:`prediction_table`, ``published_mm``, ``table`` and ``cell`` of the ledger.
     """
-    parts = []
-    names = {"table_3_3": {"std": "height_std"}}
-    names["table_3_4"] = {figure: f"plan_{figure}" for figure in ("mean", "std", "rmse")}
-    back = {printed: ours for ours, printed in DIRECTIONS.items()}
-    for name, figures in names.items():
+    parts, ours = [], {printed: name for name, printed in DIRECTIONS.items()}
+    for figure in ("height_std", "plan_mean", "plan_std", "plan_rmse"):
+        name, printed = f"table_3_{3 + figure.startswith('plan')}", figure.split("_")[1]
         table = published.table(SOURCE, name)
         tested = (table["system"] + " " + table["calibration"]).str.strip()
-        for printed, figure in figures.items():
-            cell = tested + " " + table["direction"] + " " + printed
-            rows = {"system": tested, "direction": table["direction"].map(back), "figure": figure}
-            rows |= {"published_mm": 10 * table[f"{printed}_cm"], "table": name, "cell": cell}
-            parts.append(pd.DataFrame(rows))
+        rows = {"system": tested, "direction": table["direction"].map(ours), "figure": figure}
+        rows |= {"published_mm": 10 * table[f"{printed}_cm"], "table": name}
+        rows["cell"] = tested + " " + table["direction"] + " " + printed
+        parts.append(pd.DataFrame(rows))
     return pd.concat(parts, ignore_index=True)
 
 
-def against_published(predictions, measured_mm=None):
+def against_published(*tables):
     """Return published beside predicted and measured figures, each direction for itself.
 
     Parameters
     ----------
-    predictions : DataFrame
-        From :func:`prediction_table`.
-    measured_mm : DataFrame, optional
-        ``system``, ``direction``, ``figure``, ``measured_mm`` of the simulated clouds.
+    *tables : DataFrame
+        From :func:`prediction_table`; and ``system``, ``direction``, ``figure``, ``measured_mm`` of
+        simulated clouds.
 
     Returns
     -------
@@ -232,10 +227,9 @@ def against_published(predictions, measured_mm=None):
     rows["simulated"] = rows["system"].map(STANDS_FOR)
     fitted = (rows["system"] == "ROAMER I") & (rows["figure"] == "height_std")
     rows["kind"] = np.where(fitted, "fitted", "predicted")
-    for table in (predictions, measured_mm):
-        if table is not None:
-            ours = table.rename(columns={"system": "simulated"})
-            rows = rows.merge(ours, how="left", on=["simulated", "direction", "figure"])
+    for table in tables:
+        ours = table.rename(columns={"system": "simulated"})
+        rows = rows.merge(ours, how="left", on=["simulated", "direction", "figure"])
     off = (rows["predicted_mm"] / rows["published_mm"] - 1).abs()
     return rows.assign(close=off <= TOLERANCE)
 
@@ -247,9 +241,8 @@ def columns(compared):
 
 def ledger_table(compared):
     """Return what the study says of each printed result, from :func:`against_published`."""
-    rows = compared.dropna(subset="predicted_mm").rename(columns={"predicted_mm": "value"})
-    rows = rows.rename(columns={"low_mm": "low", "high_mm": "high"})
-    rows[["value", "low", "high"]] /= 10
+    rows = compared.dropna(subset="predicted_mm").copy()
+    rows[["value", "low", "high"]] = rows[["predicted_mm", "low_mm", "high_mm"]] / 10
     return ledger.entries(rows, source=SOURCE, note=rows["kind"].map(NOTES))
 
 
@@ -311,7 +304,6 @@ def score(values, survey):
         ``angle_deg`` and ``arm_mm``, the largest errors; ``height_std_mm`` of both corrected drives
         together, ``pole_rmse_mm`` of the poles in each of them, and the number of ``poles``.
     """
-    values = np.asarray(values, dtype=np.float64)
     error = np.abs(values - survey.true_values)
     known = {"lever_arms_m": survey.lever_arms_m, "values": values}
     clouds = [corrected(cloud, path, **known).points for cloud, path in survey.drives]
