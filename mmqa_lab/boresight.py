@@ -93,8 +93,6 @@ class Calibration(Shown):
         In the order of the table, degrees and metres; from the scatter of what the features say
         (cluster-robust), so that planes that are not quite flat count in, and from the errors of
         the paths where they are stated.
-    planes, poles, control : int
-        What the points lie on.
     lever_arms_m : array, shape (h, 3)
         As assumed.
     remarks : str
@@ -103,9 +101,6 @@ class Calibration(Shown):
 
     table: pd.DataFrame
     covariance: np.ndarray
-    planes: int
-    poles: int
-    control: int
     lever_arms_m: np.ndarray
     remarks: str = ""
 
@@ -200,8 +195,8 @@ def calibrate(
         Patches used at most, shared out over directions of their normals.
     path_std_m, path_std_deg : float or array_like, shape (3,), optional
         Standard deviations of the paths, each error lasting a whole drive: east, north, height, m;
-        roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. Where neither is
-        given, the result says that its intervals do not contain them.
+        roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. What is not
+        given counts as 0, and the remarks say that the intervals do not contain it.
 
     Returns
     -------
@@ -291,7 +286,7 @@ class _Shots:
         for number, (cloud, path) in enumerate(drives):
             rows = np.sort(rng.permutation(len(cloud))[:SAMPLE])
             parts.append(cls.of(cloud[rows], path, lever, origin, number))
-        columns = ([getattr(part, one.name) for part in parts] for one in fields(cls))
+        columns = ([getattr(part, name.name) for part in parts] for name in fields(cls))
         return cls(*map(np.concatenate, columns))
 
     def select(self, which):
@@ -591,8 +586,10 @@ class _Adjustment:
 
 def _result(adjustment, values, lever, path_std_m, path_std_deg):
     """The result with its covariance and remarks."""
-    given = [0.0 if std is None else std for std in (path_std_m, path_std_deg)]
-    path_std = np.concatenate([np.broadcast_to(np.asarray(std, np.float64), 3) for std in given])
+    given = {"positions": path_std_m, "attitudes": path_std_deg}
+    missing = " and ".join(name for name, std in given.items() if std is None)
+    path_std = np.zeros(6)
+    path_std[:3], path_std[3:] = (0.0 if std is None else std for std in given.values())
     if not (path_std >= 0).all():
         raise ValueError(f"Invalid path_std {path_std_m}, {path_std_deg}. Must be >= 0.")
     covariance, students = adjustment.covariance(values, path_std / UNIT[::-1])
@@ -614,13 +611,11 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
     ways = ways.groupby(adjustment.kinds[0].shots.drive).mean().to_numpy()
     remarks = {
-        "The errors of the paths are not given: the intervals do not contain them.": (
-            path_std_m is None and path_std_deg is None
+        f"The errors of the paths' {missing} are not given: the intervals do not contain them.": (
+            missing != ""
         ),
         "All drives run in one direction: an error of the mounting and one of the path look alike "
         "there, so do not rely on these values.": (ways @ ways.T).min() > 0,
     }
-    counts = {type(kind): len(kind.starts) for kind in adjustment.kinds}
-    counts = [counts.get(kind, 0) for kind in (_OnPlanes, _OnPoles, _OnGround)]
-    said = " ".join(text for text, true in remarks.items() if true)
-    return Calibration(table, covariance, *counts, lever, said)
+    remark = " ".join(text for text, true in remarks.items() if true)
+    return Calibration(table, covariance, lever, remark)

@@ -23,7 +23,8 @@ def survey(street):
 
 @pytest.fixture(scope="module")
 def found(survey):
-    known = {"poles": survey.poles, "control": survey.control, "path_std_m": 0}
+    known = {"poles": survey.poles, "control": survey.control}
+    known |= {"path_std_m": 0, "path_std_deg": 0}
     return calibrate(survey.drives, lever_arms_m=survey.lever_arms_m, patches=200, **known)
 
 
@@ -38,7 +39,6 @@ def test_mounting_is_recovered(found, survey):
     assert off[:, 3:].max() < 0.005
     truth = pd.Series(survey.true_values.ravel())
     assert truth.between(found.table["low"], found.table["high"]).sum() >= 10  # of 12
-    assert found.planes > 100
     assert found.remarks == ""  # the paths are exact, as stated
 
 
@@ -98,7 +98,7 @@ def test_bad_surveys_are_refused_or_said(survey, street):
         calibrate(survey.drives, lever_arms_m=lever, control=[(0.0, 0.0, 0.0)])
     one_way = calibrate(survey.drives[:1], lever_arms_m=lever, keep=("x_m", "y_m"), **known)
     assert "All drives run in one direction" in one_way.remarks
-    assert "do not contain" in one_way.remarks
+    assert "positions and attitudes are not given" in one_way.remarks
 
 
 def test_drives_that_leave_a_parameter_open_are_refused(survey, street):
@@ -118,6 +118,7 @@ def test_stated_errors_of_paths_widen_the_lever_arms_alone(survey):
     known = {"poles": survey.poles, "control": survey.control, "patches": 60}
     known |= {"lever_arms_m": survey.lever_arms_m}
     exact, east = (calibrate(survey.drives, **known, path_std_m=(e, 0, 0)) for e in (0, 0.01))
+    assert "paths' attitudes are not given" in east.remarks
     std = east.table.set_index(["parameter", "head"])["std"]
     # east is x of one drive and -x of the other: their mean difference stays, root of 2 halves
     assert std["x_m"].to_numpy() == pytest.approx(0.01 / np.sqrt(2), rel=0.05)
