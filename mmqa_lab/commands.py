@@ -677,7 +677,7 @@ def chart(
 
     ending = check_choice(out.suffix.lower(), "ending", (".pdf", ".svg"))
     points = chart == "points"
-    layout = charts.point_chart(seed=seed) if points else charts.read_layout(chart)
+    layout = charts.point_chart(seed=seed) if points else charts.imaging_chart(chart)
     content = layout.to_pdf() if ending == ".pdf" else layout.to_svg()
     write_atomically(out, lambda path: path.write_bytes(content))
     size = {"width_mm": layout.width, "height_mm": layout.height}
@@ -726,7 +726,7 @@ def image(
         "camera": "panorama" if panorama else "plain",
         "gamma": "linear" if linear else "srgb",
     }
-    rows, layout = [], charts.read_layout(chart)
+    rows, layout = [], charts.imaging_chart(chart)
     for file in _progress(images, "image"):
         quality = chart_image.evaluate_file(file, layout, **choices)
         frame = quality.to_frame()

@@ -16,7 +16,7 @@ from mmqa_lab.charts import Bar, Layout, Text
 CHART = charts.imaging_chart()
 
 
-@pytest.mark.parametrize("layout", [CHART, charts.imaging_chart(revised=True)])
+@pytest.mark.parametrize("layout", [CHART, charts.imaging_chart("revised")])
 def test_nothing_overlaps_but_text_on_its_panel(layout):
     boxes = []
     for element in layout.elements:
@@ -213,7 +213,7 @@ def test_printed_bars_are_800_and_600_mm_long_and_the_lying_one_grey(printed):
 
 @pytest.mark.parametrize(
     "layout",
-    [charts.imaging_chart(revised=True), charts.point_chart(seed=2)],
+    [charts.imaging_chart("revised"), charts.point_chart(seed=2)],
     ids=["image", "points"],
 )
 def test_the_simulated_chart_is_the_printed_one(layout):
@@ -226,7 +226,7 @@ def test_the_simulated_chart_is_the_printed_one(layout):
 
 
 def test_the_revised_chart_is_the_one_that_the_authors_ask_for():
-    revised = charts.imaging_chart(revised=True)
+    revised = charts.imaging_chart("revised")
     widths = {
         d: [p.pair for p in revised.of_kind(charts.LinePairs) if p.direction == d] for d in "hv"
     }

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     *("Bar", "Layout", "LinePairs", "Marker", "Text"),
-    *("imaging_chart", "layout_of", "point_chart", "read_layout", "reflectance"),
+    *("imaging_chart", "layout_of", "point_chart", "reflectance"),
 ]
 __dir__ = __all__.copy
 
@@ -38,29 +38,17 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 POINTS_PER_MM = 72 / 25.4
 
-STYLE = {
-    "figure.constrained_layout.use": False,
-    "figure.autolayout": False,
-    "savefig.bbox": None,
-    "savefig.dpi": "figure",
-    "svg.hashsalt": "mmqa_lab",
-    "pdf.compression": 4,
-}
-"""A style that someone set must not change the size of the page."""
+SIDE_MM, CELLS, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
+"""Of the point chart: its side, the cells along it, its white border and its plain squares."""
+
+IMAGING = ("grey", "black", "revised")
+"""Imaging charts by the tone of their lying bar, and as the authors would have it today."""
+
+TEXTS, COUNTS = ("name", "direction", "text", "font", "dictionary"), ("repeats", "identifier")
+"""Fields of a table that are no lengths, tones or colours."""
 
 
-SIDE_MM = 1000.0
-
-CELLS, CELL_MM, BORDER_MM, SQUARE_MM = 100, 10.0, 50.0, 200.0
-"""Of the point chart: cells along a side and their size, its white border, its plain squares."""
-
-TONES = {"grey": GREY, "black": BLACK}
-
-NAMES = {"grey": {}, "black": {"horizontal_bar": "black"}, "revised": {"revised": True}}
-"""Imaging charts by their names."""
-
-
-class _Element:
+class _Rectangle:
     """What has a lower left corner, a width and a height."""
 
     def corners(self):
@@ -69,8 +57,27 @@ class _Element:
         return np.array([self.x, self.y]) + share * [float(self.width), float(self.height)]
 
 
+@dataclass(frozen=True)
+class _Element(_Rectangle):
+    """What is printed: a name, a lower left corner (mm), and the tone of what is around it."""
+
+    name: str
+    x: float
+    y: float
+    ground: float | tuple[float, float, float] = field(default=WHITE, kw_only=True)
+
+    def grid(self):
+        """Return the edges in x (m + 1) and y (n + 1), mm, and the tones (n, m) between them."""
+        rows, columns = self.tones.shape[:2]
+        x, y = np.linspace(0, self.width, columns + 1), np.linspace(0, self.height, rows + 1)
+        return self.x + x, self.y + y, self.tones
+
+
+@dataclass(frozen=True)
 class _Square(_Element):
     """What has one side for its width and height."""
+
+    size: float
 
     @property
     def width(self):
@@ -98,21 +105,17 @@ class Bar(_Element):
     --------
     >>> x, y, tones = Bar("a", 10, 10, 5, 30).grid()
     >>> x.tolist(), y.tolist(), tones.tolist()
-    ([10, 15], [10, 40], [[0.0]])
+    ([10.0, 15.0], [10.0, 40.0], [[0.0]])
     """
 
-    name: str
-    x: float
-    y: float
     width: float
     height: float
     tone: float | tuple[float, float, float] = BLACK
-    ground: float | tuple[float, float, float] = WHITE
 
-    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the edges in x (m + 1) and y (n + 1) and the tones (n, m) between them."""
-        x = np.array([self.x, self.x + self.width])
-        return x, np.array([self.y, self.y + self.height]), np.array([[self.tone]])
+    @property
+    def tones(self) -> np.ndarray:
+        """The tone, shape (1, 1)."""
+        return np.array([[self.tone]])
 
 
 @dataclass(frozen=True)
@@ -124,9 +127,8 @@ class LinePairs(_Element):
 
     Parameters
     ----------
-    name : str
-    x, y : float
-        Lower left corner, mm.
+    name, x, y, ground
+        As of :class:`Bar`.
     pair : float
         Width of a black and a white bar together, mm.
     direction : {"h", "v"}
@@ -134,8 +136,6 @@ class LinePairs(_Element):
         Pairs.
     length : float
         Of the bars, mm.
-    ground : float
-        Reflectance around them.
 
     Examples
     --------
@@ -144,14 +144,10 @@ class LinePairs(_Element):
     ([0.0, 2.0, 4.0, 6.0, 8.0], [[0.0, 1.0, 0.0, 1.0]])
     """
 
-    name: str
-    x: float
-    y: float
     pair: float
     direction: str
     repeats: int = 8
     length: float = 80.0
-    ground: float = WHITE
 
     @property
     def extent(self) -> float:
@@ -168,13 +164,11 @@ class LinePairs(_Element):
         """Size along y, mm."""
         return self.length if self.direction == "h" else self.extent
 
-    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the edges in x and y and the tones between them."""
-        steps = np.arange(2 * self.repeats + 1) * self.pair / 2
-        tones = np.tile([BLACK, WHITE], self.repeats)
-        if self.direction == "h":
-            return self.x + steps, np.array([self.y, self.y + self.length]), tones[None, :]
-        return np.array([self.x, self.x + self.length]), self.y + steps, tones[:, None]
+    @property
+    def tones(self) -> np.ndarray:
+        """Black and white by turns, a row or a column."""
+        tones = np.tile([BLACK, WHITE], (1, self.repeats))
+        return tones if self.direction == "h" else tones.T
 
 
 @dataclass(frozen=True)
@@ -183,17 +177,14 @@ class Marker(_Square):
 
     Parameters
     ----------
-    name : str
-    x, y : float
-        Lower left corner, mm.
+    name, x, y, ground
+        As of :class:`Bar`.
     size : float
         Side, mm.
     dictionary : str
         Name in OpenCV, such as ``"DICT_4X4_50"``.
     identifier : int
         Number in the dictionary.
-    ground : float
-        Reflectance around it.
 
     Raises
     ------
@@ -207,59 +198,51 @@ class Marker(_Square):
     ((6, 6), 0.0)
     """
 
-    name: str
-    x: float
-    y: float
-    size: float
     dictionary: str
     identifier: int
-    ground: float = WHITE
 
-    def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the edges in x and y and the tones between them."""
-        bits = _marker_bits(self.dictionary, self.identifier)
-        edges = np.linspace(0, self.size, len(bits) + 1)
-        return self.x + edges, self.y + edges, bits[::-1]
+    @property
+    def tones(self) -> np.ndarray:
+        """The modules, border included: 0 black, 1 white."""
+        import cv2
+
+        known = tuple(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
+        number = getattr(cv2.aruco, check_choice(self.dictionary, "dictionary", known))
+        book = cv2.aruco.getPredefinedDictionary(number)
+        if not 0 <= self.identifier < len(book.bytesList):
+            raise ValueError(
+                f"Invalid target {self.identifier} of {self.dictionary}. Must be below "
+                f"{len(book.bytesList)}."
+            )
+        side = book.markerSize + 2
+        return cv2.aruco.generateImageMarker(book, self.identifier, side)[::-1] / 255.0
 
 
 @dataclass(frozen=True)
 class Cells(_Square):
-    """A square of black and white cells, ``bits`` in hexadecimal, row by row from below.
+    """A square of equal cells.
 
     Parameters
     ----------
-    name : str
-    x, y : float
-        Lower left corner, mm.
+    name, x, y, ground
+        As of :class:`Bar`.
     size : float
         Side, mm.
-    count : int
-        Cells along a side.
-    bits : str
-        1 is white.
-    ground : float
-        Reflectance around it.
+    rows : tuple of tuple of float
+        Tones of the cells, row by row from below.
 
     Examples
     --------
-    >>> Cells("four", 0, 0, 100, 2, "90").grid()[2].tolist()
-    [[1.0, 0.0], [0.0, 1.0]]
+    >>> Cells("four", 0, 0, 100, ((1.0, 0.0), (0.0, 1.0))).grid()[0].tolist()
+    [0.0, 50.0, 100.0]
     """
 
-    name: str
-    x: float
-    y: float
-    size: float
-    count: int
-    bits: str
-    ground: float = WHITE
+    rows: tuple
 
-    def grid(self):
-        """Return the edges in x and y and the tones between them."""
-        packed = np.frombuffer(bytes.fromhex(self.bits), dtype=np.uint8)
-        tones = np.unpackbits(packed, count=self.count**2).reshape(self.count, self.count)
-        edges = np.linspace(0, self.size, self.count + 1)
-        return self.x + edges, self.y + edges, tones.astype(float)
+    @property
+    def tones(self) -> np.ndarray:
+        """Tones of the cells, shape (n, n)."""
+        return np.array(self.rows, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -268,14 +251,11 @@ class Text(_Element):
 
     Parameters
     ----------
-    name : str
-    x, y : float
-        Left end of the base line, mm.
+    name, x, y, tone, ground
+        As of :class:`Bar`; from the left end of the base line.
     text : str
     cap : float
         Height of the capitals, mm.
-    tone, ground : float or (float, float, float)
-        Reflectance of the letters and of what is around them.
     font : str
         Name of a TrueType file that matplotlib brings along, such as ``"DejaVuSerif"``.
     stretch : float
@@ -293,13 +273,9 @@ class Text(_Element):
     (20.0, 2.0)
     """
 
-    name: str
-    x: float
-    y: float
     text: str
     cap: float
     tone: float | tuple[float, float, float] = BLACK
-    ground: float | tuple[float, float, float] = WHITE
     font: str = "DejaVuSans"
     stretch: float = 1.0
 
@@ -322,14 +298,11 @@ class Text(_Element):
         return place.transform_path(_letters(self.text, self.font))
 
 
-POSITIVE = ("width", "height", "pair", "length", "size", "cap", "stretch", "repeats", "count")
-"""Fields that are above zero."""
-
-KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Cells, Text)}
+KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Text)}
 
 
 @dataclass(frozen=True)
-class Layout(_Element):
+class Layout(_Rectangle):
     """A chart: its size in mm and its elements, each with a name of its own.
 
     Parameters
@@ -395,24 +368,25 @@ class Layout(_Element):
 
     def _drawn(self, form, metadata):
         """The chart in a file format, at true size."""
-        import matplotlib as mpl
+        from matplotlib import style
         from matplotlib.figure import Figure
         from matplotlib.patches import PathPatch
         from matplotlib.transforms import Affine2D
 
         size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
-        page, place = Figure(figsize=size, frameon=False, dpi=72), Affine2D().scale(POINTS_PER_MM)
-        for element in self.elements:
-            for tone, outline in _shapes(element).items():
-                look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
-                page.add_artist(PathPatch(outline, transform=place, **look))
-        stream = BytesIO()
-        with mpl.rc_context(STYLE):
+        place, stream = Affine2D().scale(POINTS_PER_MM), BytesIO()
+        # a style that someone set must not change the size of the page
+        with style.context(["default", {"svg.hashsalt": "mmqa_lab"}]):
+            page = Figure(figsize=size, frameon=False, dpi=72)
+            for element in self.elements:
+                for tone, outline in _shapes(element).items():
+                    look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
+                    page.add_artist(PathPatch(outline, transform=place, **look))
             page.savefig(stream, format=form, metadata=metadata)
         return stream.getvalue()
 
 
-def imaging_chart(*, revised: bool = False, horizontal_bar: str | None = None) -> Layout:
+def imaging_chart(which: str = "grey") -> Layout:
     """Return the imaging chart, from the table of its elements (``imaging.csv``, ``revised.csv``).
 
     Two standing bars 800 mm long and a lying one 600 mm long give the pixel size, line pairs the
@@ -421,15 +395,18 @@ def imaging_chart(*, revised: bool = False, horizontal_bar: str | None = None) -
 
     Parameters
     ----------
-    revised : bool
-        As the authors advise in section 4.4: the lying bar black, and pairs of 60 mm (lying ones of
-        40 mm, too) before the others.
-    horizontal_bar : {"grey", "black"}, optional
-        The lying bar.
+    which : {"grey", "black", "revised"}
+        The lying bar grey or black; or as the authors advise in section 4.4: that bar black, and
+        pairs of 60 mm (lying ones of 40 mm, too) before the others.
 
     Returns
     -------
     Layout
+
+    Raises
+    ------
+    ValueError
+        If there is no such chart.
 
     Notes
     -----
@@ -451,45 +428,14 @@ def imaging_chart(*, revised: bool = False, horizontal_bar: str | None = None) -
     >>> chart["bar_left"].height, chart["pairs_h_40"].extent, chart["pairs_v_2"].direction
     (800.0, 320.0, 'v')
     """
-    horizontal_bar = horizontal_bar or ("black" if revised else "grey")
-    tone = TONES[check_choice(horizontal_bar, "horizontal_bar", tuple(TONES))]
-    table = Path(__file__).with_name("revised.csv" if revised else "imaging.csv")
-    name = f"{'revised ' if revised else ''}imaging chart, {horizontal_bar} bar"
-    chart = layout_of(table.read_text(encoding="utf-8"), name=name)
-    bar = replace(chart["bar_horizontal"], tone=tone)
-    return replace(
-        chart, elements=tuple(bar if one.name == bar.name else one for one in chart.elements)
-    )
-
-
-def read_layout(source: str | os.PathLike) -> Layout:
-    """Return a chart by its name (grey, black, revised) or from a CSV table of its elements.
-
-    Parameters
-    ----------
-    source : str or path
-        A table is of a chart of 1 m x 1 m; ``imaging.csv`` beside this module is one to begin with.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    ValueError
-        If it is neither a name nor a .csv file.
-
-    Examples
-    --------
-    >>> read_layout("black")["bar_horizontal"].tone
-    0.0
-    """
-    if source in NAMES:
-        return imaging_chart(**NAMES[source])
-    path = Path(source)
-    if path.suffix.lower() != ".csv":
-        raise ValueError(f"Invalid chart {source}. Must be {', '.join(NAMES)} or a .csv file.")
-    return layout_of(path.read_text(encoding="utf-8"), name=path.stem)
+    revised = check_choice(which, "chart", IMAGING) == "revised"
+    file = Path(__file__).with_name("revised.csv" if revised else "imaging.csv")
+    chart = layout_of(file.read_text(encoding="utf-8"), name=f"imaging chart, {which}")
+    if which != "black":
+        return chart
+    bar = replace(chart["bar_horizontal"], tone=BLACK)
+    elements = tuple(bar if one.name == bar.name else one for one in chart.elements)
+    return replace(chart, elements=elements)
 
 
 def point_chart(*, seed: int = 0) -> Layout:
@@ -522,23 +468,22 @@ def point_chart(*, seed: int = 0) -> Layout:
     Examples
     --------
     >>> chart = point_chart(seed=1)
-    >>> chart["cells"].count, chart["black"].tone, chart["white"].tone
-    (100, 0.0, 1.0)
+    >>> chart["cells"].tones.shape, chart["black"].tone, chart["white"].tone
+    ((100, 100), 0.0, 1.0)
     >>> chart["black"].x, chart["black"].y, chart["white"].x + chart["white"].width
     (50.0, 50.0, 950.0)
     """
     generator = np.random.default_rng(check_count(seed, "seed", low=0))
-    bits = generator.random((CELLS, CELLS)) < 0.5
-    border, square = round(BORDER_MM / CELL_MM), round(SQUARE_MM / CELL_MM)
-    pattern = slice(border, CELLS - border)
-    white = np.ones_like(bits)
-    white[pattern, pattern] = False
+    white = generator.random((CELLS, CELLS)) < 0.5
+    border, square = (round(CELLS * side / SIDE_MM) for side in (BORDER_MM, SQUARE_MM))
+    white[:border] = white[-border:] = white[:, :border] = white[:, -border:] = True
     for columns in (slice(border, border + square), slice(-border - square, -border)):
         white[border : border + square, columns] = True  # below the squares, drawn over it
+    low, side = (BORDER_MM, BORDER_MM), (SQUARE_MM, SQUARE_MM)
     elements = (
-        Cells("cells", 0.0, 0.0, SIDE_MM, CELLS, np.packbits(bits | white).tobytes().hex()),
-        Bar("black", BORDER_MM, BORDER_MM, SQUARE_MM, SQUARE_MM, BLACK),
-        Bar("white", SIDE_MM - BORDER_MM - SQUARE_MM, BORDER_MM, SQUARE_MM, SQUARE_MM, WHITE),
+        Cells("cells", 0.0, 0.0, SIDE_MM, tuple(map(tuple, white.astype(float).tolist()))),
+        Bar("black", *low, *side, BLACK),
+        Bar("white", SIDE_MM - BORDER_MM - SQUARE_MM, BORDER_MM, *side, WHITE),
     )
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
 
@@ -575,8 +520,8 @@ def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1
     for row in csv.DictReader(StringIO(table)):
         kind = KINDS[check_choice(row.get("kind"), "kind", tuple(KINDS))]
         try:
-            given = {field: text for field, text in row.items() if text and field != "kind"}
-            elements.append(kind(**{field: _value(field, text) for field, text in given.items()}))
+            given = {key: _value(key, text) for key, text in row.items() if text and key != "kind"}
+            elements.append(kind(**given))
         except (TypeError, ValueError) as error:
             raise ValueError(
                 f"Invalid element {row.get('name')!r} of a chart: {error}. Must have the fields "
@@ -585,11 +530,11 @@ def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1
     return Layout(name, width, height, tuple(elements))
 
 
-def _value(field, text):
+def _value(name, text):
     """A field from what stands in a table."""
-    if field in ("name", "direction", "text", "font", "dictionary", "bits"):
+    if name in TEXTS:
         return text
-    if field in ("repeats", "identifier", "count"):
+    if name in COUNTS:
         return int(text)
     numbers = tuple(float(part) for part in text.split())
     return numbers[0] if len(numbers) == 1 else numbers
@@ -649,10 +594,9 @@ def _painted(layout, shape, cell, weights):
 
 def _seen(element, weights):
     """An element with grey tones in place of its colours."""
-    tones = {name: getattr(element, name, None) for name in ("tone", "ground")}
+    tones = {name: getattr(element, name, WHITE) for name in ("tone", "ground")}
     colours = {name: tone for name, tone in tones.items() if isinstance(tone, tuple)}
-    grey = {name: float(np.dot(weights, tone)) for name, tone in colours.items()}
-    return replace(element, **grey) if grey else element
+    return replace(element, **{name: float(np.dot(weights, t)) for name, t in colours.items()})
 
 
 def _ink(tone):
@@ -662,18 +606,14 @@ def _ink(tone):
 
 
 def _check_element(element):
-    """Every number of an element, named."""
-    for field, value in vars(element).items():
-        name = f"{field} of element {element.name!r}"
-        if field in ("tone", "ground"):
-            for share in value if isinstance(value, tuple) else (value,):
-                check_number(share, name, low=0, high=1)
-        elif field in POSITIVE:
-            check_positive(value, name, unit="mm")
-        elif field == "direction":
-            check_choice(value, name, ("h", "v"))
-    if isinstance(element, Marker):
-        _marker_bits(element.dictionary, element.identifier)
+    """Sizes and tones of an element, named."""
+    if isinstance(element, LinePairs):
+        check_choice(element.direction, f"direction of element {element.name!r}", ("h", "v"))
+    for side in ("width", "height"):
+        check_positive(getattr(element, side), f"{side} of element {element.name!r}", unit="mm")
+    for name in ("tone", "ground"):
+        for share in np.ravel(getattr(element, name, WHITE)):
+            check_number(share, f"{name} of element {element.name!r}", low=0, high=1)
 
 
 @lru_cache(maxsize=128)
@@ -696,22 +636,6 @@ def _letters(text, font):
     outline = TextPath((0, 0), text, size=1000 / cap, prop=face).cleaned(curves=False)
     drawn = outline.codes != Outline.STOP
     return Outline(outline.vertices[drawn] / 1000, outline.codes[drawn])
-
-
-@lru_cache
-def _marker_bits(dictionary, identifier):
-    """The modules of a coded target from above, border included: 0 black, 1 white."""
-    import cv2
-
-    known = tuple(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
-    number = getattr(cv2.aruco, check_choice(dictionary, "dictionary", known))
-    book = cv2.aruco.getPredefinedDictionary(number)
-    if not 0 <= identifier < len(book.bytesList):
-        raise ValueError(
-            f"Invalid target {identifier} of {dictionary}. Must be below {len(book.bytesList)}."
-        )
-    side = book.markerSize + 2
-    return cv2.aruco.generateImageMarker(book, identifier, side) / 255.0
 
 
 def _shapes(element):
