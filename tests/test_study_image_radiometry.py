@@ -135,9 +135,9 @@ def test_edges_agree_with_other_tools_on_real_photographs(real):
 def test_checks_of_both_notebooks_fail_with_other_numbers():
     """Each check, with numbers that would make its statement false and with the true ones."""
     false = {"off": 3.0, "wrong": 0.1, "narrow": 2.0, "wide": 0.5, "logistic": -5.0}
-    assert len(spoiled("image_resolution", false | {"largest": 0.1, "star_cases": []})) == 5
+    assert len(spoiled("image_resolution", false | {"largest": 0.1, "taken": 20})) == 5
     true = {"off": 0.2, "wrong": -5.0, "narrow": 0.5, "wide": 2.0, "logistic": -13.0}
-    assert not spoiled("image_resolution", true | {"largest": 0.01, "star_cases": []})
+    assert not spoiled("image_resolution", true | {"largest": 0.01, "taken": 20})
     false = {"shares": pd.Series({"gain_z": 0.5, "offset_z": 0.9}), "slack": 0.04, "obtained": ""}
     false |= {"with_it": 2.0, "without": 1.0, "before": 5.0, "after": 1.0, "off": 3.0}
     assert len(spoiled("image_radiometry", false)) == 5
