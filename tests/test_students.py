@@ -15,8 +15,8 @@ from mmqa_lab.studies import STUDIES, chosen
 ANSWER = """# 2: twice the side makes four times the area
 side = 3
 areas = [s * s for s in (side, 2 * side)]
-assert areas[1] == 4 * areas[0]
-areas"""
+# check
+assert areas[1] == 4 * areas[0]"""
 
 
 def run(source):
@@ -37,27 +37,10 @@ def test_check_fails_until_the_name_is_worked_out():
     run(given.replace("areas = ...", "areas = [9, 36]"))
 
 
-@pytest.mark.parametrize(
-    ("answer", "check", "work", "said"),
-    [
-        ("long_m = 0.0061", "0.004 < long_m < 0.008", "0.61", "in m; 0.61 looks like cm"),
-        ("long_m = 0.0061", "0.004 < long_m < 0.008", "0.05", "not right yet"),
-        ("long_m = 0.0061", "0.004 < long_m < 0.008", "'6 mm'", "cannot be worked out"),
-        ("v_m_s = [5, 10]", "abs(v_m_s[1] - 10) < 0.1", "[18, 36]", "in m/s; 18 looks like km/h"),
-    ],
-)
-def test_a_wrong_unit_is_named(answer, check, work, said):
-    given = student_cell(f"# 1: by the root\n{answer}\nassert {check}")
-    name = answer.split(" = ")[0]
-    run(given.replace(f"{name} = ...", answer))
-    with pytest.raises(AssertionError, match=f"1: .*{said}"):
-        run(given.replace(f"{name} = ...", f"{name} = {work}"))
-
-
 def test_what_a_check_says_and_needs_goes_with_it():
     given = student_cell(
         "# 3: it is even\n# asked for: n, a whole number\nimport math\nn = 4\n"
-        "assert math.gcd(n, 2) == 2, 'n is odd'"
+        "# check\nassert math.gcd(n, 2) == 2, 'n is odd'"
     )
     assert given.splitlines()[1:4] == ["# asked for: n, a whole number", "import math", "n = ..."]
     with pytest.raises(AssertionError, match="3: n is odd"):
@@ -81,15 +64,13 @@ def test_below_the_line_check_all_is_sealed_and_the_number_is_asked_for():
     exec(done, {"number": 3})
     with pytest.raises(AssertionError, match="4: too far off"):
         exec(done, {"number": 4})
-    with pytest.raises(AssertionError, match="4: length_m is expected in m; 230 looks like cm"):
-        exec(done.replace("2.3", "230"), {"number": 3})
     with pytest.raises(AssertionError, match="4: give number a value"):
         exec(done, {"number": ...})
 
 
-@pytest.mark.parametrize("source", ["# 1: nothing\nx = 2\nx", "# 1: not its own\nx = 2\nassert y"])
+@pytest.mark.parametrize("source", ["# 1: nothing\nx = 2", "# 1: no\nx = 2\n# check\nassert y"])
 def test_an_answer_without_a_check_is_refused(source):
-    with pytest.raises(ValueError, match=r"Invalid answer '# 1: .*Must be checked by an assert"):
+    with pytest.raises(ValueError, match=r"Invalid answer '# 1: .*Must be checked"):
         student_cell(source)
 
 

@@ -13,7 +13,6 @@ import base64
 import contextlib
 import io
 import json
-import math
 import re
 import tempfile
 import textwrap
@@ -39,18 +38,6 @@ CHECK = "# check"
 NUMBER = "number"
 """Tag of the cell for the student's number in the class, and the number's name."""
 
-SCALES = (
-    {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
-    {"ms": 1e-3, "s": 1.0},
-    {"km/h": 1 / 3.6, "m/s": 1.0},
-    {"degrees": math.pi / 180, "radians": 1.0},
-    {"%": 0.01, "as a share": 1.0},
-)
-"""Units that are taken for one another."""
-
-UNITS = {"deg": "degrees", "percent": "%"}
-"""Units as a sentence has them."""
-
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
 """What the notebook says of n; in a copy it is the student who sets it."""
 
@@ -70,7 +57,7 @@ def student_cell(source):
     ----------
     source : str
         Code of a cell tagged ``solution``; its first line is a comment that begins with the
-        exercise's number. Its assertions, and all that stands below a line ``# check``, are sealed.
+        exercise's number. All that stands below a line ``# check`` is sealed.
 
     Returns
     -------
@@ -79,36 +66,32 @@ def student_cell(source):
     Raises
     ------
     ValueError
-        If nothing in it is checked, or nothing that is checked comes from the answer.
+        If nothing that the answer sets is checked.
 
     Examples
     --------
-    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 2 * 2\\nassert area_m2 == 4")[:70])
+    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 4\\n# check\\nassert area_m2 == 4")[:70])
     # 1: your work
     area_m2 = ...  # m2
     <BLANKLINE>
     from mmqa_lab.run.students import
     """
-    lines = source.splitlines()
-    end = lines.index(CHECK) if CHECK in lines else len(lines)
-    body = ast.parse(source).body
-    checks = [node for node in body if isinstance(node, ast.Assert) or node.lineno > end]
-    work = [node for node in body if node not in checks]
-    read = {name for check in checks for name in _names(check, ast.Load)}
-    read -= {name for check in checks for name in _names(check, ast.Store)}
-    answers = [name for name in _names(ast.Module(work, []), ast.Store) if name in read]
+    work, _, check = source.partition(f"\n{CHECK}\n")
+    read = set(_names(ast.parse(check), ast.Load)) - set(_names(ast.parse(check), ast.Store))
+    answers = [name for name in dict.fromkeys(_names(ast.parse(work), ast.Store)) if name in read]
     if not answers:
-        raise ValueError(f"Invalid answer {lines[0]!r}. Must be checked by an assert.")
-    answers = list(dict.fromkeys(answers))
-    imports = [ast.unparse(node) for node in work if isinstance(node, ast.Import | ast.ImportFrom)]
-    number = source.split(":")[0].lstrip("# ")
-    asked = [line for line in lines if line.startswith(ASKED)]
-    given = [f"# {number}: your work", *asked, *imports, *map(_blank, answers)]
+        raise ValueError(f"Invalid answer {source.splitlines()[0]!r}. Must be checked.")
+    kept = [line for line in work.splitlines() if line.startswith((ASKED, "import ", "from "))]
+    given = [f"# {_number(source)}: your work", *kept, *map(_blank, answers)]
     needed = [NUMBER, *answers] if NUMBER in read else answers
-    kept = [ast.unparse(check) for check in checks]
-    sealed = _sealed({"number": number, "answers": needed, "imports": imports, "checks": kept})
+    sealed = _sealed([_number(source), needed, "\n".join([*kept, check])])
     check = ["from mmqa_lab.run.students import check_answer", "", f"check_answer({sealed})"]
     return "\n".join([*given, "", *check])
+
+
+def _number(source):
+    """The exercise's number, which its answer begins with."""
+    return source.split(":")[0].lstrip("# ")
 
 
 class NotRight(AssertionError):
@@ -131,54 +114,26 @@ def check_answer(sealed, scope):
     Raises
     ------
     NotRight
-        If a name has no value yet, or a check does not hold; in a unit taken for another it is
-        named.
+        If a name has no value yet, or a check does not hold.
     """
-    task = json.loads(zlib.decompress(base64.b64decode(sealed)))
-    number, scope = task["number"], dict(scope)
-    missing = [name for name in task["answers"] if scope.get(name, ...) is ...]
+    number, answers, check = json.loads(zlib.decompress(base64.b64decode(sealed)))
+    missing = [name for name in answers if scope.get(name, ...) is ...]
     if missing:
         raise NotRight(f"{number}: give {missing[0]} a value.")
-    exec("\n".join(task["imports"]), scope)
-    wrong = _wrong(task["checks"], scope)
-    if wrong is None:
-        print(f"{number}: right.")
-        return
-    said = [_other_unit(name, task["checks"], scope) for name in task["answers"]]
-    listed = ", ".join(name for name in task["answers"] if name != NUMBER)
-    said = [*said, wrong, f"not right yet. Check the formula, and the unit of {listed}."]
-    raise NotRight(f"{number}: {next(filter(None, said))}")
-
-
-def _wrong(checks, scope):
-    """What the first check that does not hold says, perhaps nothing; None where all hold."""
-    for check in checks:
-        try:
-            exec(check, scope)
-        except AssertionError as error:
-            return str(error)
-        except Exception as error:  # of any kind: the work may be of any type
-            return f"the check cannot be worked out with this: {type(error).__name__}: {error}."
-    return None
-
-
-def _other_unit(name, checks, scope):
-    """A sentence where a number, or an array of them, would be right in another unit."""
-    unit = split_unit(name)[1]
-    unit = UNITS.get(unit, unit)
-    scales = next((each for each in SCALES if unit in each), {})
     try:
-        given = np.asarray(scope[name], float)
-    except (TypeError, ValueError):
-        return ""
-    for other, scale in scales.items():
-        if _wrong(checks, scope | {name: given[()] * scale / scales[unit]}) is None:
-            return f"{name} is expected in {unit}; {np.ravel(given)[0]:g} looks like {other}."
-    return ""
+        exec(check, dict(scope))
+    except AssertionError as error:
+        listed = ", ".join(name for name in answers if name != NUMBER)
+        usual = f"not right yet. Check the formula, and the unit of {listed}."
+        raise NotRight(f"{number}: {str(error) or usual}") from None
+    except Exception as error:  # of any kind: the work may be of any type
+        what = f"{type(error).__name__}: {error}"
+        raise NotRight(f"{number}: the check cannot be worked out with this: {what}.") from None
+    print(f"{number}: right.")
 
 
 def _sealed(task):
-    """A dict as the arguments of a call: text that is not read at a glance, and the scope."""
+    """What is checked, as arguments of a call: text not read at a glance, and the scope."""
     text = base64.b64encode(zlib.compress(json.dumps(task).encode(), 9)).decode()
     lines = "\n".join(f'    "{part}"' for part in textwrap.wrap(text, 80))
     return f"\n{lines},\n    globals(),\n"
@@ -192,9 +147,12 @@ def _blank(name):
 
 def _exercise(source):
     """An answer as a student's two cells, work and checks, as nbgrader knows them."""
-    number = source.split(":")[0].lstrip("# ")
     for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
-        grading = {"grade_id": f"exercise-{number}-{part}", "schema_version": 3, "task": False}
+        grading = {
+            "grade_id": f"exercise-{_number(source)}-{part}",
+            "schema_version": 3,
+            "task": False,
+        }
         grading |= {"solution": part == "work", "grade": part == "check"}
         grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
         cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
@@ -288,7 +246,9 @@ def write_solutions(studies, folder, *, quick=False):
         above = dict.fromkeys(max(place for place in texts if place < k) for k in tagged)
         tasks = ["## " + cells[k].source.rpartition("## ")[2] for k in above]
         exercises = [nbformat.v4.new_markdown_cell(task) for task in tasks]
-        answers = [nbformat.v4.new_code_cell(_work(cells[k].source)) for k in tagged]
+        answers = [
+            nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}")[0]) for k in tagged
+        ]
         answers.append(nbformat.v4.new_markdown_cell("## Answers by number"))
         shown = {"text/html": answer_table(study, quick=quick).to_html(index=False, na_rep="")}
         output = nbformat.v4.new_output("display_data", data=shown)
@@ -326,13 +286,12 @@ def answer_table(study, *, quick=False):
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
-    sources = [cell.source for cell in notebook.cells if "solution" in _tags(cell)]
     tasks = {}
-    for source in sources:
-        work = ast.parse(_work(source))
+    for source in [cell.source for cell in notebook.cells if "solution" in _tags(cell)]:
+        work = ast.parse(source.split(f"\n{CHECK}")[0])
         if NUMBER in _names(work, ast.Load):
             blanks = re.findall(r"^(\w+) = \.\.\.", student_cell(source), re.MULTILINE)
-            tasks[source.split(":")[0].lstrip("# ")] = ast.unparse(work), blanks
+            tasks[_number(source)] = ast.unparse(work), blanks
     call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
     tail = nbformat.v4.new_code_cell(call)
     plain = [cell for cell in notebook.cells if "solution" not in _tags(cell)]
@@ -406,11 +365,6 @@ def needed_cells(cells, names):
             needed |= {node.id for node in nodes if isinstance(node, ast.Name)}
             kept.insert(0, cell)
     return kept
-
-
-def _work(source):
-    """An answer without the test of it."""
-    return source.split(f"\n{CHECK}\n")[0]
 
 
 def _tags(cell):
