@@ -128,7 +128,7 @@ class CloudQuality(Shown):
 
     @property
     def d4_mm(self) -> float:
-        """The fourth of ``d_mm``: the largest, where there are four quadrants."""
+        """The largest of ``d_mm``."""
         return float(self.d_mm[3])
 
     @property
@@ -289,8 +289,6 @@ def evaluate_cloud(
     radius: float = 0.5,
     scale: float = CONSISTENT_SCALE,
     rho0: float | None = None,
-    sectors: int | str = 4,
-    statistic: float = 50.0,
 ) -> CloudQuality:
     """Evaluate the points on one planar surface.
 
@@ -317,11 +315,6 @@ def evaluate_cloud(
     rho0 : float, optional
         Density that is asked for, points per m2: where d1 and d4 are both at most
         sqrt(1 / rho0), f does not matter (``f_exempt``).
-    sectors : int or str
-        Sectors in place of the quadrants, or "nearest 8": the 8 nearest points in any direction;
-        see :func:`mmqa_lab.spacing.quadrants`.
-    statistic : float
-        Percentile of the distances that d1..d4 are; 50 is the median.
 
     Returns
     -------
@@ -369,7 +362,7 @@ def evaluate_cloud(
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT else "principal"
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
-    gaps = quadrants(xy, radius=radius, sectors=sectors, statistic=statistic)
+    gaps = quadrants(xy, radius=radius)
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)

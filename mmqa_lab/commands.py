@@ -220,8 +220,6 @@ def evaluate(
     /,
     *,
     polygon: str | None = None,
-    sectors: int = 4,
-    statistic: float = 50.0,
     rho0: float | None = None,
     intervals: bool = False,
     out: Path | None = None,
@@ -238,10 +236,6 @@ def evaluate(
         LAS, LAZ, COPC, PLY or text.
     polygon
         Of the surface: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
-    sectors
-        Number of sectors instead of quadrants.
-    statistic
-        Percentile of the distances that d1..d4 are.
     rho0
         Points per m2 asked for: says where f does not matter.
     intervals
@@ -254,12 +248,11 @@ def evaluate(
     from mmqa_lab import chart_cloud, io
 
     _figure_file(out)
-    choices = {"sectors": sectors, "statistic": statistic, "rho0": rho0}
     rows = []
     for file in _progress(clouds, "cloud"):
         cloud = io.read_cloud(file, columns=())
         ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
-        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
+        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, rho0=rho0)
         frame = quality.intervals() if intervals else quality.to_frame()
         frame.insert(0, "file", file.name)
         rows.append(frame.assign(remarks=" ".join(quality.remarks)))

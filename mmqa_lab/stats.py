@@ -322,9 +322,7 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     return float(_reach((values - values.mean())[None] / len(values), block)[0])
 
 
-def median_interval(
-    values: ArrayLike, block: ArrayLike, *, share: float = 0.5
-) -> tuple[float, float]:
+def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     """Return the 95 % interval of a median of values that depend on their neighbours.
 
     The share of values below the median has a standard error that follows from its sums over
@@ -337,8 +335,6 @@ def median_interval(
         NaN where not measurable; infinity is a large value.
     block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks` and :func:`strips`.
-    share : float
-        0.5 for the median; 0.9 for the value that 90 % are below.
 
     Returns
     -------
@@ -359,17 +355,17 @@ def median_interval(
     """
     known = ~np.isnan(values)
     values, block = np.asarray(values)[known], np.asarray(block)[..., known]
-    reach = _reach(_influence(values[None], share), block)[0] if len(values) else np.nan
+    reach = _reach(_influence(values[None]), block)[0] if len(values) else np.nan
     if np.isnan(reach):
         return np.nan, np.nan
-    shares = np.clip([share - reach, share + reach], 0, 1)
+    shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
     low, high = np.quantile(values, shares, method="nearest")
-    middle = _quantile(values, share)  # between two values where their number is even
+    middle = np.median(values)  # between two values where their number is even
     return float(min(low, middle)), float(max(high, middle))
 
 
 def median_ratio_interval(
-    top: ArrayLike, bottom: ArrayLike, block: ArrayLike, *, share: float = 0.5
+    top: ArrayLike, bottom: ArrayLike, block: ArrayLike
 ) -> tuple[float, float]:
     """Return the 95 % interval of median(top) / median(bottom), both of the same places.
 
@@ -382,8 +378,6 @@ def median_ratio_interval(
         Positive; NaN where not measurable.
     block : array_like of int, shape (n,), (2, n) or (4, n)
         See :func:`blocks` and :func:`strips`.
-    share : float
-        Of other quantiles than medians, see :func:`median_interval`.
 
     Returns
     -------
@@ -399,28 +393,22 @@ def median_ratio_interval(
     """
     known = ~(np.isnan(top) | np.isnan(bottom))
     both, block = np.array([top, bottom])[:, known], np.asarray(block)[..., known]
-    ends = np.array([median_interval(values, block, share=share) for values in both])
+    ends = np.array([median_interval(values, block) for values in both])
     if not (np.isfinite(ends) & (ends > 0)).all():
         return np.nan, np.nan
     halves = np.log(ends[:, 1] / ends[:, 0]) / 2
-    first, second = _influence(both, share)
+    first, second = _influence(both)
     apart, summed = _reach(np.array([first - second, first + second]), block) ** 2
     lengths = 4 * np.prod(_reach(np.array([first, second]), block))
     together = np.clip((summed - apart) / lengths, -1, 1) if lengths > 0 else 0.0
     reach = np.sqrt(max(halves @ halves - 2 * together * np.prod(halves), 0.0))
-    middles = [_quantile(np.asarray(row)[~np.isnan(row)], share) for row in (top, bottom)]
-    ratio = middles[0] / middles[1]
+    ratio = np.nanmedian(top) / np.nanmedian(bottom)
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
-def _quantile(values, share):
-    """A quantile; the median among infinite values too."""
-    return np.median(values) if share == 0.5 else np.quantile(values, share)
-
-
-def _influence(rows, share):
-    """What each value adds to the error of the share of its row below the quantile."""
-    middles = np.array([_quantile(values, share) for values in rows])[:, None]
+def _influence(rows):
+    """What each value adds to the error of the share of its row below the median."""
+    middles = np.median(rows, axis=1, keepdims=True)
     signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
 

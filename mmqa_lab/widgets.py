@@ -179,7 +179,7 @@ class SelectionTool:
     polygon : array_like, shape (m, 3), optional
         Where to start; by default the largest rectangle in which points are everywhere.
     **choices
-        Thickness, axes, radius, sectors and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+        Thickness, axes, radius and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
 
     Attributes
     ----------

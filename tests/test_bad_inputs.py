@@ -130,8 +130,6 @@ FUNCTIONS = [
     (lambda: chart_cloud.evaluate_cloud(SQUARE, scale=0), "Invalid scale 0. Must be > 0."),
     (lambda: spacing.quadrants(SQUARE * np.nan), "4 of 4 not finite, the first in row 0"),
     (lambda: spacing.quadrants(SQUARE, angle=np.nan), "Invalid angle nan. Must be finite."),
-    (lambda: spacing.quadrants(SQUARE, sectors=2), "Must be 4 to 36, or 'nearest 4' to 36."),
-    (lambda: spacing.quadrants(SQUARE, statistic=101), "Must be between 0 and 100 %."),
     (lambda: spacing.quadrant_distances(SQUARE, of=[0, 1]), "Must be bool of shape (4,)."),
     (lambda: spacing.directional(SQUARE[:1, :2]), "1 given. Must be 2 or more."),
     (lambda: spacing.poisson_spacing(0), "Invalid density 0. Must be > 0 points per m2."),

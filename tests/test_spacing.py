@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 
 from mmqa_lab import io, samples, spacing
 from mmqa_lab.chart_cloud import evaluate_cloud
@@ -156,7 +155,7 @@ def test_every_pattern_equals_brute_force_bit_for_bit(name, n, seed, radius, cor
     xy = pattern(name, n, seed) + corner
     expected = brute_force(xy, radius)
     np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), expected)
-    few = spacing._sector_distances(xy, radius, 0.0, 4)  # by scipy
+    few = spacing._nearest_by_scipy(xy, radius)  # by scipy
     np.testing.assert_array_equal(few, expected)
     compiled = _search.nearest_per_quadrant(xy, radius, np.ones(len(xy), dtype=bool))
     np.testing.assert_array_equal(compiled, expected)
@@ -319,50 +318,3 @@ def test_one_thread_equals_many_and_threads_may_call_at_once():
 def test_extents_that_differ_beyond_measure():
     xy = np.vstack([pattern("uniform", 300), [[1e12, -1e12], [1e-300, 1e-310]]])
     np.testing.assert_array_equal(quadrant_distances(xy), brute_force(xy, 0.5))
-
-
-# Other sectors
-
-
-def in_sectors(xy, count, angle, radius):
-    """Sorted distances to the nearest point in each sector, point by point."""
-    rows = np.full((len(xy), count), np.nan)
-    for i, point in enumerate(xy):
-        dx, dy = np.delete(xy, i, axis=0).T - point[:, None]
-        away = np.hypot(dx, dy)
-        bearing = (np.degrees(np.arctan2(dy, dx)) - angle) % 360
-        for k in range(count):
-            low, high = 360 * k / count, 360 * (k + 1) / count
-            near = away[(bearing >= low) & (bearing < high) & (away > 0) & (away <= radius)]
-            rows[i, k] = near.min(initial=np.inf)
-    rows[np.isinf(rows)] = np.nan
-    return np.sort(rows, axis=1)
-
-
-@pytest.mark.parametrize(("count", "angle", "radius"), [(5, 0, 0.5), (6, 10, 0.3), (8, 33, 5.0)])
-def test_sectors_equal_brute_force(count, angle, radius, rng, monkeypatch):
-    monkeypatch.setattr(spacing, "AT_ONCE", 2000)  # several portions
-    xy = np.concatenate([rng.uniform(0, 2, (150, 2)), rng.normal(5, 0.01, (60, 2))])
-    xy = np.concatenate([xy, xy[:20]])
-    found = quadrants(xy, sectors=count, angle=angle, radius=radius, statistic=80)
-    expected = in_sectors(xy, count, angle, radius)
-    np.testing.assert_allclose(found.distances, expected, rtol=1e-9)
-    np.testing.assert_allclose(found.d, np.nanpercentile(expected, 80, axis=0), rtol=1e-9)
-    assert found.f == pytest.approx(found.d[-1] / found.d[0])
-
-
-@pytest.mark.parametrize(("sectors", "k"), [("nearest", 4), ("nearest 6", 6)])
-def test_nearest_points_have_the_closed_form(sectors, k, rng):
-    """The area out to the k-th neighbour of a random pattern is Gamma(k) distributed."""
-    n = 40_000
-    found = quadrants(rng.uniform(0, 1, (n, 2)), sectors=sectors, statistic=90)
-    expected = np.sqrt(stats.gamma.ppf(0.9, np.arange(1, k + 1)) / (np.pi * n))
-    np.testing.assert_allclose(found.d, expected, rtol=0.02)
-    inside = (found.intervals[:k, 0] < expected) & (expected < found.intervals[:k, 1])
-    assert inside.sum() >= 0.75 * k
-
-
-def test_median_of_four_sectors_is_that_of_the_quadrants(rng):
-    xy = rng.uniform(0, 1, (400, 2))
-    other = quadrants(xy, sectors=4.0, statistic=30)
-    np.testing.assert_allclose(other.d, np.nanpercentile(quadrants(xy).distances, 30, axis=0))

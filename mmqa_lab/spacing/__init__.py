@@ -67,10 +67,8 @@ class Spacing(Shown):
     ----------
     xy : array, shape (n, 2)
         The points, m.
-    distances : array, shape (n, 4), or as many as there are sectors
+    distances : array, shape (n, 4)
         The sorted quadrant distances of each point, NaN where a quadrant is empty, m.
-    statistic : float
-        The percentile that d is of the distances: 50 for medians.
 
     Examples
     --------
@@ -82,7 +80,6 @@ class Spacing(Shown):
 
     xy: np.ndarray
     distances: np.ndarray
-    statistic: float = 50.0
 
     @property
     def n(self) -> int:
@@ -93,7 +90,7 @@ class Spacing(Shown):
     def d(self) -> np.ndarray:
         """Medians d1..d4 of the distances, m; NaN where no point has a neighbour of that rank."""
         known = (values[~np.isnan(values)] for values in self.distances.T)
-        return np.array([_quantile(values, self.statistic / 100) for values in known])
+        return np.array([np.median(values) if len(values) else np.nan for values in known])
 
     @property
     def counts(self) -> np.ndarray:
@@ -130,10 +127,9 @@ class Spacing(Shown):
         From blocks of whole scan lines where there are any, see :func:`line_strips`.
         """
         block = line_strips(self.xy, self.directional if self.n >= FEWEST else None)
-        share, ranks = self.statistic / 100, self.distances.T
-        ends = [stats.median_interval(distances, block, share=share) for distances in ranks]
-        ratio = stats.median_ratio_interval(ranks[-1], ranks[0], block, share=share)
-        return np.array([*ends, ratio])
+        ends = [stats.median_interval(distances, block) for distances in self.distances.T]
+        nearest, farthest = self.distances.T[[0, -1]]
+        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, block)])
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
@@ -143,22 +139,20 @@ class Spacing(Shown):
         nearest, farthest = 1000 * self.distances[:, [0, -1]].T
         top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
         bins = np.linspace(0, 1.1 * top, 56)
-        measure = "median" if self.statistic == 50 else f"{self.statistic:g} % quantile"
         for values, name, middle, colour in (
             (nearest, "d1", 1000 * self.d[0], "blue"),
-            (farthest, f"d{len(self.d)}", 1000 * self.d[-1], "orange"),
+            (farthest, "d4", 1000 * self.d[-1], "orange"),
         ):
             filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
             ax.hist(values[np.isfinite(values)], bins=bins, **filled)
-            ax.axvline(middle, color=COLOURS[colour], label=f"{measure} {name} = {middle:.1f} mm")
+            ax.axvline(middle, color=COLOURS[colour], label=f"median {name} = {middle:.1f} mm")
         ax.set(xlabel="distance to the next point (mm)", ylabel="points", xlim=(0, bins[-1]))
         ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
         return ax
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
-        names = [*(f"d{k}" for k in range(1, 1 + len(self.d))), "f"]
-        table = _table(names, [*self.d, self.f], self.intervals)
+        table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self.intervals)
         return table.assign(n=[*self.counts, self.counts[-1]])
 
 
@@ -219,14 +213,7 @@ def quadrant_distances(
     return _nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
-def quadrants(
-    xy: ArrayLike,
-    *,
-    radius: float = 0.5,
-    angle: float = 0.0,
-    sectors: int | str = 4,
-    statistic: float = 50.0,
-) -> Spacing:
+def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spacing:
     """Medians d1..d4 of the sorted quadrant distances, and their ratio f.
 
     Parameters
@@ -237,11 +224,6 @@ def quadrants(
         Neighbours up to this far count, m.
     angle : float
         Turns the axes of the quadrants counter-clockwise, degrees.
-    sectors : int or str
-        Equal sectors in place of the four quadrants, the first from the first axis on; "nearest 8"
-        takes the 8 nearest points in any direction, "nearest" four. The source has quadrants only.
-    statistic : float
-        The percentile of the distances; 50 is the median, which the source has.
 
     Returns
     -------
@@ -250,8 +232,7 @@ def quadrants(
     Raises
     ------
     ValueError
-        As :func:`quadrant_distances`, or if there are not 4 to 36 sectors or nearest points, or no
-        such percentile.
+        As :func:`quadrant_distances`.
 
     Notes
     -----
@@ -269,17 +250,9 @@ def quadrants(
     >>> found = quadrants(np.stack([x.ravel(), y.ravel()], axis=1))
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
-    >>> quadrants([[0, 0], [0.02, 0], [0, 0.04], [0.06, 0]], sectors="nearest").distances[0]
-    array([0.02, 0.04, 0.06,  nan])
     """
     xy = flat_points(xy)
-    statistic = check_number(statistic, "statistic", low=0, high=100, unit="%")
-    if sectors == 4:
-        distances = quadrant_distances(xy, radius=radius, angle=angle)
-    else:
-        radius = check_positive(radius, "radius", unit="m")
-        distances = _sector_distances(xy, radius, check_number(angle, "angle"), sectors)
-    return Spacing(xy, distances, statistic)
+    return Spacing(xy, quadrant_distances(xy, radius=radius, angle=angle))
 
 
 def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
@@ -594,13 +567,6 @@ def _turned(xy, angle):
     return (xy - xy.min(axis=0)) @ np.array([[c, -s], [s, c]])
 
 
-def _quantile(values, share):
-    """Quantile, NaN of nothing."""
-    if share == 0.5:
-        return float(np.median(values)) if len(values) else np.nan
-    return float(np.quantile(values, share)) if len(values) else np.nan
-
-
 _searched = []  # numbers of points that scipy searched
 
 
@@ -612,25 +578,14 @@ def _nearest_per_quadrant(xy, radius, of):
         return nearest_per_quadrant(xy, radius, of)
     _searched.append(len(xy))
     places, place = np.unique(xy, axis=0, return_inverse=True)
-    found = _sector_distances(places, radius, 0.0, 4)[place]
+    found = _nearest_by_scipy(places, radius)[place]
     found[~of] = np.nan
     return found
 
 
-def _sector_distances(xy, radius, angle, sectors):
-    """Sorted distances to the nearest point in each sector, or to the nearest of all; NaN last."""
-    word, _, number = str(sectors).partition(" ")
-    ranks = (number or "4") if word == "nearest" else word
-    if not ranks.isdigit() or not 4 <= int(ranks) <= 36:
-        raise ValueError(f"Invalid sectors {sectors!r}. Must be 4 to 36, or 'nearest 4' to 36.")
-    ranks = int(ranks)
-
-    def fold(away, offset):
-        if word == "nearest":
-            return np.sort(away, axis=1)[:, :ranks]
-        return np.sort(_least(away, _sector(offset, angle, ranks), ranks), axis=1)
-
-    found = _nearest(xy, radius, 4 * ranks, ranks, fold)
+def _nearest_by_scipy(xy, radius):
+    """Sorted distances to the nearest point in each quadrant, NaN last."""
+    found = _nearest(xy, radius, 16, 4, _by_quadrant)
     return np.where(np.isinf(found), np.nan, found)
 
 
@@ -666,13 +621,11 @@ def _portions(rows, reach):
     return [(part, reach) for part in parts if len(part)]
 
 
-def _sector(offset, angle, count):
-    """The sector of each offset; quadrants by their signs, which are exact."""
+def _by_quadrant(away, offset):
+    """The least distance in each quadrant, sorted; signs are exact."""
     dx, dy = np.moveaxis(offset, -1, 0)
-    if count == 4 and angle == 0:
-        return np.where(dy > 0, dx <= 0, np.where(dy < 0, 2 + (dx >= 0), 2 * (dx < 0))).astype(int)
-    turn = np.arctan2(dy, dx) / (2 * np.pi) - angle / 360
-    return (np.floor(turn * count) % count).astype(int)
+    place = np.where(dy > 0, dx <= 0, np.where(dy < 0, 2 + (dx >= 0), 2 * (dx < 0)))
+    return np.sort(_least(away, place, 4), axis=1)
 
 
 def _by_direction(away, offset):

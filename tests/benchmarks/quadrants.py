@@ -90,7 +90,7 @@ PATTERNS = {
 
 def growing_k(xy):
     """The same by scipy's tree: 16 neighbours, twice as many where quadrants are still empty."""
-    return spacing._sector_distances(xy, 0.5, 0.0, 4)
+    return spacing._nearest_by_scipy(xy, 0.5)
 
 
 def one_by_scipy(xy):
