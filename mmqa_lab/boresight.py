@@ -45,24 +45,6 @@ UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
 AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """About which roll, pitch and heading turn."""
 
-OUTLIER = 3.5
-"""Misfits so many sigma_MAD of their kind are left out."""
-
-ROUNDS, TURNS = 2, 3
-"""How often features are looked for, and in each round adjusted; misfits leave in between."""
-
-WEAK = 1e-4
-"""Smallest singular value of the scaled Jacobian; a combination of parameters below is open."""
-
-FARTHEST_DEG, FARTHEST_M, LONGEST_ARM_M = 10.0, 1.0, 10.0
-"""A mounting farther from the assumed one is no estimate; a longer arm is not in metres."""
-
-SAMPLE = 1_000_000
-"""Points of a cloud that are looked at; of larger clouds, so many at random."""
-
-BLOCK = 200_000
-"""Points corrected at a time."""
-
 CELL_M = 1.0
 """Diameter of the balls that planes are looked for in."""
 
@@ -149,8 +131,7 @@ def corrected(
     lever, values = np.asarray(lever_arms_m, np.float64), np.asarray(values, np.float64) / UNIT
     points = cloud.points.copy()
     origin = points[0].round() if len(points) else np.zeros(3)
-    for first in range(0, len(points), BLOCK):
-        rows = slice(first, first + BLOCK)
+    for rows in np.array_split(np.arange(len(points)), len(points) // 200_000 + 1):
         shots = _Shots.of(cloud[rows], trajectory, lever, origin)
         points[rows] = origin + shots.placed(values)
     return replace(cloud, points=points)
@@ -234,10 +215,8 @@ def calibrate(
     """
     lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
     longest = np.linalg.norm(lever, axis=1).max()
-    if longest > LONGEST_ARM_M:
-        raise ValueError(
-            f"Invalid lever_arms_m: one of {longest:.1f} m. Must be at most {LONGEST_ARM_M:g} m."
-        )
+    if longest > 10:  # not in metres, or from another point
+        raise ValueError(f"Invalid lever_arms_m: {longest:.1f} m long. Must be at most 10 m.")
     if not drives:
         raise ValueError("Invalid drives: none given. Must be one or more.")
     kept = np.isin(PARAMETERS, [check_choice(name, "keep", PARAMETERS) for name in keep])
@@ -247,7 +226,7 @@ def calibrate(
     control = None if control is None else check_points(control, name="control") - origin
     values = np.zeros((len(lever), len(PARAMETERS)))
     group = shots.drive * len(lever) + shots.head
-    for _ in range(ROUNDS):
+    for _ in range(2):
         placed = shots.placed(values)
         kinds = [
             _OnPlanes(shots, _planes(placed, group, patches, rng)),
@@ -281,10 +260,10 @@ class _Shots:
 
     @classmethod
     def sampled(cls, drives, lever, origin, rng):
-        """Those of all drives, at most ``SAMPLE`` of each."""
+        """Those of all drives, of larger clouds a million at random."""
         parts = []
         for number, (cloud, path) in enumerate(drives):
-            rows = np.sort(rng.permutation(len(cloud))[:SAMPLE])
+            rows = np.sort(rng.permutation(len(cloud))[:1_000_000])
             parts.append(cls.of(cloud[rows], path, lever, origin, number))
         columns = ([getattr(part, name.name) for part in parts] for name in fields(cls))
         return cls(*map(np.concatenate, columns))
@@ -525,11 +504,11 @@ class _Adjustment:
     def solved(self, values):
         """The mounting (heads, 6), after misfits were left out."""
         parameters = self.ways.T @ values.ravel()
-        for turn in range(TURNS):
+        for turn in range(3):
             for kind in self.kinds if turn else []:
                 misfit = kind.rows(values)[0]
                 kind.scatter = max(sigma_mad(misfit), 1e-6)
-                kind.keep(np.abs(misfit) <= OUTLIER * kind.scatter)
+                kind.keep(np.abs(misfit) <= 3.5 * kind.scatter)
             found = least_squares(
                 lambda p: self.system(self.values(p))[0],
                 parameters,
@@ -574,7 +553,7 @@ class _Adjustment:
         """Name the parameters that can change together without any effect."""
         lengths = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
         _, size, ways = np.linalg.svd(slopes / lengths, full_matrices=False)
-        if size[-1] < WEAK:
+        if size[-1] < 1e-4:
             open_ones = np.flatnonzero(np.abs(self.ways @ ways[-1]) > 0.1)
             names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in open_ones]
             raise ValueError(
@@ -593,7 +572,7 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     if not (path_std >= 0).all():
         raise ValueError(f"Invalid path_std {path_std_m}, {path_std_deg}. Must be >= 0.")
     covariance, students = adjustment.covariance(values, path_std / UNIT[::-1])
-    unit, limits = np.tile(UNIT, len(values)), np.repeat([FARTHEST_DEG, FARTHEST_M], 3)
+    unit, limits = np.tile(UNIT, len(values)), np.repeat([10.0, 1.0], 3)  # beyond: no estimate
     covariance = covariance * np.outer(unit, unit)
     std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit
     half = np.where(std > 0, stdtrit(students, 0.975) * std, np.nan)

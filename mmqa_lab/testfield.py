@@ -41,15 +41,6 @@ from mmqa_lab.cloud import path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
-CHECKPOINTS = 30
-"""Fewest that the ASPRS standards ask for."""
-
-FAR_M = 1.0
-"""A median height difference beyond this is no error of a scan: said."""
-
-CHUNK = 5000
-"""Reference points worked on at a time, with the points around them."""
-
 GROSS, LEAST_GROSS_M = 5.0, 0.01
 """Differences so many NMAD from the median, but 1 cm at least, are gross errors."""
 
@@ -67,14 +58,8 @@ points, and the ground is part of it."""
 POLE_SEARCH_M, CORNER_SEARCH_M = 0.4, 2.0
 """Points up to this far from a target in plan are taken."""
 
-CORNER_GATE_M = 0.5
-"""A corner farther away is another one."""
-
 FEWEST, FEWEST_ON_LINE = 8, 10
 """Points a circle needs (on fewer, it may fit on the wrong side of them), and each line."""
-
-SMALLEST_ANGLE = 30.0
-"""Degrees between the two lines of a corner."""
 
 NEAR_LINE_M = 0.03
 """Points up to this far from a line belong to it."""
@@ -255,7 +240,7 @@ def height_differences(
     height, slope = np.full((2, len(targets)), np.nan)
     counts = np.zeros(len(targets), dtype=int)
     order = np.argsort(targets[:, 0], kind="stable")
-    for part in np.split(order, range(CHUNK, len(order), CHUNK)):
+    for part in np.split(order, range(5000, len(order), 5000)):
         x = targets[part, 0]
         around = local[(local[:, 0] >= x[0] - radius) & (local[:, 0] <= x[-1] + radius)]
         height[part], slope[part], counts[part] = _surfaces(around, targets[part], radius)
@@ -682,7 +667,7 @@ def _corner(xy, rng):
         rest = rest[np.abs(lines[-1].distances(rest)) > 2 * NEAR_LINE_M]
     for _ in range(5):
         ways = np.stack([lines[0].direction, -lines[1].direction], axis=1)
-        if abs(np.linalg.det(ways)) < np.sin(np.radians(SMALLEST_ANGLE)):
+        if abs(np.linalg.det(ways)) < np.sin(np.radians(30)):
             return *nothing, "one line"
         along = np.linalg.solve(ways, lines[1].centre - lines[0].centre)[0]
         corner = lines[0].centre + along * lines[0].direction
@@ -690,7 +675,7 @@ def _corner(xy, rng):
         if min(side.sum() for side in sides) < FEWEST_ON_LINE:
             return *nothing, "too few points"
         lines = [fit_line(xy[side], robust=True) for side in sides]
-    if np.hypot(*corner) > CORNER_GATE_M:
+    if np.hypot(*corner) > 0.5:  # another corner
         return *nothing, "no corner near"
     return *corner, int(sum(side.sum() for side in sides)), ""
 
@@ -728,9 +713,10 @@ def _height_remarks(table, used):
     doubts = {
         f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
         "or the coordinate systems may differ.": apart > len(table) / 2,
-        f"{len(used)} differences; the ASPRS standards ask for {CHECKPOINTS} check points or "
-        "more.": len(used) < CHECKPOINTS,
+        f"{len(used)} differences; the ASPRS standards ask for 30 check points or more.": (
+            len(used) < 30
+        ),
         f"The median difference is {far:+.2f} m; the two height systems may differ (ellipsoid or "
-        "geoid).": abs(far) > FAR_M,
+        "geoid).": abs(far) > 1,
     }
     return " ".join(text for text, true in doubts.items() if true)

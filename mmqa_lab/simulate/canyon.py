@@ -35,9 +35,6 @@ EDGE_SHARES = (0.33, 0.33, 0.15, 0.57, 0.57)
 """Share of the buildings where foot, eave, cornice and both corners are straight lines that a
 detector can find."""
 
-PAIR_OVERLAP = 0.2
-"""Segments of one edge are a true pair when they share more than this part of the shorter one."""
-
 SHARED_COURSE, SHARED_SEEN = 0.39, 0.84
 """Share of the edges along the way of C1 and C3, and what each of the two finds of them."""
 
@@ -61,12 +58,6 @@ DRIFT_M, END_NOISE_M = 0.08, 0.22
 TWINS, SPLITS, TRUNCATIONS, CLUTTER, JAMBS = 0.15, 0.12, 0.35, 0.08, 0.2
 """Share of edges with a parallel neighbour (reveals, kerbs, cornices); shares of segments found in
 two pieces, cut short, and without any counterpart; mean number of window jambs per building."""
-
-EAVE_M = 0.6
-"""Width of the soffit under each eave; a facade meets it along a level edge."""
-
-GABLE_M = 3.0
-"""Depth of the wall that closes a row of houses at either end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +136,17 @@ class Canyon:
     surveys: dict = field(repr=False)
 
     def pairs(self, test, model):
-        """True pairs of two surveys, bool (p, q): pieces of one edge that overlap by 20 %."""
+        """True pairs of two surveys, bool (p, q).
+
+        Pieces of one edge are a pair when they share more than 20 % of the shorter one.
+        """
         test, model = self._survey(test), self._survey(model)
         same = (test.edge[:, None] == model.edge[None]) & (test.edge >= 0)[:, None]
         low = np.maximum(test.interval[:, None, 0], model.interval[None, :, 0])
         high = np.minimum(test.interval[:, None, 1], model.interval[None, :, 1])
         size = [np.diff(survey.interval, axis=1)[:, 0] for survey in (test, model)]
         least = np.minimum(size[0][:, None], size[1][None])
-        return same & (high - low > PAIR_OVERLAP * least)
+        return same & (high - low > 0.2 * least)
 
     def displacements(self, test, model):
         """Displacement of each true pair, test from model, shape (pairs, 3), m, in row order."""
@@ -480,9 +474,9 @@ def _noisy(ends, angle_deg, position, end, rng):
 
 
 def _house_faces(house):
-    """Front, pavement and eave of a house: a corner and the ends of both sides each."""
+    """Front, pavement and soffit (0.6 m) of a house: a corner and the ends of both sides each."""
     left, right, top, offset = _extent(house)
-    eave = offset - house.side * EAVE_M
+    eave = offset - house.side * 0.6
     front = (left, offset, 0), (right, offset, 0), (left, offset, top)
     pavement = (left, 0, 0), (right, 0, 0), (left, offset, 0)
     soffit = (left, offset, top), (right, offset, top), (left, eave, top)
@@ -490,11 +484,11 @@ def _house_faces(house):
 
 
 def _side_face(a, b):
-    """The wall between neighbours of different setback, or the gable at the end of a row."""
+    """The wall between neighbours of different setback, or 3 m of gable at the end of a row."""
     if a is None or b is None:
         house = b if a is None else a
         left, right, top, near = _extent(house)
-        station, far = left if a is None else right, near + house.side * GABLE_M
+        station, far = left if a is None else right, near + house.side * 3.0
     else:
         station = b.start_m
         near, far = sorted((_extent(one)[3] for one in (a, b)), key=abs)

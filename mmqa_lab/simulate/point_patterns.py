@@ -14,12 +14,6 @@ from scipy.spatial import cKDTree
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.spacing import poisson_spacing
 
-CORE = 0.7
-"""Hard-core patterns: smallest distance in units of sqrt(1 / density)."""
-
-CHILDREN, SPREAD = 8.0, 0.6
-"""Clusters: mean number of points, and standard deviation in units of sqrt(1 / density)."""
-
 SLOPE = 0.8
 """Gradients: density changes from 1 - SLOPE to 1 + SLOPE of the mean across the turned window."""
 
@@ -292,17 +286,17 @@ def _poisson(rng, density, half):
 
 
 def _hard_core(rng, density, half):
-    """Random sequential packing: points arrive one by one and stay where there is room."""
+    """Random sequential packing: points arrive one by one and stay where 0.7 spacings are free."""
     candidates = rng.uniform(0, 2 * half, (round(8 * density * 4 * half[0] * half[1]), 2))
-    kept = thin(candidates, CORE / np.sqrt(density), period=2 * half)
+    kept = thin(candidates, 0.7 / np.sqrt(density), period=2 * half)
     return candidates[kept][: len(candidates) // 8] - half
 
 
 def _clusters(rng, density, half):
-    """Thomas process: normal clouds of points about random parents."""
-    spread = SPREAD / np.sqrt(density)
-    parents = _poisson(rng, density / CHILDREN, half + 5 * spread)
-    parents = np.repeat(parents, rng.poisson(CHILDREN, len(parents)), axis=0)
+    """Thomas process: normal clouds of 8 points on average about random parents."""
+    spread = 0.6 / np.sqrt(density)
+    parents = _poisson(rng, density / 8, half + 5 * spread)
+    parents = np.repeat(parents, rng.poisson(8, len(parents)), axis=0)
     return parents + spread * rng.standard_normal(parents.shape)
 
 

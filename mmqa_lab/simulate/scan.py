@@ -22,12 +22,6 @@ FOOTPRINT = 7
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
 
-ECHO_SEPARATION_M = 0.6
-"""Echoes of one pulse closer than that fall into one."""
-
-FADING = 0.2
-"""Standard deviation of the natural logarithm of the signal."""
-
 FULL_SCALE = 65_535
 """Intensity of a surface of reflectance 1 hit square."""
 
@@ -260,7 +254,8 @@ def _shoot(scene, scanner, trajectory, known, pulse, rng):
     start = origin + (trajectory.origin - scene.origin)
     echo = _strongest(scene.cast_beams(*_footprint(scanner, start, direction, turn)))
     weakest = scanner.max_range_reflectance / scanner.max_range_m**2
-    kept = (echo["signal"] * np.exp(FADING * fading) > weakest) & (lost >= scanner.dropout_share)
+    # fading: the natural logarithm of the signal has a standard deviation of 0.2
+    kept = (echo["signal"] * np.exp(0.2 * fading) > weakest) & (lost >= scanner.dropout_share)
     kept &= echo["range_m"] >= scanner.min_range_m
     columns = {name: values[kept] for name, values in (fired | echo).items()}
     columns["gps_time"] = trajectory.time[0] + since[kept]
@@ -304,7 +299,7 @@ def _footprint(scanner, origin, direction, turn):
 def _strongest(hits):
     """Columns of the strongest echo of each pulse; no signal where there is none.
 
-    Hits closer than ``ECHO_SEPARATION_M`` in range fall into one echo: its range is their mean
+    Hits closer than 0.6 m in range fall into one echo: its range is their mean
     weighted by the signal (reflectance x cosine / range2), its signal their sum over the rays, its
     surface and cosine those of its strongest part; it is mixed where they belong to several
     surfaces.
@@ -312,7 +307,7 @@ def _strongest(hits):
     order = np.argsort(hits.range_m, axis=1)
     ranges, surface, cosine, reflectance = (np.take_along_axis(v, order, axis=1) for v in hits)
     signal = np.nan_to_num(reflectance * cosine / ranges**2)
-    apart = np.diff(ranges, axis=1, prepend=ranges[:, :1]) > ECHO_SEPARATION_M
+    apart = np.diff(ranges, axis=1, prepend=ranges[:, :1]) > 0.6
     echo = np.cumsum(apart, axis=1)
     total = np.einsum("njk,nk->nj", echo[:, :, None] == echo[:, None], signal)
     rows, first = np.arange(len(echo)), np.argmax(total, axis=1)

@@ -32,8 +32,6 @@ from mmqa_lab.simulate.trajectories import straight
 
 FAR_M = 12.5
 LEAF_RADIUS_M = 0.07
-LEAVES_PER_M = 0.8
-"""Leaves that a ray meets on a metre of its way through foliage of density 1, on average."""
 
 BUSHES = {"shrub": ((0.3, 0.5, 1.5), (0.7, 1.5, 4.0)), "thicket": ((1.0, 1.0, 10), (2.0, 5.0, 30))}
 """Least and largest radius (m), height (m) and density of what stands around feet."""
@@ -360,9 +358,9 @@ def _other(rng, at, side, plan):
 
 
 def _crown(centre, radii, density, seed, label="crown"):
-    """Foliage of a density that counts leaves met along the way, not leaves."""
+    """Foliage in which a ray meets 0.8 leaves on a metre of its way, times the density."""
     volume = 4 / 3 * np.pi * np.prod(radii)
-    n = max(int(volume * density * LEAVES_PER_M * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
+    n = max(int(volume * density * 0.8 * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
     return foliage(centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label)
 
 

@@ -217,10 +217,6 @@ FACING_THE_ROAD = 270.0
 REACH = 5
 """Chart distances to either side from which points are looked for; 2 % come from beyond."""
 
-STEPS_A_VIEW = 4
-"""Steps of a drive that are scanned at once: more take more pulses beside the chart, fewer more
-calls."""
-
 SYSTEM_A = replace(PRESETS["zf-9012"], tilt_deg=45)
 """1 MHz and 200 Hz are stated, an inclined plane too, its angle is not: 45 degrees, as is usual."""
 
@@ -280,8 +276,8 @@ def _views(scanner, path, distance):
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
     low, high = min(scanner.elevations_deg), max(scanner.elevations_deg)
     seen = (elevation.min(axis=1) <= high + 1) & (elevation.max(axis=1) >= low - 1)
-    for first in range(0, len(times) - 1, STEPS_A_VIEW):
-        part = slice(first, first + STEPS_A_VIEW + 1)
+    for first in range(0, len(times) - 1, 4):
+        part = slice(first, first + 5)
         if seen[part].any():
             view = np.clip([angle[part].min() - 5, angle[part].max() + 5], -180, 180)
             yield (times[part][0], times[part][-1]), tuple(view)

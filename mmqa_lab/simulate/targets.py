@@ -25,9 +25,6 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
 
-MARGIN_PX, MARGIN_SIGMAS = 8, 6
-"""Drawn around the image, so that what the filter wraps around stays outside."""
-
 
 READ_NOISE_DN, ELECTRONS_PER_DN = 2.0, 10.0
 """Of simulated sensors: shot noise has the variance DN / electrons per DN."""
@@ -318,9 +315,6 @@ SURFACES = pd.DataFrame(
 GAIN_DN, WINDOW_PIXELS = 9000.0, 25
 """Of a block's observations: DN per unit of light, pixels that are averaged about a tie point."""
 
-TIE_SPACING_M = 20.0
-"""Metres between tie points."""
-
 WIDTH_M, LENGTH_M, HEIGHT_M = 360.0, 240.0, 300.0
 """Ground that an image of a block sees across and along the flight, height of flight."""
 
@@ -431,9 +425,9 @@ def _stations(flight, rng):
 
 
 def _ties(stations, rng, fields=60):
-    """A grid of tie points: each has the surface of the nearest of some fields, and details."""
+    """Tie points every 20 m: each has the surface of the nearest of some fields, and details."""
     size = stations[["centre_x_m", "centre_y_m"]].max() + [WIDTH_M / 2, LENGTH_M / 2]
-    x, y = np.meshgrid(*(np.arange(TIE_SPACING_M / 2, side, TIE_SPACING_M) for side in size))
+    x, y = np.meshgrid(*(np.arange(10, side, 20) for side in size))
     places = np.column_stack([x.ravel(), y.ravel()])
     kind = rng.permutation(np.arange(fields) % len(SURFACES))
     level = np.exp(rng.normal(0, 0.15, fields))
@@ -446,7 +440,7 @@ def _ties(stations, rng, fields=60):
 def _render(shape, spread, distance, low=0.1, high=0.6):
     """Draw where ``distance`` (px into the bright parts) is positive; filter; read at pixels."""
     rows, columns = (check_count(size, "image size", low=4) for size in shape)
-    margin = MARGIN_PX + int(np.ceil(MARGIN_SIGMAS * spread.sigma_px))
+    margin = 8 + int(np.ceil(6 * spread.sigma_px))  # what the filter wraps around stays outside
     fine = [next_fast_len((size + 2 * margin) * FINE, real=True) for size in (rows, columns)]
     y, x = (
         np.arange(count)[:, None] / FINE - margin - (size - 1) / 2

@@ -20,17 +20,11 @@ from mmqa_lab.simulate.trajectories import measured, straight
 ROAD_HALF_M = 5.0
 PAVEMENT_M = 4.0
 CURB_M = 0.12
-ANTENNA_M = 2.2
-"""Height of the vehicle's reference point above the road."""
-
 LANE_M = 2.5
 """Distance of the two paths from the street's axis."""
 
 SPEED = 10.0
 """Of both drives, m/s."""
-
-OPEN_M = 50.0
-"""The open ground on the left side ends this far from the street's axis."""
 
 REFERENCE_REACH_M = 35.0
 """Surveyed ground lies up to this far from the left path: the range of the published bound."""
@@ -102,8 +96,8 @@ class SimulatedField:
         return points
 
     def drives(self):
-        """Return the two true paths, south to north on the right lane, and back."""
-        x, y, z = self.origin + [0, 0, ANTENNA_M]
+        """Return the true paths 2.2 m above the road, to the north on the right lane, and back."""
+        x, y, z = self.origin + [0, 0, 2.2]
         there = straight(self.length_m, SPEED, start=(x + LANE_M, y, z))
         away = (x - LANE_M, y + self.length_m, z)
         back = straight(self.length_m, SPEED, start=away, heading=180, start_time=1000.0)
@@ -209,7 +203,7 @@ def _road(length):
     corner, across = (-ROAD_HALF_M, middle - span / 2, 0), (2 * ROAD_HALF_M, 0, 0)
     yield rectangle(corner, across, (0, span, 0), label="road", reflectance=0.15)
     look = {"label": "pavement", "reflectance": 0.3}
-    for sign, end in ((-1, OPEN_M), (1, ROAD_HALF_M + PAVEMENT_M)):
+    for sign, end in ((-1, 50.0), (1, ROAD_HALF_M + PAVEMENT_M)):
         base = sign * (ROAD_HALF_M + end) / 2, middle, 0
         yield box(base, (end - ROAD_HALF_M, span, CURB_M), **look)
         for low, high in _bays(length):
