@@ -44,25 +44,10 @@ PRINTED = (
 
 
 @lru_cache(maxsize=10)
-def _drive(plan, scanner, length, speed, seed, both_ways):
-    """Street, cloud, visible targets and path of one drive, or of one there and back."""
-    made = streets.street(plan, length=length, seed=seed)
-    there = made.trajectory(speed)
-    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
-    targets = streets.visible_targets(made, cloud)
-    if both_ways:
-        turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
-        back = replace(there, position=there.position[::-1].copy(), **turned)
-        again = scan(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
-        columns = dict(again.columns) | {"scan_line": again["scan_line"] + 1_000_000}
-        cloud = Cloud.concatenate([cloud, Cloud(again.points, columns)])
-    return made, cloud, targets, there.position
-
-
 def scene(
     *, seed, plan="table-4-1", scanner="roamer", length=100.0, speed=30 / 3.6, both_ways=False
 ):
-    """Return the cloud of a simulated street, and its truth.
+    """Return the cloud of a simulated street, and its truth; the last ten are kept.
 
     Parameters
     ----------
@@ -76,10 +61,19 @@ def scene(
     -------
     Cloud, dict
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
-        ``street``, ``length_m``, ``poles`` and ``visible`` (their numbers).
+        ``street``, ``poles`` and ``visible`` (their numbers).
     """
-    made, cloud, targets, path = _drive(plan, scanner, length, speed, seed, both_ways)
-    truth = {"targets": targets.copy(), "path": path, "street": made, "length_m": length}
+    made = streets.street(plan, length=length, seed=seed)
+    there = made.trajectory(speed)
+    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    targets = streets.visible_targets(made, cloud)
+    if both_ways:
+        turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
+        back = replace(there, position=there.position[::-1].copy(), **turned)
+        again = scan(made.scene, streets.SCANNERS[scanner], back, seed=seed + 1)
+        columns = dict(again.columns) | {"scan_line": again["scan_line"] + 1_000_000}
+        cloud = Cloud.concatenate([cloud, Cloud(again.points, columns)])
+    truth = {"targets": targets, "path": there.position, "street": made}
     return cloud, truth | {"poles": len(targets), "visible": targets["visible"].sum()}
 
 
@@ -260,11 +254,10 @@ def ledger_table(beside, *, visible, diameters, walls, crowded):
 def outcomes(result):
     """Return the tables of hits, misses and false alarms, duplicates among them, by name."""
     made, targets = result.detections, result.targets
-    return {
-        "hit": made[made["outcome"] == "hit"],
-        "miss": targets[targets["target"] & ~targets["found"]],
-        "false alarm": made[made["outcome"].isin(["false", "duplicate"])],
-    }
+    found = {"hit": made[made["outcome"] == "hit"]}
+    found["miss"] = targets[targets["target"] & ~targets["found"]]
+    found["false alarm"] = made[made["outcome"].isin(["false", "duplicate"])]
+    return found
 
 
 def causes(result, cloud, truth):
