@@ -62,7 +62,7 @@ def test_each_check_can_fail():
     gain = pd.DataFrame({"difference": 0.3, "low": 0.2}, ["f < 2 or exempt", "g < 2 or exempt"])
     heads = pd.DataFrame({"f_smallest": [3.0, 2.9], "f_largest": [3.6, 3.0]})
     whole = {
-        **{"worst": 1.2, "forms": range(15), "uneven": 1.01, "pair": ranks},
+        **{"worst": 1.2, "distinct": range(13), "repeats": 30, "uneven": 1.01, "pair": ranks},
         "noisy": pd.Series({0.0: 5.7, 45.0: 10.8}),
         **{"gain": gain, "by_g": gain, "heads": heads},
         "both": pd.Series({"f_smallest": 2.2, "f_largest": 2.2}),

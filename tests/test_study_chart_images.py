@@ -2,25 +2,15 @@
 
 from types import SimpleNamespace
 
-import numpy as np
 import pandas as pd
 import pytest
 from conftest import spoiled
-from hypothesis import given
-from hypothesis import strategies as st
 from rendered import centre_contrast
 from scipy.optimize import brentq
 
 from mmqa_lab import bench, published
 from mmqa_lab.published import ledger
 from mmqa_lab.studies import chart_images as study
-
-DIRECTIONS = st.sampled_from("hv")
-
-
-@pytest.fixture(scope="module")
-def cells():
-    return study.width_cells(study.table_1())
 
 
 def test_table_1_has_every_printed_cell():
@@ -35,11 +25,6 @@ def test_table_1_has_every_printed_cell():
         assert widths.to_dict() == pytest.approx({"h": row.w_h_mm, "v": row.w_v_mm}, nan_ok=True)
 
 
-def test_cells_without_a_pixel_size_take_that_of_the_other_direction(cells):
-    row = cells.query("system == 'A' and view == 'forward' and direction == 'h'").iloc[0]
-    assert row["pixel_mm"] == 11.1
-
-
 @pytest.mark.parametrize(("sigma", "blur"), [(0.9, 0.0), (0.7, 3.0)])
 def test_limit_lies_a_little_above_that_of_the_noise_free_contrast(sigma, blur):
     limit = study.pair_limit(sigma, blur, seed=3)
@@ -50,23 +35,6 @@ def test_limit_lies_a_little_above_that_of_the_noise_free_contrast(sigma, blur):
 
 def test_limit_never_falls_below_beats():
     assert study.pair_limit(0.1) >= study.reading.SMALLEST_PAIR_PX
-
-
-@given(finest=st.floats(1, 60), direction=DIRECTIONS)
-def test_ladder_width_is_the_finest_that_is_wide_enough(finest, direction):
-    width = study.ladder_widths([finest], [direction])[0]
-    wide = [rung for rung in study.LADDERS_MM[direction] if rung >= finest]
-    assert (np.isnan(width) and not wide) or (width in wide and width == wide[-1])
-
-
-@given(st.data(), DIRECTIONS)
-def test_steps_count_rungs_and_change_sign(data, direction):
-    ladder = study.LADDERS_MM[direction]
-    one, two = (data.draw(st.integers(0, len(ladder) - 1)) for _ in range(2))
-    pair = [ladder[one]], [ladder[two]], [direction]
-    assert study.steps_between(*pair) == one - two
-    assert study.steps_between(pair[1], pair[0], pair[2]) == two - one
-    assert study.steps_between([np.nan], pair[1], pair[2]) == -1 - two
 
 
 @pytest.fixture(scope="module")
@@ -86,24 +54,20 @@ def test_photographs_have_the_pixels_they_ask_for(moving):
 
 def test_optics_carry_what_the_integral_over_the_bars_says(moving):
     blur = 1.5 * 40 / 3.6 / 8.05
-    for row in moving[1]["patterns"].itertuples():
+    seen, truth = moving
+    for row, carried in zip(seen.pairs.itertuples(), truth["carried"], strict=True):
         left = centre_contrast(row.width_px, 0.4, blur if row.direction == "h" else 0.0)
         if abs(left - 0.1) > 0.02:
-            assert row.there == (left > 0.1 and row.width_px >= 2), row
+            assert carried == (left > 0.1 and row.width_px >= 2), row
 
 
-def test_rules_are_scored_against_optics_and_table(moving):
+def test_rules_are_scored_against_optics(moving):
     seen, truth = moving
-    patterns = truth["patterns"]
-    right = study.score_rule(patterns["there"], truth)
-    assert (right["spurious"], right["missed"]) == (0, 0)
-    every = study.score_rule([True] * len(patterns), truth)
-    assert every["spurious"] == (~patterns["there"]).sum()
-    # 2 mm instead of 20 mm
-    assert every["steps_h"] == study.LADDERS_MM["h"].index(2.0) - study.LADDERS_MM["h"].index(20)
-    none = study.score_rule([False] * len(patterns), truth)
-    assert none["missed"] == patterns["there"].sum()
-    assert none["steps_v"] == -1 - study.LADDERS_MM["v"].index(20.0)
+    carried = truth["carried"]
+    assert study.score_rule(carried, truth) == {"spurious": 0, "missed": 0}
+    every, none = (study.score_rule([taken] * len(carried), truth) for taken in (True, False))
+    assert every == {"spurious": (~carried).sum(), "missed": 0}
+    assert none == {"spurious": 0, "missed": carried.sum()}
     assert study.score_rule(study.every_gap(seen), truth)["spurious"] == 0
     assert study.score_rule(study.contrast_alone(seen), truth)["spurious"] > 0
 
@@ -120,19 +84,18 @@ def test_the_bench_has_the_rows_of_table_1_then_others_and_takes_a_rule_of_ones_
     assert bench.failures(results).empty
 
 
-def test_ledger_has_every_cell_of_table_1(cells):
-    table = study.table_1()
-    sizes = cells[[*study.ROW, "direction"]].copy()
-    sizes["published_mm"] = table[["pixel_h_mm", "pixel_v_mm"]].to_numpy().ravel()
-    sizes["predicted_mm"] = cells["pixel_mm"]
-    sizes["low_mm"], sizes["high_mm"] = 0.9 * cells["pixel_mm"], 1.1 * cells["pixel_mm"]
-    widths = cells.assign(predicted_mm=15.0, low_mm=10.0, high_mm=20.0, fitted_mm=15.0)
-    entries = study.ledger_table(sizes, widths, table.assign(fitted_mark="c"), [0.1, 0.2])
+def test_ledger_has_every_pixel_size_and_mark_of_table_1():
+    table = study.table_1().assign(ours=1.0, low_mm=0.9, high_mm=1.1)
+    sizes = pd.concat([table.assign(direction=direction) for direction in "hv"])
+    made = {"value": "ours", "note": "made up"}
+    entries = [
+        study.ledger_rows(sizes, "pixel size", kind="predicted", **made),
+        study.ledger_rows(sizes, "line-pair width", kind="fitted", **made),
+        study.ledger_rows(table, "legibility", kind="fitted", **made),
+    ]
     printed = ledger.cells().query("source == 'pfeifer2021' and table == 'table_1'")
-    assert set(entries.query("table == 'table_1'")["cell"]) == set(printed["cell"])
-    assert entries.query("table == 'numbers'")["value"].tolist() == pytest.approx([0.2, 0.8])
-    assert (entries["note"] != "").all()
-    assert entries["kind"].isin(ledger.KINDS).all()
+    assert set(pd.concat(entries)["cell"]) == set(printed["cell"])
+    assert [each["low"].notna().all() for each in entries] == [True, False, False]
 
 
 def test_each_check_of_the_notebook_can_fail():

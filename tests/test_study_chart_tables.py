@@ -1,11 +1,10 @@
-"""Study 01: readings of a chart against known truth, its ledger, checks that can fail."""
+"""Study 01: readings of a chart against known truth, checks that can fail."""
 
 import numpy as np
 import pandas as pd
 import pytest
 from conftest import spoiled
 
-from mmqa_lab.published import ledger
 from mmqa_lab.studies import chart_tables as study
 
 
@@ -36,15 +35,6 @@ def test_truth_is_what_was_drawn(readings):
     off = study.differences(readings, "truth").set_index(["method", "system"])
     assert off.loc[("section 3.3", "C"), "density_percent"] == pytest.approx(0, abs=2)
     assert off.loc[("std", "A"), "sigma_mad_percent"] == pytest.approx(0, abs=10)
-
-
-def test_both_scenarios_have_an_entry_each():
-    rows = {"set": ["test", "scenario 1", "scenario 2"], "fewest": 0, "likely": [0, 0, 2]}
-    entries = study.ledger_table(pd.DataFrame(rows | {"most": 2}))
-    assert set(entries["cell"]) == {"scenario_1_systems", "scenario_2_systems"}
-    printed = ledger.cells().query("source == 'pfeifer2021' and table == 'numbers'")
-    assert set(entries["cell"]) <= set(printed["cell"])
-    assert entries["value"].tolist() == [0, 2]
 
 
 def test_each_check_can_fail():

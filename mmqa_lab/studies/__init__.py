@@ -1,6 +1,6 @@
 """The studies, one module per notebook, and their list, which stands in a TOML file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -20,6 +20,8 @@ class Study:
     source: str
     tables: tuple = ()
     """Source and name of the printed tables that its ledger answers."""
+    quick: dict = field(default_factory=dict)
+    """Small parameters of its notebook, for the tests and for copies for a class."""
 
     @property
     def notebook(self):
@@ -31,39 +33,19 @@ class Study:
         """Path of the notebook."""
         return notebooks_folder() / f"{self.notebook}.ipynb"
 
-    @property
-    def quick(self):
-        """Small parameters of its notebook, for the tests and for copies for a class."""
-        return SMALL.get(self.stem, {})
-
-    @property
-    def module(self):
-        """The imported module of the study."""
-        return import_module(f"mmqa_lab.studies.{self.stem}")
-
     def bench(self, *, quick=False):
-        """The study's comparison of methods, for a quick look with few seeds and small parameters.
-
-        A study that compares nothing is refused with a ValueError.
-        """
-        make = getattr(self.module, "bench", None)
-        if not callable(make):
-            raise ValueError(f"Invalid study {self.stem!r}: no bench. Must compare methods.")
-        small = {"seeds": range(3)} | self.quick
-        known = signature(make).parameters
-        return make(**{name: small[name] for name in small if quick and name in known})
+        """The study's comparison of methods; for a quick look with few seeds and small cases."""
+        make = import_module(f"mmqa_lab.studies.{self.stem}").bench
+        small = {"seeds": range(3)} | self.quick if quick else {}
+        return make(**{name: small[name] for name in signature(make).parameters if name in small})
 
 
-_FOLDER = Path(__file__).parent
+_LISTED = _tables(Path(__file__).with_name("catalogue.toml"))
+_SMALL = _tables(Path(__file__).with_name("quick.toml"))
 
-SMALL = _tables(_FOLDER / "quick.toml")
-"""Small parameters of the notebooks, by study: for the tests and for copies for a class."""
+STUDIES = tuple(Study(**row, quick=_SMALL.get(row["stem"], {})) for row in _LISTED["studies"])
 
-_LISTED = _tables(_FOLDER / "catalogue.toml")
-
-STUDIES = tuple(Study(**one) for one in _LISTED["studies"])
-
-TOOLS = tuple(Study(**one) for one in _LISTED["tools"])
+TOOLS = tuple(Study(**row) for row in _LISTED["tools"])
 """Notebooks that are tools: they have no answer, no checks and no module."""
 
 
@@ -96,7 +78,6 @@ def chosen(names=()):
     ['01_chart_tables']
     """
     known = tuple(study.stem for study in STUDIES)
-    stems = [Path(name).stem.lstrip("0123456789_") for name in names]
-    for stem in stems:
-        check_choice(stem, "study", known)
+    plain = (Path(name).stem.lstrip("0123456789_") for name in names)
+    stems = [check_choice(stem, "study", known) for stem in plain]
     return [study for study in STUDIES if study.stem in stems or not stems]

@@ -1,5 +1,7 @@
 """What f = d4/d1 measures: patterns of known anisotropy, other measures, rules, real clouds."""
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 from scipy.spatial import ConvexHull, cKDTree
@@ -16,11 +18,15 @@ from mmqa_lab.simulate.point_patterns import (
 )
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
 
-CLOSED = ("lattice", "hexagonal", "scan_lines", "poisson")
-"""Patterns whose f is known in closed form."""
-
 LEAST_NOISE, EXACT = 1e-10, 1e-6
 """Metres of noise that decide on which side of an axis a point lies and nothing else."""
+
+CLOSED = {
+    (kind, "turned by 25°"): {"angle": 25}
+    for kind in ("lattice", "hexagonal", "scan_lines", "poisson")
+}
+CLOSED["scan_lines", "along, least noise"] = {"noise": LEAST_NOISE}
+"""Patterns whose f is known in closed form, and how they lie to the axes."""
 
 BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
 
@@ -113,13 +119,8 @@ def bench(
     Comparison
     """
     cases = benches.grid(kind=kinds, stretch=stretches, angle=angles, n=counts, noise_mm=noises_mm)
-    return benches.Comparison(
-        cases,
-        dict(methods or METHODS),
-        pattern,
-        seeds=seeds,
-        tables=lambda results: {"ranks": benches.rank(results, truth="ratio")},
-    )
+    answer = {"tables": lambda results: {"ranks": benches.rank(results, truth="ratio")}}
+    return benches.Comparison(cases, dict(methods or METHODS), pattern, seeds=seeds, **answer)
 
 
 def closed_forms(*, stretches, repeats, density=3000.0, size=1.5, guard=0.2):
@@ -144,18 +145,15 @@ def closed_forms(*, stretches, repeats, density=3000.0, size=1.5, guard=0.2):
         does), ``n`` (patterns).
     """
     rows = []
-    for ratio in stretches:
-        cases = [(kind, "turned by 25°", expected_f(kind, ratio), 25, 0.0) for kind in CLOSED]
-        cases.append(("scan_lines", "along, least noise", aligned_lines_f(), 0, LEAST_NOISE))
-        for kind, axes, predicted, angle, noise in cases:
-            choices = {"density": density, "size": size, "ratio": ratio, "angle": angle}
-            choices |= {"jitter": 0, "noise": noise}
-            windows = (point_pattern(kind, seed=2000 + k, **choices) for k in range(repeats))
-            seen = np.array([_interior_f(xy, guard) for xy in windows])
-            error = seen.std(ddof=1) / np.sqrt(repeats)
-            off = seen.mean() - predicted
-            z = off / error if abs(off) > EXACT else 0.0
-            rows.append((kind, axes, ratio, predicted, seen.mean(), error, z, repeats))
+    for ratio, ((kind, axes), turn) in product(stretches, CLOSED.items()):
+        choices = {"density": density, "size": size, "ratio": ratio, "jitter": 0, **turn}
+        windows = [point_pattern(kind, seed=2000 + k, **choices) for k in range(repeats)]
+        seen = np.array([_interior_f(xy, guard) for xy in windows])
+        predicted = expected_f(kind, ratio) if "angle" in turn else aligned_lines_f()
+        error = seen.std(ddof=1) / np.sqrt(repeats)
+        off = seen.mean() - predicted
+        z = off / error if abs(off) > EXACT else 0.0
+        rows.append((kind, axes, ratio, predicted, seen.mean(), error, z, repeats))
     names = ["pattern", "axes", "stretch", "f_predicted", "f_measured", "standard_error", "z", "n"]
     return pd.DataFrame(rows, columns=names)
 
@@ -168,37 +166,12 @@ def _interior_f(xy, guard):
     return medians[3] / medians[0]
 
 
-def turns(clouds, angles):
-    """Turn the axes about planar clouds.
-
-    Parameters
-    ----------
-    clouds : dict of str to array, shape (n, 2)
-        Metres.
-    angles : array_like
-        Degrees.
-
-    Returns
-    -------
-    DataFrame
-        ``cloud``, ``angle_deg``, ``f``, and for the whole cloud ``g``, ``direction_deg``, ``n``.
-    """
-    tables = []
-    for name, xy in clouds.items():
-        found = directional(xy)
-        table = pd.DataFrame({"cloud": name, "angle_deg": angles, "f": turned_f(xy, angles=angles)})
-        about = {"g": found.g, "direction_deg": found.direction_deg, "n": len(xy)}
-        tables.append(table.assign(**about))
-    return pd.concat(tables, ignore_index=True)
-
-
 def boards():
-    """Return the points of boards, (n, 3), m, by name, where MMQA_DATA has them."""
-    return {
-        name: io.read_cloud(samples.real_path(file), columns=()).points
-        for name, file in BOARDS.items()
-        if samples.has_real(file)
+    """Points of boards, (n, 3), m, by name, where MMQA_DATA has them."""
+    found = {
+        name: samples.real_path(file) for name, file in BOARDS.items() if samples.has_real(file)
     }
+    return {name: io.read_cloud(path, columns=()).points for name, path in found.items()}
 
 
 def real_clouds():

@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-import pandas as pd
 
 from mmqa_lab import chart_image, charts, published
 from mmqa_lab.bench import Comparison, grid
@@ -28,9 +27,6 @@ FITTED_PX = 0.8
 SENSOR = cameras.Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=90)
 
 SPEED_KMH = 40.0
-
-MARKS = {"a": 1.0, "b": 2.0, "c": 3.0}
-"""Legibility as the ledger counts it."""
 
 LIMIT_STEP, LIMIT_STEPS, LIMIT_LENGTH_PX, MAP_ERROR_PX = 1.04, 9, 24.0, 0.1
 """Line pairs that find the limit: their steps, number and length, and the error of their place."""
@@ -59,29 +55,8 @@ def table_1():
     wide = numbers.pivot(index=ROW, columns="figure", values="value").rename_axis(columns=None)
     wide["legibility"] = table[table["unit"] == "mark"].set_index(ROW)["printed"]
     order = {"orthogonal": 0, "forward": 1, "backward": 2}
-    return wide.reset_index().sort_values(
-        ROW, key=lambda column: column.replace(order), ignore_index=True
-    )
-
-
-def width_cells(table):
-    """Return the 24 widths of a Table 1, a row for each, with the pixels that saw them.
-
-    ``published_mm`` is NaN for a dash; ``pixel_mm`` is published, of the same direction where it is
-    printed, else of the other.
-
-    Examples
-    --------
-    >>> cells = width_cells(table_1())
-    >>> len(cells), int(cells["published_mm"].isna().sum())
-    (24, 2)
-    """
-    parts = []
-    for direction, other in ("hv", "vh"):
-        pixel = table[f"pixel_{direction}_mm"].fillna(table[f"pixel_{other}_mm"])
-        part = table[ROW].assign(direction=direction, published_mm=table[f"w_{direction}_mm"])
-        parts.append(part.assign(pixel_mm=pixel))
-    return pd.concat(parts).sort_index(kind="stable").reset_index(drop=True)
+    wide = wide.reset_index()
+    return wide.sort_values(ROW, key=lambda column: column.replace(order), ignore_index=True)
 
 
 def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
@@ -117,38 +92,6 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
-def ladder_widths(finest_mm, directions):
-    """Return the finest width of the chart's ladder that is resolved, NaN for none.
-
-    Examples
-    --------
-    >>> ladder_widths([9.0, 35.0, 35.0], ["h", "h", "v"]).tolist()
-    [10.0, 40.0, nan]
-    """
-    pairs = zip(finest_mm, directions, strict=True)
-    wider = [[width for width in LADDERS_MM[d] if width >= finest] for finest, d in pairs]
-    return np.array([min(widths, default=np.nan) for widths in wider])
-
-
-def steps_between(one, two, directions):
-    """Return how many steps of the chart's ladder the first widths are finer than the second.
-
-    No width at all is one step before the ladder, which for lying bars begins one step later.
-
-    Examples
-    --------
-    >>> steps_between([8.0, np.nan], [10.0, 30.0], ["h", "v"]).tolist()
-    [1, -1]
-    """
-
-    def rung(width, direction):
-        ladder = LADDERS_MM[direction]
-        return ladder.index(width) if width in ladder else -1
-
-    pairs = zip(one, two, directions, strict=True)
-    return np.array([rung(first, d) - rung(second, d) for first, second, d in pairs])
-
-
 @lru_cache(maxsize=64)
 def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, seed=0, layout=None):
     """Photograph the chart as a row of Table 1 saw it: ``make`` of the bench.
@@ -173,9 +116,9 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
     seen : ImageQuality
         Of :func:`mmqa_lab.chart_image.evaluate_image`.
     truth : dict
-        ``pixel_h_mm``, ``pixel_v_mm`` (true, along the bars), ``published`` (the row) and
-        ``patterns``: the readings with ``there``, whether the optics carry the pattern at all: two
-        pixels a pair or more, and a tenth of the contrast in closed form.
+        ``pixel_h_mm``, ``pixel_v_mm`` (true, along the bars) and ``carried``: whether the optics
+        carry each pattern at all: two pixels a pair or more, and a tenth of the contrast in closed
+        form.
     """
     row = table_1().set_index(ROW).loc[(system, distance_m, view)]
     layout = layout or charts.imaging_chart()
@@ -184,49 +127,27 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
     optics = cameras.Optics(spread_px, travel=tuple(travel))
     photo = cameras.photograph(layout, there, optics=optics, sensor=SENSOR, seed=seed)
     image = decode(photo.image.astype(np.float32) / 255, "srgb")
-    corners = photo.chart_map.pixels(layout.corners())
-    bent = {"camera": there.camera, "offset": photo.origin}
-    place = chart_image.locate(None, layout, corners=corners, **bent)
+    known = {"corners": photo.chart_map.pixels(layout.corners()), "camera": there.camera}
+    place = chart_image.locate(None, layout, offset=photo.origin, **known)
     seen = chart_image.evaluate_image(image, layout, place)
     blurs = [_blur_px(photo.chart_map, travel, layout[name]) for name in seen.pairs["name"]]
     width_px = seen.pairs["width_px"].to_numpy()
-    carried = reading.expected_contrast(width_px, spread_px, blurs) >= reading.SMALLEST_GAP
-    middle = {"h": (0, [[500.0, 50.0]]), "v": (1, [[154.0, 500.0], [856.0, 500.0]])}
-    truth = {
-        f"pixel_{direction}_mm": photo.chart_map.pixel_sizes_mm(places)[:, axis].mean()
-        for direction, (axis, places) in middle.items()
-    }
-    patterns = seen.pairs.assign(there=carried & (width_px >= 2))
-    return seen, truth | {"published": row, "patterns": patterns}
+    left = reading.expected_contrast(width_px, spread_px, blurs)
+    truth = {"carried": (left >= reading.SMALLEST_GAP) & (width_px >= 2)}
+    for k, places in enumerate(([[500, 50]], [[154, 500], [856, 500]])):  # lying, standing bars
+        sizes = photo.chart_map.pixel_sizes_mm(np.array(places, dtype=float))
+        truth[f"pixel_{'hv'[k]}_mm"] = sizes[:, k].mean()
+    return seen, truth
 
 
 def score_rule(resolved, truth):
-    """Compare what a rule accepts as resolved with the optics and with Table 1.
+    """Count what a rule accepts though the optics do not carry it, and what it refuses though.
 
-    Parameters
-    ----------
-    resolved : array_like of bool
-        For each pattern, in the order of ``seen.pairs``.
-    truth : dict
-        Of :func:`photo_case`.
-
-    Returns
-    -------
-    dict
-        ``spurious``: patterns accepted that the optics do not carry; ``missed``: patterns refused
-        that they do; ``steps_h``, ``steps_v``: of the ladder, finer than published.
+    ``resolved`` has a truth value for each pattern, in the order of ``seen.pairs``; ``truth`` is
+    that of :func:`photo_case`.
     """
-    patterns = truth["patterns"].assign(resolved=np.asarray(resolved, dtype=bool))
-    there = patterns["there"]
-    scores = {
-        "spurious": int((patterns["resolved"] & ~there).sum()),
-        "missed": int((~patterns["resolved"] & there).sum()),
-    }
-    for direction in "hv":
-        width = chart_image.resolution(patterns, direction).width_mm
-        printed = truth["published"][f"w_{direction}_mm"]
-        scores[f"steps_{direction}"] = int(steps_between([width], [printed], [direction])[0])
-    return scores
+    resolved, carried = np.asarray(resolved, dtype=bool), truth["carried"]
+    return {"spurious": int(sum(resolved & ~carried)), "missed": int(sum(carried & ~resolved))}
 
 
 def every_gap(seen):
@@ -258,61 +179,25 @@ def bench(systems="ABC", photo_spreads_px=(0.4, FITTED_PX), exposures_ms=(0, 0.5
     table = table_1()
     rows = table[table["system"].isin(list(systems))][ROW].to_dict("records")
     cases = [row | {"spread_px": FITTED_PX, "exposure_ms": 0.0} for row in rows]
-    exposures = [float(one) for one in exposures_ms]
     for row in rows:
         if row["view"] == "orthogonal" and row["distance_m"] == 10:
-            cases += grid(**row, spread_px=photo_spreads_px, exposure_ms=exposures)
+            cases += grid(**row, spread_px=photo_spreads_px, exposure_ms=exposures_ms)
     cases = [case for k, case in enumerate(cases) if case not in cases[:k]]
     rules = {"every gap": every_gap, "contrast alone": contrast_alone, "2.74 pixels": enough_pixels}
     return Comparison(cases, rules, photo_case, score_rule, [seed], figures=("spurious", "missed"))
 
 
-def ledger_table(sizes, widths, legibility, repeats_px):
-    """Return what this study says of the printed cells of Table 1 and of repeated bar lengths.
+def ledger_rows(rows, what, *, value, kind, note):
+    """The ledger's entries on a quantity of Table 1, from a column of a table in the notebook.
 
-    Parameters
-    ----------
-    sizes : DataFrame
-        ``system``, ``distance_m``, ``view``, ``direction``, ``published_mm`` (NaN for a dash),
-        ``predicted_mm``, ``low_mm``, ``high_mm``.
-    widths : DataFrame
-        Of :func:`width_cells` with ``predicted_mm``, ``low_mm``, ``high_mm`` and ``fitted_mm``.
-    legibility : DataFrame
-        ``system``, ``distance_m``, ``view``, ``fitted_mark``.
-    repeats_px : array_like
-        Standard deviations of repeated bar lengths.
-
-    Returns
-    -------
-    DataFrame
-        As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
+    ``rows`` has the columns ``ROW``, ``direction`` where the quantity has one, and for a prediction
+    the ends of its interval, ``low_mm`` and ``high_mm``.
     """
-    pixel = "From megapixels, distance and images every few metres, without stitching and storing."
-    dash = "The simulated grey bar is found; the paper says that it was hard to measure."
-    usual = "From megapixels, distance and a usual point spread; exposure and sharpening unknown."
-    fit = "One number of pixels a pair, fitted to the printed widths; published pixel sizes."
-    marked = "Pixels per capital height, with two thresholds fitted to these twelve marks."
-    sizes = sizes.assign(note=np.where(sizes["published_mm"] > 0, pixel, dash))
-    marks = legibility.assign(direction="", mark=legibility["fitted_mark"].map(MARKS))
-    tables = []
-    for what, part, value in (
-        ("pixel size", sizes, "predicted_mm"),
-        ("line-pair width", widths.assign(note=usual), "predicted_mm"),
-        ("line-pair width", widths.assign(note=fit), "fitted_mm"),
-        ("legibility", marks.assign(note=marked), "mark"),
-    ):
-        predicted = value == "predicted_mm"
-        ends = {"low_mm": "low", "high_mm": "high"} if predicted else {}
-        rows = part.rename(columns={value: "value", **ends})
-        place = rows["system"] + rows["distance_m"].map(" {:.0f} m ".format) + rows["view"]
-        cell = (place + " " + rows["direction"] + " " + what).str.split().str.join(" ")
-        kind = "predicted" if predicted else "fitted"
-        tables.append(rows.assign(table="table_1", cell=cell, kind=kind))
-    std = float(np.max(repeats_px))
-    repeated = pd.DataFrame({"cell": ["bar_std", "bar_difference_max"], "value": [std, 4 * std]})
-    note = "Standard deviation along the pixel rows of simulated bars; the largest are four of it."
-    repeated = repeated.assign(table="numbers", kind="measured", note=note)
-    return ledger.entries(pd.concat([*tables, repeated], ignore_index=True), source="pfeifer2021")
+    place = rows["system"] + rows["distance_m"].map(" {:.0f} m ".format) + rows["view"] + " "
+    cell = place + rows["direction"] + " " + what if "direction" in rows else place + what
+    ends = {"low_mm": "low", "high_mm": "high"} if kind == "predicted" else {}
+    named = rows.rename(columns={value: "value", **ends}).assign(cell=cell, note=note)
+    return ledger.entries(named, source="pfeifer2021", table="table_1", kind=kind)
 
 
 def _steps_chart(sigma_px, blur_px):

@@ -13,7 +13,6 @@ from mmqa_lab import published
 from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon, evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
-from mmqa_lab.published import ledger
 from mmqa_lab.simulate import chart_corners, systems
 
 FIGURES = {
@@ -34,7 +33,7 @@ SENSORS = {
 
 
 def table_2():
-    """Return the published Table 2, sigma_MAD as ``precision_mm``.
+    """The published Table 2, sigma_MAD as ``precision_mm``.
 
     Examples
     --------
@@ -46,23 +45,10 @@ def table_2():
 
 
 def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
-    """Return the points of the chart as a system scans it, from the chart's centre.
+    """The chart as a system of ``SENSORS`` scans it: a Cloud from the chart's centre, m.
 
-    Parameters
-    ----------
-    system : str
-        Of ``SENSORS``.
-    distance_m : float
-    seed : int
-    height_m : float
-        Of the sensor above the chart's centre.
-    **changes
-        Fields of the sensor.
-
-    Returns
-    -------
-    Cloud
-        x away from the path, y along it, z up; m.
+    x points away from the path, y along it, z up. The sensor is ``height_m`` above the centre;
+    ``changes`` are fields of it.
     """
     sensor = replace(SENSORS[system], **changes)
     cloud = systems.pass_chart(sensor, distance_m, seed=seed, height=height_m)
@@ -70,7 +56,7 @@ def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
 
 
 def make(system, distance_m, *, seed):
-    """Return the points of the chart, and their true density and noise."""
+    """A chart, and its true density and noise."""
     cloud = chart_cloud(system, distance_m, seed=seed)
     across = cloud["range_noise_m"] * np.cos(np.radians(cloud["incidence_deg"]))
     return cloud, {"density_per_m2": len(cloud), "precision_mm": 1000 * across.std()}
@@ -85,23 +71,11 @@ def read(
     scale=PAPER_SCALE,
     margins=CHART_MARGINS_M,
 ):
-    """Return the figures of Table 2 of a chart, by default as Appendix A of the paper reads it.
+    """Read the figures of Table 2 from a chart, by default as Appendix A of the paper does.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        Of :func:`chart_cloud`.
-    density : {"hull", "polygon"}
-    axes, scale
-        Of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
-    spread : {"sigma_mad", "std"}
-    margins : float or tuple of 4 floats
-        Of :func:`mmqa_lab.chart_cloud.chart_polygon`.
-
-    Returns
-    -------
-    dict
-        With the keys of ``FIGURES``.
+    The density is that of the ``"hull"`` or of the ``"polygon"``, the spread ``"sigma_mad"`` or
+    ``"std"``. Axes and scale are those of :func:`mmqa_lab.chart_cloud.evaluate_cloud`, margins
+    those of :func:`mmqa_lab.chart_cloud.chart_polygon`. The dict has the keys of ``FIGURES``.
     """
     corners = chart_corners((0, 0, 0), heading=systems.FACING_THE_ROAD)
     polygon = chart_polygon(corners, margins=margins)
@@ -147,45 +121,16 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seed
 
 
 def differences(results, reference):
-    """Return by how many per cent figures differ from a reading or from the truth, by system.
+    """By how many per cent figures differ from a reading's or, for ``"truth"``, the true ones.
 
-    Parameters
-    ----------
-    results : Dataset
-        Of :func:`bench`.
-    reference : str
-        A method, or ``"truth"``.
-
-    Returns
-    -------
-    DataFrame
-        ``method``, ``system``, and a column in per cent for each figure.
+    A row for each ``method`` and ``system`` of the results of :func:`bench`, a column for each
+    figure by the ledger's name.
     """
     means = benches.cell_table(results).groupby(["method", "system"], sort=False)
     means = means.mean(numeric_only=True)
-    known = [name for name in FIGURES if reference != "truth" or f"truth_{name}" in means]
     if reference == "truth":
-        base = means[[f"truth_{name}" for name in known]].to_numpy()
+        base = means.filter(like="truth_").rename(columns=lambda name: name.removeprefix("truth_"))
     else:
-        base = means.loc[reference, known]
-    table = 100 * (means[known] / base - 1)
+        base = means.loc[reference, list(FIGURES)]
+    table = 100 * (means[base.columns] / base - 1)
     return table.rename(columns=lambda name: f"{FIGURES[name]}_percent").reset_index()
-
-
-def ledger_table(chosen):
-    """Return the ledger's entries on the two scenarios of section 4.4.
-
-    Parameters
-    ----------
-    chosen : DataFrame
-        ``set``, ``fewest``, ``likely``, ``most``: how many systems qualify.
-
-    Returns
-    -------
-    DataFrame
-    """
-    note = "Criteria and tables as printed; text of 60 mm, which was not judged, by its pixels."
-    rows = chosen.rename(columns={"likely": "value", "fewest": "low", "most": "high"})
-    rows["cell"] = rows["set"].str.replace(" ", "_") + "_systems"
-    same = {"source": "pfeifer2021", "table": "numbers", "kind": "predicted", "note": note}
-    return ledger.entries(rows[rows["set"] != "test"], **same)

@@ -1,18 +1,16 @@
 """How far density, sigma_MAD and f vary when the same chart is selected again."""
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq
-from scipy.stats import norm
 
 from mmqa_lab import bench as benches
-from mmqa_lab import io, published, samples
+from mmqa_lab import io, samples
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
-from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
-from mmqa_lab.published import ledger
+from mmqa_lab.planes import fit_plane
 from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.simulate import chart_corners, systems
 from mmqa_lab.studies.anisotropy import boards
@@ -34,25 +32,11 @@ FIGURES = {"density_polygon_per_m2": "density", "std_mm": "std", "sigma_mad_mm":
 FIGURES |= {name: name.removesuffix("_mm") for name in ("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f")}
 """What is evaluated, and its name in tables."""
 
-INFLUENCE = {"density_polygon_per_m2": 1.0, "std_mm": np.sqrt(0.5), "sigma_mad_mm": 1.1664}
-"""Standard deviation of one point's influence over the value, normal residuals (asymptotic)."""
-
-GROUP = 5
-"""Selections of one group; section 4.4 has five, of B at 10 m."""
-
-REMARKS = {
-    "selection_density": "density_percent",
-    "selection_precision": "precision_mm",
-    "selection_distances": "medians_mm",
-}
-"""Numbers of section 4.4 about five selections, and the column of ranges that each is about."""
-
-HALF_DIGIT_MM = 0.5
-"""Half of the last digit that Table 2 prints of a spacing."""
+KEYS = ["method", "system", "distance_m"]
+"""What names a surface and its operator."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(NamedTuple):
     """A scan of a surface, ``points`` (n, 3), and ``corners`` (4, 3) of the outline meant, m."""
 
     points: np.ndarray
@@ -100,12 +84,17 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
     return quality.to_frame()[list(FIGURES)].iloc[0].to_dict()
 
 
-METHODS = {
-    "4 clicks, principal axes": lambda data: selected(*data),
-    "4 clicks, level axes": lambda data: selected(*data, axes="horizontal"),
-    "12 clicks, level axes": lambda data: selected(*data, vertices=12, axes="horizontal"),
-}
-"""Operators: ways to select; each gets a surface and a seed, and returns figures."""
+def operators(click_m=0.015):
+    """Ways to select with that click error: functions of a surface and a seed."""
+    chosen = partial(selected, click_m=click_m)
+    return {
+        "4 clicks, principal axes": lambda data: chosen(*data),
+        "4 clicks, level axes": lambda data: chosen(*data, axes="horizontal"),
+        "12 clicks, level axes": lambda data: chosen(*data, vertices=12, axes="horizontal"),
+    }
+
+
+METHODS = operators()
 
 
 def make(system, distance_m, scan, *, seed):
@@ -137,124 +126,37 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances=(5.0, 10.0), scans=
     Comparison
     """
     cases = benches.grid(system=systems, distance_m=distances, scan=range(scans))
-    return benches.Comparison(
-        cases,
-        dict(methods or METHODS),
-        make,
-        seeds=seeds,
-        tables=lambda results: {"repeatability": limits(results)},
-    )
+    answer = {"tables": lambda results: {"repeatability": limits(results)}}
+    return benches.Comparison(cases, dict(methods or METHODS), make, seeds=seeds, **answer)
 
 
 def limits(results):
-    """Return the repeatability of every figure of every surface and operator.
+    """Repeatability of every figure of every surface and operator, a row for each.
 
-    Parameters
-    ----------
-    results : Dataset
-        Of :func:`bench`.
-
-    Returns
-    -------
-    DataFrame
-        ``method``, ``system``, ``distance_m``, ``figure``, and the fields of
-        :class:`mmqa_lab.repeatability.Repeatability` with ``relative_s_r_percent``.
+    From the results of :func:`bench`: ``method``, ``system``, ``distance_m``, ``figure``, and what
+    :meth:`mmqa_lab.repeatability.Repeatability.to_frame` has.
     """
-    cells, tables = benches.cell_table(results), {}
-    keys = ["method", "system", "distance_m"]
-    for surface, part in cells.groupby(keys, sort=False):
-        for figure in part.columns.intersection(list(FIGURES)):
-            known = part[np.isfinite(part[figure])]
-            known = known.groupby("scan").filter(lambda rows: len(rows) > 1)
-            if len(known):
-                tables[*surface, figure] = repeatability(known, figure).to_frame()
-    return pd.concat(tables, names=[*keys, "figure"]).droplevel(-1).reset_index()
+    cells = benches.cell_table(results).set_index([*KEYS, "scan"])
+    values = cells[cells.columns.intersection(list(FIGURES))].stack().dropna()
+    values = values.rename_axis([*KEYS, "scan", "figure"]).rename("value").reset_index()
+    several = values.groupby([*KEYS, "scan", "figure"])["value"].transform("size") > 1
+    parts = values[several].groupby([*KEYS, "figure"], sort=False)
+    tables = {key: repeatability(rows, "value").to_frame() for key, rows in parts}
+    return pd.concat(tables, names=[*KEYS, "figure"]).droplevel(-1).reset_index()
 
 
 def ranges_of_five(results):
     """Ranges of the figures over groups of five selections of a scan, as in section 4.4.
 
-    Returns
-    -------
-    DataFrame
-        A row for each group: ``density_percent`` (of the group's mean), ``precision_mm`` (of
-        sigma_MAD) and ``medians_mm`` (the widest of d1..d4).
+    A row for each group: ``density_percent`` (of the group's mean), ``precision_mm`` (of sigma_MAD)
+    and ``medians_mm`` (the widest of d1..d4).
     """
-    spacings = ["d1_mm", "d2_mm", "d3_mm", "d4_mm"]
-    keys = ["method", "system", "distance_m", "scan", "group"]
     table = benches.cell_table(results)
-    groups = table.assign(group=table["seed"] // GROUP).groupby(keys, sort=False)
-    widths = groups[["density_polygon_per_m2", "sigma_mad_mm", *spacings]].agg(np.ptp)
-    mean = groups["density_polygon_per_m2"].mean()
-    found = pd.DataFrame(
-        {
-            "density_percent": 100 * widths["density_polygon_per_m2"] / mean,
-            "precision_mm": widths["sigma_mad_mm"],
-            "medians_mm": widths[spacings].max(axis=1),
-        }
-    )
-    return found[groups.size() == GROUP].reset_index()
-
-
-def remarks(ranges):
-    """Compare groups of five with what section 4.4 says of them.
-
-    Returns
-    -------
-    DataFrame
-        ``method``, ``system``, ``distance_m``, and of each remark the share of groups for which it
-        is true: density below 1 %, precision below 1 mm, medians within half of a printed digit.
-    """
-    keys = ["method", "system", "distance_m"]
-    printed = [published.number("pfeifer2021", name)["value"] for name in REMARKS]
-    allowed = pd.Series(np.maximum(printed, HALF_DIGIT_MM), REMARKS.values())
-    below = ranges[allowed.index] < allowed
-    table = pd.concat([ranges[keys], below], axis=1).groupby(keys, sort=False).mean()
-    return table.rename(columns=lambda name: f"{name}_true_share").reset_index()
-
-
-def ledger_table(ranges):
-    """Return the ledger's entries on the numbers of section 4.4: medians of the groups and 95 %.
-
-    Parameters
-    ----------
-    ranges : DataFrame
-        Of :func:`ranges_of_five`; B tilted at 10 m counts, by the first operator.
-    """
-    rows = ranges.query("system == 'B tilted' and distance_m == 10")
-    rows = rows[rows["method"].isin(rows["method"].head(1))]
-    note = (
-        f"Median and 95 % of {len(rows)} groups of five simulated selections of B, tilted by 45 "
-        "degrees, with assumed clicks. Medians of irregular spacings move with the selection."
-    )
-    found = rows[list(REMARKS.values())].quantile([0.025, 0.5, 0.975]).T
-    found = found.set_axis(["low", "value", "high"], axis=1).assign(cell=list(REMARKS)).dropna()
-    same = {"source": "pfeifer2021", "table": "numbers", "kind": "measured", "note": note}
-    return ledger.entries(found, **same)
-
-
-def with_strays(points, *, share, depths, seed):
-    """Points of a surface and copies of some, moved between two distances (m) behind it.
-
-    ``share`` is that of the copies among all points afterwards.
-    """
-    rng = np.random.default_rng(seed)
-    count = round(len(points) * share / (1 - share))
-    depth = rng.uniform(*depths, count)[:, None]
-    strays = points[rng.integers(len(points), size=count)] + depth * fit_plane(points).normal
-    return np.concatenate([points, strays])
-
-
-def contaminated_sigma_mad(share):
-    """sigma_MAD of normal residuals over their standard deviation, with strays far to one side.
-
-    The median moves to m, Phi(m) (1 - share) = 1/2, and d, half of the points about it, solves
-    (1 - share) (Phi(m + d) - Phi(m - d)) = 1/2; for shares below 0.5.
-
-    >>> [round(contaminated_sigma_mad(share), 3) for share in (0, 0.05, 0.1)]
-    [1.0, 1.065, 1.145]
-    """
-    half = 0.5 / (1 - share)
-    median = norm.ppf(half)
-    d = brentq(lambda d: norm.cdf(median + d) - norm.cdf(median - d) - half, 0, 20)
-    return float(CONSISTENT_SCALE * d)
+    groups = table.groupby([*KEYS, "scan", (table["seed"] // 5).rename("group")], sort=False)
+    density = groups["density_polygon_per_m2"]
+    found = {
+        "density_percent": 100 * density.agg(np.ptp) / density.mean(),
+        "precision_mm": groups["sigma_mad_mm"].agg(np.ptp),
+        "medians_mm": groups[["d1_mm", "d2_mm", "d3_mm", "d4_mm"]].agg(np.ptp).max(axis=1),
+    }
+    return pd.DataFrame(found)[groups.size() == 5].reset_index()
