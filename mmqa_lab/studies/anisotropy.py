@@ -21,10 +21,9 @@ from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_
 LEAST_NOISE, EXACT = 1e-10, 1e-6
 """Metres of noise that decide on which side of an axis a point lies and nothing else."""
 
-CLOSED = {
-    (kind, "turned by 25°"): {"angle": 25}
-    for kind in ("lattice", "hexagonal", "scan_lines", "poisson")
-}
+KNOWN = ("lattice", "hexagonal", "scan_lines", "poisson")
+
+CLOSED = {(kind, "turned by 25°"): {"angle": 25} for kind in KNOWN}
 CLOSED["scan_lines", "along, least noise"] = {"noise": LEAST_NOISE}
 """Patterns whose f is known in closed form, and how they lie to the axes."""
 

@@ -117,7 +117,8 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seed
     Comparison
     """
     cases = benches.grid(system=systems, distance_m=distances_m)
-    return benches.Comparison(cases, dict(methods or METHODS), make, seeds=seeds)
+    answer = {"tables": lambda results: {"off": differences(results, "truth")}}
+    return benches.Comparison(cases, dict(methods or METHODS), make, seeds=seeds, **answer)
 
 
 def differences(results, reference):

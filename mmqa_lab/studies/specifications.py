@@ -56,9 +56,8 @@ def pairs_fused(drive):
 def thinned(drive):
     """A dense cloud thinned in space; supply, least distance and noise are fitted."""
     supply = 75_000 * (drive[0] / systems.SYSTEM_C.focal_px) ** 2
-    dense = {"hard_core": 0, "resampled_per_m2": 0, "points_per_px": supply}
-    noise = {"correlated_share": 0, "noise_px": 0.15, "floor_m": 0.0113}
-    cloud = chart_cloud("C", drive[0], seed=drive[1], **noise, **dense)
+    dense = {"hard_core": 0, "resampled_per_m2": 0, "points_per_px": supply, "correlated_share": 0}
+    cloud = chart_cloud("C", drive[0], seed=drive[1], noise_px=0.15, floor_m=0.0113, **dense)
     return cloud[thin(cloud.points, 0.0081)]
 
 
@@ -83,13 +82,18 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
     centre, by default ``METHODS``.
     """
     cases = benches.grid(distance_m=distances_m)
-    ways = dict(methods or METHODS)
-    return benches.Comparison(cases, ways, make, lambda cloud, _: read(cloud), seeds=seeds)
+    answer = {"tables": lambda results: {"misfits": misfits(results)}}
+    return benches.Comparison(cases, dict(methods or METHODS), make, score, seeds=seeds, **answer)
 
 
 def make(distance_m, *, seed):
     """A drive past the chart: what a way to match is given."""
     return (distance_m, seed), None
+
+
+def score(cloud, truth):
+    """The figures of Table 2; there is no truth."""
+    return read(cloud)
 
 
 def misfits(results):
