@@ -14,7 +14,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,20 +69,12 @@ def grid(**axes: Any) -> list[dict[str, Any]]:
     list of dict
         A case for each combination; the last parameter changes fastest.
 
-    Raises
-    ------
-    ValueError
-        If no parameter is given or one has no value.
-
     Examples
     --------
     >>> grid(kind="lines", ratio=(1, 5))
     [{'kind': 'lines', 'ratio': 1}, {'kind': 'lines', 'ratio': 5}]
     """
     values = {name: _several(value) for name, value in axes.items()}
-    empty = [name for name, several in values.items() if not several]
-    if empty or not values:
-        raise ValueError(f"Invalid axes {', '.join(empty) or 'none'}: no values. Must have some.")
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*values.values())]
 
 
@@ -159,20 +151,7 @@ def run(
     >>> results["truth"].sel(seed=0).values
     array([1., 2.])
     """
-    cases, seeds = _listed(cases, seeds)
-    _refuse_unusable(cases, methods, seeds)
-    study = Comparison(cases, dict(methods), make, score, seeds)
-    jobs = list(itertools.product(range(len(cases)), seeds))
-    done = dict.fromkeys(jobs)
-    for job, records in tqdm(
-        _computed(study, jobs, executor), total=len(jobs), unit="case", leave=False, disable=None
-    ):
-        done[job] = records
-    results = _dataset(cases, list(methods), seeds, done)
-    for method, part in failures(results).groupby("method", sort=False):
-        said = f"{part['count'].sum()} of {len(jobs)} cells not measured; the first: "
-        warnings.warn(f"{method}: {said}{part['reason'].iloc[0]}", stacklevel=2)
-    return results
+    return Comparison(cases, methods, make, score, seeds).run(executor=executor)
 
 
 @dataclass
@@ -188,6 +167,8 @@ class Comparison:
         is the one that answers the study's question.
     figures : sequence of str
         The numbers that are drawn; all where none is named.
+    costs_cells : tuple of exceptions
+        What a method may raise: it costs that method its cell. All else ends the run.
 
     Examples
     --------
@@ -204,17 +185,22 @@ class Comparison:
     seeds: Iterable = (0,)
     tables: Callable | None = None
     figures: Sequence = ()
+    costs_cells: tuple = BROKEN
 
     def run(self, *, executor: Executor | None = None) -> xr.Dataset:
         """Return the results of all methods on all cases; see :func:`run`."""
-        whole = {"make": self.make, "score": self.score, "seeds": self.seeds}
-        return run(self.cases, self.methods, **whole, executor=executor)
-
-    def first_data(self) -> Any:
-        """Return the data of the first case: what a method is given."""
         cases, seeds = _listed(self.cases, self.seeds)
-        made = self.make(**cases[0], seed=seeds[0])
-        return made[0] if type(made) is tuple and len(made) == 2 else made
+        _refuse_unusable(cases, self.methods, seeds)
+        study = replace(self, cases=cases)
+        jobs = list(itertools.product(range(len(cases)), seeds))
+        records, found = dict.fromkeys(jobs), _computed(study, jobs, executor)
+        for job, record in tqdm(found, total=len(jobs), unit="case", leave=False, disable=None):
+            records[job] = record
+        results = _dataset(cases, list(self.methods), seeds, records)
+        for method, part in failures(results).groupby("method", sort=False):
+            count = f"{part['count'].sum()} of {len(jobs)} cells not measured; the first: "
+            warnings.warn(f"{method}: {count}{part['reason'].iloc[0]}", stacklevel=2)
+        return results
 
 
 def _measured(study, case, seed):
@@ -222,23 +208,23 @@ def _measured(study, case, seed):
     with threadpool_limits(limits=1):
         try:
             made = study.make(**case, seed=seed)
-        except BROKEN as error:
+        except study.costs_cells as error:
             return dict.fromkeys(("", *study.methods), _failed(error, "make: "))
         data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
         records = {"": _truth_record(truth)}
         for name, method in study.methods.items():
-            records[name] = _record(method, study.score, data, truth, {*RESERVED, *case})
+            records[name] = _record(study, method, data, truth, {*RESERVED, *case})
         return records
 
 
-def _record(method, score, data, truth, reserved):
+def _record(study, method, data, truth, reserved):
     """The numbers that a method gives, and a sentence on those that are none."""
     stage = ""
     try:
         result = method(copy.deepcopy(data))  # it may change its own copy
         stage = "score: "
-        result = result if score is None else score(result, truth)
-    except BROKEN as error:
+        result = result if study.score is None else study.score(result, truth)
+    except study.costs_cells as error:
         return _failed(error, stage)
     named = result if isinstance(result, Mapping) else {"value": result}
     figures, wrong = {}, [] if named else ["the dict is empty"]
@@ -455,8 +441,6 @@ def cell_table(results: xr.Dataset) -> pd.DataFrame:
     >>> cell_table(results)[["method", "n", "seed", "value"]].values.tolist()
     [['double', 3, 0, 6.0], ['double', 4, 0, 8.0]]
     """
-    if "method" not in results.dims:
-        results = results.expand_dims("method")
     others = [name for name in results.dims if name != "method"]
     return results.to_dataframe(dim_order=["method", *others]).reset_index()
 
@@ -643,9 +627,7 @@ def compare(
     return pd.DataFrame(rows, columns=["method", *figures, "n", "missing", "better_share"])
 
 
-def rank(
-    results: xr.Dataset, truth: str, figure: str | None = None, *, seed: int = 0
-) -> pd.DataFrame:
+def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataFrame:
     """Return which method orders the cases best.
 
     Parameters
@@ -653,11 +635,9 @@ def rank(
     results : Dataset
         From :func:`run`.
     truth : str
-        A parameter of the cases, or a variable of truth (its ``truth_`` may be left out).
+        A parameter of the cases, or a variable of truth.
     figure : str, optional
         Name of the variable; may be left out if there is only one.
-    seed : int
-        Of the bootstrap of cases.
 
     Returns
     -------
@@ -688,12 +668,14 @@ def rank(
     >>> rank(results, truth="n")[["method", "spearman"]].round(2).values.tolist()
     [['exact', 1.0], ['folded', -0.44]]
     """
-    figure, truth = _figure(results, figure), _truth_name(results, truth)
+    figure = _figure(results, figure)
+    truths = set(results.data_vars) - {*figure_names(results), "failure"}
+    check_choice(truth, "truth", (*_parameters(results), *sorted(truths)))
     by_method, cases = _by_method(results, figure)
     true = next(iter(_by_method(results, truth)[0].values()))
     values = np.stack(list(by_method.values()))
     members = [np.flatnonzero(cases == case) for case in np.unique(cases)]
-    draws = np.random.default_rng(seed).integers(len(members), size=(RESAMPLES, len(members)))
+    draws = np.random.default_rng(0).integers(len(members), size=(RESAMPLES, len(members)))
     found = _spearman(values, true)
     drawn = []
     for draw in draws:
@@ -760,11 +742,3 @@ def _figure(results, figure):
     if figure is None and len(figures) == 1:
         return figures[0]
     return check_choice(figure, "figure", figures)
-
-
-def _truth_name(results, truth):
-    """The parameter or variable of truth of that name."""
-    variables = set(results.data_vars) - {*figure_names(results), "failure"}
-    known = (*_parameters(results), *sorted(variables))
-    whole = f"truth_{truth}"
-    return whole if whole in known else check_choice(truth, "truth", known)

@@ -861,6 +861,8 @@ def bench(
     raise_
         Stop with the traceback where your method fails.
     """
+    from dataclasses import replace
+
     import pandas as pd
 
     from mmqa_lab import bench
@@ -872,8 +874,8 @@ def bench(
     if taken:
         raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
     comparison.methods = {**comparison.methods, **own}
-    for function in own.values() if raise_ else ():
-        function(comparison.first_data())
+    if raise_ and own:
+        replace(comparison, methods=own, costs_cells=()).run()
     results = _results(comparison, workers)
     figures = [name for name in comparison.figures if name in results]
     figures = figures or list(bench.figure_names(results))
