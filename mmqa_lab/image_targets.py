@@ -25,18 +25,6 @@ __dir__ = __all__.copy
 
 REGION = ("x_px", "y_px", "width_px", "height_px")
 
-NEEDED = {
-    "edge": REGION,
-    "star": ("x_px", "y_px", "radius_px", "cycles"),
-    "sharpness": (),
-    "calibrate": REGION,
-    "reflect": REGION,
-}
-"""The columns of the targets that a measure needs."""
-
-ROUNDING_DN = 12**-0.5
-"""Standard deviation that rounding alone gives a pixel."""
-
 
 def measure(
     values: ArrayLike,
@@ -57,7 +45,7 @@ def measure(
         ``calibrate``: gain and offset from targets of known radiance; ``reflect``: reflectance of
         targets without one by the empirical line of those with one.
     targets : DataFrame
-        A row for each target with the columns of ``NEEDED``, px, ``name`` and, of the last two
+        A row for each target with the columns of ``MEASURES``, px, ``name`` and, of the last two
         measures, ``radiance`` or ``reflectance`` (or radiance_1, radiance_2, ... by band).
     bands : sequence of str
         Names of the bands; their numbers where left out.
@@ -77,34 +65,22 @@ def measure(
         to give radiances or reflectances.
     """
     values = np.asarray(values)
-    check_columns(
-        targets if targets is not None else {},
-        NEEDED[check_choice(what, "measure", NEEDED)],
-        "targets",
-    )
+    needed, read = MEASURES[check_choice(what, "measure", MEASURES)]
+    check_columns({} if targets is None else targets, needed, "targets")
     if targets is not None and not len(targets):
         raise ValueError("Invalid targets: none of this image. Must have some.")
-    physical = what in ("calibrate", "reflect")
-    if values.dtype.itemsize == 1 and physical and not linear:
+    if targets is not None and "name" not in targets:
+        targets = targets.assign(name=range(1, len(targets) + 1))
+    codes, physical = values.dtype.itemsize == 1, what in ("calibrate", "reflect")
+    if codes and physical and not linear:
         raise ValueError("Invalid image of 8 bits, usually not linear. Must have 16, or be linear.")
     rows = []
     names = list(bands) or [str(k + 1) for k in range(len(values))]
     for number, (name, band) in enumerate(zip(names, values, strict=True), start=1):
-        if physical:
-            found = (_calibrated if what == "calibrate" else _reflectances)(band, targets, number)
-        else:
-            if band.dtype == np.uint8:
-                band = decode(band / np.float32(255), "linear" if linear else "srgb")
-            found = [_sharpness(band)] if what == "sharpness" else _resolutions(band, what, targets)
-        rows += [{"band": name} | row for row in found]
+        if codes and not physical:
+            band = decode(band / np.float32(255), "linear" if linear else "srgb")
+        rows += [{"band": name} | row for row in read(band, targets, number)]
     return pd.DataFrame(rows)
-
-
-def _resolutions(band, what, targets):
-    """A row for each target of one kind."""
-    for number, target in enumerate(targets.to_dict("records"), start=1):
-        found = (_edge if what == "edge" else _star)(band, target)
-        yield {"target": target.get("name", number)} | found
 
 
 def _region(band, target):
@@ -116,26 +92,28 @@ def _region(band, target):
     return band[row : row + height, column : column + width]
 
 
-def _edge(band, target):
-    """MTF50 and full width at half maximum of one edge."""
-    edge = mtf.fit_edge(_region(band, target))
-    share = 1.96 * edge.mtf50_sigma / edge.mtf50
-    figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
-    figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
-    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+def _edges(band, targets, _):
+    """MTF50 and full width at half maximum of each edge."""
+    for target in targets.to_dict("records"):
+        edge = mtf.fit_edge(_region(band, target))
+        share = 1.96 * edge.mtf50_sigma / edge.mtf50
+        figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
+        figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
+        figures |= {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+        yield {"target": target["name"]} | figures
 
 
-def _star(band, target):
-    """MTF50 and MTF10 of a star."""
-    centre, radius = (target["x_px"], target["y_px"]), target["radius_px"]
-    star = mtf.measure_star(band, centre, cycles=int(target["cycles"]), radius_px=radius)
-    reach = 1.96 * star.mtf50_sigma
-    figures = _interval("mtf50", "_per_px", star.mtf50, reach)
-    missing = "the star does not show the frequency of MTF50"
-    return figures | {"mtf10_per_px": star.mtf10, "remark": missing * bool(np.isnan(star.mtf50))}
+def _stars(band, targets, _):
+    """MTF50 and MTF10 of each star."""
+    for target in targets.to_dict("records"):
+        known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
+        star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
+        figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
+        missing = "the star does not show the frequency of MTF50" * bool(np.isnan(star.mtf50))
+        yield {"target": target["name"]} | figures | {"mtf10_per_px": star.mtf10, "remark": missing}
 
 
-def _sharpness(band):
+def _sharpness(band, *_):
     """Median of the local sharpness of an image, with the interval of a median."""
     found = mtf.haar_sharpness(band)
     blocks = found["sharpness"].values[np.isfinite(found["sharpness"].values)]
@@ -144,20 +122,19 @@ def _sharpness(band):
     missing = found.attrs["not_measurable"]
     remark = f"{missing} blocks without detail" if missing else ""
     figures = {"target": "image"} | _interval("sharpness", "", quartiles[1], reach)
-    return figures | {"blocks": found["sharpness"].size, "remark": remark}
+    return [figures | {"blocks": found["sharpness"].size, "remark": remark}]
 
 
 def _patches(band, targets, name, number):
     """Statistics of all targets in one band, and what is known of them in this band."""
     column = f"{name}_{number}" if f"{name}_{number}" in targets else name
     check_columns(targets, [column], "targets")
-    first, size = targets[["y_px", "x_px"]], targets[["height_px", "width_px"]]
-    places = np.round(np.stack([first.to_numpy(), first.to_numpy() + size.to_numpy()], axis=-1))
-    found = radiometry.patch_statistics(band, places.reshape(-1, 4).astype(int))
-    found["std_dn"] = np.hypot(found["std_dn"], ROUNDING_DN)
+    y, x, high, wide = targets[["y_px", "x_px", "height_px", "width_px"]].to_numpy().T
+    places = np.column_stack([y, y + high, x, x + wide]).round().astype(int)
+    found = radiometry.patch_statistics(band, places)
+    found["std_dn"] = np.hypot(found["std_dn"], 12**-0.5)  # rounding alone gives a pixel that much
     found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
-    names = targets["name"] if "name" in targets else pd.Series(range(1, len(targets) + 1))
-    return found.assign(known=targets[column].to_numpy(), name=names.to_numpy())
+    return found.assign(known=targets[column].to_numpy(), name=targets["name"].to_numpy())
 
 
 def _calibrated(band, targets, number):
@@ -198,3 +175,13 @@ def _interval(name, unit, value, reach):
     """A figure with the ends of its interval."""
     ends = {f"{name}_low{unit}": value - reach, f"{name}_high{unit}": value + reach}
     return {f"{name}{unit}": value} | ends
+
+
+MEASURES = {
+    "edge": (REGION, _edges),
+    "star": (("x_px", "y_px", "radius_px", "cycles"), _stars),
+    "sharpness": ((), _sharpness),
+    "calibrate": (REGION, _calibrated),
+    "reflect": (REGION, _reflectances),
+}
+"""The columns of the targets that a measure needs, and its rows of one band."""

@@ -51,13 +51,7 @@ BINS_PER_PIXEL, BLOCKS = 4, 8
 SIGMAS_PX = (0.15, 12.0)
 """Limits of a sigmoid's width."""
 
-SMALLEST_SIGNAL = 8.0
-"""Contrast times the square root of the rows over noise, below which there is no edge."""
-
 SMALLEST_ANGLE_DEG = 3.0
-
-STRANGE = 0.25
-"""Share of the step by which the profile may leave the best sigmoid: more are two edges."""
 
 SQUARE = np.pi / 4
 """A square wave's amplitude over that of its fundamental."""
@@ -65,20 +59,11 @@ SQUARE = np.pi / 4
 PLAIN_PX = 3.0
 """Pixels this far from all borders of a sector show its plain grey value."""
 
-PLAIN_SHARE = 0.3
-"""In narrower sectors those do that are farther than this share of the sector's width."""
-
 NARROWEST_PX = 4.0
 """Width of the sectors at the outline."""
 
-OUTLINE_SIGMAS = 3.0
-"""Plain pixels are so many deviations of the blur, or more, inside of the outline."""
-
 NEARBY = 1.2
 """Contrasts within this ratio of a share tell where the contrast falls to it."""
-
-LENS_SHARE = 0.0015
-"""By which stars err besides noise behind three simulated lenses, level and tilted (rms)."""
 
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Rings are two pixels wide and begin so far apart: four of them share each pixel."""
@@ -88,12 +73,6 @@ LARGEST_STRETCH = 0.1
 
 BAR_PERIODS = 2.5
 """Bars are five of their widths long."""
-
-CLEAR = 4.0
-"""Detail counts as measurable when its energy is so many times that of the noise."""
-
-SEEN = ("contrast", "phase_deg", "strip_share", "resolved", "reason")
-"""What groups of bars take from a pattern's reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,12 +258,12 @@ class _Sigmoid:
 
     def check(self, rows):
         """Raise where there is no edge, or more than one."""
-        if not self.contrast * np.sqrt(rows) > SMALLEST_SIGNAL * self.noise:
+        if not self.contrast * np.sqrt(rows) > 8 * self.noise:
             raise ValueError(
                 f"Invalid edge: a step of {self.contrast:.3g} at a noise of {self.noise:.3g}. Must "
                 "stand out."
             )
-        if self.strange() > STRANGE:
+        if self.strange() > 0.25:
             raise ValueError(
                 f"Invalid edge: the profile leaves a single step by {self.strange():.0%} of it. "
                 "Must show one edge between two plain sides."
@@ -542,7 +521,8 @@ class StarMtf(Shown):
         terms = np.array([place, 1.0])
         spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms) / abs(line[0])
         found = float(np.sqrt(place))
-        return found, float(np.hypot(spread / (2 * found), LENS_SHARE * found))
+        # besides noise, stars err by .15 % behind three simulated lenses, level and tilted
+        return found, float(np.hypot(spread / (2 * found), 0.0015 * found))
 
     def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
@@ -630,7 +610,7 @@ def measure_star(
     frequency = n / (2 * np.pi * rings)
     lens = _lens_of(frequency, amplitude)
     sigma = _gaussian_sigma(frequency, amplitude / amplitude.max())
-    levels, borders = _plain_levels(pixels, place, n, radius, OUTLINE_SIGMAS * sigma)
+    levels, borders = _plain_levels(pixels, place, n, radius, 3 * sigma)
     share = _plain_share(lens, borders)
     levels = levels.mean() + (levels - levels.mean()) / share
     scale = 2 * SQUARE / np.ptp(levels)
@@ -698,8 +678,9 @@ def read_bars(
         more = {"repeats": bars, "length": BAR_PERIODS * period}
         pairs = LinePairs(f"group {number}", 0.0, 0.0, period, "h", **more)
         reading = read_pattern(Tones(turned, noise), pairs, _place_of_bars(group))
-        seen = {name: getattr(reading, name) for name in SEEN}
-        rows.append(group | {"counted": reading.bars} | seen)
+        row = group | {"counted": reading.bars, "contrast": reading.contrast}
+        row |= {"phase_deg": reading.phase_deg, "strip_share": reading.strip_share}
+        rows.append(row | {"resolved": reading.resolved, "reason": reading.reason})
     return pd.DataFrame(rows)
 
 
@@ -793,7 +774,7 @@ def haar_sharpness(
         sum(_block_means(part**2, rows, columns) - noise for part in details)
         for details in (fine, coarse)
     )
-    clear = below > CLEAR * max(noise, 1e-12) * len(fine)
+    clear = below > 4 * max(noise, 1e-12) * len(fine)
     ratio = np.sqrt(np.maximum(above, 0) / np.where(clear, below, np.nan))
     centres = {"y_px": (np.arange(rows) + 0.5) * side, "x_px": (np.arange(columns) + 0.5) * side}
     about = {"noise_std": noise_std, "not_measurable": int((~clear).sum())}
@@ -854,7 +835,7 @@ def _plain_levels(pixels, place, n, radius, clear=0.0):
     from_peak = np.abs(turned - np.round(turned))
     width = np.pi * r[outer] / n
     near = np.abs(from_peak - 0.25) * 2 * width
-    plain = near > np.minimum(PLAIN_PX, PLAIN_SHARE * width)
+    plain = near > np.minimum(PLAIN_PX, 0.3 * width)
     bright = from_peak < 0.25
     levels = np.array([values[plain & ~bright].mean(), values[plain & bright].mean()])
     return levels, np.stack([near[plain], (width - near)[plain]])

@@ -62,9 +62,6 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-SPREAD = 3.0
-"""A target counts as saturated when its mean comes this near full scale, in its own deviations."""
-
 UNDETERMINED = (
     "Invalid block: its parameters cannot be told apart. Must have more overlap, control targets, "
     "or priors (see Notes)."
@@ -75,23 +72,14 @@ COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azi
 HUBER, SHADOW = 1.5, 6.0
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009), and next to nothing."""
 
-LARGEST_SHADOW = 0.01
-"""Share of observations that weigh next to nothing beyond which it is said."""
-
 ROUNDS = 50
 """Most iterations."""
-
-CONTRADICTION = 3.0
-"""Standard deviations by which a target of known reflectance may differ from what others say."""
 
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
 """Weights are computed anew in so many iterations, at first by Huber, and then stay."""
 
 RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
-
-CONVERGED = 1e-7
-"""Largest change of a gain, coefficient or relative reflectance in the last iteration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +278,7 @@ def fit_sensor(
     std = np.broadcast_to(1.0 if std_dn is None else np.asarray(std_dn, np.float64), dn.shape)
     if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
         raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
-    used = dn + SPREAD * (0 if std_dn is None else std) < full_scale
+    used = dn + 3 * (0 if std_dn is None else std) < full_scale
     if used.sum() < 3 or np.ptp(signal[used]) == 0:
         raise ValueError(
             f"Invalid targets: {used.sum()} unsaturated of {len(dn)}. Must be three or more, of "
@@ -844,7 +832,7 @@ def adjust_block(
         change = _factor(normal).solve(right)
         estimate[free] += change
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
-        if np.abs(change).max() <= CONVERGED:
+        if np.abs(change).max() <= 1e-7:
             inverse = _covariance(normal, parameters)
             _warn(block, estimate, value, std, misfit)
             adjusted = _result(block, observations, estimate, inverse, free, scaled)
@@ -1000,7 +988,7 @@ def _warn(block, estimate, value, std, misfit):
     spread = _misfit_scale(share)
     # by how much images and control differ, and may differ
     of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate
-    limit = CONTRADICTION * np.hypot(std, spread * estimate)
+    limit = 3 * np.hypot(std, spread * estimate)
     doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
     counts = np.abs(share) <= SHADOW * spread
     odd = 1 - counts.mean()
@@ -1012,7 +1000,7 @@ def _warn(block, estimate, value, std, misfit):
         f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
         "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,
         f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do not "
-        "count.": odd > LARGEST_SHADOW,
+        "count.": odd > 0.01,
         "The light falls off to the corners otherwise than radial and its square say: the gains "
         "may be wrong by more than their deviations.": uneven.any(),
     }

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
+from mmqa_lab import image_targets
 from mmqa_lab.radiometry import (
     adjust_block,
     empirical_line,
@@ -15,7 +16,7 @@ from mmqa_lab.radiometry import (
     reflectance_factor,
     walthall_terms,
 )
-from mmqa_lab.simulate.targets import ATMOSPHERES
+from mmqa_lab.simulate.targets import ATMOSPHERES, PointSpread, render_edge
 
 
 def test_sensor_fit_is_ordinary_least_squares_where_weights_are_equal(rng):
@@ -214,3 +215,24 @@ def test_block_agrees_with_a_dense_solution(rng):
     # the block's Huber weights differ from 1 for few of these observations
     assert np.allclose(np.log(found.gains["gain"]), dense.x[:4], atol=2e-3)
     assert np.allclose(found.ties["reflectance"], dense.x[7:], atol=2e-3)
+
+
+def test_targets_of_an_image_are_measured_band_by_band(rng):
+    known = [0.05, 0.2, 0.45, np.nan]
+    dn = np.repeat([[600.0, 1200.0, 2200.0, 1000.0]], 20, axis=1)  # 400 + 4000 reflectance
+    bands = np.stack([dn, 2 * dn]).repeat(20, axis=1) + rng.normal(0, 5, (2, 20, 80))
+    places = {"x_px": [0, 20, 40, 60], "y_px": 0, "width_px": 20, "height_px": 20}
+    targets = pd.DataFrame(places | {"reflectance": known, "radiance": dn[0, ::20] / 10})
+    found = image_targets.measure(bands.astype(np.uint16), "reflect", targets=targets)
+    assert found["band"].tolist() == ["1", "2"]
+    assert found["target"].tolist() == [4, 4]
+    assert found["reflectance"].to_numpy() == pytest.approx(0.15, abs=0.002)
+    assert (found["reflectance_low"] < 0.15).all()
+    assert (found["reflectance_high"] > 0.15).all()
+    gains = image_targets.measure(bands.astype(np.uint16), "calibrate", targets=targets)
+    assert gains["gain"].to_numpy() == pytest.approx([10, 20], rel=0.01)
+    edge = render_edge((60, 80), PointSpread(0.8), angle_deg=5.0)
+    seen = image_targets.measure(
+        edge[None], "edge", targets=targets.assign(x_px=10, width_px=60, height_px=60)[:1]
+    )
+    assert seen["mtf50_per_px"].item() == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.01)

@@ -62,17 +62,6 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-MARGIN_PX, MARGIN_SHARE = 16, 0.05
-"""Around the chart's outline in its window, at least and as share of its size."""
-
-CAMERAS = ("plain", "panorama")
-
-LARGEST_CLIPPED, LARGEST_RESIDUAL_PX = 0.05, 1.0
-"""Beyond these a remark doubts the figures."""
-
-LARGEST_TONE_ERROR = 0.12
-"""Of the mean of blurred line pairs: a display's curve taken for linear light shifts it by 0.2."""
-
 OUTLINES = {
     True: {"color": "C5", "ls": "-", "marker": "", "lw": 1},
     False: {"color": "C1", "ls": "--", "marker": "", "lw": 1},
@@ -159,8 +148,8 @@ class ImageQuality(Shown):
         """What speaks against pixel sizes and widths."""
         clipped, residual = self.tones.clipped_share, self.residual_px
         doubts = {
-            f"{clipped:.0%} of the plain pixels are clipped": clipped > LARGEST_CLIPPED,
-            f"bars end {residual:.1f} px from their places": residual > LARGEST_RESIDUAL_PX,
+            f"{clipped:.0%} of the plain pixels are clipped": clipped > 0.05,
+            f"bars end {residual:.1f} px from their places": residual > 1,
         }
         unseen = self.sizes.loc[self.sizes["pixel_mm"].isna(), "name"]
         doubts[f"no pixel size, as an end is not seen: {', '.join(unseen)}"] = len(unseen) > 0
@@ -172,10 +161,10 @@ class ImageQuality(Shown):
                 refused += " or not those of the layout"
             doubts[refused] = bool(np.isnan(self.resolution(direction).width_mm))
         doubts[f"hidden: {', '.join(hidden['name'])}"] = len(hidden) > 0
-        # blurred pairs are half white, half black in linear light only
+        # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
         tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
         doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (
-            abs(tone - 0.5) > LARGEST_TONE_ERROR
+            abs(tone - 0.5) > 0.12
         )
         doubts[self.chart_map.remark] = bool(self.chart_map.remark)
         return [text for text, true in doubts.items() if true]
@@ -302,7 +291,7 @@ def evaluate_file(
     grey = read_image(path)
     check_choice(gamma, "gamma", GAMMAS)
     bends = None
-    if check_choice(camera, "camera", CAMERAS) == "panorama":
+    if check_choice(camera, "camera", ("plain", "panorama")) == "panorama":
         rows, columns = grey.shape
         if columns != 2 * rows:
             raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
@@ -323,7 +312,7 @@ def _window(chart_map, layout, shape):
             f"Invalid place of the chart: corners at {corners}. "
             f"Must lie within {size[0]} x {size[1]} pixels."
         )
-    margin = np.maximum(MARGIN_SHARE * np.ptp(outline, axis=0), MARGIN_PX).astype(int)
+    margin = np.maximum(0.05 * np.ptp(outline, axis=0), 16).astype(int)
     first = np.maximum(np.floor(outline.min(axis=0)).astype(int) - margin, 0)
     last = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + margin + 1, size)
     return tuple(first.tolist()), tuple(last.tolist())

@@ -27,26 +27,8 @@ STEP_MM = 0.5
 ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
 """Small targets are looked for in the image enlarged so many times, if it has fewer pixels."""
 
-SMALLEST_OUTLINE_PX = 24
-"""Pixels around a target: those of 8 px a side cannot be decoded any more."""
-
-BAR_PX, BAR_SHARE = 13, 0.72
-"""Bars are sought that are narrower than this and darker than this share of what is around them."""
-
-SCALES = (1, 1 / 3, 1 / 9, 2)
-"""Sizes of the image at which bars are sought, one after the other."""
-
 SLENDEREST, MOST_STREAKS = 6.0, 1500
 """A dark streak is taken for a bar when it is so many times longer than wide; the longest ones."""
-
-FINEST_PAIR_PX = 2.5
-"""Line pairs narrower than this take no part in the alignment: aliased, they would mislead it."""
-
-LARGEST_MISFIT = 0.06
-"""Of the ends of two streaks and two bars, as share of the bars' extent."""
-
-MOST_GUESSES = 6
-"""So many of the best pairs of streaks are aligned."""
 
 SMALLEST_CORRELATION = 0.6
 """Between chart and image after alignment; unrelated pictures stay below 0.4."""
@@ -54,17 +36,8 @@ SMALLEST_CORRELATION = 0.6
 PROMISING, LIKELY, CERTAIN = 0.3, 0.65, 0.8
 """The same of streaks taken for bars: before it, after it, and when no others need be tried."""
 
-SMALLEST_CHART_PX = 50
-"""Charts that small show nothing."""
-
 GLANCE_CELLS = 80
 """Along a side of the chart, to compare a first guess with the image."""
-
-LARGEST_DIFFERENCE = 0.15
-"""Share of the printed blocks that may differ before a remark says so."""
-
-LARGEST_MOVE = 0.06
-"""Share of the chart's side by which the alignment may move a corner."""
 
 SIGMAS_PX = (0.6, 1.2, 2.0)
 """Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
@@ -359,8 +332,8 @@ def _decoded(grey, markers):
     for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else (1,):
         size = {"dsize": None, "fx": times, "fy": times, "interpolation": cv2.INTER_CUBIC}
         large = cv2.resize(grey, **size) if times > 1 else grey
-        # smaller contours of a textured image would cost their time
-        settings.minMarkerPerimeterRate = SMALLEST_OUTLINE_PX * times / max(large.shape)
+        # targets of less than 6 px a side cannot be decoded, their contours would cost time
+        settings.minMarkerPerimeterRate = 24 * times / max(large.shape)
         corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
         places = [(one.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for one in corners]
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
@@ -439,12 +412,12 @@ def align(image, layout, chart_map):
         )
     strange = (each < SMALLEST_CORRELATION * np.median(each)).mean()
     remarks = [start.remark] if start.remark else []
-    if strange > LARGEST_DIFFERENCE:
+    if strange > 0.15:
         remarks.append(
             f"{strange:.0%} of the print differ from the layout: hidden, or another chart"
         )
     moved = np.linalg.norm(chart_map.pixels(corners) - start.pixels(corners), axis=1).max()
-    limit = max(LARGEST_MOVE * layout.width / pixel_mm, 4)
+    limit = max(0.06 * layout.width / pixel_mm, 4)
     if moved > limit:
         raise ValueError(
             f"Invalid place of the chart: a corner lies {moved:.1f} px away. Must be given to "
@@ -511,7 +484,7 @@ def _trusted(layout, pixel_mm, cell, shape):
     """Which cells may take part in the alignment."""
     trusted = np.ones(shape, dtype=np.float32)
     for pairs in layout.of_kind(LinePairs):
-        if pairs.pair / pixel_mm < FINEST_PAIR_PX:
+        if pairs.pair / pixel_mm < 2.5:  # aliased, they would mislead
             low, high = pairs.corners()[[0, 2]] / cell
             low, high = np.maximum(low - 2, 0).astype(int), np.ceil(high + 2).astype(int)
             trusted[low[1] : high[1], low[0] : high[0]] = 0
@@ -522,7 +495,8 @@ def _by_bars(grey, layout):
     """The map of the likeliest chart whose long bars are seen, or None."""
     bars = [bar for bar in layout.of_kind(Bar) if max(bar.width, bar.height) >= 400]
     found = []
-    for factor in SCALES:
+    # sizes of the image, from the likeliest on
+    for factor in (1, 1 / 3, 1 / 9, 2):
         if not factor * min(grey.shape) > 100 or (factor > 1 and grey.size > ENLARGED_PIXELS):
             continue
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC
@@ -547,7 +521,7 @@ def _guesses(grey, layout, bars):
     scored = _glanced(grey, layout, _suggested(_streaks(grey), bars))
     scored = sorted((one for one in scored if one[0] > PROMISING), key=lambda one: -one[0])
     found = []
-    for _, there in scored[:MOST_GUESSES]:
+    for _, there in scored[:6]:
         for along in (60, 160):
             outline = there.outline(layout.corners())
             if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
@@ -555,7 +529,7 @@ def _guesses(grey, layout, bars):
             there, correlation, _ = _compared(grey, layout, there, along)
         else:
             wide = np.ptp(there.pixels(layout.corners()), axis=0)
-            if wide.prod() > SMALLEST_CHART_PX**2:
+            if wide.prod() > 50**2:  # a smaller chart shows nothing
                 found.append((correlation, there))
     return [one for one in found if one[0] > LIKELY]
 
@@ -584,8 +558,9 @@ def _glanced(grey, layout, suggested):
 
 def _streaks(grey):
     """Both ends of the long dark streaks in an image, shape (n, 2, 2), the longest first."""
-    around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((BAR_PX, BAR_PX), np.uint8))
-    dark = grey < BAR_SHARE * around
+    # bars are narrower than 13 px and darker than 72 % of what is around them
+    around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((13, 13), np.uint8))
+    dark = grey < 0.72 * around
     outlines, _ = cv2.findContours(np.uint8(dark), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     found = []
     for outline in outlines:
@@ -617,7 +592,7 @@ def _suggested(streaks, bars):
             affine = np.linalg.pinv(design) @ ends
             misfit = np.sqrt(((design @ affine - ends) ** 2).mean(axis=(1, 2)))
             size = np.linalg.svd(affine[:, :2], compute_uv=False)
-            good = misfit < LARGEST_MISFIT * np.ptp(places) * size[:, 1]
+            good = misfit < 0.06 * np.ptp(places) * size[:, 1]
             # rows count downwards: the chart's axes are mirrored in the image
             good &= (size[:, 1] > 0.35 * size[:, 0]) & (np.linalg.det(affine[:, :2]) < 0)
             for found in affine[good]:

@@ -20,72 +20,22 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 
-CLEARANCES_PX = (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3)
-"""A pixel is plain when the next other tone is so far away; the widest that is possible counts."""
-
-TYPICAL_SIGMA_PX = 0.65
-"""Point spread, pixel included, that tells how much white spills into black where bars are thin."""
-
-PLAIN_PIXELS = 30
-"""So many black and white pixels each are enough for a level."""
-
-WHITE_REACHES, FEW_CELLS = (25.0, 8.0, 3.0), 0.5
-"""Reach of the white around a place in hundredths of the chart's side, from far to near, and how
-many of such cells outweigh what is farther away."""
-
-LEAST_SHADE = 0.15
-"""Relative standard deviation of the light from which on black is told to follow it."""
-
 SMALLEST_CONTRAST = 3.0
 """Multiples of the noise by which white must differ from black."""
 
 SMALLEST_GAP = 0.10
 """Share of the chart's contrast by which each gap must stand out from both its bars."""
 
-GAP_SIGMAS = 3.0
-"""Multiples of the noise by which it must, too."""
-
 SMALLEST_PAIR_PX = 2.3
 """Narrower pairs are refused: below 2 pixels they alias; up to 2.3 the beat between pairs and
 pixels is shorter than eight pairs, so that some of them vanish at every phase."""
 
-LARGEST_PHASE_DEG = 50.0
-"""Between the bars seen and printed; a reversal is 180 degrees."""
-
-LARGEST_MISCOUNT = 0.6
-"""Bars by which the number seen may differ from the number printed."""
-
 HIDDEN, SURE_CONTRAST = "hidden", 0.3
 """Reason of patterns that something hides: a finer one is resolved with this contrast."""
-
-STRIPS, STRIP_PX = 8, 2.0
-"""Strips along the bars read on their own, and their smallest height."""
-
-NOISE_SHARE = 60.0
-"""Times the noise, squared: pixels of a strip in each bar. Three sigmas then reach 0.1."""
-
-STRIP_SHARE = 0.75
-"""Share of the strips in which all gaps must stand out."""
-
-END_PX = 1.5
-"""Left out at both ends of the bars."""
-
-FREQUENCY_PIXELS = 4000
-"""The frequency is found on as many pixels at most."""
-
-SLENDERNESS = 5.0
-"""A bar is long when it is so many times longer than wide."""
 
 END_REACH_PX, END_STEP_PX = 6.0, 0.1
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
 the outer one for black and white."""
-
-SMALLEST_STEP, LEAST_WHITE, LARGEST_STRAY_PX = 0.2, 0.6, 2.0
-"""Contrast that a bar must show at its end, what is white beside it, and how far from its place the
-end may be; else it is the end of something else."""
-
-SEEN_SHARE = 0.6
-"""Share of the pixels across a bar that must see its end."""
 
 SIZE_COLUMNS = (
     *("name", "direction", "length_mm", "length_px", "length_sigma_px", "repeats_std_px", "n"),
@@ -349,9 +299,10 @@ def read_pattern(tones, pairs, chart_map):
     shift = np.clip(phase / 360, -1 / 8, 1 / 8) * pairs.pair
     limit = 0.6 / width_px * pairs.pair
     shifted = across - np.clip(shift, -limit, limit)
-    # in strips so high that noise alone fails few of the gaps
-    height = max(STRIP_PX, (NOISE_SHARE * tones.noise) ** 2 / (width_px / 2))
-    strips = int(np.clip(length_px / height, 1, STRIPS))
+    # up to eight strips along the bars, so high that noise alone fails few of the gaps: three
+    # sigmas of a bar's mean then reach a tenth of the contrast
+    height = max(2.0, (60 * tones.noise) ** 2 / (width_px / 2))
+    strips = int(np.clip(length_px / height, 1, 8))
     gaps, limits, contrast, tone = _gaps(shifted, along, values, pairs, strips, tones.noise)
     passed = (gaps >= limits).all(axis=1)
     worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
@@ -487,7 +438,8 @@ def _printed(layout, chart_map, shape):
     sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
     cell = max(sizes.min() / 4, layout.width / 4000)
     printed = reflectance(layout, cell=cell)
-    seen = cv2.GaussianBlur(printed, (0, 0), TYPICAL_SIGMA_PX * sizes.max() / cell)
+    # a usual point spread, pixel included: white spills into black where bars are thin
+    seen = cv2.GaussianBlur(printed, (0, 0), 0.65 * sizes.max() / cell)
     depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
     places = (places / cell - 0.5).astype(np.float32).reshape(*shape, 2)
     constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
@@ -505,9 +457,9 @@ def _depth(mask):
 
 def _plainest(depth):
     """The pixels that lie deepest in a tone, enough of them if possible."""
-    for clearance in CLEARANCES_PX:
+    for clearance in (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3):
         plain = depth >= clearance
-        if plain.sum() >= PLAIN_PIXELS:
+        if plain.sum() >= 30:
             break
     return plain
 
@@ -524,9 +476,9 @@ def _local(image, white, side):
     share = cv2.resize(white.astype(float), **small)
     light = cv2.resize(np.where(white, image, 0.0), **small)
     field = np.full(share.shape, image[white].mean())
-    for reach in WHITE_REACHES:
+    for reach in (25.0, 8.0, 3.0):  # hundredths of the chart's side
         weight, total = (cv2.GaussianBlur(one, (0, 0), reach) for one in (share, light))
-        few = FEW_CELLS / (2 * np.pi * reach**2)
+        few = 0.5 / (2 * np.pi * reach**2)  # half a cell outweighs what is farther away
         field = (total + few * field) / (weight + few)
     return cv2.resize(field, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
@@ -538,7 +490,7 @@ def _darkness(seen, field, spilt):
     middle = field - field.mean()
     share = (middle @ free) / max(middle @ middle, 1e-12)
     # without shadows their light does not differ enough to tell
-    if not field.std() > LEAST_SHADE * field.mean():
+    if not field.std() > 0.15 * field.mean():
         share = 0.0
     share = float(np.clip(share, 0, 0.5))
     return float(free.mean() - share * field.mean()), share
@@ -557,7 +509,7 @@ def _pixels(tones, pairs, chart_map):
     axis = 0 if pairs.direction == "h" else 1
     scales = 1 / chart_map.pixel_sizes_mm(np.vstack([outline, outline.mean(axis=0)]))
     across, along = places[:, axis], places[:, 1 - axis]
-    end = END_PX / scales[:, 1 - axis].min()
+    end = 1.5 / scales[:, 1 - axis].min()  # blurred
     # the last white bar has no edge of its own
     inside = (across >= 0) & (across <= pairs.extent - pairs.pair / 2)
     inside &= (along >= end) & (along <= pairs.length - end)
@@ -574,7 +526,7 @@ def _wave(across, values, pairs, width_px):
     fit = np.linalg.lstsq(design, values, rcond=None)[0]
     in_phase, quadrature = -fit[2], -fit[3]
     phase = float(np.degrees(np.arctan2(quadrature, in_phase)))
-    step = len(values) // FREQUENCY_PIXELS + 1
+    step = len(values) // 4000 + 1  # so many pixels tell enough
     rest = (values - design[:, :2] @ fit[:2])[::step]
     # up to the Nyquist frequency, where all waves look alike
     highest = min(2.5, 0.499 * width_px)
@@ -604,7 +556,7 @@ def _gaps(across, along, values, pairs, strips, noise):
     black, white = mean[:, ::2], mean[:, 1::2]
     gaps = white - np.maximum(black[:, :-1], black[:, 1:])
     around = np.maximum(variance[:, 0:-1:2], variance[:, 2::2])
-    limits = np.maximum(SMALLEST_GAP, GAP_SIGMAS * np.sqrt(variance[:, 1::2] + around))
+    limits = np.maximum(SMALLEST_GAP, 3 * np.sqrt(variance[:, 1::2] + around))
     known = np.isfinite(black).any() and np.isfinite(white).any()
     light, dark = (np.nanmean(white), np.nanmean(black)) if known else (np.nan, np.nan)
     gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
@@ -618,11 +570,11 @@ def _refusal(width_px, phase, bars, repeats, share):
         return "below the Nyquist width"
     if width_px < SMALLEST_PAIR_PX:
         return "beats with the pixels"
-    if abs(bars - repeats) > LARGEST_MISCOUNT:
+    if abs(bars - repeats) > 0.6:
         return "wrong number of bars"
-    if abs(phase) > LARGEST_PHASE_DEG:
+    if abs(phase) > 50:  # a reversal is 180 degrees
         return "bars not where they are printed"
-    if share < STRIP_SHARE:
+    if share < 0.75:
         return "gaps do not stand out"
     return ""
 
@@ -630,7 +582,7 @@ def _refusal(width_px, phase, bars, repeats, share):
 def _long_bars(layout):
     """The bars that the pixel size comes from."""
     for bar in layout.of_kind(Bar):
-        if max(bar.width, bar.height) >= SLENDERNESS * min(bar.width, bar.height):
+        if max(bar.width, bar.height) >= 5 * min(bar.width, bar.height):
             yield bar
 
 
@@ -648,7 +600,7 @@ def _measured(tones, bar, chart_map):
         _crossings(tones, chart_map, end, axis, sign, lanes)
         for end, sign in zip(ends, (-1, 1), strict=True)
     )
-    if min(np.isfinite(one).mean() for one in (low_end, high_end)) < SEEN_SHARE:
+    if min(np.isfinite(one).mean() for one in (low_end, high_end)) < 0.6:
         return row
     repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
     length_px = float(np.linalg.norm(np.diff(chart_map.pixels(ends), axis=0)))
@@ -677,5 +629,6 @@ def _crossings(tones, chart_map, end, axis, sign, lanes):
     inside, outside = (np.median(seen[:, ~near & (sign * steps > 0)], axis=1) for sign in (-1, 1))
     dark = seen[:, near] < (inside + outside)[:, None] / 2
     place = dark.mean(axis=1) * END_REACH_PX - END_REACH_PX / 2
-    good = (outside - inside > SMALLEST_STEP) & (outside > LEAST_WHITE)
-    return np.where(good & (np.abs(place) < LARGEST_STRAY_PX), place, np.nan)
+    # else it is the end of something else
+    good = (outside - inside > 0.2) & (outside > 0.6) & (np.abs(place) < 2)
+    return np.where(good, place, np.nan)

@@ -27,8 +27,6 @@ from mmqa_lab.chart_image.placing import ChartMap, four_corners
 from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.charts import Layout, LinePairs, Text
 
-PAIRS_APART_M = 10.0
-
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
 PLACE = ["easting_m", "northing_m", "height_m"]
@@ -36,9 +34,6 @@ PLACE = ["easting_m", "northing_m", "height_m"]
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
 et al. 2021, section 4.2, where a symbol counts like a letter)."""
-
-X_HEIGHT_SHARE = 0.75
-"""Height of lower-case letters in capitals of the chart's font."""
 
 CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
 """Margins of a line, in heights of its capitals: its own tails fit, its neighbours' do not."""
@@ -191,7 +186,7 @@ def chart_site(*, height: float = 1.5) -> pd.DataFrame:
     for number, (view, right) in enumerate(rightward.items()):
         step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
         for place, kind in enumerate(("image", "point")):
-            middle = np.array([0.0, number * PAIRS_APART_M, height]) + 2 * place * step
+            middle = np.array([0.0, 10.0 * number, height]) + 2 * place * step
             aside, up = np.array(right) / 2, np.array([0.0, 0.0, 0.5])
             corners = middle + [-aside - up, aside - up, aside + up, up - aside]
             rows.append((f"{kind} {view}", kind, view, corners))
@@ -353,7 +348,8 @@ def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.nda
     >>> quality_index(40, 10)
     3.0
     """
-    return X_HEIGHT_SHARE * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
+    # lower-case letters are three quarters as high as capitals in the chart's font
+    return 0.75 * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
 
 
 def board_frame(corners):
