@@ -635,7 +635,7 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     results : Dataset
         From :func:`run`.
     truth : str
-        A parameter of the cases, or a variable of truth.
+        A parameter of the cases, or a variable of truth (its ``truth_`` may be left out).
     figure : str, optional
         Name of the variable; may be left out if there is only one.
 
@@ -670,6 +670,7 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     """
     figure = _figure(results, figure)
     truths = set(results.data_vars) - {*figure_names(results), "failure"}
+    truth = f"truth_{truth}" if f"truth_{truth}" in truths else truth
     check_choice(truth, "truth", (*_parameters(results), *sorted(truths)))
     by_method, cases = _by_method(results, figure)
     true = next(iter(_by_method(results, truth)[0].values()))
