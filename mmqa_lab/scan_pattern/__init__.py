@@ -26,7 +26,6 @@ Planning: :func:`largest_speed`, :func:`propagate`, :func:`explain_error`. Measu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -601,17 +600,12 @@ def propagate(
 
 
 def explain_error(
-    setup: ScanSetup,
-    target: Target,
-    *,
-    quantity: str,
-    measured: float,
-    inputs: Sequence[str] = EXPLAINED,
+    setup: ScanSetup, target: Target, *, quantity: str, measured: float
 ) -> pd.DataFrame:
     """Return the change of each input, one at a time, that turns the prediction into a measurement.
 
     What Table 6 of Cahalane et al. 2014 gives for an error of 2 mm: of the changes that do it, the
-    smallest, found within a tenth of a rate, 15 degrees or a fifth of a range.
+    smallest, found within 15 degrees or a fifth of a rate or speed.
 
     Parameters
     ----------
@@ -622,19 +616,17 @@ def explain_error(
         One of the spacings, the angle or the density, see :func:`propagate`.
     measured : float
         In the quantity's unit.
-    inputs : sequence of str
-        As for :func:`propagate`; those of Table 6 where left out.
 
     Returns
     -------
     DataFrame
-        ``input``, ``change`` (signed, in the input's unit; NaN where no change in the range will
-        do), ``predicted`` and ``measured``.
+        ``input`` (those of Table 6), ``change`` (signed, in the input's unit; NaN where no change
+        in the range will do), ``predicted`` and ``measured``.
 
     Raises
     ------
     ValueError
-        If quantity or input is unknown, or the measured value not finite.
+        If the quantity is unknown or the measured value not finite.
 
     References
     ----------
@@ -646,23 +638,21 @@ def explain_error(
     >>> setup = ScanSetup(pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10,
     ...                   scanner_heading_deg=45, scanner_tilt_deg=45)
     >>> table = explain_error(setup, Target(range_m=8), measured=0.102,
-    ...                       quantity="profile_spacing_horizontal_m", inputs=["speed_m_s"])
-    >>> print(table["change"].round(6).item())
+    ...                       quantity="profile_spacing_horizontal_m").set_index("input")
+    >>> print(table.loc["speed_m_s", "change"].round(6))
     0.2
     """
     check_choice(quantity, "quantity", SMOOTH)
     check_number(measured, "measured")
-    changes = [_change(setup, target, quantity, measured, name) for name in inputs]
+    changes = [_change(setup, target, quantity, measured, name) for name in EXPLAINED]
     predicted = float(getattr(scan_lattice(setup, target), quantity))
-    table = {"input": list(inputs), "change": changes}
+    table = {"input": EXPLAINED, "change": changes}
     return pd.DataFrame({**table, "predicted": predicted, "measured": measured})
 
 
 def _change(setup, target, quantity, measured, name):
     """The smallest change of an input that does it; NaN where none does or all do."""
-    check_choice(name, "input", INPUTS)
-    given = getattr(target, TARGET_NAMES[name]) if name in TARGET_NAMES else getattr(setup, name)
-    reach = 15.0 if name.endswith("_deg") else 0.2 * abs(given) or 1.0
+    reach = 15.0 if name.endswith("_deg") else 0.2 * getattr(setup, name)
 
     def lack(change):
         """By how much the prediction exceeds the measurement once the input is changed."""

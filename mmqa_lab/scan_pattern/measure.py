@@ -44,8 +44,6 @@ class PatternMeasurement(Shown):
     ----------
     direction : array, shape (3,)
         Unit vector along the profiles.
-    profile : array of int, shape (n,)
-        Profile of each point, -1 for those left out.
     profiles, points : int
         Used.
     profile_spacing_perpendicular_m : float
@@ -69,7 +67,6 @@ class PatternMeasurement(Shown):
     """
 
     direction: np.ndarray
-    profile: np.ndarray
     profiles: int
     points: int
     profile_spacing_perpendicular_m: float
@@ -161,14 +158,11 @@ def measure_pattern(
     numbers = np.full(len(points), -1)
     numbers[near] = revolutions_from_time(time[near]) if line is None else line[near]
     used, share = _without_strays(local, numbers, np.flatnonzero(near))
-    profile = np.full(len(points), -1)
-    profile[used] = numbers[used]
     rows = local[used], numbers[used], _pulses(time, numbers, used)
     fit = _fitted(*rows[:2], centre)
     _check_one_head(fit, share)
     return PatternMeasurement(
         direction=fit.along,
-        profile=profile,
         profiles=len(fit.numbers),
         points=len(used),
         std=dict(zip(MEASURED, _jackknifed(*rows, centre), strict=True)),

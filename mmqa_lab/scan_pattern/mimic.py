@@ -210,12 +210,6 @@ class PointSpacing(NamedTuple):
 
     Parameters
     ----------
-    theta_a : float
-        Angle between pulses, degrees (equation 5).
-    r1 : float
-        Length of the horizontal pulse, metres (equation 8).
-    theta_scan : float
-        Angle between that pulse and the profile, degrees.
     d2 : float
         Way along the profile to the evaluated height, metres (equations 6 and 7).
     r2 : float
@@ -228,13 +222,10 @@ class PointSpacing(NamedTuple):
     Examples
     --------
     >>> chain = point_spacing((0, 0), (0, 0), h_r=5, height_difference=0, theta_a=0.12)
-    >>> bool(np.isclose(chain.d_ps, 5 * np.tan(np.radians(0.12)))), float(chain.r1)
+    >>> bool(np.isclose(chain.d_ps, 5 * np.tan(np.radians(0.12)))), float(chain.r2)
     (True, 5.0)
     """
 
-    theta_a: float
-    r1: float
-    theta_scan: float
     d2: float
     r2: float
     theta_o: float
@@ -304,7 +295,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     theta_o = 180 - theta_a - at_first
     reach = r1 if literal else r2
     d_ps = reach * np.sin(np.radians(theta_a)) / np.sin(np.radians(theta_o))  # equation 10
-    return PointSpacing(theta_a, r1, theta_scan, d2, r2, theta_o, d_ps)
+    return PointSpacing(d2, r2, theta_o, d_ps)
 
 
 def _check_strike(alpha_scan, alpha_targ):
