@@ -19,13 +19,13 @@ from mmqa_lab.simulate.point_patterns import (
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
 
 LEAST_NOISE, EXACT = 1e-10, 1e-6
-"""Metres of noise that decide on which side of an axis a point lies and nothing else."""
+"""Metres: noise that only decides on which side of an axis a point lies, and what it changes."""
 
 KNOWN = ("lattice", "hexagonal", "scan_lines", "poisson")
 
 CLOSED = {(kind, "turned by 25°"): {"angle": 25} for kind in KNOWN}
 CLOSED["scan_lines", "along, least noise"] = {"noise": LEAST_NOISE}
-"""Patterns whose f is known in closed form, and how they lie to the axes."""
+"""Patterns whose f is known in closed form, with their position to the axes."""
 
 BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
 
@@ -85,7 +85,7 @@ METHODS = {
 
 
 def pattern(kind, stretch, angle, n, noise_mm, *, seed, density=3000.0):
-    """A point pattern of n points on average, and its true ratio across / along."""
+    """Draw a point pattern of n points on average, and state its true ratio across / along."""
     choices = {"ratio": stretch, "angle": angle, "noise": noise_mm / 1000}
     xy = point_pattern(kind, density=density, size=np.sqrt(n / density), seed=seed, **choices)
     return xy, {"ratio": true_ratio(kind, stretch)}
@@ -166,7 +166,7 @@ def _interior_f(xy, guard):
 
 
 def boards():
-    """Points of boards, (n, 3), m, by name, where MMQA_DATA has them."""
+    """Return the points of boards, (n, 3), m, by name; none where MMQA_DATA has no boards."""
     found = {
         name: samples.real_path(file) for name, file in BOARDS.items() if samples.has_real(file)
     }

@@ -14,7 +14,7 @@ from mmqa_lab.simulate import cameras
 from mmqa_lab.srgb import decode
 
 ROW = ["system", "distance_m", "view"]
-"""What names a row of Table 1."""
+"""Columns that name a row of Table 1."""
 
 PAIRS = charts.imaging_chart().of_kind(LinePairs)
 
@@ -29,7 +29,7 @@ SENSOR = cameras.Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=90)
 SPEED_KMH = 40.0
 
 LIMIT_STEP, LIMIT_STEPS, LIMIT_LENGTH_PX, MAP_ERROR_PX = 1.04, 9, 24.0, 0.1
-"""Line pairs that find the limit: their steps, number and length, and the error of their place."""
+"""Steps, number and length of the line pairs that find the limit, and the error of their place."""
 
 
 def table_1():
@@ -141,10 +141,11 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
 
 
 def score_rule(resolved, truth):
-    """Count what a rule accepts though the optics do not carry it, and what it refuses though.
+    """Count the patterns that a rule accepts or refuses against what the optics carry.
 
-    ``resolved`` has a truth value for each pattern, in the order of ``seen.pairs``; ``truth`` is
-    that of :func:`photo_case`.
+    ``resolved`` has a truth value for each pattern, in the order of ``seen.pairs``, and ``truth``
+    is that of :func:`photo_case`. ``spurious`` patterns are accepted but not carried, ``missed``
+    ones are carried but refused.
     """
     resolved, carried = np.asarray(resolved, dtype=bool), truth["carried"]
     return {"spurious": int(sum(resolved & ~carried)), "missed": int(sum(carried & ~resolved))}
@@ -188,10 +189,10 @@ def bench(systems="ABC", photo_spreads_px=(0.4, FITTED_PX), exposures_ms=(0, 0.5
 
 
 def ledger_rows(rows, what, *, value, kind, note):
-    """The ledger's entries on a quantity of Table 1, from a column of a table in the notebook.
+    """Return the ledger's entries on a quantity of Table 1, such as ``"pixel size"``.
 
-    ``rows`` has the columns ``ROW``, ``direction`` where the quantity has one, and for a prediction
-    the ends of its interval, ``low_mm`` and ``high_mm``.
+    ``rows`` has the columns ``ROW`` and ``value``, a ``direction`` if the quantity has one, and for
+    a prediction the ends of its interval, ``low_mm`` and ``high_mm``.
     """
     place = rows["system"] + rows["distance_m"].map(" {:.0f} m ".format) + rows["view"] + " "
     cell = place + rows["direction"] + " " + what if "direction" in rows else place + what
@@ -201,7 +202,7 @@ def ledger_rows(rows, what, *, value, kind, note):
 
 
 def _steps_chart(sigma_px, blur_px):
-    """A chart of line pairs around the limit, a millimetre for each pixel."""
+    """Return a chart of line pairs around the limit; a millimetre of it is a pixel."""
     widths = np.geomspace(60, reading.SMALLEST_PAIR_PX, 2000)
     poor = reading.expected_contrast(widths, sigma_px, blur_px) < reading.SMALLEST_GAP
     closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else reading.SMALLEST_PAIR_PX
@@ -217,10 +218,10 @@ def _steps_chart(sigma_px, blur_px):
 
 
 def _view(row, distance_m, view, layout, rng):
-    """The map of a chart whose pixels have the sizes of a row of Table 1.
+    """Return the map of a chart whose pixels have the sizes of a row of Table 1.
 
-    An oblique view makes pixels longer along x by 1/cos of its angle; a difference in an orthogonal
-    one is that of two bars, one of which is grey.
+    An oblique view makes pixels longer along x by 1/cos of its angle. In an orthogonal view the two
+    sizes differ because one of the two bars is grey.
     """
     upright, along = row["pixel_v_mm"], row["pixel_h_mm"]
     along = upright if np.isnan(along) else along
@@ -238,7 +239,7 @@ def _view(row, distance_m, view, layout, rng):
 
 
 def _way(chart_map, view):
-    """A millimetre of the vehicle's way in the camera's axes: along the chart, or towards it."""
+    """A millimetre of the drive in the camera's axes: along the chart, or towards it."""
     along, up = chart_map.matrix[:, 0], chart_map.matrix[:, 1]
     return along if view == "orthogonal" else 1000 * np.cross(along, up)
 

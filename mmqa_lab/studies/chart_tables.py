@@ -33,7 +33,7 @@ SENSORS = {
 
 
 def table_2():
-    """The published Table 2, sigma_MAD as ``precision_mm``.
+    """Return the published Table 2, with sigma_MAD as ``precision_mm``.
 
     Examples
     --------
@@ -45,10 +45,10 @@ def table_2():
 
 
 def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
-    """The chart as a system of ``SENSORS`` scans it: a Cloud from the chart's centre, m.
+    """Scan the chart with a system of ``SENSORS``: a Cloud in metres from the chart's centre.
 
-    x points away from the path, y along it, z up. The sensor is ``height_m`` above the centre;
-    ``changes`` are fields of it.
+    x points away from the path, y along it, z up. The sensor is ``height_m`` above the centre.
+    ``changes`` are fields of the sensor.
     """
     sensor = replace(SENSORS[system], **changes)
     cloud = systems.pass_chart(sensor, distance_m, seed=seed, height=height_m)
@@ -56,7 +56,7 @@ def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
 
 
 def make(system, distance_m, *, seed):
-    """A chart, and its true density and noise."""
+    """Scan the chart: a Cloud, and its true density and noise."""
     cloud = chart_cloud(system, distance_m, seed=seed)
     across = cloud["range_noise_m"] * np.cos(np.radians(cloud["incidence_deg"]))
     return cloud, {"density_per_m2": len(cloud), "precision_mm": 1000 * across.std()}
@@ -122,10 +122,10 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seed
 
 
 def differences(results, reference):
-    """By how many per cent figures differ from a reading's or, for ``"truth"``, the true ones.
+    """Differences of the figures from a reading or, with ``"truth"``, from the truth, in per cent.
 
-    A row for each ``method`` and ``system`` of the results of :func:`bench`, a column for each
-    figure by the ledger's name.
+    Results are those of :func:`bench`. The table has a row for each ``method`` and ``system``, and
+    a column for each figure, named as in the ledger.
     """
     means = benches.cell_table(results).groupby(["method", "system"], sort=False)
     means = means.mean(numeric_only=True)

@@ -33,7 +33,7 @@ FIGURES |= {name: name.removesuffix("_mm") for name in ("d1_mm", "d2_mm", "d3_mm
 """What is evaluated, and its name in tables."""
 
 KEYS = ["method", "system", "distance_m"]
-"""What names a surface and its operator."""
+"""Columns that name a surface and its operator."""
 
 
 class Surface(NamedTuple):
@@ -47,8 +47,8 @@ class Surface(NamedTuple):
 def chart_scan(system, distance_m, scan, *, seed=5000):
     """Drive a system of ``SENSORS`` past a chart: a Surface.
 
-    Drives are counted by ``scan`` from that of ``seed``; each has its own errors and place of the
-    scan pattern.
+    The number ``scan`` of the drive is added to ``seed``. Each drive has its own errors, and its
+    scan pattern falls elsewhere.
     """
     corners = chart_corners((distance_m, 0, 0), heading=systems.FACING_THE_ROAD)
     cloud = systems.pass_chart(SENSORS[system], distance_m, seed=seed + scan)
@@ -73,10 +73,10 @@ def _outlined(points, width, height):
 
 
 def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
-    """Figures of one selection of a surface by an operator, a dict with the names of ``FIGURES``.
+    """Select a surface once, as an operator does: a dict with the keys of ``FIGURES``.
 
-    The clicks have the standard deviation ``click_m`` in each direction; ``vertices`` is 4 for a
-    quadrilateral and more for a free polygon; ``axes`` as for ``evaluate_cloud``.
+    Clicks have the standard deviation ``click_m`` in each direction. ``vertices`` is 4 for a
+    quadrilateral and a multiple of 4 for a free polygon. ``axes`` is that of ``evaluate_cloud``.
     """
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
@@ -85,7 +85,7 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
 
 
 def operators(click_m=0.015):
-    """Ways to select with that click error: functions of a surface and a seed."""
+    """Return ways to select with a click error: functions of a tuple (Surface, seed)."""
     chosen = partial(selected, click_m=click_m)
     return {
         "4 clicks, principal axes": lambda data: chosen(*data),
@@ -98,7 +98,7 @@ METHODS = operators()
 
 
 def make(system, distance_m, scan, *, seed):
-    """A scan of a chart, or a real surface, and the seed of a selection of it."""
+    """Return a scan of a chart or a real surface, and the seed of its selection."""
     real = real_surfaces()
     surface = real[system] if system in real else chart_scan(system, distance_m, scan)
     return (surface, [seed, scan, int(distance_m)]), None
@@ -131,10 +131,10 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances=(5.0, 10.0), scans=
 
 
 def limits(results):
-    """Repeatability of every figure of every surface and operator, a row for each.
+    """Return the repeatability of every figure of every surface and operator.
 
-    From the results of :func:`bench`: ``method``, ``system``, ``distance_m``, ``figure``, and what
-    :meth:`mmqa_lab.repeatability.Repeatability.to_frame` has.
+    Results are those of :func:`bench`. A row has ``method``, ``system``, ``distance_m``, ``figure``
+    and the columns of :meth:`mmqa_lab.repeatability.Repeatability.to_frame`.
     """
     cells = benches.cell_table(results).set_index([*KEYS, "scan"])
     values = cells[cells.columns.intersection(list(FIGURES))].stack().dropna()
@@ -146,10 +146,10 @@ def limits(results):
 
 
 def ranges_of_five(results):
-    """Ranges of the figures over groups of five selections of a scan, as in section 4.4.
+    """Return the ranges of figures over groups of five selections of a scan, as in section 4.4.
 
-    A row for each group: ``density_percent`` (of the group's mean), ``precision_mm`` (of sigma_MAD)
-    and ``medians_mm`` (the widest of d1..d4).
+    Results are those of :func:`bench`. A row for each group has ``density_percent`` (of the group's
+    mean), ``precision_mm`` (of sigma_MAD) and ``medians_mm`` (the widest range of d1..d4).
     """
     table = benches.cell_table(results)
     groups = table.groupby([*KEYS, "scan", (table["seed"] // 5).rename("group")], sort=False)

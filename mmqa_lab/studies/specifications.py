@@ -1,8 +1,8 @@
 """Specifications: Table 2 of Pfeifer et al. 2021 predicted from them, and fitted.
 
-Predicted is what follows from the specifications that the paper and the data sheets state, with
-what they leave open anywhere within plausible bounds. Fitted is what the best values of the open
-parameters give: three or four free numbers for ten printed ones, so a fit is no reproduction.
+Predicted figures follow from the specifications that the paper and the data sheets state; open
+parameters may lie anywhere within plausible bounds. Fitted figures are those of the best open
+parameters: three or four free numbers for ten printed ones, so a fit is no reproduction.
 """
 
 from functools import partial
@@ -20,7 +20,7 @@ from mmqa_lab.simulate.point_patterns import thin
 from mmqa_lab.studies.chart_tables import FIGURES, SENSORS, chart_cloud, read, table_2
 
 USUAL = {"A": {"tilt_deg": 45, "height_m": 0.75}, "B": {"tilt_deg": 0, "height_m": 1}}
-"""Parameters that are not stated: the usual values."""
+"""Usual values of the parameters that are not stated."""
 
 FITS = (
     ("A", "stated", {"tilt_deg": (30, 60), "height_m": (0, 1.5)}),
@@ -28,7 +28,7 @@ FITS = (
     ("B", "free", {"tilt_deg": (0, 50), "height_m": (0, 2)}),
     ("C", "free", {"resampled_per_m2": (20_000, 40_000), "hard_core": (0, 0.55)}),
 )
-"""System, name and bounds of each fit; the free one of A gives up the stated 200 Hz."""
+"""System, name and bounds of each fit. The free fit of A gives up the stated 200 Hz."""
 
 HALF_UNITS = pd.Series([0.5, 0.05, 0.5, 0.5, 0.05], list(FIGURES))
 """Half a unit of the last digit that Table 2 prints."""
@@ -40,21 +40,21 @@ TOLERANCE = 0.02
 
 
 def one_pair(drive):
-    """System C as one stereo pair; points a pixel and noise are fitted at 5 m."""
+    """Match one stereo pair of system C; points a pixel and noise are fitted at 5 m."""
     per_px = 28_901 * (5 / systems.SYSTEM_C.focal_px) ** 2
     pair = {"resampled_per_m2": 0, "hard_core": 0.36, "points_per_px": per_px}
     return chart_cloud("C", drive[0], seed=drive[1], noise_px=0.69, floor_m=0, **pair)
 
 
 def pairs_fused(drive):
-    """As many stereo pairs as keep the density."""
+    """Fuse as many stereo pairs as keep the density."""
     distance_m, seed = drive
     seeds = range(100 * seed, 100 * seed + round((distance_m / 5) ** 2))
     return Cloud.concatenate(one_pair((distance_m, each)) for each in seeds)
 
 
 def thinned(drive):
-    """A dense cloud thinned in space; supply, least distance and noise are fitted."""
+    """Thin a dense cloud in space; its density, least distance and noise are fitted."""
     supply = 75_000 * (drive[0] / systems.SYSTEM_C.focal_px) ** 2
     dense = {"hard_core": 0, "resampled_per_m2": 0, "points_per_px": supply, "correlated_share": 0}
     cloud = chart_cloud("C", drive[0], seed=drive[1], noise_px=0.15, floor_m=0.0113, **dense)
@@ -62,7 +62,7 @@ def thinned(drive):
 
 
 def resampled(drive):
-    """Points resampled on the surface to one density with a least distance, as fitted."""
+    """Resample the surface to one density with a least distance; both are fitted."""
     return chart_cloud("C", drive[0], seed=drive[1])
 
 
@@ -72,7 +72,7 @@ METHODS = {
     "thinned in space": thinned,
     "resampled on the surface": resampled,
 }
-"""Ways to match images and to sample: functions of a drive, its distance in m and its seed."""
+"""Ways to match and to sample: functions of a drive, a tuple (distance in m, seed)."""
 
 
 def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
@@ -87,21 +87,20 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
 
 
 def make(distance_m, *, seed):
-    """A drive past the chart: what a way to match is given."""
+    """Return a drive past the chart, which a way to match is given."""
     return (distance_m, seed), None
 
 
 def score(cloud, truth):
-    """The figures of Table 2; there is no truth."""
+    """Return the figures of Table 2 as Appendix A reads them; no truth is known."""
     return read(cloud)
 
 
 def misfits(results):
-    """Figures of each way, means over seeds, and their distance from C's printed rows.
+    """Return the mean figures of each way, and how far they are from C's printed rows.
 
-    From the results of :func:`bench`: ``model``, ``distance_m``, the figures, and ``misfit``, the
-    root mean square of the differences of both distances in tolerances: half a printed digit and
-    2 % in quadrature.
+    Results are those of :func:`bench`. A row has ``model``, ``distance_m``, the figures, and
+    ``misfit``: the root mean square difference in tolerances, over all figures and distances.
     """
     models = benches.cell_table(results.mean("seed", keep_attrs=True))
     models = models.rename(columns={"method": "model"})
@@ -113,12 +112,12 @@ def misfits(results):
 
 
 def in_tolerances(figures, printed, names):
-    """Differences from the printed figures, in half a printed digit and 2 % in quadrature."""
+    """Return differences in tolerances: half a printed digit and 2 %, in quadrature."""
     return (figures - printed) / np.hypot(HALF_UNITS[names], TOLERANCE * printed)
 
 
 def measure(cases, *, seeds):
-    """What Appendix A reads of the chart in each case, arguments of ``chart_cloud``, and pass."""
+    """Return the figures of Appendix A in each case, arguments of ``chart_cloud``."""
     readings = benches.run(cases, {"Appendix A": read}, make=chart_cloud, seeds=seeds)
     return benches.cell_table(readings)
 
@@ -179,9 +178,9 @@ def search(judge, bounds, target, *, seed, candidates):
 
 
 def closed_form(values):
-    """Density, d1, d4 and f of n candidates for A, from the lattice at the chart's centre.
+    """Return density, d1, d4 and f of n candidates for A from the lattice at the chart's centre.
 
-    Shape (n, 2, 4), at 5 m and at 10 m.
+    Shape (n, 2, 4): at 5 m and at 10 m.
     """
     given = {name: values[[name]].to_numpy() for name in values}
     setup = ScanSetup(
@@ -197,17 +196,17 @@ def closed_form(values):
 
 
 def simulated(values, *, system, seed):
-    """Density, d1, d4 and f of n candidates, one pass each: shape (n, m, 4), C at 5 m alone."""
+    """Return density, d1, d4 and f of n candidates, one pass each; of C at 5 m alone."""
     distances = pd.DataFrame({"distance_m": (5.0, 10.0) if system == "B" else (5.0,)})
     cases = values.assign(system=system).merge(distances, how="cross")
     return measure(cases, seeds=[seed])[FITTED].to_numpy().reshape(len(values), -1, len(FITTED))
 
 
 def fitted_noise(system, parameters, target, seed):
-    """The noise that gives the published sigma_MAD, as fields of the sensor.
+    """Return the noise that gives the published sigma_MAD, as fields of the sensor.
 
-    That of a scanner is scaled; that of matching is a floor and a part that grows with the square
-    of the distance, which two published values determine.
+    The noise of a scanner is scaled. The noise of matching is a floor and a part that grows with
+    the square of the distance; the two published values determine both.
     """
     if system == "C":
         near, far = target["precision_mm"] / 1000
@@ -221,7 +220,7 @@ def fitted_noise(system, parameters, target, seed):
 
 
 def compare(cells, passes):
-    """Table 2 published, predicted and fitted, cell by cell; NaN where there is none.
+    """Compare Table 2 as published, predicted and fitted, cell by cell; NaN is a missing number.
 
     Parameters
     ----------
