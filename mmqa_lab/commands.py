@@ -46,8 +46,8 @@ app = App(
 )
 
 SHARED = {
-    "json": (bool, False, "Print a list with an object for each row, null where not measurable."),
-    "csv": (Path | None, None, "Write the rows there, too."),
+    "json": (bool, False, "Print a JSON list of rows, with null where not measurable."),
+    "csv": (Path | None, None, "Write the rows into this CSV file, too."),
 }
 
 
@@ -198,12 +198,12 @@ def _within(cloud, polygon):
 
 @table
 def info(clouds: list[Path], /):
-    """Say what is in cloud files: extent, step, time, heads, and what they cannot tell.
+    """Tell what cloud files contain: extent, step, time, columns, and what is missing.
 
     Parameters
     ----------
     clouds
-        LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text.
     """
     import pandas as pd
 
@@ -233,15 +233,15 @@ def evaluate(
     Parameters
     ----------
     clouds
-        LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text.
     polygon
-        Of the surface: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
+        The outline of the surface: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
     rho0
-        Points per m2 asked for: says where f does not matter.
+        The density that is asked for, points per m2. The table then says whether f matters.
     intervals
-        A row for each figure, and for g, with its 95 % interval.
+        Print a row for each figure, and for g, with its 95 % confidence interval.
     out
-        A figure of the last cloud: .pdf, .png, .svg.
+        Draw the last cloud into this file: .pdf, .png or .svg.
     """
     import pandas as pd
 
@@ -272,19 +272,19 @@ def map_(
 ):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
-    Beside the map stand its tiles in a folder .run: a run that was interrupted goes on with those
-    that exist.
+    The tiles of the map are kept in a folder beside it, which ends in .run. A run that was
+    interrupted goes on from there.
 
     Parameters
     ----------
     clouds
-        LAS, LAZ or COPC files, and folders of them.
+        Cloud files (LAS, LAZ, COPC, PLY or text), and folders of LAS, LAZ or COPC files.
     out
-        The map: .nc (NetCDF) or .tif (GeoTIFF).
+        Write the map into this file: .nc (NetCDF) or .tif (GeoTIFF).
     cell
-        Side of the cells, m.
+        Side of the square cells, m.
     rho0
-        Points per m2 asked for: maps where f does not matter.
+        The density that is asked for, points per m2. The map then shows where f does not matter.
     """
     from mmqa_lab import maps
 
@@ -313,32 +313,32 @@ def plan(
     """Predict what a profile scanner on a vehicle lays on a plane: spacings, angle, density, f.
 
     X is across the track to the target's side, Y the direction of travel, Z up. Angles are
-    counter-clockwise, tilt is applied before heading. Scanner: all zero is a vertical scan plane
-    across the track. Target: all zero is a vertical wall along the track. After Cahalane et al.
-    2014 (doi 10.3390/s140609471).
+    counter-clockwise, and tilt is applied before heading. With all angles zero, the scan plane is
+    vertical and across the track, and the target is a vertical wall along the track. After Cahalane
+    et al. 2014 (doi 10.3390/s140609471).
 
     Parameters
     ----------
     range
-        X at which the horizontal pulse strikes the plane, m.
+        X where the horizontal pulse strikes the plane, m.
     speed
-        Of the vehicle, m/s.
+        Speed of the vehicle, m/s.
     scanner
-        A profile scanner by name, such as zf-9012 or vq-450; else give both rates.
+        Name of a profile scanner, such as zf-9012 or vq-450. Without it, give both rates.
     pulse_rate
         Pulses per second.
     mirror_frequency
         Revolutions of the mirror per second.
     scanner_heading
-        Scan plane turned about the vertical, degrees.
+        Turn of the scan plane about the vertical, degrees.
     scanner_tilt
-        Scan plane tilted about X, degrees.
+        Tilt of the scan plane about X, degrees.
     target_heading
-        Of the target, degrees.
+        Turn of the target about the vertical, degrees.
     target_tilt
-        Of the target, degrees.
+        Tilt of the target about Y, degrees.
     height_difference
-        Above the scanner, m.
+        Height of the evaluated spot above the scanner, m.
     sigma
         Standard deviations of inputs, such as speed_m_s=0.2 target_heading_deg=1.93.
     """
@@ -398,15 +398,15 @@ def pattern(
 ):
     """Measure the scan pattern of a planar patch: profile spacing, profile angle, point spacing.
 
-    One patch, one pass of one scanner head. Profiles are told apart by scan line or GPS time. After
-    Cahalane et al. 2014 (doi 10.3390/s140609471), section 4.
+    The patch must come from one pass of one scanner head. Profiles are told apart by scan line or
+    GPS time. After Cahalane et al. 2014 (doi 10.3390/s140609471), section 4.
 
     Parameters
     ----------
     clouds
-        LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text.
     polygon
-        Of the patch: CSV or GeoJSON, or "x,y,z; x,y,z; x,y,z".
+        The outline of the patch: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
     """
     import pandas as pd
 
@@ -445,13 +445,13 @@ def lhd(
     files
         Segments (CSV with x1,y1,z1,x2,y2,z2, m) or clouds, whose edges are extracted first.
     reference
-        The static survey.
+        Edges or cloud of the static survey, the reference.
     weight
-        Of the angle.
+        Weight of the angle in the distance.
     radius
-        Largest displacement that is sought, m.
+        Largest displacement that is searched for, m.
     matcher
-        Who pairs: all, nearest, mutual, hungarian, fragments, displaced.
+        How segments are paired: all, nearest, mutual, hungarian, fragments or displaced.
     """
     from mmqa_lab import io, lines
 
@@ -483,23 +483,23 @@ def poles(
     corridor: float | None = None,
     reference: Path | None = None,
 ):
-    """Detect poles in clouds of one street; with a reference, score them.
+    """Detect poles in clouds of one street, and score them against a reference.
 
-    Methods: learned (any cloud), fgi (scan lines, Lehtomaki et al. 2010), itc (components, Pu et
-    al. 2011).
+    Method learned takes any cloud. Method fgi follows scan lines (Lehtomaki et al. 2010), itc
+    connected components (Pu et al. 2011).
 
     Parameters
     ----------
     clouds
-        LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text.
     method
-        Of detection.
+        The detector.
     trajectory
-        CSV of the path: points beyond the corridor do not count.
+        CSV file of the path. Points beyond the corridor along it do not count.
     corridor
-        Half its width, m.
+        Half of the corridor's width, m.
     reference
-        CSV of known poles with x_m, y_m: prints recall, precision and F1.
+        CSV file of known poles with x_m, y_m. Prints recall, precision and F1.
     """
     import numpy as np
 
@@ -541,17 +541,18 @@ def accuracy(
     Parameters
     ----------
     cloud
-        LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text.
     reference
-        Points (CSV, LAS) or a raster (GeoTIFF).
+        Surveyed heights: points (CSV, LAS) or a raster (GeoTIFF).
     targets
-        CSV of x, y, z (of the foot), kind (pole, building, curb) and, where known, diameter.
+        CSV file with x, y, z of each target's foot, its kind (pole, building or curb) and, where
+        known, its diameter.
     trajectory
-        CSV of the path: adds the trend over the distance.
+        CSV file of the path. Adds the trend over the distance from it.
     radius
-        Of the surface around a point, m.
+        Radius of the surface around a reference point, m.
     out
-        Write each difference there, as CSV.
+        Write every difference into this CSV file.
     """
     from mmqa_lab import io, testfield
 
@@ -593,25 +594,26 @@ def calibrate(
 ):
     """Estimate boresight and lever arms of scan heads from drives in both directions.
 
-    The table has what is to be added to the assumed mounting with its standard error, and says what
-    the drives do not determine (EuroSDR 2013, mobile laser scanning, section 3.3.3). Vehicle frame:
-    x right, y travel, z up; roll is about y, pitch about x, heading about -z. Several heads are
-    told apart by the column head (0, 1, ...) of the clouds.
+    The table tells what to add to the assumed mounting, with its standard error, and what the
+    drives do not determine (EuroSDR 2013, mobile laser scanning, section 3.3.3). In the vehicle
+    frame x is to the right, y the direction of travel and z up; roll is about y, pitch about x,
+    heading about -z. Several heads are told apart by the column head (0, 1, ...) of the clouds.
 
     Parameters
     ----------
     drives
-        LAS or LAZ with GPS time, one of each drive.
+        Cloud files with GPS time (LAS or LAZ), one for each drive.
     trajectory
-        CSV of the path (position, roll, pitch, heading) of each drive, or one of all.
+        CSV file of the path (position, roll, pitch, heading), one for each drive or one for all.
     lever_arm
-        Assumed lever arm X,Y,Z of a head, m, once for each; else 0,0,0.
+        Assumed lever arm X,Y,Z of a head, m, once for each head. Without it, 0,0,0.
     control
-        Points of the ground whose heights are known.
+        File of ground points whose heights are known.
     poles
-        CSV: x, y, z of the foot, roughly; diameter where known to millimetres.
+        CSV file with a rough x, y, z of each pole's foot, and its diameter where it is known to
+        millimetres.
     out
-        Folder for the corrected clouds.
+        Write the corrected clouds into this folder.
     """
     import numpy as np
 
@@ -650,17 +652,17 @@ def chart(
     """Write a test chart to print, 1 m x 1 m at true size, as PDF or SVG.
 
     The imaging chart has long bars for the pixel size, line pairs for the resolution, texts and
-    symbols for the legibility and coded targets for its place; the point chart has random cells
+    symbols for the legibility, and coded targets that place it. The point chart has random cells
     (Pfeifer et al. 2021, doi 10.3390/rs13020237). Print without scaling.
 
     Parameters
     ----------
     out
-        The file: .pdf or .svg.
+        Write the chart into this file: .pdf or .svg.
     chart
-        Which one.
+        The chart: grey, black and revised are imaging charts, points is the point chart.
     seed
-        Of the point chart's cells.
+        Seed of the point chart's random cells.
     """
     import pandas as pd
 
@@ -691,23 +693,24 @@ def image(
     """Measure photographs of the imaging chart: pixel size, resolved line pairs, noise.
 
     The chart is found by its coded targets and long bars, or at its corners (Pfeifer et al. 2021,
-    doi 10.3390/rs13020237). What cannot be measured is empty, and what speaks against the figures
-    stands in remark.
+    doi 10.3390/rs13020237). What cannot be measured is empty; the remark tells what speaks against
+    the figures.
 
     Parameters
     ----------
     images
-        JPEG, PNG or TIFF.
+        Photographs: JPEG, PNG or TIFF.
     chart
-        Which one was printed.
+        The chart that was printed.
     corners
-        "X,Y; X,Y; X,Y; X,Y" in pixels: lower left, lower right, upper right, upper left.
+        Corners of the chart in pixels, "X,Y; X,Y; X,Y; X,Y": lower left, lower right, upper right,
+        upper left.
     panorama
         The image is equirectangular, 2 : 1.
     linear
         Grey values are linear in light.
     out
-        A figure of the last image: .pdf, .png, .svg.
+        Draw the last image into this file: .pdf, .png or .svg.
     """
     import pandas as pd
 
@@ -759,9 +762,9 @@ def radiometry(
 ):
     """Measure a camera in your own images: resolution, sensor and reflectance, band by band.
 
-    edge and star measure resolution on targets, sharpness does without any; calibrate fits
-    gain and offset of the sensor to targets of known radiance, reflect turns digital numbers into
-    reflectance by the empirical line (EuroSDR 2013, image radiometry). Intervals are 95 %.
+    edge and star measure the resolution on targets; sharpness needs none. calibrate fits gain and
+    offset of the sensor to targets of known radiance. reflect turns digital numbers into
+    reflectance by the empirical line (EuroSDR 2013, image radiometry). Intervals are of 95 %.
 
     A row of the targets has image (name of the file; without the column it is in every one), name,
     and for edge, calibrate and reflect x_px, y_px, width_px, height_px (a region); for star x_px,
@@ -773,9 +776,9 @@ def radiometry(
     measure
         What to measure.
     images
-        JPEG, PNG or TIFF with any number of bands.
+        Images with any number of bands: JPEG, PNG or TIFF.
     targets
-        CSV.
+        CSV file of the targets, see above.
     linear
         8-bit values are linear in light.
     """
@@ -800,19 +803,20 @@ def radiometry(
 
 @table
 def tender(criteria: str, results: str, /, *, details: bool = False):
-    """Compare systems' results with the criteria of a tender; a sentence for each system.
+    """Compare systems' results with the criteria of a tender, in a sentence for each system.
 
     Parameters
     ----------
     criteria
-        CSV with criterion, quantity, relation (>=, >, <=, <), threshold and, where they matter,
-        distance_m, view, direction; or pfeifer2021:test, :1, :2, :g (Pfeifer et al. 2021, doi
-        10.3390/rs13020237: the test and both scenarios, and the test with g in place of f).
+        CSV file with criterion, quantity, relation (>=, >, <=, <), threshold and, where they
+        matter, distance_m, view, direction. Or pfeifer2021:test, pfeifer2021:1, pfeifer2021:2: the
+        test and both scenarios of Pfeifer et al. 2021 (doi 10.3390/rs13020237); or pfeifer2021:g,
+        the test with g in place of f.
     results
-        CSV with system, quantity, value and, where known, sigma or low and high, distance_m, view,
-        direction; or pfeifer2021, the paper's Tables 1 and 2.
+        CSV file with system, quantity, value and, where known, sigma or low and high, distance_m,
+        view, direction. Or pfeifer2021, the paper's Tables 1 and 2.
     details
-        A row for each figure instead of one for each system.
+        Print a row for each figure instead of one for each system.
     """
     from mmqa_lab import io, tender
 
@@ -843,23 +847,23 @@ def bench(
 ):
     """Run a study's comparison of methods, with methods of your own among them.
 
-    A method is a function of the study's data. It is measured on the same cases and ranked with an
-    interval; where it fails on some, it goes on with the others.
+    A method is a function of the study's data. It is measured on the same cases as the others and
+    ranked with an interval. A case on which it fails is left out.
 
     Parameters
     ----------
     study
-        Its stem, such as anisotropy.
+        Short name of the study, such as anisotropy.
     method
-        MODULE:FUNCTION of your own, in a file of the current directory; may be given several times.
+        Your own MODULE:FUNCTION, in a file of the current directory. May be given several times.
     quick
-        Few cases, for a first look.
+        Take few cases, for a first look.
     workers
-        Processes.
+        Number of processes.
     out
-        Folder for results, tables and figures.
+        Write results, tables and figures into this folder.
     raise_
-        Stop with the traceback where your method fails.
+        Stop where your method fails, and print the traceback.
     """
     from dataclasses import replace
 
@@ -945,22 +949,23 @@ def studies(
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
 
-    Results stand in notebooks/results/ (of a quick run in results/quick/); index.html there shows
-    them all. A study that fails does not stop the others. The exit status is 1 where a study failed
-    or, with the delivered parameters, a check did not pass.
+    Results are written into notebooks/results/, those of a quick run into notebooks/results/quick/;
+    the page index.html in that folder shows them all. A study that fails does not stop the others.
+    The exit status is 1 where a study failed or, with the delivered parameters, a check did not
+    pass.
 
     Parameters
     ----------
     names
-        Stems of studies; all without.
+        Short names of studies, such as mimic. Without any, all.
     quick
-        Small parameters, for a first look.
+        Take small parameters, for a first look.
     workers
-        Studies at the same time; as many as cores, memory permitting.
+        Number of studies that run at the same time. By default as many as cores and memory permit.
     store
-        Put the outputs into the notebooks and their thumbnails beside them: for the repository.
+        Store the outputs in the notebooks of the repository, and their thumbnails beside them.
     out
-        Folder for the results.
+        Write the results into this folder instead.
     """
     from mmqa_lab.run import notebooks, pages
     from mmqa_lab.run import store as storing
@@ -1021,15 +1026,16 @@ def student(
     Parameters
     ----------
     out
-        Folder of the copies; one that contains such notebooks already is refused.
+        Write the copies into this folder. It must not contain such notebooks yet.
     names
-        Stems of studies; all without.
+        Short names of studies, such as mimic. Without any, all.
     quick
-        Small parameters, so that a class reaches the first exercise soon.
+        Take small parameters, so that a class reaches the first exercise soon.
     sheets
-        Folder for the teacher's solutions, answers by number and lesson plans, an HTML page each.
+        Write pages for the teacher into this folder: solutions, answers by number, lesson plans.
     checks
-        Folder for the copies with their checks; those of the class then have none.
+        Write copies with the checks of the exercises into this folder. Those of the class then have
+        none.
     """
     from mmqa_lab.run import students
     from mmqa_lab.studies import chosen
@@ -1050,7 +1056,7 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     Parameters
     ----------
     options
-        Handed to jupyter lab.
+        Options that are passed on to jupyter lab.
     """
     from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
@@ -1069,7 +1075,7 @@ def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     Parameters
     ----------
     options
-        Handed to pytest.
+        Options that are passed on to pytest.
     """
     root = Path(__file__).resolve().parents[1]
     if not (root / "tests").is_dir():
