@@ -2,6 +2,7 @@
 
 import ast
 import hashlib
+import re
 import socket
 import subprocess
 import sys
@@ -64,6 +65,16 @@ def test_imports_point_down(path):
         assert drawn or layer.get(name, 0) <= layer[room], f"{room} imports {name}"
         assert drawn or name not in PICTURES or layer[room] >= layer["bench"]
         assert name != "io" or room not in NO_FILES
+
+
+def test_the_package_lists_its_rooms_in_the_order_of_their_imports():
+    listed = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
+    inside = {"__init__", "__main__", "_compiled", "_results", "_figures"}
+    for row in LAYERS:
+        rooms = set(row.split()) - inside
+        assert set(listed[: len(rooms)]) == rooms
+        del listed[: len(rooms)]
+    assert not listed
 
 
 def test_importing_the_package_is_light():
