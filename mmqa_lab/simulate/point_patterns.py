@@ -111,7 +111,8 @@ def true_ratio(kind, ratio):
     (8.0, 1.0, 1.0)
     """
     check_choice(kind, "kind", KINDS)
-    return 1.0 if kind in ISOTROPIC else check_number(ratio, "ratio", low=1)
+    ratio = check_number(ratio, "ratio", low=1)
+    return 1.0 if kind in ("poisson", "gradient", "holes", "two_heads") else ratio
 
 
 def expected_f(kind, ratio):
@@ -327,6 +328,3 @@ _DRAWN = {
 
 KINDS = ("scan_lines", "two_heads", *_DRAWN)
 """The patterns that :func:`point_pattern` knows."""
-
-ISOTROPIC = ("poisson", "gradient", "holes", "two_heads")
-"""Patterns that stretching leaves without a direction of their own."""

@@ -16,16 +16,8 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import across
 from mmqa_lab.scan_pattern import rotations
 
-FOOTPRINT = 7
-"""Rays a beam: its axis and a ring."""
-
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
-
-FULL_SCALE = 65_535
-"""Intensity of a surface of reflectance 1 hit square."""
-
-PULSES_AT_ONCE = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +220,7 @@ def scan(scene, scanner, trajectory, *, seed, measured=None, between=None):
     pulses = []
     for number, head in enumerate(heads):
         first, last = (int(np.ceil(t * head.pulse_rate_hz)) for t in (start, stop))
-        cuts = np.append(np.arange(first, max(last, first + 1), PULSES_AT_ONCE), last)
+        cuts = np.append(np.arange(first, max(last, first + 1), 100_000), last)
         pulses += [(number, np.arange(*ends)) for ends in pairwise(cuts)]
     streams = [np.random.default_rng([*np.atleast_1d(seed), n]) for n in range(len(heads))]
     clouds = []
@@ -261,7 +253,7 @@ def _shoot(scene, scanner, trajectory, known, pulse, rng):
     columns["gps_time"] = trajectory.time[0] + since[kept]
     columns["range_noise_m"] = scanner.range_noise_m * noise[kept]
     signal, ring, mixed = (columns.pop(name) for name in ("signal", "ring", "mixed"))
-    strength = FULL_SCALE * signal * columns["range_m"] ** 2
+    strength = 65_535 * signal * columns["range_m"] ** 2
     columns["intensity"] = np.round(strength).astype(np.uint16)
     if len(scanner.elevations_deg) > 1:
         columns["ring"] = ring.astype(np.uint8)
@@ -283,12 +275,12 @@ def _rays(path, since, scanner, mounting, beams):
 
 
 def _footprint(scanner, origin, direction, turn):
-    """Rays that stand for equal shares of a Gaussian beam: its axis and a ring, (n, k, 3)."""
+    """Rays of equal shares of a Gaussian beam: its axis and a ring of six, (n, k, 3)."""
     axis = origin[:, None], direction[:, None]
     if not (scanner.exit_diameter_m or scanner.divergence_mrad):
         return axis
     u, v = across(direction).transpose(1, 0, 2)[:, :, None]
-    angle = 2 * np.pi * (turn[:, None] + np.arange(FOOTPRINT - 1) / (FOOTPRINT - 1))[..., None]
+    angle = 2 * np.pi * (turn[:, None] + np.arange(6) / 6)[..., None]
     ring = np.cos(angle) * u + np.sin(angle) * v
     growth = RING * np.tan(scanner.divergence_mrad / 2000)
     starts = axis[0] + RING * scanner.exit_diameter_m / 2 * ring

@@ -14,10 +14,7 @@ from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads
 from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
-LEAF_SIZE = 4
-DEEPEST = 60  # levels cut in the middle of space; below, halves by number, so that STACK suffices
 STACK = 128
-RAYS_A_THREAD = 20_000  # fewer are not worth waking another thread for
 
 
 class Hits(NamedTuple):
@@ -121,7 +118,7 @@ class Scene:
         ranges, cosine = np.empty(shape), np.full(shape, np.nan)
         hit = np.empty(shape, np.int64)
         rays = np.concatenate([origins, directions], axis=2)
-        in_threads(_cast, shape[0], self.tree, rays, ranges, hit, cosine, least=RAYS_A_THREAD)
+        in_threads(_cast, shape[0], self.tree, rays, ranges, hit, cosine, least=20_000)
         ranges[hit < 0] = np.nan
         return Hits(ranges, self._surface[hit], cosine, self._reflectance[hit])
 
@@ -164,7 +161,7 @@ def _hierarchy(box_low, box_high, centre):
             for k in range(3):
                 low[node, k] = min(low[node, k], box_low[i, k] - 1e-9)
                 high[node, k] = max(high[node, k], box_high[i, k] + 1e-9)
-        if stop - start <= LEAF_SIZE:
+        if stop - start <= 4:
             link[node], count[node] = start, stop - start
             continue
         axis[node], middle = _cut(members, centre, depth)
@@ -176,7 +173,10 @@ def _hierarchy(box_low, box_high, centre):
 
 @njit(cache=True)
 def _cut(members, centre, depth):
-    """Cut a node where its centres' extent is widest, in the middle; return axis and place."""
+    """Cut a node where its centres' extent is widest, in the middle; return axis and place.
+
+    Below 60 levels, nodes are halved by number, so that ``STACK`` suffices.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for i in members:
         for k in range(3):
@@ -187,7 +187,7 @@ def _cut(members, centre, depth):
         if centre[members[j], axis] < 0.5 * (low[axis] + high[axis]):
             members[first], members[j] = members[j], members[first]
             first += 1
-    if depth < DEEPEST and 0 < first < len(members):
+    if depth < 60 and 0 < first < len(members):
         return axis, first
     return axis, len(members) // 2
 

@@ -90,8 +90,7 @@ class System:
     least_intensity : float
         Darker points are not delivered, on the scale of :func:`mmqa_lab.simulate.scan`.
     fewest_near : float
-        Of the others, those with fewer points than this within ``near_m`` are not delivered.
-    near_m : float
+        Of the others, those with fewer points than this within 2 m are not delivered.
     source : str
         Where the numbers come from, and what is assumed.
 
@@ -107,7 +106,6 @@ class System:
     lever_arm_error_m: tuple = ()
     least_intensity: float = 0.0
     fewest_near: float = 0.0
-    near_m: float = 2.0
     source: str = ""
 
     @property
@@ -133,7 +131,7 @@ class System:
         if self.least_intensity:
             cloud = cloud[cloud["intensity"] >= self.least_intensity]
         fewest = int(np.ceil(share * self.fewest_near))
-        return cloud[_crowded(cloud.points, fewest, self.near_m)] if fewest else cloud
+        return cloud[_crowded(cloud.points, fewest, 2.0)] if fewest else cloud
 
 
 def _crowded(points, fewest, radius):

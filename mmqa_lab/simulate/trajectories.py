@@ -64,16 +64,12 @@ class Trajectory:
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
         for name in ("roll", "pitch", "heading"):
-            object.__setattr__(self, name, self._angles(name))
-
-    def _angles(self, name):
-        """An attitude angle as one finite value a row."""
-        values = np.asarray(getattr(self, name), dtype=np.float64)
-        if values.shape not in ((), self.time.shape) or not np.isfinite(values).all():
-            raise ValueError(
-                f"Invalid {name} of shape {values.shape}. Must be {len(self.time)} finite degrees."
-            )
-        return np.broadcast_to(values, self.time.shape)
+            angles = np.asarray(getattr(self, name), dtype=np.float64)
+            if angles.shape not in ((), time.shape) or not np.isfinite(angles).all():
+                raise ValueError(
+                    f"Invalid {name} of shape {angles.shape}. Must be {len(time)} finite degrees."
+                )
+            object.__setattr__(self, name, np.broadcast_to(angles, time.shape))
 
     @classmethod
     def from_table(cls, table):
