@@ -13,7 +13,6 @@ principal planes, walls and roads, and leave their detection to a companion pape
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import dataclass
 from itertools import product
@@ -493,6 +492,10 @@ USUAL_SIZES = 1.5, 2.0, 3.0
 """Default extents of the smallest plane, m: where points fill its cells, where lines of points are
 too far apart to, and the largest, in thin clouds."""
 
+TRIM, TRIMMED = 2.5, 1.05
+"""Points further from their plane than so many standard deviations do not define it; standard
+deviation of normal errors as a multiple of that of the others, whose mean is as much less sure."""
+
 LEAST_TRIAL = 6
 """Points of a trial at least."""
 
@@ -504,14 +507,14 @@ class Patch:
     Parameters
     ----------
     plane : Plane
-        Fitted to the points that lie on this plane only, not also on a neighbouring one.
+        Fitted to the points that lie on this plane only, not also on a neighbouring one, and within
+        2.5 standard deviations.
     index : array of int, shape (n,)
         Rows of the cloud within the tolerance, nearest to this plane.
     moments : array, shape (2,)
         Sums of the squared coordinates of the fitted points along the plane's axes, square metres.
     sigma : float
-        Standard deviation of the points about the plane, corrected for the tolerance that cuts its
-        tails off, m.
+        Standard deviation of the points about the plane, as independent errors, m.
     """
 
     plane: Plane
@@ -525,7 +528,7 @@ class Patch:
     def offset_variance(self, point: np.ndarray) -> float:
         """Variance of the plane's height at a point, square metres: independent residuals."""
         square = self.plane.project(point[None])[0] ** 2
-        return self.sigma**2 * (1 / self.plane.n + (square / self.moments).sum())
+        return (TRIMMED * self.sigma) ** 2 * (1 / self.plane.n + (square / self.moments).sum())
 
 
 def detect_planes(
@@ -643,22 +646,19 @@ def _patches(points, owner, clear, tolerance, minimum):
         if len(index) < minimum or len(fitted) < 3:
             continue
         plane = fit_plane(points[fitted])
-        moments = (plane.project(points[fitted]) ** 2).sum(axis=0)
-        narrow = np.sqrt(moments.min() / plane.n) < 1.2 * tolerance
+        width = np.std(plane.project(points[fitted])[:, 1])
         # points without any plane have 0.58
-        if plane.std <= 0.48 * tolerance and not narrow:
-            patches.append(Patch(plane, index, moments, _untruncated(plane.std, tolerance)))
+        if plane.std > 0.48 * tolerance or width < 1.2 * tolerance:
+            continue
+        # points of window reveals lie on one side of a wall, within the tolerance
+        for _ in range(2):
+            most = TRIM * max(sigma_mad(plane.residuals), 0.02 * tolerance)
+            core = fitted[np.abs(plane.distances(points[fitted])) <= most]
+            plane = fit_plane(points[core])
+        moments = (plane.project(points[core]) ** 2).sum(axis=0)
+        sigma = TRIMMED * np.sqrt((plane.residuals**2).sum() / max(len(core) - 3, 1))
+        patches.append(Patch(plane, index, moments, float(sigma)))
     return sorted(patches, key=len, reverse=True)
-
-
-def _untruncated(std, tolerance):
-    """Standard deviation of normal errors of which only those within the tolerance were seen."""
-    sigma = std
-    for _ in range(20):
-        cut = tolerance / max(sigma, 1e-12)
-        lost = cut * np.sqrt(2 / np.pi) * np.exp(-(cut**2) / 2) / math.erf(cut / np.sqrt(2))
-        sigma = std / np.sqrt(max(1 - lost, 0.34))
-    return float(sigma)
 
 
 class Grid:

@@ -11,7 +11,10 @@ from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_number, check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.planes import CELLS_PER_SIZE, Grid, detect_planes, usual_size
+from mmqa_lab.planes import CELLS_PER_SIZE, Grid, across, detect_planes, usual_size
+
+MISFIT = 2.0
+"""Standard deviations from which on the points beside an edge lie off their plane."""
 
 BEYOND = 40.0
 """Of 40 rows of points one ends further before the end of its face than is allowed for, so that the
@@ -51,10 +54,8 @@ class Edges(Shown):
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        axes = self._directions
-        rest = np.eye(3) - axes[:, :, None] * axes[:, None]
-        across = rest[:, None] @ self.covariance @ rest[:, None]
-        return np.sqrt(np.linalg.eigvalsh(across)[..., -1])
+        frame = across(self._directions)[:, None]
+        return np.sqrt(np.linalg.eigvalsh(frame @ self.covariance @ frame.swapaxes(2, 3))[..., -1])
 
     @property
     def sigma_along(self) -> np.ndarray:
@@ -116,11 +117,11 @@ def extract_edges(
     Notes
     -----
     The uncertainty is that of two planes whose points err independently by their residual standard
-    deviation. Errors that neighbouring points share (positioning, relief, a bowed wall) are not in
-    it: compare surveys to see those. On simulated streets the 95 % ellipse across plain walls held
-    94 % of the ends, that across walls with windows 75 %: points of their reveals within the
-    tolerance move a wall by 1 mm. Faces nearer to each other than the tolerance, as the body of a
-    car and its cabin, are one plane, whose edges are off by centimetres.
+    deviation. Where the points beside an edge lie off their plane by more than chance, as those of
+    a car's body that is joined with its cabin within the tolerance, this height is added. On
+    simulated streets of 10 to 300 points per square metre the 95 % ellipse across held 90 to 92 %
+    of the ends. Errors that neighbouring points share (positioning, relief) are not in it: compare
+    surveys to see those.
 
     References
     ----------
@@ -145,7 +146,7 @@ def extract_edges(
             clear = tolerance / np.sqrt(lines.sine2[line])
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
                 if high[0] - low[0] >= size / 2 and min(counts) >= 4:
-                    rows.append(lines.edge(line, low, high, counts))
+                    rows.append(lines.edge(line, low, high, counts, sides, size))
     columns = list(zip(*rows, strict=True)) if rows else [()] * 4
     return Edges(
         segments=np.array(columns[0]).reshape(-1, 2, 3),
@@ -187,7 +188,7 @@ class _Lines:
         self.foot = start + height[:, None] * (second - cosine[:, None] * first)
 
     def supported(self, tolerance, reach):
-        """Each line with the points beside it on either plane, rows (station, distance)."""
+        """Each line with the points beside it on either plane: rows station, depth, height."""
         for line, (first, second) in enumerate(self.pairs):
             sides = [
                 self._beside(line, *pair, tolerance, reach)
@@ -205,25 +206,27 @@ class _Lines:
         rows, _ = self.grid.rows(np.intersect1d(*cells, assume_unique=True))
         points = self.grid.points[rows[self.owner[rows] == own]]
         clear = np.abs((points - self.centres[other]) @ self.normals[other]) > tolerance
-        local = points[clear] - self.foot[line]
-        station = local @ self.direction[line]
-        distance = np.sqrt(np.maximum((local**2).sum(axis=1) - station**2, 0))
-        side = np.stack([station, distance])[:, distance <= reach]
+        way = self.direction[line]
+        axes = np.stack([way, np.cross(self.normals[own], way), self.normals[own]])
+        side = axes @ (points[clear] - self.foot[line]).T
+        side = side[:, np.abs(side[1]) <= reach]
         return side[:, np.argsort(side[0], kind="stable")]
 
-    def edge(self, line, low, high, counts):
+    def edge(self, line, low, high, counts, sides, size):
         """Ends, covariances, support and angle of an edge."""
         direction, pair = self.direction[line], self.pairs[line]
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
+        misfits = np.transpose([_misfits(side, low[0], high[0], size / 3) for side in sides])
         reach = [min(1.96 * np.hypot(s, noise), (high[0] - low[0]) / 4) for _, s in (low, high)]
         low, high = self._corner(line, low, reach[0]), self._corner(line, high, reach[1])
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         covariance = []
-        for end, (_, spread) in zip(ends, (low, high), strict=True):
-            heights = np.diag([self.patches[number].offset_variance(end) for number in pair])
+        for end, (_, spread), misfit in zip(ends, (low, high), misfits, strict=True):
+            heights = [self.patches[number].offset_variance(end) for number in pair] + misfit**2
             along = spread**2 + noise**2
-            covariance.append(solve @ heights @ solve.T + along * np.outer(direction, direction))
+            across = solve @ np.diag(heights) @ solve.T
+            covariance.append(across + along * np.outer(direction, direction))
         opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
         return ends, covariance, counts, opening
 
@@ -243,6 +246,28 @@ class _Lines:
         place = self.origin + self.foot[line] + station[best] * self.direction[line]
         variance = self.patches[near[best]].offset_variance(place)
         return station[best], np.sqrt(variance) / abs(slope[best])
+
+
+def _misfits(side, low, high, reach):
+    """Heights at both ends (2,) of the points to one side of a line, where not zero by chance.
+
+    A face that is joined with another one within the tolerance lies off their common plane.
+    """
+    heights = np.zeros(2)
+    side = side[:, (np.abs(side[1]) <= reach) & (side[0] >= low) & (side[0] <= high)]
+    for half in (side[1] > 0, side[1] < 0):
+        station, depth, height = side[:, half]
+        freedom = len(height) - 3
+        if freedom < 5:
+            continue
+        part = (station - low) / (high - low)
+        design = np.column_stack([1 - part, part, depth])
+        inverse = np.linalg.pinv(design.T @ design)
+        found = inverse @ design.T @ height
+        variance = ((height - design @ found) ** 2).sum() / freedom * np.diag(inverse)[:2]
+        off = np.abs(found[:2])
+        heights = np.maximum(heights, np.where(off > MISFIT * np.sqrt(variance), off, 0))
+    return heights
 
 
 def _runs(sides, cell, clear):
@@ -270,7 +295,7 @@ def _runs(sides, cell, clear):
 
 def _full(side, edges, cell, clear):
     """Bins with a fair share of the points, less what chance takes away, that reach the line."""
-    station, distance = side
+    station, distance = side[0], np.abs(side[1])
     bins = np.searchsorted(edges, station, "right") - 1
     inside = (bins >= 0) & (bins < len(edges) - 1)
     counts = np.bincount(bins[inside], minlength=len(edges) - 1)
