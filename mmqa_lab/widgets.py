@@ -546,9 +546,7 @@ class JuryForm:
         self._buttons = [ipywidgets.Button(description=text) for text in MEANINGS.values()]
         for mark, button in zip(MEANINGS, self._buttons, strict=True):
             button.on_click(lambda _, mark=mark: self.mark(mark))
-        self._back = ipywidgets.Button(description="back", icon="arrow-left")
-        self._back.on_click(lambda _: self.back())
-        row = ipywidgets.HBox([*self._buttons, self._back])
+        row = ipywidgets.HBox(self._buttons)
         self.box = ipywidgets.VBox([self._line, row, self._picture])  # buttons stay in place
         self._show()
 
@@ -571,24 +569,13 @@ class JuryForm:
         check_choice(mark, "mark", MARKS)
         if (element := self.element) is not None:
             row = {"juror": self._juror, "element": element, "mark": mark}
-            self._write(pd.concat([self.marks, pd.DataFrame([row])]))
-
-    def back(self) -> None:
-        """Take this juror's last mark back and show its crop again."""
-        marks = self.marks
-        own = marks.index[(marks["juror"] == self._juror) & marks["element"].isin(self._crops)]
-        if len(own):
-            self._write(marks.drop(own[-1]))
+            write_atomically(self._file, pd.concat([self.marks, pd.DataFrame([row])]))
+            self._show()
 
     def _ipython_display_(self):
         """The form, or the crop it shows where there is no screen."""
         shown = Image(self._picture.value) if self._picture.value else Markdown(self._line.value)
         display(shown if is_headless() else self.box)
-
-    def _write(self, marks):
-        """Replace the file by these marks, then show what is next."""
-        write_atomically(self._file, marks)
-        self._show()
 
     def _show(self):
         """Bring the form up to date."""
@@ -596,7 +583,6 @@ class JuryForm:
         place = len(names) if element is None else names.index(element)
         for button in self._buttons:
             button.disabled = element is None
-        self._back.disabled = place == 0
         state = f"{place + 1} of {len(names)}" if element else "all are marked, thank you."
         self._line.value = f"{self._juror}: {state}"
         self._picture.value = _png(self._crops[element]) if element else b""

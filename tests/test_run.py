@@ -54,7 +54,7 @@ def test_parameters_are_those_of_the_notebooks_cell(tmp_path, monkeypatch):
     values = {"a": range(3), "b": 5, "c": np.float64(0.5), "d": {"x": 2}, "other": 7}
     run = Run("mine", parameters=values)
     recorded = read_record(run.folder)["parameters"]
-    assert recorded == {"a": [0, 1, 2], "b": 5, "c": 0.5, "d": {"x": 2}}
+    assert recorded == {"a": "range(0, 3)", "b": 5, "c": 0.5, "d": {"x": 2}}
 
 
 def test_a_notebook_without_the_cell_is_refused(tmp_path):

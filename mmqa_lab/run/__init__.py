@@ -263,7 +263,7 @@ class Run:
     def _write_record(self):
         """Write the run record as it stands."""
         self._record["seconds"] = round(time.time() - self._began, 1)
-        text = json.dumps(self._record, indent=1, default=_plain)
+        text = json.dumps(self._record, indent=1, default=str)
         write_atomically(self.folder / RECORD, text)
 
 
@@ -381,10 +381,3 @@ def _kind_of(frame):
     said = " ".join(words[told[0]].unique() if told else map(str, frame))
     kinds = ", ".join(kind for kind in KINDS if kind in said)
     return f"{kinds} (simulated)" if kinds and "simulated" in said else kinds
-
-
-def _plain(value):
-    """What JSON does not know, as what it does."""
-    if hasattr(value, "tolist"):  # of NumPy
-        return value.tolist()
-    return list(value) if isinstance(value, range | set) else str(value)
