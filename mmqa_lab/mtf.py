@@ -95,8 +95,8 @@ class EdgeResponse(Shown):
         scale.
     angle_deg : float
         Between the edge and the nearer axis of the image.
-    contrast, noise : float
-        Step of the edge and standard deviation of the residuals, in the image's unit.
+    contrast : float
+        Step of the edge, in the image's unit.
     n : int
         Pixels used.
     frequencies, mtf : array
@@ -123,7 +123,6 @@ class EdgeResponse(Shown):
     width_px: float
     angle_deg: float
     contrast: float
-    noise: float
     n: int
     frequencies: np.ndarray
     mtf: np.ndarray
@@ -204,7 +203,6 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
         width_px=fit.width,
         angle_deg=float(abs(np.degrees(angle))),
         contrast=fit.contrast,
-        noise=fit.noise,
         n=len(fit.values),
         frequencies=FREQUENCIES,
         remark="; ".join(text for text, true in doubts.items() if true),
@@ -671,17 +669,15 @@ def read_bars(
     contrast = check_positive(bright - dark, "contrast of bright and dark")
     noise = check_positive(noise, "noise") / contrast
     # bright bars on a dark ground are the chart's black bars on white, turned round
-    turned = (bright - image) / contrast
-    rows = []
-    for number, group in enumerate(groups.to_dict("records")):
-        period, bars = group["period_px"], int(group["bars"])
-        more = {"repeats": bars, "length": BAR_PERIODS * period}
-        pairs = LinePairs(f"group {number}", 0.0, 0.0, period, "h", **more)
-        reading = read_pattern(Tones(turned, noise), pairs, _place_of_bars(group))
-        row = group | {"counted": reading.bars, "contrast": reading.contrast}
-        row |= {"phase_deg": reading.phase_deg, "strip_share": reading.strip_share}
-        rows.append(row | {"resolved": reading.resolved, "reason": reading.reason})
-    return pd.DataFrame(rows)
+    tones = Tones((bright - image) / contrast, noise)
+    readings = []
+    for group in groups.to_dict("records"):
+        size = {"repeats": int(group["bars"]), "length": BAR_PERIODS * group["period_px"]}
+        pairs = LinePairs("group", 0.0, 0.0, group["period_px"], "h", **size)
+        readings.append(read_pattern(tones, pairs, _place_of_bars(group)))
+    seen = pd.DataFrame(readings).rename(columns={"bars": "counted"})
+    figures = ["counted", "contrast", "phase_deg", "strip_share", "resolved", "reason"]
+    return groups.reset_index(drop=True).join(seen[figures])
 
 
 def resolving_power(readings: pd.DataFrame) -> tuple[float, float]:
@@ -963,9 +959,8 @@ def _place_of_bars(group):
     across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
     size = np.array([(bars - 0.5) * period, BAR_PERIODS * period])
     low = np.array([group["x_px"], group["y_px"]]) - across * size[0] / 2 - along * size[1] / 2
-    places = np.array([[0, 0], [size[0], 0], size, [0, size[1]]])
-    pixels = low + places[:, :1] * across + places[:, 1:] * along
-    return ChartMap.from_points(places, pixels, source="group of bars")
+    matrix = np.vstack([np.column_stack([across, along, low]), [0, 0, 1]])
+    return ChartMap(matrix, source="group of bars")
 
 
 def _block_means(values, rows, columns):

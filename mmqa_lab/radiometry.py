@@ -600,11 +600,9 @@ def saturation_level(dn):
 
 @dataclass(frozen=True, eq=False)
 class WalthallFit(Shown):
-    """A fitted Walthall function: ``coefficients`` of v^2, v cos(a), 1, ``rms`` and ``n``."""
+    """A fitted Walthall function: ``coefficients`` of v^2, v cos(a) and 1."""
 
     coefficients: np.ndarray
-    rms: float
-    n: int
 
     def reflectance(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Reflectance factor in a direction."""
@@ -644,8 +642,6 @@ def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayL
     >>> fit.coefficients.round(6).tolist(), float(fit.anisotropy(30, 0)) > 1
     ([0.1, 0.05, 0.2], True)
     """
-    from statsmodels.regression.linear_model import OLS
-
     seen = np.asarray(reflectance, dtype=np.float64)
     terms = np.broadcast_to(walthall_terms(view_zenith, azimuth), (*seen.shape, 3))
     if len(seen) < 4 or np.linalg.matrix_rank(terms, tol=1e-6 * len(seen)) < 3:
@@ -653,8 +649,7 @@ def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayL
             f"Invalid directions: {len(seen)} observations cannot tell three terms apart. Must be "
             "more, from different directions."
         )
-    fit = OLS(seen, terms).fit()
-    return WalthallFit(fit.params, float(np.sqrt(fit.scale)), len(seen))
+    return WalthallFit(np.linalg.lstsq(terms, seen, rcond=None)[0])
 
 
 def walthall_terms(view_zenith, azimuth):
@@ -680,8 +675,6 @@ class BlockAdjustment(Shown):
         ``tie``, ``reflectance`` (relative without control), ``n``, ``cv_before_percent`` and
         ``cv_after_percent``: coefficient of variation of its values over the images, before
         (radiance over the cosine of the sun's zenith angle) and after.
-    sigma0 : float
-        Standard deviation of unit weight.
     absolute : bool
         Whether control targets gave the scale.
 
@@ -700,7 +693,6 @@ class BlockAdjustment(Shown):
     anisotropy: pd.DataFrame
     radial: tuple
     ties: pd.DataFrame
-    sigma0: float
     absolute: bool
 
     def to_frame(self) -> pd.DataFrame:
@@ -862,7 +854,7 @@ class _Block:
         self.image, self.images = pd.factorize(observations["image"], sort=True)
         self.tie, self.ties = pd.factorize(observations["tie"], sort=True)
         self.surface, self.surfaces = pd.factorize(_surfaces_of(observations), sort=True)
-        named = observations["group"] if "group" in observations else np.zeros(len(self.image))
+        named = observations.get("group", pd.Series(0, observations.index))
         self.group, self.groups = pd.factorize(named, sort=True)
         self.group_of_image = np.zeros(len(self.images), dtype=int)
         self.group_of_image[self.image] = self.group
@@ -960,24 +952,17 @@ def _result(block, observations, estimate, inverse, free, scaled):
     std = np.zeros(len(estimate))
     std[np.flatnonzero(free)[: len(inverse)]] = sigma0 * np.sqrt(np.diag(inverse))
     gain_std, b_std, radial_std, haze_std, _ = block.split(std)
-    gains = pd.DataFrame({"image": block.images, "gain": np.exp(log_gain)})
-    gains = gains.assign(gain_std_percent=100 * gain_std, n=np.bincount(block.image))
-    of_image = {"haze": haze, "haze_std": haze_std}
-    gains = gains.assign(**{name: one[block.group_of_image] for name, one in of_image.items()})
+    group = block.group_of_image
+    of_image = {"gain": np.exp(log_gain), "gain_std_percent": 100 * gain_std}
+    of_image |= {"n": np.bincount(block.image), "haze": haze[group], "haze_std": haze_std[group]}
+    gains = pd.DataFrame({"image": block.images} | of_image)
     anisotropy = pd.DataFrame(np.hstack([b, b_std]), columns=["b1", "b2", "b1_std", "b2_std"])
     anisotropy.insert(0, "surface", block.surfaces)
     ties = pd.DataFrame({"tie": block.ties, "reflectance": ground, "n": np.bincount(block.tie)})
-    adjusted = BlockAdjustment(
-        gains=gains,
-        anisotropy=anisotropy,
-        radial=(float(radial), float(radial_std)),
-        ties=ties,
-        sigma0=sigma0,
-        absolute=False,
-    )
+    fall = float(radial), float(radial_std)
+    adjusted = BlockAdjustment(gains, anisotropy, fall, ties, absolute=False)
     ties["cv_before_percent"] = _tie_spread(block.signal / block.sun, block.tie).to_numpy()
-    after = _tie_spread(adjusted.correct(observations), block.tie)
-    ties["cv_after_percent"] = after.to_numpy()
+    ties["cv_after_percent"] = _tie_spread(adjusted.correct(observations), block.tie).to_numpy()
     return adjusted
 
 
@@ -1028,6 +1013,4 @@ def _sun_cosine(observations):
 
 def _surfaces_of(observations):
     """Surface of each observation; one for all where none is named."""
-    if "surface" in observations:
-        return observations["surface"].to_numpy()
-    return np.zeros(len(observations), dtype=int)
+    return observations.get("surface", pd.Series(0, observations.index)).to_numpy()

@@ -30,6 +30,8 @@ CRITERIA = ("criterion", "quantity", "relation", "threshold")
 
 RESULTS = ("system", "quantity", "value")
 
+PLACE = ["distance_m", "view", "direction"]
+
 SETS = ("test", "scenario 1", "scenario 2")
 """Sets of criteria that Pfeifer et al. 2021 print: the test (section 4.2), two examples (4.4)."""
 
@@ -139,8 +141,8 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
         open_ones = ["undecided", "not measured"]
-        verdict = "open" if counts[open_ones].any() else "qualifies"
-        verdict = "fails" if counts["not met"] else verdict
+        undecided = "open" if counts[open_ones].any() else "qualifies"
+        verdict = "fails" if counts["not met"] else undecided
         deciding = part[part["verdict"].isin(["not met"] if verdict == "fails" else open_ones)]
         because = ", ".join(deciding["criterion"].drop_duplicates())
         sentence = _sentence(system, verdict, counts, deciding)
@@ -331,9 +333,8 @@ def _exemption(figures, criterion, figure):
     """Whether d1 and d4 may, and whether they surely do, reach the density that exempts f."""
     if criterion.quantity != "f" or np.isnan(criterion.rho0_per_m2):
         return False, False
-    place = ["distance_m", "view", "direction"]
-    here = pd.Series({name: getattr(figure, name) for name in place})
-    same = figures[place].eq(here) | (figures[place].isna() & here.isna())
+    here = pd.Series({name: getattr(figure, name) for name in PLACE})
+    same = figures[PLACE].eq(here) | (figures[PLACE].isna() & here.isna())
     here = figures[same.all(axis=1)]
     spacings = [here[here["quantity"] == name] for name in ("d1_mm", "d4_mm")]
     if any(len(one) != 1 for one in spacings):
@@ -349,21 +350,12 @@ def _row(system, criterion, figure):
     place = criterion if figure is None else figure
     rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure)
     sign = 1 if criterion.relation.startswith(">") else -1
-    return {
-        "system": system,
-        "criterion": criterion.criterion,
-        "quantity": criterion.quantity,
-        "distance_m": place.distance_m,
-        "view": place.view,
-        "direction": place.direction,
-        "value": None if figure is None else figure.value,
-        "low": low,
-        "high": high,
-        "relation": criterion.relation,
-        "threshold": criterion.threshold,
-        "margin": sign * (rank - limit) + 0.0,  # no negative zero
-        "verdict": _verdict(RELATIONS[criterion.relation], limit, low, high),
-    }
+    row = {"system": system, "criterion": criterion.criterion, "quantity": criterion.quantity}
+    row |= {name: getattr(place, name) for name in PLACE}
+    row |= {"value": None if figure is None else figure.value, "low": low, "high": high}
+    row |= {"relation": criterion.relation, "threshold": criterion.threshold}
+    row["margin"] = sign * (rank - limit) + 0.0  # no negative zero
+    return row | {"verdict": _verdict(RELATIONS[criterion.relation], limit, low, high)}
 
 
 def _ends(criterion, figure):

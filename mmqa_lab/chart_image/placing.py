@@ -21,9 +21,6 @@ from scipy.spatial.transform import Rotation
 from mmqa_lab._checks import check_count, check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
-STEP_MM = 0.5
-"""Half of the step that local scales are measured over."""
-
 ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
 """Small targets are looked for in the image enlarged so many times, if it has fewer pixels."""
 
@@ -220,15 +217,11 @@ class ChartMap:
         offset = np.asarray(self.offset) + [column, row]
         return replace(self, offset=tuple(offset))
 
-    def scale(self, xy: ArrayLike) -> np.ndarray:
-        """Return the pixels per mm along x and y as vectors, shape (n, 2, 2): [k, axis, pixel]."""
-        xy = np.asarray(xy, dtype=float)
-        ends = [self.pixels(xy + step) - self.pixels(xy - step) for step in np.eye(2) * STEP_MM]
-        return np.stack(ends, axis=1) / (2 * STEP_MM)
-
     def pixel_sizes_mm(self, xy: ArrayLike) -> np.ndarray:
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
-        return 1 / np.linalg.norm(self.scale(xy), axis=2)
+        xy, steps = np.asarray(xy, dtype=float), np.eye(2) / 2
+        ends = [self.pixels(xy + step) - self.pixels(xy - step) for step in steps]
+        return 1 / np.linalg.norm(ends, axis=2).T
 
 
 def _same_orientation(homography, xy):

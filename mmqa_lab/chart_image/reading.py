@@ -37,11 +37,6 @@ END_REACH_PX, END_STEP_PX = 6.0, 0.1
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
 the outer one for black and white."""
 
-SIZE_COLUMNS = (
-    *("name", "direction", "length_mm", "length_px", "length_sigma_px", "repeats_std_px", "n"),
-    *("pixel_mm", "pixel_sigma_mm", "offset_px"),
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Tones:
@@ -65,16 +60,16 @@ class Tones:
     white: float = 1.0
     clipped_share: float = 0.0
 
-    def near(self, chart_map, outline, margin=0.0):
+    def near(self, chart_map, outline):
         """Return the places on the chart, mm, and values of the known pixels around an outline."""
         corners, size = chart_map.pixels(outline), np.array(self.values.shape[::-1])
-        first = np.clip(np.floor(corners.min(axis=0) - margin).astype(int), 0, size)
-        last = np.clip(np.ceil(corners.max(axis=0) + margin).astype(int) + 1, 0, size)
+        first = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, size)
+        last = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 1, 0, size)
         columns, rows = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]))
         pixels = np.column_stack([columns.ravel(), rows.ravel()])
         values = self.values[rows.ravel(), columns.ravel()]
         known = np.isfinite(values)
-        return chart_map.chart(pixels[known]), values[known], pixels[known].astype(float)
+        return chart_map.chart(pixels[known]), values[known]
 
 
 def find_tones(image, layout, chart_map):
@@ -421,11 +416,11 @@ def pixel_sizes(tones, layout, chart_map):
     >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
     [800.0, 200.0, 4.0]
     """
-    rows = [_measured(tones, bar, chart_map) for bar in _long_bars(layout)]
-    table = pd.DataFrame(rows, columns=SIZE_COLUMNS)
+    table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in _long_bars(layout)])
     # ends of all bars tell how far the map is off
     both = np.sqrt(2 * (table["offset_px"] ** 2).mean())
     table["length_sigma_px"] = table["length_px"] * 0 + both
+    table["pixel_mm"] = table["length_mm"] / table["length_px"]
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
     return table
 
@@ -504,7 +499,7 @@ def _spread(residuals):
 def _pixels(tones, pairs, chart_map):
     """Place across and along the bars in mm and value of the pixels inside a pattern."""
     outline = pairs.corners()
-    places, values, _ = tones.near(chart_map, outline)
+    places, values = tones.near(chart_map, outline)
     places = places - outline[0]
     axis = 0 if pairs.direction == "h" else 1
     scales = 1 / chart_map.pixel_sizes_mm(np.vstack([outline, outline.mean(axis=0)]))
@@ -593,6 +588,7 @@ def _measured(tones, bar, chart_map):
     ends = np.array([low, low + size], dtype=float)
     ends[:, 1 - axis] = low[1 - axis] + size[1 - axis] / 2
     row = {"name": bar.name, "direction": "hv"[axis], "length_mm": float(size[axis]), "n": 0}
+    row |= {"length_px": np.nan, "repeats_std_px": np.nan, "offset_px": np.nan}
     across_px = size[1 - axis] / chart_map.pixel_sizes_mm(ends)[:, 1 - axis].max()
     lanes = (np.arange(max(int(across_px) - 1, 1)) + 0.5) / max(int(across_px) - 1, 1) - 0.5
     lanes = lanes * (1 - 1 / across_px) * size[1 - axis]
@@ -603,12 +599,13 @@ def _measured(tones, bar, chart_map):
     if min(np.isfinite(one).mean() for one in (low_end, high_end)) < 0.6:
         return row
     repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
-    length_px = float(np.linalg.norm(np.diff(chart_map.pixels(ends), axis=0)))
+    row["n"], row["length_px"] = (
+        len(repeats),
+        np.linalg.norm(np.diff(chart_map.pixels(ends), axis=0)),
+    )
     offsets = np.nanmean([low_end, high_end], axis=1)
     row["offset_px"] = float(np.sqrt((offsets**2).mean()))
-    row["n"] = len(repeats)
     row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
-    row["length_px"], row["pixel_mm"] = length_px, row["length_mm"] / length_px
     return row
 
 

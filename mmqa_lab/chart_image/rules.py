@@ -146,29 +146,20 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
     return crops
 
 
-def chart_site(*, height: float = 1.5) -> pd.DataFrame:
+def chart_site() -> pd.DataFrame:
     """Return the test site: three pairs of boards on a line that runs north at easting 0.
 
     The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
     second stands along the line and faces west; the third faces north, to be seen behind. The
-    boards of 1 m x 1 m stand 1 m apart in a pair, the pairs 10 m apart. The paper does not say how
-    far apart pairs are, how high they stand and which way they face.
-
-    Parameters
-    ----------
-    height : float
-        Of the boards' middle above the ground, metres.
+    boards of 1 m x 1 m stand 1 m apart in a pair, their middle is 1.5 m high, and the pairs are
+    10 m apart. The paper does not say how far apart pairs are, how high they stand and which way
+    they face.
 
     Returns
     -------
     DataFrame
         A row for each of six boards: ``chart``, ``kind`` (image or point), ``view`` and ``corners``
         (array (4, 3) from the lower left as one looks at it: easting, northing, height, metres).
-
-    Raises
-    ------
-    ValueError
-        If the height is not above zero.
 
     References
     ----------
@@ -179,14 +170,13 @@ def chart_site(*, height: float = 1.5) -> pd.DataFrame:
     >>> chart_site()["chart"].tolist()[:3]
     ['image forward', 'point forward', 'image orthogonal']
     """
-    check_positive(height, "height", unit="m")
     # to the right as one looks at the board
     rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
     rows = []
     for number, (view, right) in enumerate(rightward.items()):
         step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
         for place, kind in enumerate(("image", "point")):
-            middle = np.array([0.0, 10.0 * number, height]) + 2 * place * step
+            middle = np.array([0.0, 10.0 * number, 1.5]) + 2 * place * step
             aside, up = np.array(right) / 2, np.array([0.0, 0.0, 0.5])
             corners = middle + [-aside - up, aside - up, aside + up, up - aside]
             rows.append((f"{kind} {view}", kind, view, corners))
@@ -465,7 +455,7 @@ def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd
     rows = []
     for pairs in layout.of_kind(LinePairs):
         outline = pairs.corners()
-        places, values, _ = span.near(chart_map, outline)
+        places, values = span.near(chart_map, outline)
         inside = ((places >= outline[0]) & (places <= outline[2])).all(axis=1)
         axis = "hv".index(pairs.direction)
         pixel_mm = chart_map.pixel_sizes_mm(outline.mean(axis=0)[None])[0, axis]
