@@ -2,9 +2,9 @@
 
 What a mounting error does changes its sign with the direction of travel: a wall seen on the way
 there and on the way back lies in two places. Planes and poles that several drives or heads have
-seen are fitted, and the mounting is sought with which they are thinnest. EuroSDR 2013, mobile laser
-scanning, section 3.3.3, names the objects that show each error (ground for roll, poles and corners
-for pitch and heading); the least-squares adjustment is our own. Start here::
+seen are fitted; the mounting sought is the one that makes them thinnest. EuroSDR 2013, mobile laser
+scanning, section 3.3.3, names the objects that show each error: the ground for roll, poles and
+corners for pitch and heading. The least-squares adjustment is our own. Start here::
 
     from mmqa_lab.boresight import calibrate
 
@@ -49,7 +49,7 @@ CELL_M = 1.0
 """Diameter of the balls that planes are looked for in."""
 
 ROUGHNESS_M, GAP_M, SAME_DEG = 0.03, 0.3, 5.0
-"""Planes of one ball are rougher, farther apart or turned by more: they are different things."""
+"""Planes of one ball that are rougher, farther apart or turned by more are different things."""
 
 FEWEST, MOST = 15, 100
 """Points of a drive's head that a plane or a pole takes."""
@@ -251,7 +251,7 @@ class _Shots:
 
     @classmethod
     def of(cls, cloud, trajectory, lever, origin, drive=0):
-        """Those of a cloud; places are from the origin."""
+        """The shots of a cloud; places count from the origin."""
         head = cloud["head"].astype(int) if "head" in cloud else np.zeros(len(cloud), dtype=int)
         position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
         beam = np.einsum("nij,ni->nj", rotation, cloud.points - position) - lever[head]
@@ -260,17 +260,17 @@ class _Shots:
 
     @classmethod
     def sampled(cls, drives, lever, origin, rng):
-        """Those of all drives, of larger clouds a million at random."""
+        """The shots of all drives: of larger clouds a million at random."""
         parts = []
         for number, (cloud, path) in enumerate(drives):
             rows = np.sort(rng.permutation(len(cloud))[:1_000_000])
             parts.append(cls.of(cloud[rows], path, lever, origin, number))
-        columns = ([getattr(part, name.name) for part in parts] for name in fields(cls))
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
         return cls(*map(np.concatenate, columns))
 
     def select(self, which):
-        """Some of them."""
-        return _Shots(*(getattr(self, one.name)[which] for one in fields(self)))
+        """The shots of a mask or of row numbers."""
+        return _Shots(*(getattr(self, field.name)[which] for field in fields(self)))
 
     def inside(self, values):
         """Beams as the heads' boresight turns them, and points, both in the vehicle's frame."""
@@ -400,7 +400,7 @@ def _poles(placed, group, poles, origin):
 class _OnPlanes:
     """Points that lie on features of one kind, here on planes, one feature after the other.
 
-    ``scatter`` of the misfits is a usual one until it is measured.
+    ``scatter`` is a usual value until the misfits are measured.
     """
 
     scatter = 0.005
@@ -502,7 +502,7 @@ class _Adjustment:
         return misfit, slopes[:, : values.size] @ self.ways, slopes[:, values.size :], of
 
     def solved(self, values):
-        """The mounting (heads, 6), after misfits were left out."""
+        """The mounting (heads, 6); after each turn misfits beyond 3.5 sigma_MAD are left out."""
         parameters = self.ways.T @ values.ravel()
         for turn in range(3):
             for kind in self.kinds if turn else []:
@@ -528,9 +528,9 @@ class _Adjustment:
     def covariance(self, values, path_std):
         """Covariance of all parameters, and the degrees of freedom of each variance.
 
-        From what each feature pulls at the estimates (cluster-robust, jackknife): its pull is that
-        of its misfit under the mounting that the others give. A variance has as many degrees of
-        freedom as features that share alike in it would have.
+        Each feature contributes its misfit under the mounting that all others give (cluster-robust,
+        jackknife). A variance has as many degrees of freedom as a number of features that share
+        alike in it.
         """
         misfit, slopes, paths, of = self.system(values)
         self._refuse_open(slopes)

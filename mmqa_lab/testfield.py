@@ -6,7 +6,7 @@ were removed (section 3.2). Start here::
 
     from mmqa_lab import testfield
 
-    table = testfield.height_differences(cloud, reference)          # why, where there is none
+    table = testfield.height_differences(cloud, reference)          # or why a point has none
     testfield.height_accuracy(table)                                # shift kept, shift removed
     table["distance_m"] = testfield.distance_to_path(reference, trajectory)
     testfield.trend(table["distance_m"], (table["dz_m"] - table["dz_m"].mean()).abs())
@@ -45,7 +45,7 @@ GROSS, LEAST_GROSS_M = 5.0, 0.01
 """Differences so many NMAD from the median, but 1 cm at least, are gross errors."""
 
 REASONS = ("", "no points", "not surrounded", "slope", "gross error")
-"""Why a reference point has no valid difference; empty where it has."""
+"""Why a reference point has no valid difference; empty where it has one."""
 
 SLICES = {"pole": ((0.5, 1.5), (4.5, 5.5)), "building": ((1.0, 3.0),), "curb": ((0.03, 0.10),)}
 """Metres above a target's foot between which its points are taken, by its kind: our choice."""
@@ -198,13 +198,14 @@ def height_differences(
     slope_limit : float
         Of the surface, degrees: steeper ones are curbs, cars or hedges. Not the triangle's own
         slope, which with centimetres of noise is steep on any dense cloud.
+
     Returns
     -------
     DataFrame
         One row a reference point: ``x_m``, ``y_m``, ``reference_m``; ``n`` points within the
         radius; ``dz_m`` cloud minus reference, NaN where there is no surface; ``slope_deg``;
-        ``reason`` it does not count, one of ``REASONS``. Rows of a ``slope`` or ``gross error``
-        keep their ``dz_m``.
+        ``reason`` why it does not count, one of ``REASONS``. Rows of a ``slope`` or ``gross
+        error`` keep their ``dz_m``.
 
     Raises
     ------
@@ -312,7 +313,7 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     gps_time : array_like, shape (n,)
         Seconds, in any order.
     gap_s : float
-        Shortest gap, s. A drive may pass a place more than once; an hour is another drive.
+        Shortest gap between drives, s. A drive may pass a place more than once within an hour.
 
     Returns
     -------
@@ -360,14 +361,15 @@ def plan_differences(
         building or curb (corners); ``name``; ``diameter_m`` of poles where surveyed.
     slices : dict of str to sequence of (float, float), optional
         Metres above the foot for each kind; ``SLICES`` by default.
+
     Returns
     -------
     DataFrame
         One row a target and slice: ``name``, ``kind``, ``x_m``, ``y_m``, ``height_m`` (middle of
-        the slice), ``n`` points used, ``dx_m``, ``dy_m`` (cloud minus reference), ``reason`` there
-        are none, or "gross error": a line or circle of something else, more than five standard
-        deviations (from the median of the distances), but 1 cm at least, from the median. Such rows
-        keep their values.
+        the slice), ``n`` points used, ``dx_m``, ``dy_m`` (cloud minus reference), ``reason`` why
+        they are missing, or "gross error": a line or circle of something else, farther from the
+        median than five standard deviations (by the median of the distances) and than 1 cm. Rows of
+        a gross error keep their values.
 
     Raises
     ------
@@ -647,7 +649,7 @@ def _slopes(offsets, group, count):
 
 
 def _circle(xy, diameter):
-    """Centre, points, and the reason there is none."""
+    """Centre, number of points, and the reason why there is no centre."""
     if len(xy) < FEWEST:
         return np.nan, np.nan, len(xy), "too few points"
     circle = fit_circle(xy, diameter=diameter if diameter and diameter > 0 else None)
@@ -657,7 +659,7 @@ def _circle(xy, diameter):
 
 
 def _corner(xy, rng):
-    """Intersection of the two lines of a corner, their points, and the reason there is none."""
+    """Where the two lines of a corner meet, number of points, the reason why they do not."""
     nothing = np.nan, np.nan, len(xy)
     lines, rest = [], xy
     for few in ("too few points", "one line"):

@@ -324,7 +324,7 @@ def _buildings(rng):
 def _edges(buildings, rng):
     """End points (n, 2, 3) of the true edges and the street of each."""
     lines = [_building_edges(house, rng) for house in buildings.itertuples()]
-    streets = np.repeat(buildings["street"].to_numpy(), [len(one) for one in lines])
+    streets = np.repeat(buildings["street"].to_numpy(), [len(edges) for edges in lines])
     ends = _located(streets, np.array(list(chain(*lines))))
     twin = rng.random(len(ends)) < TWINS
     return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
@@ -491,6 +491,6 @@ def _side_face(a, b):
         station, far = left if a is None else right, near + house.side * 3.0
     else:
         station = b.start_m
-        near, far = sorted((_extent(one)[3] for one in (a, b)), key=abs)
+        near, far = sorted((_extent(house)[3] for house in (a, b)), key=abs)
         top = a.height_m if near == _extent(a)[3] else b.height_m
     return (station, near, 0), (station, far, 0), (station, near, top)

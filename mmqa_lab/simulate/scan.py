@@ -46,8 +46,8 @@ class Scanner:
     upright : bool
         Whether the scanner without tilt spins about the vertical, not about the track.
     boresight_deg : tuple of 3
-        What the mounting differs from that in truth and the evaluation does not know: small
-        rotations about the vehicle's y (roll), x (pitch) and -z (heading).
+        By which the true mounting differs from the assumed one: small rotations about the vehicle's
+        y (roll), x (pitch) and -z (heading).
     range_noise_m : float
         Standard deviation of the range.
     angle_noise_deg : float
@@ -134,13 +134,13 @@ class Scanner:
         the beams from the lowest.
         """
         turns = pulse * (self.mirror_frequency_hz / self.pulse_rate_hz)
-        done = np.floor(turns)
-        angle = 360 * (turns - done) - 180
+        revolution = np.floor(turns)
+        angle = 360 * (turns - revolution) - 180
         low, high = self.field_of_view_deg
         left = (angle >= low) & (angle <= high)
         beams = len(self.elevations_deg)
         ring = np.argsort(np.argsort(self.elevations_deg))[pulse[left] % beams]
-        line = done[left].astype(np.int64) * beams + ring
+        line = revolution[left].astype(np.int64) * beams + ring
         return {"pulse": pulse[left], "scan_angle": angle[left], "scan_line": line, "ring": ring}
 
     @staticmethod

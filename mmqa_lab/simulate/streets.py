@@ -93,8 +93,8 @@ PLANS = {name: Plan(**rates) for name, rates in _TABLES["plans"].items()}
 """Streets by name. ``table-4-1`` was chosen so that its rates come near those of that table."""
 
 SCANNERS = {
-    name: replace(PRESETS[one["like"]], lever_arm_m=one["lever_arm_m"])
-    for name, one in _TABLES["scanners"].items()
+    name: replace(PRESETS[entry["like"]], lever_arm_m=entry["lever_arm_m"])
+    for name, entry in _TABLES["scanners"].items()
 }
 """Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
 
