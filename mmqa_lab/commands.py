@@ -969,7 +969,7 @@ def studies(
     """
     from mmqa_lab.run import notebooks, pages
     from mmqa_lab.run import store as storing
-    from mmqa_lab.studies import STUDIES, chosen, notebooks_folder, results_folder
+    from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
@@ -982,6 +982,8 @@ def studies(
         pages.write_pages(folder, STUDIES)
     if store:
         storing.store(notebooks_folder(), folder, wanted)
+        for tool in TOOLS if not names else ():
+            storing.store_tool(tool, folder)
     return 0 if all(one.ok and (one.quick or one.true) for one in outcomes) else 1
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import write_outcome
 from mmqa_lab.run.pages import Outcome
-from mmqa_lab.run.store import LARGEST_BYTES, code_hash, store
+from mmqa_lab.run.store import LARGEST_BYTES, code_hash, store, store_tool
 from mmqa_lab.studies import STUDIES, notebooks_folder
 
 
@@ -80,3 +80,15 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])
+
+
+def test_a_tool_is_stored_with_what_it_shows_first(tmp_path):
+    tool = Ran(tmp_path)
+    cells = [nbformat.v4.new_code_cell("import os\nprint(os.environ['MMQA_RESULTS'])")]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), tool.path)
+    store_tool(tool, tmp_path / "here")
+    (cell,) = nbformat.read(tool.path, as_version=4).cells
+    assert cell.outputs[0]["text"] == "results\n"  # no folder of this machine
+    write_atomically(tool.path, tool.path.read_text().replace("import os", "import oz"))
+    with pytest.raises(ValueError, match="Invalid notebook 99_ran: ModuleNotFoundError"):
+        store_tool(tool, tmp_path)

@@ -5,6 +5,7 @@ of the front page, from ``notebooks/results``.
 """
 
 import base64
+import copy
 import hashlib
 import io
 import sys
@@ -17,8 +18,9 @@ from PIL import Image
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import read_record
+from mmqa_lab.run.notebooks import execute
 from mmqa_lab.run.pages import ANSWERS, WIDGET, read_outcome
-from mmqa_lab.studies import STUDIES, notebooks_folder, results_folder
+from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder, results_folder
 
 WIDTHS_PX, THUMBNAIL_PX = (700, 560, 420, 320), 280
 """Widths of stored figures, the first (178 mm at 100 dpi) that is small enough, and thumbnails."""
@@ -74,6 +76,23 @@ def store(notebooks, folder, studies):
     _save(Image.open(folder / KEY_FIGURE), notebooks / "key_figure.png", 1000, colours=128)
     figure = _ledger_figure(summary(collect(folder)))
     write_atomically(notebooks / "ledger.png", lambda file: figure.savefig(file, dpi=120))
+
+
+def store_tool(study, folder):
+    """Run a notebook that is a tool, without a screen, and store its outputs: where it starts.
+
+    Raises
+    ------
+    ValueError
+        If a cell fails.
+    """
+    folder, plain = Path(folder).resolve(), nbformat.read(study.path, as_version=4)
+    ran = copy.deepcopy(plain)
+    failure = execute(ran, study.path.parent, results=folder)
+    if failure:
+        raise ValueError(f"Invalid notebook {study.notebook}: {failure}. Must run to its end.")
+    text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
+    write_atomically(study.path, text + "\n")
 
 
 def code_hash(notebook):
@@ -140,6 +159,9 @@ def _ledger_figure(counts):
 
 if __name__ == "__main__":
     try:
-        store(notebooks_folder(), results_folder(notebooks_folder()), STUDIES)
+        results = results_folder(notebooks_folder())
+        store(notebooks_folder(), results, STUDIES)
+        for tool in TOOLS:
+            store_tool(tool, results)
     except (ValueError, OSError) as error:
         sys.exit(f"mmqa_lab.run.store: {error}")
