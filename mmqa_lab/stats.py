@@ -319,7 +319,8 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     True
     """
     values = np.asarray(values, dtype=np.float64)
-    return float(_reach((values - values.mean())[None] / len(values), block)[0])
+    n = max(len(values), 1)
+    return float(_reach((values - values.sum() / n)[None] / n, block)[0])
 
 
 def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:

@@ -39,13 +39,14 @@ def test_headings_wrap_without_a_turn():
     assert np.allclose(path.at([0.5])[1][0], np.eye(3), atol=1e-12)
 
 
-def test_a_table_without_heading_looks_where_it_moves():
+def test_attitude_of_a_table_is_taken_and_without_heading_it_looks_where_it_moves():
     table = pd.DataFrame(
-        {"time_s": [0, 1, 2], "easting_m": [0, 1, 2], "northing_m": [0, 1, 2], "height_m": 0.0}
+        {"time_s": [0, 2], "easting_m": [0, 9], "northing_m": [0, 9], "height_m": 2}
     )
     path = Trajectory.from_table(table)
-    assert np.allclose(path.heading, 45)
-    assert np.allclose(path.roll, 0)
+    assert np.allclose([path.heading, path.roll], [[45, 45], [0, 0]])
+    path = Trajectory.from_table(table.assign(heading_deg=[0, 3], pitch_deg=[1, 2]))
+    assert [path.heading.tolist(), path.pitch.tolist()] == [[0, 3], [1, 2]]
 
 
 def test_speed_variation_has_its_size_and_keeps_the_path():
@@ -75,10 +76,3 @@ def test_navigation_errors_have_their_size_and_drift_slowly():
     jump = np.diff(shift[:, 0])
     assert jump.std() == pytest.approx(0.1 * np.sqrt(2 * 0.01 / 5), rel=0.05)
     assert path.position.tolist() == [[0, 0, 0], [0, 12_000, 0]]
-
-
-def test_attitude_of_a_table_is_taken():
-    table = pd.DataFrame({"time_s": [0, 2], "easting_m": 0, "northing_m": [0, 20], "height_m": 2})
-    path = Trajectory.from_table(table.assign(heading_deg=[0, 3], pitch_deg=[1, 2]))
-    assert path.heading.tolist() == [0, 3]
-    assert path.pitch.tolist() == [1, 2]

@@ -1,5 +1,7 @@
 """Rates and errors: known answers, closed forms, invariance, bad input."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,7 +38,9 @@ def test_one_error_has_no_spread_and_none_has_nothing():
     assert np.isnan(stats.errors([1.0]).std)
     nothing = stats.errors([np.nan])
     assert (nothing.n, nothing.missing) == (0, 1)
-    assert np.isnan([nothing.rmse, stats.wilson(0, 0).value]).all()
+    with warnings.catch_warnings(action="error"):
+        reach = stats.mean_reach([], np.arange(0))
+        assert np.isnan([nothing.rmse, stats.wilson(0, 0).value, reach]).all()
 
 
 def test_bootstrap_interval_of_a_mean_is_that_of_the_normal_theory(rng):
