@@ -103,12 +103,12 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     if not can_render():
         return _figure(local, values, label)
 
-    if is_headless():
-        return _plotter(local, values, label).show(jupyter_backend="static", return_viewer=True)
-    # it would download code from the network when the first view opens
-    sys.modules.setdefault("trame.widgets.vtklocal", None)
-    plotter, folded = _plotter(local, values, label), {"collapse_menu": True}
-    return plotter.show(jupyter_backend="server", return_viewer=True, jupyter_kwargs=folded)
+    choices = {"jupyter_backend": "static"}
+    if not is_headless():
+        choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
+        # it would download code from the network when the first view opens
+        sys.modules.setdefault("trame.widgets.vtklocal", None)
+    return _plotter(local, values, label).show(return_viewer=True, **choices)
 
 
 def _plotter(local, values, label):
@@ -116,33 +116,29 @@ def _plotter(local, values, label):
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=is_headless(), window_size=(900, 650))
-    plotter.set_background("white")
     marks = _round_ticks(np.nanmin(values), np.nanmax(values))
-    title = {"title": f"{label}\n", "title_font_size": 18, "label_font_size": 16, "fmt": "%g"}
-    place = {"vertical": False, "position_x": 0.25, "position_y": 0.03, "width": 0.5}
-    bar = {**title, **place, "color": "black", "n_labels": len(marks)}
+    bar = {"title": f"{label}\n", "title_font_size": 18, "label_font_size": 16, "fmt": "%g"}
+    bar |= {"position_x": 0.25, "position_y": 0.03, "width": 0.5, "n_labels": len(marks)}
     shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": plots.MAP, "point_size": 4}
     plotter.add_points(pyvista.PolyData(local), **shades, scalar_bar_args=bar)
     extent, box, shown = np.ptp(local, axis=0), [], {}
     for axis, title, length in zip("xyz", TITLES, extent, strict=True):
-        thin = length < 0.1 * extent.max()  # no room for numbers
-        ticks = _round_ticks(0.0, length, 1 if thin else round(5 * length / extent.max()))
-        box += [0.0, length if thin else ticks[-1]]
-        shown |= {f"{axis}title": " " if thin else title, f"show_{axis}axis": not thin}
-        shown |= {f"show_{axis}labels": not thin, f"n_{axis}labels": len(ticks)}
-    look = {"color": "black", "font_size": 12, "location": "outer", "fmt": "%g"}
-    plotter.show_bounds(bounds=box, **shown, **look)
+        room = length >= 0.1 * extent.max()  # for numbers
+        ticks = _round_ticks(0.0, length, round(5 * length / extent.max()))
+        box += [0.0, ticks[-1] if room else length]
+        shown |= {f"{axis}title": title if room else " ", f"show_{axis}axis": room}
+        shown |= {f"show_{axis}labels": room, f"n_{axis}labels": len(ticks)}
+    plotter.show_bounds(bounds=box, **shown, font_size=12, location="outer", fmt="%g")
     plotter.view_isometric()
-    plotter.camera.zoom(0.95)
-    plotter.camera.SetWindowCenter(0, -0.18)  # the scale is below, the viewer's buttons are above
+    plotter.camera.zoom(0.8)
+    plotter.camera.SetWindowCenter(0, -0.15)  # the scale is below, the viewer's buttons are above
     return plotter
 
 
 def _round_ticks(low, high, most=4):
     """Ticks at round numbers, at most so many steps, that reach beyond both ends."""
-    return MaxNLocator(max(1, most), steps=[1, 2, 2.5, 5, 10]).tick_values(
-        low, max(high, low + 1e-9)
-    )
+    locator = MaxNLocator(max(1, most), steps=[1, 2, 2.5, 5, 10])
+    return locator.tick_values(low, max(high, low + 1e-9))
 
 
 def _figure(local, values, label, limit=20_000):
