@@ -165,10 +165,10 @@ def _reflectances(band, targets, number):
         saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
         value = np.nan if saturated else float(line.reflectance(row.mean_dn))
         reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
-        said = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
-        said += [line.remark] * bool(line.remark)
+        remarks = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
+        remarks += [line.remark] * bool(line.remark)
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
-        yield figures | {"references": line.n, "remark": "; ".join(said)}
+        yield figures | {"references": line.n, "remark": "; ".join(remarks)}
 
 
 def _interval(name, unit, value, reach):

@@ -77,7 +77,7 @@ BAR_PERIODS = 2.5
 
 @dataclass(frozen=True, eq=False)
 class EdgeResponse(Shown):
-    """What one edge tells: the modulation transfer function (MTF) and the widths that go with it.
+    """The modulation transfer function (MTF) of one edge, and the widths that go with it.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class EdgeResponse(Shown):
     distance_px, esf, lsf : array
         The edge and line spread functions over the distance across the edge.
     remark : str
-        What speaks against the value; empty if nothing does.
+        Reasons to doubt the figures; empty if there are none.
 
     Examples
     --------
@@ -244,7 +244,7 @@ class _Sigmoid:
         return np.column_stack([np.ones_like(shape), shape])
 
     def _levels(self, known, distance, along, values):
-        """What the sigmoid of these numbers shows, its levels by least squares."""
+        """The grey values of a sigmoid, its levels by least squares."""
         step = self._step(distance - np.polyval(known[:2], along), np.exp(known[2]))
         return step @ np.linalg.lstsq(step, values, rcond=None)[0]
 
@@ -255,7 +255,7 @@ class _Sigmoid:
         return float((np.abs(means) - 4 * noise)[count > 0].max() / self.contrast)
 
     def check(self, rows):
-        """Raise where there is no edge, or more than one."""
+        """Raise if there is no edge, or more than one."""
         if not self.contrast * np.sqrt(rows) > 8 * self.noise:
             raise ValueError(
                 f"Invalid edge: a step of {self.contrast:.3g} at a noise of {self.noise:.3g}. Must "
@@ -295,7 +295,7 @@ def _by_bins(fit, block):
     mtf, parts = np.abs(transfer), block[fit.rows]
     mtf50 = crossing(FREQUENCIES, mtf, 0.5)
     rest = [_binned(fit.distance[parts != k], fit.values[parts != k])[0] for k in range(BLOCKS)]
-    left = [crossing(FREQUENCIES, np.abs(one), 0.5) for one in rest]
+    left = [crossing(FREQUENCIES, np.abs(part), 0.5) for part in rest]
     # 2.36 is Student's quantile of seven degrees of freedom
     sigma = float(np.sqrt((BLOCKS - 1) * np.var(left))) * 2.365 / 1.96
     known = {"distance_px": places, "esf": (esf - fit.low) / fit.contrast, "mtf": mtf}
@@ -544,8 +544,9 @@ def measure_star(
     radius, and its odd harmonics as far as pixels show them are fitted to all pixels. The wave's
     amplitude over that of plain sectors, times pi/4 for their square shape, is the transfer
     function. What blur takes away in the middle of the sectors is given back to their levels, as
-    much as the Gaussian takes that fits the transfer function. The centre, and the ellipse that a
-    tilted star is, are refined until the wave has the same phase in all rings.
+    much as a lens takes that fits the transfer function: Gaussian, disc or diffraction. The centre,
+    and the ellipse that a tilted star is, are refined until the wave has the same phase in all
+    rings.
 
     Parameters
     ----------
@@ -874,13 +875,13 @@ def _lens_of(frequency, contrast):
     f, seen = frequency[known], contrast[known]
 
     def misfit(log_width, transfer):
-        """What is left of the contrasts with the best scale."""
+        """Sum of squares that the best scale leaves."""
         model = np.abs(_lens_mtf(transfer, np.exp(log_width), f))
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     choices = {"bounds": np.log(SIGMAS_PX), "method": "bounded"}
-    fits = {one: minimize_scalar(misfit, args=(one,), **choices) for one in LENS_TRANSFERS}
-    best = min(fits, key=lambda one: fits[one].fun)
+    fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in LENS_TRANSFERS}
+    best = min(fits, key=lambda lens: fits[lens].fun)
     return partial(_lens_mtf, best, float(np.exp(fits[best].x)))
 
 

@@ -73,7 +73,7 @@ HUBER, SHADOW = 1.5, 6.0
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009), and next to nothing."""
 
 ROUNDS = 50
-"""Most iterations."""
+"""Largest number of iterations."""
 
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
 """Weights are computed anew in so many iterations, at first by Huber, and then stay."""
@@ -315,11 +315,11 @@ def coarse_pairs(image, reference):
         )
     size = reference.shape[0], high, reference.shape[1], wide
     coarse = np.asarray(image, dtype=np.float64).reshape(size).mean(axis=(1, 3))
-    return tuple(median_filter(one, 3).ravel() for one in (coarse, np.asarray(reference, float)))
+    return tuple(median_filter(part, 3).ravel() for part in (coarse, np.asarray(reference, float)))
 
 
 def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
-    """Say how well the parameters of one setting fit the images of another.
+    """Compare settings: how well do the parameters of each fit the images of the others?
 
     Digital numbers that one setting gives for known radiances are turned into radiance with the
     parameters of another. If exposure time and f-number were what their records say, and nothing
@@ -358,8 +358,8 @@ def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
     """
     check_count(len(fits), "number of settings", low=2)
     known, rows = np.asarray(radiance, dtype=np.float64), []
-    for (name, one), (other, two) in permutations(fits.items(), 2):
-        found = two.radiance(one.offset + one.gain * known)
+    for (name, fit), (other, second) in permutations(fits.items(), 2):
+        found = second.radiance(fit.offset + fit.gain * known)
         rows.append((name, other, 100 * np.abs(found / known - 1).mean()))
     return pd.DataFrame(rows, columns=["setting", "other", "difference_percent"])
 
@@ -396,7 +396,7 @@ class EmpiricalLine(Shown):
 
     @property
     def remark(self) -> str:
-        """What the standard deviations cannot contain; empty if nothing."""
+        """Reason to doubt the standard deviations; empty if there is none."""
         return "two references cannot check each other" if self.n == 2 else ""
 
     def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
@@ -968,7 +968,7 @@ def _result(block, observations, estimate, inverse, free, scaled):
 
 def _warn(block, estimate, value, std, misfit):
     """Warn of known reflectances that contradict the others, and of many odd observations."""
-    value, std, estimate = (one[-len(block.ties) :] for one in (value, std, estimate))
+    value, std, estimate = (part[-len(block.ties) :] for part in (value, std, estimate))
     share = misfit / np.maximum(block.signal - misfit, block.signal / 10)
     spread = _misfit_scale(share)
     # by how much images and control differ, and may differ
@@ -1012,5 +1012,5 @@ def _sun_cosine(observations):
 
 
 def _surfaces_of(observations):
-    """Surface of each observation; one for all where none is named."""
+    """Surface of each observation; the same for all if none is named."""
     return observations.get("surface", pd.Series(0, observations.index)).to_numpy()

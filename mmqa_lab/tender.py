@@ -152,7 +152,7 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _sentence(system, verdict, counts, deciding):
-    """What follows for a system, and why."""
+    """The verdict on a system and its reasons, as a sentence."""
     if verdict == "qualifies":
         exempt = f", {counts['exempt']} of them by exemption" if counts["exempt"] else ""
         return f"{system} qualifies: all {counts.sum()} figures meet their criteria{exempt}."
@@ -337,9 +337,9 @@ def _exemption(figures, criterion, figure):
     same = figures[PLACE].eq(here) | (figures[PLACE].isna() & here.isna())
     here = figures[same.all(axis=1)]
     spacings = [here[here["quantity"] == name] for name in ("d1_mm", "d4_mm")]
-    if any(len(one) != 1 for one in spacings):
+    if any(len(found) != 1 for found in spacings):
         return False, False
-    rows = [one.iloc[0] for one in spacings]
+    rows = [found.iloc[0] for found in spacings]
     ends = np.array([_interval(row, _rank(row["value"], "spacing")) for row in rows]) / 1000
     return tuple(exempt(*ends, criterion.rho0_per_m2).tolist())
 
@@ -381,7 +381,7 @@ def _interval(figure, rank):
 
 
 def _verdict(relation, limit, low, high):
-    """What both ends of an interval say."""
+    """The verdict by both ends of an interval."""
     if np.isnan(low):
         return "not measured"
     met = relation(low, limit), relation(high, limit)

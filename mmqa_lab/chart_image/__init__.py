@@ -5,12 +5,12 @@
     from mmqa_lab import chart_image, charts
 
     layout = charts.imaging_chart()
-    there = chart_image.locate(image, layout)          # or locate(None, layout, corners=corners)
-    quality = chart_image.evaluate_image(image, layout, there)
+    chart_map = chart_image.locate(image, layout)  # or locate(None, layout, corners=corners)
+    quality = chart_image.evaluate_image(image, layout, chart_map)
     quality.to_frame(), quality.pairs
 
 Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
-files, :func:`mmqa_lab.io.read_image` their grey values. What stands in for a jury is in
+files, :func:`mmqa_lab.io.read_image` their grey values. Stand-ins for a jury are in
 :mod:`mmqa_lab.chart_image.rules`.
 
 Only the window around the chart is evaluated.
@@ -93,8 +93,8 @@ class ImageQuality(Shown):
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, chart_map, aligned=False)
     >>> quality.resolution("h").n, quality.to_frame()["pixel_v_mm"].round(3).item()
     (10, 4.0)
     """
@@ -109,7 +109,7 @@ class ImageQuality(Shown):
 
     @property
     def residual_px(self) -> float:
-        """Root mean square by which the bars end off their places, pixels."""
+        """Root mean square distance of the bars' ends from their places, pixels."""
         return float(np.sqrt((self.sizes["offset_px"] ** 2).mean()))
 
     def pixel_size(self, direction: str) -> tuple[float, float]:
@@ -145,7 +145,7 @@ class ImageQuality(Shown):
 
     @property
     def remarks(self) -> list[str]:
-        """What speaks against pixel sizes and widths."""
+        """Reasons to doubt pixel sizes and widths."""
         clipped, residual = self.tones.clipped_share, self.residual_px
         doubts = {
             f"{clipped:.0%} of the plain pixels are clipped": clipped > 0.05,
@@ -231,8 +231,8 @@ def evaluate_image(
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> quality = evaluate_image(image, layout, there, aligned=False)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> quality = evaluate_image(image, layout, chart_map, aligned=False)
     >>> quality.to_frame()[["pixel_h_mm", "pixel_v_mm"]].round(3).to_numpy().tolist()
     [[4.0, 4.0]]
     """
@@ -296,11 +296,11 @@ def evaluate_file(
         if columns != 2 * rows:
             raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
         bends = PanoramaCamera(columns)
-    there = locate(grey, layout, corners=corners, camera=bends)
-    origin, last = _window(there, layout, grey.shape)
+    chart_map = locate(grey, layout, corners=corners, camera=bends)
+    origin, last = _window(chart_map, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)
-    return replace(evaluate_image(values, layout, there.within(*origin)), origin=origin)
+    return replace(evaluate_image(values, layout, chart_map.within(*origin)), origin=origin)
 
 
 def _window(chart_map, layout, shape):

@@ -28,13 +28,13 @@ SLENDEREST, MOST_STREAKS = 6.0, 1500
 """A dark streak is taken for a bar when it is so many times longer than wide; the longest ones."""
 
 SMALLEST_CORRELATION = 0.6
-"""Between chart and image after alignment; unrelated pictures stay below 0.4."""
+"""Smallest correlation of chart and image after alignment; unrelated pictures stay below 0.4."""
 
 PROMISING, LIKELY, CERTAIN = 0.3, 0.65, 0.8
-"""The same of streaks taken for bars: before it, after it, and when no others need be tried."""
+"""Correlations of a guess: least before alignment, least after it, and enough to try no other."""
 
 GLANCE_CELLS = 80
-"""Along a side of the chart, to compare a first guess with the image."""
+"""Cells along a side of the chart where a first guess is compared with the image."""
 
 SIGMAS_PX = (0.6, 1.2, 2.0)
 """Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
@@ -43,7 +43,7 @@ FINEST, BLOCKS = 800, 12
 """Cells along a side at most, and blocks whose agreement is asked for."""
 
 LIGHT_MM, SPREADS = 60.0, 3.0
-"""Reach of local means and spreads; values beyond so many spreads count as that many."""
+"""Reach of local means and spreads; larger values are cut to so many spreads."""
 
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
@@ -83,7 +83,7 @@ class PanoramaCamera:
 
     @property
     def height(self) -> int:
-        """Rows."""
+        """Number of rows."""
         return self.width // 2
 
     def pixel_size_mm(self, distance: float) -> float:
@@ -133,9 +133,11 @@ class ChartMap:
 
     Examples
     --------
-    >>> there = ChartMap(np.array([[0.25, 0, 0], [0, -0.25, 250], [0, 0, 1]]))
-    >>> there.pixels([[100, 200]]).tolist(), there.pixel_sizes_mm([[100, 200]]).round(6).tolist()
-    ([[25.0, 200.0]], [[4.0, 4.0]])
+    >>> chart_map = ChartMap(np.array([[0.25, 0, 0], [0, -0.25, 250], [0, 0, 1]]))
+    >>> chart_map.pixels([[100, 200]]).tolist()
+    [[25.0, 200.0]]
+    >>> chart_map.pixel_sizes_mm([[100, 200]]).round(6).tolist()
+    [[4.0, 4.0]]
     """
 
     matrix: np.ndarray
@@ -168,8 +170,8 @@ class ChartMap:
         Examples
         --------
         >>> corners = [[0, 0], [1000, 0], [1000, 1000], [0, 1000]]
-        >>> there = ChartMap.from_points(corners, [[10, 90], [90, 90], [90, 10], [10, 10]])
-        >>> there.pixels([[500, 500]]).round(6).tolist()
+        >>> chart_map = ChartMap.from_points(corners, [[10, 90], [90, 90], [90, 10], [10, 10]])
+        >>> chart_map.pixels([[500, 500]]).round(6).tolist()
         [[50.0, 50.0]]
         """
         xy = check_points(xy, name="chart points", columns=2, minimum=4)
@@ -287,8 +289,8 @@ def locate(
     >>> found = locate(image.astype(np.uint8), layout)
     >>> found.source, bool(np.abs(found.pixels([[0, 0]]) - [19.5, 269.5]).max() < 0.5)
     ('4 coded targets', True)
-    >>> there = locate(None, layout, corners=[[100, 350], [350, 350], [350, 100], [100, 100]])
-    >>> there.pixels([[0, 0], [500, 500]]).round(6).tolist()
+    >>> chart_map = locate(None, layout, corners=[[100, 350], [350, 350], [350, 100], [100, 100]])
+    >>> chart_map.pixels([[0, 0], [500, 500]]).round(6).tolist()
     [[100.0, 350.0], [225.0, 225.0]]
     """
     bent = {"camera": camera, "offset": offset}
@@ -296,23 +298,23 @@ def locate(
         corners = four_corners(corners, columns=2)
         return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
     grey = _stretched(image)
-    markers = {one.identifier: one for one in layout.of_kind(Marker)}
+    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     found = _decoded(grey, markers) if markers else []
     if len(found) > 2 and len(found) == len(dict(found)):
         # OpenCV counts from the upper left corner, clockwise
         places = np.concatenate([markers[key].corners()[::-1] for key, _ in found])
         seen = np.concatenate([corners for _, corners in found])
         return ChartMap.from_points(places, seen, source=f"{len(found)} coded targets", **bent)
-    there = _by_bars(grey, layout)
-    if there is None:
+    chart_map = _by_bars(grey, layout)
+    if chart_map is None:
         raise ValueError(
             f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
             "Must show the whole chart, not cut by the border, or its corners must be given."
         )
     steps = np.linspace(0, 1, 5)
     mesh = np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
-    placed = ChartMap.from_points(mesh, there.pixels(mesh), source="long bars", **bent)
-    return replace(placed, remark=there.remark)
+    placed = ChartMap.from_points(mesh, chart_map.pixels(mesh), source="long bars", **bent)
+    return replace(placed, remark=chart_map.remark)
 
 
 def _decoded(grey, markers):
@@ -328,9 +330,9 @@ def _decoded(grey, markers):
         # targets of less than 6 px a side cannot be decoded, their contours would cost time
         settings.minMarkerPerimeterRate = 24 * times / max(large.shape)
         corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
-        places = [(one.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for one in corners]
+        places = [(seen.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for seen in corners]
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
-        found = [one for one in zip(numbers, places, strict=True) if one[0] in markers]
+        found = [pair for pair in zip(numbers, places, strict=True) if pair[0] in markers]
         best = max(best, found, key=len)
         if len(best) >= len(markers):
             break
@@ -384,10 +386,10 @@ def align(image, layout, chart_map):
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> wrong = ChartMap(there.matrix + [[0, 0, 0.8], [0, 0, -0.6], [0, 0, 0]])
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> wrong = ChartMap(chart_map.matrix + [[0, 0, 0.8], [0, 0, -0.6], [0, 0, 0]])
     >>> right = align(image, layout, wrong)
-    >>> off = np.abs(right.pixels(layout.corners()) - there.pixels(layout.corners()))
+    >>> off = np.abs(right.pixels(layout.corners()) - chart_map.pixels(layout.corners()))
     >>> bool(off.max() < 0.1)
     True
     """
@@ -397,7 +399,7 @@ def align(image, layout, chart_map):
     for along in sorted({min(60, finest), min(160, finest)}):
         chart_map, *_ = _compared(image, layout, chart_map, along)
     tried = [_compared(image, layout, chart_map, max(finest, 12), blur) for blur in SIGMAS_PX]
-    chart_map, correlation, each = max(tried, key=lambda one: one[1])
+    chart_map, correlation, each = max(tried, key=lambda result: result[1])
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
@@ -485,7 +487,7 @@ def _trusted(layout, pixel_mm, cell, shape):
 
 
 def _by_bars(grey, layout):
-    """The map of the likeliest chart whose long bars are seen, or None."""
+    """The map of the likeliest chart by its long bars, or None."""
     bars = [bar for bar in layout.of_kind(Bar) if max(bar.width, bar.height) >= 400]
     found = []
     # sizes of the image, from the likeliest on
@@ -497,34 +499,36 @@ def _by_bars(grey, layout):
         half = (factor - 1) / 2
         grow = np.linalg.inv([[factor, 0, half], [0, factor, half], [0, 0, 1]])
         guesses = _guesses(small, layout, bars)
-        found += [(one, replace(there, matrix=grow @ there.matrix)) for one, there in guesses]
+        found += [(r, replace(guess, matrix=grow @ guess.matrix)) for r, guess in guesses]
         if any(correlation > CERTAIN for correlation, _ in found):
             break
     if not found:
         return None
-    best = max(found, key=lambda one: one[0])[1]
+    best = max(found, key=lambda guess: guess[0])[1]
     middle = [[layout.width / 2, layout.height / 2]]
     side = np.ptp(best.pixels(layout.corners()), axis=0).max()
-    apart = [np.linalg.norm(one.pixels(middle) - best.pixels(middle)) for _, one in found]
+    apart = [np.linalg.norm(other.pixels(middle) - best.pixels(middle)) for _, other in found]
     return replace(best, remark="another chart is seen" if max(apart) > side / 2 else "")
 
 
 def _guesses(grey, layout, bars):
     """Correlations and aligned maps of the charts that streaks suggest."""
     scored = _glanced(grey, layout, _suggested(_streaks(grey), bars))
-    scored = sorted((one for one in scored if one[0] > PROMISING), key=lambda one: -one[0])
+    scored = sorted(
+        (guess for guess in scored if guess[0] > PROMISING), key=lambda guess: -guess[0]
+    )
     found = []
-    for _, there in scored[:6]:
+    for _, chart_map in scored[:6]:
         for along in (60, 160):
-            outline = there.outline(layout.corners())
+            outline = chart_map.outline(layout.corners())
             if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
                 break
-            there, correlation, _ = _compared(grey, layout, there, along)
+            chart_map, correlation, _ = _compared(grey, layout, chart_map, along)
         else:
-            wide = np.ptp(there.pixels(layout.corners()), axis=0)
+            wide = np.ptp(chart_map.pixels(layout.corners()), axis=0)
             if wide.prod() > 50**2:  # a smaller chart shows nothing
-                found.append((correlation, there))
-    return [one for one in found if one[0] > LIKELY]
+                found.append((correlation, chart_map))
+    return [guess for guess in found if guess[0] > LIKELY]
 
 
 def _glanced(grey, layout, suggested):
@@ -542,11 +546,11 @@ def _glanced(grey, layout, suggested):
         return blocks / np.maximum(spread, 1e-6), spread[:, 0]
 
     expected, weight = standard(printed.astype(float))
-    for there in suggested:
-        pixels = there.pixels(places).astype(np.float32).reshape(rows, GLANCE_CELLS, 2)
+    for chart_map in suggested:
+        pixels = chart_map.pixels(places).astype(np.float32).reshape(rows, GLANCE_CELLS, 2)
         seen = cv2.remap(grey, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         each = (standard(seen.astype(float))[0] * expected).mean(axis=1)
-        yield float(weight @ each / weight.sum()), there
+        yield float(weight @ each / weight.sum()), chart_map
 
 
 def _streaks(grey):
@@ -566,7 +570,7 @@ def _streaks(grey):
         turn = np.radians(angle if size[0] > size[1] else angle + 90)
         half = np.array([np.cos(turn), np.sin(turn)]) * max(size) / 2
         found.append((max(size), [middle - half, middle + half]))
-    found = sorted(found, key=lambda one: -one[0])[:MOST_STREAKS]
+    found = sorted(found, key=lambda streak: -streak[0])[:MOST_STREAKS]
     return np.array([ends for _, ends in found]).reshape(-1, 2, 2)
 
 
@@ -577,8 +581,8 @@ def _suggested(streaks, bars):
     apart = np.linalg.norm(middles[:, None] - middles, axis=2)
     near = (apart > 0) & (apart < 2 * length) & (length[:, None] < 2.5 * length)
     first, second = np.nonzero(near & near.T)
-    for one, two in combinations(bars, 2):
-        places = np.concatenate([_axis(one), _axis(two)])
+    for bar, other in combinations(bars, 2):
+        places = np.concatenate([_axis(bar), _axis(other)])
         design = np.column_stack([places, np.ones(4)])
         for order in ([0, 1, 2, 3], [1, 0, 2, 3], [0, 1, 3, 2], [1, 0, 3, 2]):
             ends = np.concatenate([streaks[first], streaks[second]], axis=1)[:, order]

@@ -1,4 +1,4 @@
-"""What is read in the image of a chart: black and white, line pairs, pixel size.
+"""Readings of the image of a chart: black and white, line pairs, pixel size.
 
 The image is read in units of print: 0 where the black of the chart is, 1 where its white is. Pixels
 are taken as they are, at the places on the chart where the map puts them; nothing is resampled.
@@ -100,8 +100,8 @@ def find_tones(image, layout, chart_map):
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> found = find_tones(0.05 + 0.5 * image, layout, there)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> found = find_tones(0.05 + 0.5 * image, layout, chart_map)
     >>> bool(np.allclose(found.values, image, atol=1e-6))
     True
     """
@@ -139,7 +139,7 @@ def find_tones(image, layout, chart_map):
 
 @dataclass(frozen=True)
 class PairReading:
-    """What was seen of one pattern of line pairs.
+    """The reading of one pattern of line pairs.
 
     Parameters
     ----------
@@ -237,8 +237,8 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> pairs = read_pairs(find_tones(image, layout, there), layout, there)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> pairs = read_pairs(find_tones(image, layout, chart_map), layout, chart_map)
     >>> resolution(pairs, "v").width_mm  # 2.5 pixels; 8 mm are 2
     10.0
     """
@@ -281,8 +281,9 @@ def read_pattern(tones, pairs, chart_map):
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> reading = read_pattern(find_tones(image, layout, there), layout["pairs_v_30"], there)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> tones = find_tones(image, layout, chart_map)
+    >>> reading = read_pattern(tones, layout["pairs_v_30"], chart_map)
     >>> round(reading.bars), reading.resolved
     (8, True)
     """
@@ -411,8 +412,8 @@ def pixel_sizes(tones, layout, chart_map):
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> sizes = pixel_sizes(find_tones(image, layout, there), layout, there)
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> sizes = pixel_sizes(find_tones(image, layout, chart_map), layout, chart_map)
     >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
     [800.0, 200.0, 4.0]
     """
@@ -439,7 +440,7 @@ def _printed(layout, chart_map, shape):
     places = (places / cell - 0.5).astype(np.float32).reshape(*shape, 2)
     constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
     at_pixels = [
-        cv2.remap(one, places, None, **constant, borderValue=-1.0) for one in (seen, *depths)
+        cv2.remap(part, places, None, **constant, borderValue=-1.0) for part in (seen, *depths)
     ]
     return (at_pixels[0] > -1e-3, *at_pixels)  # blurred black may fall below 0
 
@@ -472,14 +473,14 @@ def _local(image, white, side):
     light = cv2.resize(np.where(white, image, 0.0), **small)
     field = np.full(share.shape, image[white].mean())
     for reach in (25.0, 8.0, 3.0):  # hundredths of the chart's side
-        weight, total = (cv2.GaussianBlur(one, (0, 0), reach) for one in (share, light))
+        weight, total = (cv2.GaussianBlur(part, (0, 0), reach) for part in (share, light))
         few = 0.5 / (2 * np.pi * reach**2)  # half a cell outweighs what is farther away
         field = (total + few * field) / (weight + few)
     return cv2.resize(field, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _darkness(seen, field, spilt):
-    """Level of black without light, and what it takes of white: two numbers."""
+    """Level of black without light, and the share of white that black adds to it."""
     # the pixels see black and some white spilt into it
     free = (seen - spilt * field) / (1 - spilt)
     middle = field - field.mean()
@@ -569,7 +570,7 @@ def _refusal(width_px, phase, bars, repeats, share):
         return "wrong number of bars"
     if abs(phase) > 50:  # a reversal is 180 degrees
         return "bars not where they are printed"
-    if share < 0.75:
+    if share < 0.75:  # of the strips
         return "gaps do not stand out"
     return ""
 
@@ -582,7 +583,7 @@ def _long_bars(layout):
 
 
 def _measured(tones, bar, chart_map):
-    """One row of the table."""
+    """Length of a bar in the image, and how its ends were seen: a row of the table."""
     axis = 0 if bar.width > bar.height else 1
     low, size = np.array([bar.x, bar.y]), np.array([bar.width, bar.height])
     ends = np.array([low, low + size], dtype=float)
@@ -596,7 +597,7 @@ def _measured(tones, bar, chart_map):
         _crossings(tones, chart_map, end, axis, sign, lanes)
         for end, sign in zip(ends, (-1, 1), strict=True)
     )
-    if min(np.isfinite(one).mean() for one in (low_end, high_end)) < 0.6:
+    if min(np.isfinite(end).mean() for end in (low_end, high_end)) < 0.6:
         return row
     repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
     row["n"], row["length_px"] = (

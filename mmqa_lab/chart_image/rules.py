@@ -61,8 +61,8 @@ class Crop:
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> crop = text_crops(image, layout, there)[0]
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> crop = text_crops(image, layout, chart_map)[0]
     >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
     ('Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 40, 2)
     """
@@ -119,8 +119,8 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> [crop.text for crop in text_crops(image, layout, there)][:2]
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> [crop.text for crop in text_crops(image, layout, chart_map)][:2]
     ['Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 'Müllsammelfzge.']
     """
     crops = []
@@ -446,8 +446,8 @@ def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd
     >>> from mmqa_lab.charts import imaging_chart, reflectance
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4, colour=True)[::-1]  # pixels of 4 mm
-    >>> there = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> float(colour_fringes(image, layout, there)["fringe"].max().round(6))
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> float(colour_fringes(image, layout, chart_map)["fringe"].max().round(6))
     0.0
     """
     bands = [find_tones(image[..., k], layout, chart_map) for k in range(3)]

@@ -39,17 +39,17 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 POINTS_PER_MM = 72 / 25.4
 
 SIDE_MM, CELLS, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
-"""Of the point chart: its side, the cells along it, its white border and its plain squares."""
+"""Point chart: side (mm), cells along it, white border and plain squares (mm)."""
 
 IMAGING = ("grey", "black", "revised")
-"""Imaging charts by the tone of their lying bar, and as the authors would have it today."""
+"""Imaging charts: with a grey or black lying bar, and as their authors advise."""
 
 TEXTS, COUNTS = ("name", "direction", "text", "font", "dictionary"), ("repeats", "identifier")
-"""Fields of a table that are no lengths, tones or colours."""
+"""Fields of a table that hold text, and those that hold whole numbers."""
 
 
 class _Rectangle:
-    """What has a lower left corner, a width and a height."""
+    """A rectangle by its lower left corner, width and height."""
 
     def corners(self):
         """Return the corners from the lower left, counterclockwise, mm, shape (4, 2)."""
@@ -59,7 +59,7 @@ class _Rectangle:
 
 @dataclass(frozen=True)
 class _Element(_Rectangle):
-    """What is printed: a name, a lower left corner (mm), and the tone of what is around it."""
+    """A printed element: name, lower left corner (mm) and the tone around it."""
 
     name: str
     x: float
@@ -75,7 +75,7 @@ class _Element(_Rectangle):
 
 @dataclass(frozen=True)
 class _Square(_Element):
-    """What has one side for its width and height."""
+    """A square element."""
 
     size: float
 
@@ -355,7 +355,7 @@ class Layout(_Rectangle):
         return self._by_name[check_choice(name, "element", tuple(self._by_name))]
 
     def of_kind(self, kind: type) -> list:
-        """Return the elements of one class, in order."""
+        """Return the elements of a class, in their order."""
         return [element for element in self.elements if isinstance(element, kind)]
 
     def to_pdf(self) -> bytes:
@@ -434,7 +434,7 @@ def imaging_chart(which: str = "grey") -> Layout:
     if which != "black":
         return chart
     bar = replace(chart["bar_horizontal"], tone=BLACK)
-    elements = tuple(bar if one.name == bar.name else one for one in chart.elements)
+    elements = tuple(bar if part.name == bar.name else part for part in chart.elements)
     return replace(chart, elements=elements)
 
 
@@ -543,8 +543,8 @@ def _value(name, text):
 def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
     """Return the mean tone of each square cell of a chart.
 
-    Everything but letters consists of rectangles, whose share of a cell is a product of two
-    overlaps and therefore exact. Of letters matplotlib measures the share, to 1/255.
+    Everything but letters consists of rectangles. Their share of a cell is a product of two
+    overlaps and exact. The share of letters is measured by matplotlib, to 1/255.
 
     Parameters
     ----------
@@ -581,7 +581,7 @@ def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndar
 
 
 def _painted(layout, shape, cell, weights):
-    """The image of a chart as a sensor sees it that weighs red, green and blue."""
+    """The image of a chart, with these weights of red, green and blue."""
     image = np.full(shape, WHITE, dtype=np.float32)
     for element in layout.elements:
         element = _seen(element, weights)
@@ -606,7 +606,7 @@ def _ink(tone):
 
 
 def _check_element(element):
-    """Sizes and tones of an element, named."""
+    """Raise if a size, tone or direction of an element is not possible."""
     if isinstance(element, LinePairs):
         check_choice(element.direction, f"direction of element {element.name!r}", ("h", "v"))
     for side in ("width", "height"):
@@ -639,7 +639,7 @@ def _letters(text, font):
 
 
 def _shapes(element):
-    """The outline of each tone that differs from white; neighbours of a tone are one shape."""
+    """The outline of each tone other than white; neighbours of the same tone are joined."""
     import shapely
     from matplotlib.path import Path as Outline
 
@@ -660,7 +660,7 @@ def _shapes(element):
 
 
 def _add_grid(image, element, cell):
-    """Add the difference of a grid's tones to what lies below them."""
+    """Add the difference between a grid's tones and the ground to the image."""
     x, y, tones = element.grid()
     first_column, across = _overlaps(x, cell, image.shape[1])
     first_row, upward = _overlaps(y, cell, image.shape[0])
@@ -679,7 +679,7 @@ def _overlaps(edges, cell, count):
 
 
 def _add_text(image, element, cell):
-    """Add the difference of letters' tone to what lies below them."""
+    """Add the difference between the letters' tone and the ground to the image."""
     from matplotlib.backends.backend_agg import RendererAgg
     from matplotlib.transforms import Affine2D
 
