@@ -227,10 +227,11 @@ class CloudQuality(Shown):
 
         figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
         residuals_mm = 1000 * self.plane.residuals
-        limits = (-3 * self.sigma_mad_mm, 3 * self.sigma_mad_mm)
+        limit = 3 * self.sigma_mad_mm
         plots.draw_points(self.xy, ax=axes[0, 0])
-        shades = {"label": "distance from plane (mm)", "cmap": plots.DIVERGING_MAP}
-        plots.draw_points(self.xy, ax=axes[0, 1], values=residuals_mm, limits=limits, **shades)
+        shades = {"vmin": -limit, "vmax": limit, "cmap": plots.DIVERGING_MAP}
+        dots = plots.draw_points(self.xy, ax=axes[0, 1], c=residuals_mm, **shades)
+        figure.colorbar(dots, ax=axes[0, 1], label="distance from plane (mm)", shrink=0.85)
         self.draw_histograms(*axes[1])
         return figure
 

@@ -16,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from cycler import cycler
 from matplotlib import font_manager
+from matplotlib.collections import PathCollection
 from numpy.typing import ArrayLike
 
 from mmqa_lab import _tables
@@ -188,51 +189,32 @@ def subplots(
     return plt.subplots(rows, columns, figsize=size, **choices)
 
 
-def draw_points(
-    xy: ArrayLike,
-    *,
-    ax: plt.Axes,
-    values: ArrayLike | None = None,
-    label: str = "",
-    limits: tuple[float, float] | None = None,
-    cmap: str = MAP,
-) -> plt.Axes:
-    """Draw points in a plane, in mm-true proportion, coloured by a value.
+def draw_points(xy: ArrayLike, *, ax: plt.Axes, **colours: Any) -> PathCollection:
+    """Draw points in a plane, in mm-true proportion.
 
     Parameters
     ----------
     xy : array, shape (n, 2)
         Metres.
     ax : Axes
-    values : array, shape (n,), optional
-        Colours the points.
-    label : str
-        Names the value with its unit on the colour bar.
-    limits : pair of float, optional
-        Range of the colours.
-    cmap : str
-        Map of the colours, in matplotlib.
+    **colours
+        ``c``, ``vmin``, ``vmax``, ``cmap`` as ``Axes.scatter`` takes them; blue without.
 
     Returns
     -------
-    Axes
+    matplotlib.collections.PathCollection
+        What a colour bar needs.
 
     Examples
     --------
     >>> figure, ax = subplots()
-    >>> draw_points([[0, 0], [1, 0]], ax=ax).get_xlabel()
+    >>> dots = draw_points([[0, 0], [1, 0]], ax=ax)
+    >>> ax.get_xlabel()
     'along axis 1 (m)'
     >>> plt.close(figure)
     """
     xy = flat_points(xy)
-    size = np.clip(4000 / max(len(xy), 1), 0.3, 6.0)
-    x, y = xy.T
-    if values is None:
-        ax.scatter(x, y, s=size, color=COLOURS["blue"], lw=0, rasterized=True)
-    else:
-        low, high = limits or (None, None)
-        shades = {"c": values, "vmin": low, "vmax": high, "cmap": cmap}
-        dots = ax.scatter(x, y, s=size, lw=0, rasterized=True, **shades)
-        ax.figure.colorbar(dots, ax=ax, label=label, shrink=0.85)
+    look = {"s": np.clip(4000 / max(len(xy), 1), 0.3, 6.0), "lw": 0, "rasterized": True}
+    dots = ax.scatter(*xy.T, **look, **colours or {"color": COLOURS["blue"]})
     ax.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
-    return ax
+    return dots

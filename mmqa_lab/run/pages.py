@@ -6,7 +6,6 @@ results are in ``templates/``.
 
 import base64
 import copy
-import csv
 import hashlib
 import html
 import io
@@ -106,8 +105,7 @@ def write_pages(folder, studies):
 
 def glossary_rows():
     """Return the glossary, a list of dicts: english, german, meaning, studies (stems)."""
-    with (TEMPLATES / "glossary.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return pd.read_csv(TEMPLATES / "glossary.csv", keep_default_na=False).to_dict("records")
 
 
 def notebook_page(notebook, title, *, figures, failure="", alone=False, quick=False):
