@@ -7,7 +7,6 @@ from conftest import spoiled
 
 from mmqa_lab.radiometry import adjust_block, stability
 from mmqa_lab.simulate.targets import ATMOSPHERES, SURFACES, Flight, fly_block
-from mmqa_lab.stats import Interval
 from mmqa_lab.studies import image_radiometry, image_resolution
 
 
@@ -94,33 +93,6 @@ def test_the_simplest_rule_is_right_where_its_assumption_is():
     patch, truth = image_resolution.edge_patch("gaussian", 0.1, noise=1e-6, seed=1)
     errors = image_resolution.edge_errors(image_resolution.rise(patch), truth)
     assert abs(errors["mtf50_error_percent"]) < 1
-
-
-def test_ledger_tables_answer_the_printed_results():
-    sensors = pd.DataFrame({"r_squared": [0.9991, 0.9993], "offset_dn": [60.1, 60.1]})
-    sensors["offset_std_dn"] = 0.4
-    classes = {"uniform_percent": 3.0, "bright_tarps_percent": 1.0, "black_tarp_percent": 2.0}
-    methods = ["empirical line", "dark pixel", "equation 4"]
-    tarps = pd.Index(["black tarp", "bright tarps"], name="target_class")
-    reflectance = image_radiometry.ledger_table(
-        sensors,
-        pd.Series([3.0, 4.0]),
-        pd.DataFrame({"method": methods, **classes}),
-        pd.DataFrame({"low": 11.0, "high": 22.0}, index=tarps),
-    )
-    resolution = image_resolution.ledger_table(Interval(1.5, 1.4, 1.6, 100))
-    found = pd.concat([reflectance, resolution]).set_index("cell")
-    assert len(found) == 20
-    # half the diagonal of 166 mm x 92 mm behind 120 mm
-    angle = np.degrees(np.arctan(np.hypot(165.888, 92.16) / 240))
-    assert found.loc["brf_view_angles", "value"] == pytest.approx(angle)
-    assert (found["note"] != "").all()
-    assert found.loc["corner_factor", ["low", "value", "high"]].tolist() == [1.4, 1.5, 1.6]
-    assert found.loc["dmc_intercept", "value"] == pytest.approx(0.1)
-    assert found.loc["theoretical_resolution", "value"] == pytest.approx(1 / 0.012)
-    fitted = found.index[found["kind"] == "fitted"]
-    assert len(fitted) == 6
-    assert all(cell.startswith("stability_") for cell in fitted)
 
 
 def test_edges_agree_with_other_tools_on_real_photographs(real):

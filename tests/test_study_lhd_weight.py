@@ -6,7 +6,6 @@ import pytest
 from conftest import spoiled
 
 from mmqa_lab import lines
-from mmqa_lab.published import ledger
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges
 from mmqa_lab.studies import lhd_weight as study
 
@@ -99,19 +98,12 @@ def test_truth_of_a_pure_displacement():
     assert truth.mean(truth.across) < truth.mean(truth.displacements)
 
 
-def test_replicas_and_ledger_cover_both_tables(replicated):
+def test_replicas_cover_both_tables(replicated):
     rows = study.replicas(replicated)
     assert len(rows) == 14
     assert set(rows.loc[rows["kind"] == "fitted", "name"]) == set(study.FITTED)
     assert set(rows.loc[rows["kind"] == "predicted", "name"]) == {"C1-C3", "C2-C3", "C3-TLS"}
     assert (rows["low_m"] <= rows["simulated_m"]).all()
-    entries = study.ledger_table(replicated)
-    wanted = ledger.cells().query("source == 'poreba2013' and role == 'result'")
-    found = set(entries[["table", "cell"]].itertuples(index=False, name=None))
-    missing = set(wanted[["table", "cell"]].itertuples(index=False, name=None)) - found
-    second = {("table_1", f"Course1-Course3 second {name}") for name in ("p", "q", "pairs")}
-    assert missing == second
-    assert len(entries) == len(found)
 
 
 def test_bench_takes_a_method_of_ones_own():

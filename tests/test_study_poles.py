@@ -115,23 +115,16 @@ def example_rates():
     return pd.DataFrame(rows, columns=columns)
 
 
-def test_every_printed_rate_stands_beside_ours_and_in_the_ledger():
+def test_every_printed_rate_stands_beside_ours():
     beside = study.beside_published(example_rates(), example_rates())
     same = beside[beside["method"] == "fgi"]
     # printed with one decimal of a percent
     assert np.allclose(same["published"], same["measured"], atol=0.0005)
     assert beside.loc[beside["method"] == "itc", "published_low"].isna().all()
-    errors, half = stats.errors(np.arange(-3.0, 4)), stats.wilson(10, 20)
-    choices = {"visible": half, "walls": half, "crowded": half, "diameters": errors}
-    entries = study.ledger_table(beside, **choices)
     cells = ledger.cells().query("source == 'eurosdr2013_mls' and role == 'result'")
-    asked = cells[cells["table"].isin(["table_4_1", "table_4_2", "poles_text"])]
-    left = set(asked["cell"]) - set(entries["cell"])
-    # numbers of real targets, and a judgement over other papers
-    assert all(name.endswith(" n") or name.startswith(("targets", "state")) for name in left)
-    kinds = entries.set_index("cell")["kind"]
-    assert kinds["FGI detection_rate 30 m"] == kinds["visible_share"] == "fitted"
-    assert kinds["ITC detection_rate 15 m"] == "measured"
+    asked = cells[cells["table"].isin(["table_4_1", "table_4_2"])]
+    left = set(asked["cell"]) - set(beside["cell"])
+    assert all(name.endswith(" n") or name.startswith(("targets", "state")) for name in left), left
 
 
 def test_each_check_fails_when_its_statement_is_false():

@@ -67,7 +67,7 @@ def test_published_rows_are_those_of_the_tables():
     assert rows["direction"]["Optech Lynx CW rmse"] == "back"
 
 
-def test_ledger_covers_the_tables_and_says_which_rows_are_fitted(street, known):
+def test_every_printed_figure_stands_beside_its_prediction(street, known):
     drawn = study.predicted(street, EXACT, **known, draws=5)
     table = study.prediction_table(dict.fromkeys(study.STANDS_FOR.values(), drawn))
     every = study.against_published(table)
@@ -75,17 +75,16 @@ def test_ledger_covers_the_tables_and_says_which_rows_are_fitted(street, known):
     assert len(columns) == 26
     off = columns["predicted_mm"] / columns["published_mm"] - 1
     assert (columns["close"] == (off.abs() <= 0.25)).all()
-    entries = study.ledger_table(every)
     wanted = ledger.cells().query("source == 'eurosdr2013_mls' and role == 'result'")
     wanted = wanted[wanted["table"].isin(["table_3_3", "table_3_4"])]
-    found = set(entries[["table", "cell"]].itertuples(index=False, name=None))
+    found = set(every[["table", "cell"]].itertuples(index=False, name=None))
     assert found <= set(wanted[["table", "cell"]].itertuples(index=False, name=None))
     assert len(found) == 14 + 12 * 3
-    fitted = entries["kind"] == "fitted"
-    assert entries.loc[fitted, "cell"].tolist() == ["ROAMER I CCW std", "ROAMER I CW std"]
-    row = entries[entries["cell"] == "ROAMER II CCW rmse"].iloc[0]
+    fitted = every["kind"] == "fitted"
+    assert every.loc[fitted, "cell"].tolist() == ["ROAMER I CCW std", "ROAMER I CW std"]
+    row = every[every["cell"] == "ROAMER II CCW rmse"].iloc[0]
     middle = drawn[drawn["direction"] == "there"]["plan_rmse_mm"].median()
-    assert row["value"] == pytest.approx(middle / 10)
+    assert row["predicted_mm"] == pytest.approx(middle)
 
 
 def test_bench_scores_a_true_mounting_and_none():

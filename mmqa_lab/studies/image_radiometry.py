@@ -4,14 +4,13 @@ The images of the report (EuroSDR 2013, image radiometry) are airborne and not p
 """
 
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab import radiometry
 from mmqa_lab.bench import Comparison, grid
-from mmqa_lab.published import ledger, table
+from mmqa_lab.published import table
 from mmqa_lab.simulate.targets import ATMOSPHERES, Atmosphere, expose
 
 SOURCE = "eurosdr2013_radiometry"
@@ -199,66 +198,3 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
     cases = grid(air=airs, band=tuple(BANDS), reference_std=reference_stds)
     shown = {"figures": ("uniform_percent",)}
     return Comparison(cases, dict(methods or METHODS), field, class_errors, seeds, **shown)
-
-
-EXACT = "Targets are simulated; clean air is known to the method exactly: a lower bound."
-COMPARABLE = {
-    "empirical_line_rmse": ("empirical line", "uniform", "Targets known to 3 %, as assumed."),
-    "xpro_uniform": ("dark pixel", "uniform", "Stands for XPro: no ground targets, clean air."),
-    "atcor_bright_vicarious": ("equation 4", "bright_tarps", EXACT),
-    "atcor_bright_1km": ("equation 4", "bright_tarps", EXACT),
-    "atcor_dark_1km": ("equation 4", "black_tarp", EXACT),
-    "black_tarp_vicarious": ("equation 4", "black_tarp", EXACT),
-}
-"""Cells of the report: our method, our class of targets, and how comparable they are."""
-
-
-def ledger_table(sensors, stable, reflectance, laboratory):
-    """Return what this study says of the printed numbers of calibration and reflectance.
-
-    Parameters
-    ----------
-    sensors : DataFrame
-        Of the simulated calibrations: ``r_squared``, ``offset_dn``, ``offset_std_dn``.
-    stable : Series
-        Mean difference between settings, percent, of each seed.
-    reflectance : DataFrame
-        Cells of the bench in clean air, with the errors by class in percent.
-    laboratory : DataFrame
-        Errors in percent that 10 and 20 % of radiance make: ``low`` and ``high`` by class.
-
-    Returns
-    -------
-    DataFrame
-        As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
-    """
-    rows = []
-
-    def add(name, cell, value, ends, note, kind="measured"):
-        table = f"{name}_results"
-        rows.append((SOURCE, table, cell, value, min(*ends, value), max(*ends, value), kind, note))
-
-    middle = [0.025, 0.975]
-    ends = sensors["r_squared"].quantile(middle)
-    note = "A simulated linear sensor without error of the reference."
-    for site in ("sjokulla", "banyoles"):
-        add("calibration", f"dmc_r2_{site}", ends.iloc[0], ends, note)
-    offset, std = sensors[["offset_dn", "offset_std_dn"]].mean() - [OFFSET, 0]
-    note = "Offset less the simulated dark signal; the report subtracts dark pixels. In DN."
-    add("calibration", "dmc_intercept", offset, (offset - 2 * std, offset + 2 * std), note)
-    note = "One error of recorded exposures, fitted to the range for the same aperture in R, G, B."
-    for band, change in product(("rgb", "nir"), ("same_aperture", "other_aperture", "other_day")):
-        cell = f"stability_{band}_{change}"
-        add("calibration", cell, stable.mean(), stable.quantile(middle), note, "fitted")
-    for cell, (method, target_class, note) in COMPARABLE.items():
-        errors = reflectance[reflectance["method"] == method][f"{target_class}_percent"]
-        rmse = np.sqrt((errors**2).mean())
-        add("reflectance", cell, rmse, errors.quantile([0.025, 0.975]), note)
-    note = "What 10 to 20 % in radiance (section 4.4) become by equation 4 in assumed clean air."
-    for cell, target_class in (("bright", "bright tarps"), ("black_tarp", "black tarp")):
-        ends = laboratory.loc[target_class, ["low", "high"]]
-        add("reflectance", f"{cell}_laboratory", ends.mean(), ends, note)
-    note = "The corner by the camera's data sheet: 13,824 x 7,680 pixels of 12 um behind 120 mm."
-    corner = np.degrees(np.arctan2(np.hypot(13_824, 7_680) / 2 * 0.012, 120.0))
-    add("reflectance", "brf_view_angles", corner, (corner - 0.1, corner + 0.1), note, "predicted")
-    return ledger.entries(pd.DataFrame(rows, columns=ledger.COLUMNS))

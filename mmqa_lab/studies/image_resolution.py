@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 from mmqa_lab import io, samples
 from mmqa_lab.bench import Comparison, cell_table, grid
 from mmqa_lab.mtf import fit_edge
-from mmqa_lab.published import ledger
 from mmqa_lab.simulate.targets import PointSpread, render_edge
 
 SOURCE = "eurosdr2013_radiometry"
@@ -149,25 +148,3 @@ def bench(methods=None, mtf50s=(0.1, 0.15, 0.2, 0.3, 0.4), noises=(0.01, 0.03), 
     cases = grid(lens=LENSES, mtf50=mtf50s, noise=noises)
     shown = {"tables": tables, "figures": ("mtf50_error_percent",)}
     return Comparison(cases, dict(methods or METHODS), edge_patch, edge_errors, seeds, **shown)
-
-
-def ledger_table(corner):
-    """Return what this study says of the printed numbers of resolution.
-
-    Parameters
-    ----------
-    corner : Interval
-        Factor by which bars are resolved worse in the corner.
-
-    Returns
-    -------
-    DataFrame
-        As :meth:`mmqa_lab.run.Run.save_ledger` takes it.
-    """
-    rows = pd.DataFrame({"cell": ["corner_factor", "theoretical_resolution"]})
-    rows["value"] = [corner.value, 1000 / 12.0]
-    rows["low"] = [corner.low, 1000 / 12.5]
-    rows["high"] = [corner.high, 1000 / 11.5]
-    bars = "Bars 3 to 12 cm wide at 5 cm per pixel, as printed; a blur of 0.5 px is assumed."
-    rows["note"] = bars, "One line on each pixel of 12 um; the interval is that of 12, rounded."
-    return ledger.entries(rows, source=SOURCE, table="resolution_results", kind="predicted")

@@ -10,7 +10,7 @@ from scipy.stats import chi2, t
 
 from mmqa_lab import lines
 from mmqa_lab.bench import Comparison, grid
-from mmqa_lab.published import ledger, table
+from mmqa_lab.published import table
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
@@ -251,58 +251,11 @@ def replicas(results):
     scenes = [
         published.sel({"comparison": row.name})[f"{row.side}_olhd_m"] for row in rows.itertuples()
     ]
-    rows[["simulated_m", "low_m", "high_m"]] = [list(_of_scenes(one).values()) for one in scenes]
+    rows[["simulated_m", "low_m", "high_m"]] = [list(of_scenes(one).values()) for one in scenes]
     return rows
 
 
-def ledger_table(results):
-    """What the study says of each printed result of the source.
-
-    Parameters
-    ----------
-    results : Dataset
-        As for :func:`replicas`.
-
-    Returns
-    -------
-    DataFrame
-        As :mod:`mmqa_lab.published.ledger` documents.
-    """
-    published, rows = results.sel({"method": "published"}), []
-
-    def say(table, cell, values, kind):
-        how = "partly fitted to this cell" if kind == "fitted" else "fitted to other cells only"
-        note = f"Mean and 95 % range of single simulated canyons, whose conditions were {how}."
-        rows.append({"table": table, "cell": cell, "kind": kind, "note": note})
-        rows[-1] |= _of_scenes(values)
-
-    for row in replicas(results).itertuples():
-        scenes, cell = published.sel({"comparison": row.name}), f"{row.comparison} {row.side}"
-        for name in ("olhd_m", "false_negative", "false_positive"):
-            words = name.removesuffix("_m").replace("_", " ")
-            say(row.table, f"{cell} {words}", scenes[f"{row.side}_{name}"], row.kind)
-        counts = f"{row.false_negative} + {row.false_positive}"
-        cells = f"{row.p_test_segments} x {row.q_model_segments}"
-        rate = {"value": row.rate_from_counts_percent, "kind": "predicted"}
-        rate["note"] = f"From the printed counts: 100 (1 - ({counts}) / ({cells}))."
-        rows.append({"table": row.table, "cell": f"{cell} detection rate", **rate})
-        if "second" not in row.comparison:  # the scenes imitate the first extraction of edges
-            for name in ("p", "q", "pairs"):  # these were set to those of all rows
-                whose = "TLS" if row.table == "table_2" and name == "q" else row.comparison
-                say(row.table, f"{whose} {name}", scenes[name], "fitted")
-    lhd = np.fmax(published["left_olhd_m"], published["right_olhd_m"])
-    far = lhd.sel(comparison=["C1-TLS", "C3-TLS"]).mean("comparison")
-    for where in ("abstract", "text"):
-        say("numbers", f"precision_{where}", lhd.sel(comparison="C1-C3"), "fitted")
-        say("numbers", f"absolute_{where}", far, "fitted")
-    wrong = published["left_false_negative"] + published["left_false_positive"]
-    rates = 100 * (1 - wrong / (published["p"] * published["q"])).mean("comparison")
-    say("numbers", "pairing_confidence", rates, "predicted")
-    table = ledger.entries(rows, source="poreba2013")
-    return table.drop_duplicates(["table", "cell"], ignore_index=True)
-
-
-def _of_scenes(values):
+def of_scenes(values):
     """Mean of simulated scenes, and where one more lies with 95 % by Student's t, not below 0."""
     values = values.values[np.isfinite(values)]
     n, middle = len(values), values.mean()

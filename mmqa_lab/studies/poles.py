@@ -204,53 +204,6 @@ def beside_published(one_way, both_ways):
     return rows.merge(ours, on=keys)[shown]
 
 
-def ledger_table(beside, *, visible, diameters, walls, crowded):
-    """What the study says of each printed result of chapter 4.
-
-    Parameters
-    ----------
-    beside : DataFrame
-        Of :func:`beside_published`.
-    visible, walls, crowded : mmqa_lab.stats.Rate
-        Visible poles, facade points among those classed as wall, missed targets with points around.
-    diameters : mmqa_lab.stats.Errors
-        Of the scan-line method within 12.5 m, mm.
-
-    Returns
-    -------
-    DataFrame
-        As :mod:`mmqa_lab.published.ledger` documents.
-    """
-    chosen = "Simulated streets whose plan was chosen, on other seeds, to score near Table 4-1."
-    other = "Simulated streets chosen for the scan-line method; the thresholds are ours."
-    plain = "Simulated walls are planes without plants, furniture or goods before them."
-    perfect = "Simulated posts are perfect cylinders and their reference has no error."
-    rows = []
-
-    def say(table, cell, values, kind, note):
-        rows.append((table, cell, *values, kind, note))
-
-    for row in beside.to_dict("records"):
-        kind, note = ("fitted", chosen) if row["method"] == "fgi" else ("measured", other)
-        values = [100 * row[f"measured{end}"] for end in ("", "_low", "_high")]
-        say(row["table"], row["cell"], values, kind, note)
-    for cell, rate, kind, note in (
-        ("visible_share", visible, "fitted", chosen),
-        ("facade_points_correct", walls, "measured", plain),
-        ("missed_points_around", crowded, "measured", other),
-    ):
-        percent = [100 * value for value in (rate.value, rate.low, rate.high)]
-        say("poles_text", cell, percent, kind, note)
-    half = 1.96 * diameters.std / np.sqrt(max(diameters.n, 1))
-    for cell, value, wide in (
-        ("diameter_rmse", diameters.rmse / 10, half / 10 / np.sqrt(2)),
-        ("diameter_bias", diameters.bias, half),
-    ):
-        say("poles_text", cell, (value, value - wide, value + wide), "measured", perfect)
-    table = pd.DataFrame(rows, columns=ledger.COLUMNS[1:])
-    return ledger.entries(table, source="eurosdr2013_mls")
-
-
 def outcomes(result):
     """Return the tables of hits, misses and false alarms, duplicates among them, by name."""
     made, targets = result.detections, result.targets

@@ -9,7 +9,6 @@ from scipy.optimize import brentq
 from mmqa_lab import bench as benches
 from mmqa_lab import published
 from mmqa_lab.boresight import calibrate, corrected
-from mmqa_lab.published import ledger
 from mmqa_lab.scan_pattern import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
@@ -34,12 +33,6 @@ STANDS_FOR = {
 }
 """The simulated system of each data set. RIEGL I and II differ in the calibration, of which the
 report prints no amounts, so one system stands for both."""
-
-NOTES = {
-    "predicted": "From specifications and data sheets; a survey of 11 mm and 2 cm; an assumed "
-    "minute in which errors of navigation change.",
-    "fitted": "Roll of the mounting fitted to the std of heights of ROAMER I CCW alone.",
-}
 
 TOLERANCE = 0.25
 """How close to print a prediction should be."""
@@ -237,13 +230,6 @@ def against_published(*tables):
 def columns(compared):
     """Return the 26 columns of both tables: std of heights, RMSE in plan."""
     return compared[compared["figure"].isin(["height_std", "plan_rmse"])].reset_index(drop=True)
-
-
-def ledger_table(compared):
-    """Return what the study says of each printed result, from :func:`against_published`."""
-    rows = compared.dropna(subset="predicted_mm").copy()
-    rows[["value", "low", "high"]] = rows[["predicted_mm", "low_mm", "high_mm"]] / 10
-    return ledger.entries(rows, source=SOURCE, note=rows["kind"].map(NOTES))
 
 
 @dataclass(eq=False)
