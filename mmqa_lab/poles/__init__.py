@@ -7,7 +7,7 @@
     result.recall, result.precision
 
 ``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011),
-``learned`` has two dozen named measures and a hundred and fifty small trees.
+``learned`` has thirty named measures and two hundred small trees.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def detect(
         One row a pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
         ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where not
-        measurable. Of ``learned`` also the ends of a 95 % interval of the diameter.
+        measurable. Of ``learned`` also the ends of a 95 % interval of the diameter, for round
+        shafts; the circle through a square one is wider than its side.
 
     Raises
     ------
