@@ -204,7 +204,8 @@ class CloudQuality(Shown):
         ]
         names = ["figure", "value", "low", "high", "unit"]
         parts = [self.spacing.to_frame(), self.directional.to_frame().iloc[2:]]
-        return pd.concat([pd.DataFrame(rows, columns=names), *(part[names] for part in parts)])
+        parts = [pd.DataFrame(rows, columns=names), *(part[names] for part in parts)]
+        return pd.concat(parts, ignore_index=True)
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row with every figure in the field's units."""
