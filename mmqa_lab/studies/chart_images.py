@@ -248,7 +248,7 @@ def _blur_px(chart_map, travel, pairs):
     """By how many pixels motion blurs a pattern across its bars."""
     moved = chart_map.matrix.copy()
     moved[:, 2] -= travel
-    middle = pairs.corners().mean(axis=0)[None]
-    step = replace(chart_map, matrix=moved).pixels(middle) - chart_map.pixels(middle)
-    across = chart_map.scale(middle)[0, "hv".index(pairs.direction)]
-    return float(abs(step[0] @ across) / np.linalg.norm(across))
+    middle, bar = pairs.corners().mean(axis=0), np.eye(2)["hv".index(pairs.direction)] / 2
+    place, low, high = chart_map.pixels(np.stack([middle, middle - bar, middle + bar]))
+    step = replace(chart_map, matrix=moved).pixels(middle[None])[0] - place
+    return float(abs(step @ (high - low)) / np.linalg.norm(high - low))
