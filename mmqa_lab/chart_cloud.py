@@ -35,19 +35,19 @@ ALIKE = 1.1
 """Ratio of the two largest variances of points below which principal axes turn by chance."""
 
 FAR, DENSEST = 3.0, 1e7
-"""Farther away than so many times the 90 % quantile, a point is said; points/m2 that none has."""
+"""A remark is made on points this many 90 % quantiles away, and on so many points per m2."""
 
 PAIRS = 5.0
-"""Where d2 is more than so many times d1, points come in pairs: 1.7 at random, 2 on lines."""
+"""Points come in pairs where d2 / d1 is larger: it is 1.7 at random, and 2 on lines."""
 
 COARSE_MM = 1e-3
 """Steps of coordinates below this are never too coarse."""
 
 FULL = 1.5
-"""So many times the hull of its points, a polygon is said to be partly empty."""
+"""A polygon that is this many times as large as the hull of its points gets a remark."""
 
 GRID = (np.arange(100) + 0.5) / 100
-"""Places along each side of an outline's box, whose numbers stand for areas."""
+"""Places along each side of an outline's box: their number in a strip stands for its area."""
 
 OFF_PLANE = 0.05
 """A vertex may lie this share of the vertices' spread off the plane of a polygon."""
@@ -75,8 +75,8 @@ class CloudQuality(Shown):
     rho0_per_m2 : float
         Density that is asked for; NaN where none is.
     remarks : tuple of str
-        What a reader of the figures must know: coordinates too coarse for a figure, coincident
-        points, axes by chance, a polygon off its plane, and the like.
+        Sentences that a reader of the figures must know: on coordinates too coarse for a figure,
+        coincident points, axes by chance, a polygon off its plane, and the like.
     plane : Plane
     spacing : Spacing
         Of the points in the plane along those axes, from its centre.
@@ -483,7 +483,7 @@ def _directions(plane, axes):
 
 
 def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
-    """Sentences on what the points cannot tell, or tell wrongly."""
+    """Sentences on figures that these points cannot give, or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR * np.quantile(away, 0.9)
@@ -517,7 +517,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
 
 
 def _remark_on_layers(residuals_mm, step_mm):
-    """A sentence where the distances from the plane have two peaks, so that noise is not all."""
+    """A sentence where the distances from the plane have two peaks: they are not noise alone."""
     low, high = np.quantile(residuals_mm, [0.005, 0.995])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
     if len(residuals_mm) < 100 or not high - low > 4 * width:
@@ -567,7 +567,7 @@ def _selected(points, polygon, thickness):
 
 
 def _found(points, vertices, inside):
-    """The points inside a polygon; where they are fewer than three, say where the cloud is."""
+    """The points inside a polygon; the error for fewer than three tells where the cloud is."""
     if inside.sum() >= 3:
         return points[inside]
     away = np.linalg.norm(points - vertices.mean(axis=0), axis=1).min()

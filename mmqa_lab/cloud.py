@@ -15,7 +15,7 @@ MISSING = {
     "scan_angle": "No scan angles.",
     "intensity": "No intensities.",
 }
-"""What is said of a column that is missing or the same for all points."""
+"""Remarks on columns that are missing or the same for all points."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +121,7 @@ class Cloud:
 
 
 def describe(cloud: Cloud) -> dict:
-    """Return what a cloud contains, and in ``remarks`` what it cannot tell.
+    """Return what a cloud contains, and in ``remarks`` what is missing.
 
     Examples
     --------
@@ -133,8 +133,8 @@ def describe(cloud: Cloud) -> dict:
     counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
     time = np.sort(cloud["gps_time"]) if counts.get("gps_time", 1) > 1 else np.full(2, np.nan)
     _, together = np.unique(cloud.points, axis=0, return_counts=True)
-    said = [text for name, text in MISSING.items() if counts.get(name, 1) == 1]
-    said += ["No coordinate system: taken for metres."] * (cloud.crs is None)
+    remarks = [text for name, text in MISSING.items() if counts.get(name, 1) == 1]
+    remarks += ["No coordinate system: taken for metres."] * (cloud.crs is None)
     return {
         "points": len(cloud),
         **{f"{a}_{end}_m": v for a, end, v in zip("xxyyzz", ["low", "high"] * 3, box, strict=True)},
@@ -145,7 +145,7 @@ def describe(cloud: Cloud) -> dict:
         "time_span_s": time[-1] - time[0],
         "time_longest_pause_s": np.diff(time).max(),
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
-        "remarks": " ".join(said),
+        "remarks": " ".join(remarks),
     }
 
 

@@ -1,7 +1,7 @@
 """Every file in and out: clouds, polygons, trajectories, lines, heights and images.
 
-Files are written whole or not at all; a damaged one gives one sentence. Functions of other rooms
-take arrays; what a file says of columns, units and coordinate systems is looked at here.
+Files are written whole or not at all. A damaged file gives one sentence. Functions of other rooms
+take arrays; columns, units and coordinate systems of files are checked here.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: flo
 
 @contextlib.contextmanager
 def _damage_named(path, wanted):
-    """Turn whatever a reader raises on a damaged file into one sentence."""
+    """Turn any error of a reader on a damaged file into one sentence."""
     try:
         yield
     except (GeneratorExit, KeyboardInterrupt, SystemExit, MemoryError):
@@ -357,7 +357,7 @@ def _with_names(table, names, what):
 
 
 def _separator(line):
-    """What stands between the words of a line; a comma within a number is its decimal sign."""
+    """The separator of the words of a line; a comma within a number is its decimal sign."""
     for mark in (";", "\t"):
         if mark in line:
             return mark
@@ -653,7 +653,7 @@ def _check_complete(path):
 
 @contextlib.contextmanager
 def _raster(path, name):
-    """An image file as rasterio opens it; what it raises on a damaged one is one sentence."""
+    """An image file opened by rasterio; its errors on a damaged file become one sentence."""
     import rasterio
 
     with warnings.catch_warnings():

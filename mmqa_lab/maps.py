@@ -1,9 +1,9 @@
 """Quality figures in the square cells of a plan: of a cloud in memory, or of a campaign in tiles.
 
-What a chart gets as a whole, each cell gets: density, spacings d1..d4, f and sigma_MAD about the
-plane of its points. :func:`map_cloud` maps a cloud; :func:`map_campaign` maps files tile by tile on
-Dask, and :func:`open_map` opens what it made. Figures are those of the whole cloud, whatever the
-tiles. ``dataset["f"].plot()`` draws one of them.
+Each cell gets the figures that a chart gets as a whole: density, spacings d1..d4, f, and sigma_MAD
+about the plane of its points. :func:`map_cloud` maps a cloud. :func:`map_campaign` maps files tile
+by tile on Dask, and :func:`open_map` opens its map. The figures do not depend on the tiles.
+``dataset["f"].plot()`` draws one of them.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def map_campaign(
     tile: int = 128,
     client: Any = None,
 ) -> Path:
-    """Map any number of cloud files tile by tile, on Dask; what is on disk is done.
+    """Map any number of cloud files tile by tile, on Dask; tiles on disk are not made again.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def _files(paths):
 
 
 def _record(folder):
-    """What a run folder says of itself; nothing where there is none."""
+    """The record of a run folder; empty where there is none."""
     file = folder / "run.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
@@ -366,5 +366,5 @@ def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
 
 
 def check_ending(path):
-    """The ending of a map, or the sentence that says which there are."""
+    """Return the ending of a map, or raise with the endings that are possible."""
     return check_choice(Path(path).suffix, "ending of the map", (".nc", ".tif"))

@@ -35,7 +35,6 @@ __dir__ = __all__.copy
 STRIP = 0.4579
 """Half of the mean area between two jittered outlines, per perimeter and click error."""
 
-
 LIMIT = 2.8
 """1.96 sqrt(2): two results differ by less than 2.8 standard deviations in 95 % (ISO 5725-6)."""
 
@@ -51,7 +50,7 @@ def operator_polygons(
     Parameters
     ----------
     corners : array_like, shape (4, 3)
-        The outline meant, in order, metres, such as
+        The intended outline, in order, metres, such as
         :func:`mmqa_lab.chart_cloud.chart_polygon` gives.
     repeats : int
         Number of polygons.
@@ -310,7 +309,7 @@ def _chi_squared_ends(off, freedom):
     """Ends of the 95 % interval of a variance over its estimate (Bonett 2006)."""
     variance = (off**2).mean()
     excess = (off**4).mean() / variance**2 - 3 if variance > 0 else 0.0
-    # a small sample understates its kurtosis; less than that of normal values is not believed
+    # a small sample understates its kurtosis, so at least that of normal values is taken
     freedom = 2 / (2 / freedom + max(excess, 0) / len(off))
     return freedom / chi2.ppf([0.975, 0.025], freedom)
 

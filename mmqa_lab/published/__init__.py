@@ -11,10 +11,10 @@ The package's studies set their own figures beside these. The data stand in CSV 
   none).
 - ``relation`` is ``=``, ``<``, ``<=``, ``>``, ``>=``, ``about``, ``within`` (plus or minus),
   ``up to``, or ``range`` (columns ``low`` and ``high``).
-- ``role`` parts a ``result`` from the ``set-up`` of the experiment, a ``threshold``, and numbers
-  that the source quotes from the ``literature``.
+- ``role`` separates a ``result`` from the ``set-up`` of the experiment, a ``threshold``, and
+  numbers that the source quotes from the ``literature``.
 - Units stand in the names of columns, or in the column ``unit``.
-- What is calculated from printed numbers stands in the tables ``derived`` only.
+- Numbers calculated from printed ones stand only in the tables ``derived``.
 
 :mod:`mmqa_lab.published.ledger` compares every printed result with what the studies find.
 
@@ -146,7 +146,7 @@ def number(source: str, key: str) -> dict:
 
 
 def _columns():
-    """What the columns mean that are not plain text, by their names."""
+    """Types, units and labels of the columns that are not plain text, by their names."""
     return _strings("columns").set_index("column")
 
 

@@ -10,7 +10,7 @@ cells and gives each one a verdict:
 - **differs**: neither; the note gives the argument;
 - **not comparable**: there is no value of ours; the note gives the reason, by default that of
   ``data/reasons.csv``;
-- **not run**: there is none, because a study that answers this table did not come so far.
+- **not run**: there is no value, because the study that answers this table did not finish.
 
 The rounding interval reaches half a unit of the last printed digit to both sides; with "about" a
 whole unit of the last digit that is not zero. Legibility marks count as a = 1, b = 2, c = 3.
@@ -73,8 +73,8 @@ def entries(rows: pd.DataFrame | list[dict], **same: str) -> pd.DataFrame:
         in the cell's unit; NaN where it could not be measured, then the note says why. ``kind``:
         predicted from printed inputs alone; measured on simulated or real data; or fitted, from a
         model of which a parameter was fitted to the source's numbers. ``low`` and ``high``: our
-        95 % interval, if there is one. ``note``: one sentence how we come to the value, with the
-        argument if it contradicts. Other columns are left out.
+        95 % interval, if there is one. ``note``: one sentence on how the value was found, with the
+        argument if it differs. Other columns are left out.
     **same
         Columns that are the same in all rows.
 

@@ -271,7 +271,7 @@ def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
     Returns
     -------
     array of bool
-        A single one for numbers; False where d1 or d4 is not measurable.
+        A single value for numbers; False where d1 or d4 is not measurable.
 
     Raises
     ------
@@ -590,10 +590,11 @@ def _nearest_by_scipy(xy, radius):
 
 
 def _nearest(xy, radius, reach, ranks, fold):
-    """Let ``fold`` make ``ranks`` distances of each point's neighbours, until it has found them.
+    """Return what ``fold`` makes of each point's neighbours, shape (n, ranks).
 
-    It is given the distances of the nearest points (rows, k), infinite beyond the radius and for
-    the point itself, and the offsets (rows, k, 2); k grows where one of its distances is infinite.
+    ``fold`` takes the distances of the k nearest points (rows, k), infinite beyond the radius and
+    for the point itself, and their offsets (rows, k, 2). Where one of its results is infinite, it
+    is called again with more neighbours.
     """
     from scipy.spatial import cKDTree
 
