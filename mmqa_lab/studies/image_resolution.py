@@ -105,7 +105,7 @@ METHODS = {
 
 
 def errors_by_lens(cells, name="mtf50"):
-    """Median error, and the error that 95 % of edges do not exceed, by method and lens.
+    """Return the median error, and the error that 95 % of edges do not exceed.
 
     Parameters
     ----------

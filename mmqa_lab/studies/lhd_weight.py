@@ -23,7 +23,7 @@ FITTED = ("C1-C2", "C1-C3", "C1-TLS", "C2-TLS")
 
 @dataclass(frozen=True, eq=False)
 class Sets:
-    """What a method is given: ``test`` (p, 2, 3) and ``model`` (q, 2, 3), segments in metres."""
+    """The data of a method: ``test`` (p, 2, 3) and ``model`` (q, 2, 3), segments in metres."""
 
     test: np.ndarray
     model: np.ndarray
@@ -56,7 +56,7 @@ _canyon = lru_cache(maxsize=256)(canyon)
 
 
 def scene(comparison="C1-TLS", *, seed, **conditions):
-    """Two surveys of a simulated canyon, and what is true of them.
+    """Return two surveys of a simulated canyon, and their truth.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ def scene(comparison="C1-TLS", *, seed, **conditions):
 
 
 def measured(sets, **choices):
-    """The LHD of the sets; that few pairs remain is part of the statistics, not a warning."""
+    """Return the LHD of the sets; few pairs are no warning here, since the figures count them."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         return lines.lhd(sets.test, sets.model, **choices)
 
 
 def score(result, truth):
-    """Figures of one comparison.
+    """Return the figures of one comparison.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def score(result, truth):
 
 
 def score_directions(result, truth):
-    """The figures of Tables 1 and 2 for both directions: left is test to model."""
+    """Return the figures of Tables 1 and 2 for both directions: left is test to model."""
     figures = {"p": len(truth.sets.test), "q": len(truth.sets.model)}
     figures["pairs"] = int(truth.pairs.sum())
     for side, part in (("left", result.test_model), ("right", result.model_test)):
@@ -130,7 +130,7 @@ def score_directions(result, truth):
 
 
 def score_vector(result, truth):
-    """What :func:`score` has, the error of the displacement, and whether its ellipsoid covers."""
+    """Return :func:`score`, the displacement's error, and whether its ellipsoid covers it."""
     found, figures = result.displacement, score(result, truth)
     error = found.vector - truth.displacements.mean(axis=0)
     if np.isfinite(error).all():
@@ -141,7 +141,7 @@ def score_vector(result, truth):
 
 
 def otsu_threshold(nearest):
-    """Where logarithms of distances split with the largest variance between both classes.
+    """Return where logarithms of distances split with the largest variance between both classes.
 
     Otsu 1979, doi:10.1109/TSMC.1979.4310076, on the sample instead of a histogram.
 
@@ -209,7 +209,7 @@ def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURS
 
 
 def published_rows():
-    """Both printed tables, and F1 and the rates that follow from the printed counts.
+    """Return both printed tables, with the rates and F1 that follow from the printed counts.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def published_rows():
 
 
 def replicas(results):
-    """The simulated means beside the printed distances.
+    """Return the simulated means beside the printed distances.
 
     Parameters
     ----------
@@ -256,7 +256,18 @@ def replicas(results):
 
 
 def of_scenes(values):
-    """Mean of simulated scenes, and where one more lies with 95 % by Student's t, not below 0."""
+    """Return the mean of simulated scenes and the 95 % range of one more.
+
+    Parameters
+    ----------
+    values : DataArray
+        A figure of each scene; NaN where it could not be measured.
+
+    Returns
+    -------
+    dict of str to float
+        ``value``, ``low`` and ``high``, by Student's t; no end is below 0.
+    """
     values = values.values[np.isfinite(values)]
     n, middle = len(values), values.mean()
     half = t.ppf(0.975, max(n - 1, 1)) * values.std(ddof=min(1, n - 1)) * np.sqrt(1 + 1 / n)

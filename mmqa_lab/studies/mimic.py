@@ -31,7 +31,7 @@ FIGURES = ("horizontal_mm", "vertical_mm", "point_mm", "angle_deg")
 
 @dataclass(frozen=True)
 class Scan:
-    """What a method of the bench gets: the set-up, the wall, and the simulated points on it."""
+    """The data of a method: the set-up, the wall, and the simulated points on it."""
 
     setup: ScanSetup
     target: Target
@@ -77,7 +77,7 @@ def surfaces(n, *, seed=1):
 
 
 def parts(case):
-    """Set-up and target of a case."""
+    """Return the set-up and the target of a case."""
     kinds = ScanSetup, Target
     return tuple(kind(**{part.name: case[part.name] for part in fields(kind)}) for kind in kinds)
 
@@ -203,8 +203,8 @@ def measured(scan):
 def clicked(scan, *, clicks=5):
     """Five distances at the points nearest the spot, their mean and scatter, as in the paper.
 
-    To the next point of the profile, and along the level line and the slope to the next profile,
-    between two of its points.
+    They reach to the next point of the profile, and along the level line and the slope to the next
+    profile, between two of its points.
     """
     found, line = scan_lattice(scan.setup, scan.target), scan.cloud["scan_line"]
     uv = (scan.cloud.points - scan.spot) @ found.axes.T
@@ -254,7 +254,7 @@ EQUATIONS = tuple(METHODS)[:3]
 
 
 def score(result, truth):
-    """What a method returns, and the size of its errors, such as ``point_error_mm``."""
+    """Return a method's figures, and the size of their errors, such as ``point_error_mm``."""
     errors = {name: abs(result[name] - truth[name]) for name in FIGURES if name in result}
     return result | {name.replace("_", "_error_", 1): value for name, value in errors.items()}
 
@@ -289,7 +289,7 @@ CLICKS = "Five distances clicked on simulated surfaces; mounting and range noise
 
 
 def ledger_table(*, table_3, standing, readings, field, table_6):
-    """What the study says of each printed result of the source.
+    """Return the study's value for each printed result of the source.
 
     Parameters
     ----------

@@ -214,15 +214,17 @@ def outcomes(result):
 
 
 def causes(result, cloud, truth):
-    """Return what stands where a method gives a false alarm: what most points within 0.4 m of its
-    middle are labelled; a second hit on a pole is a ``duplicate``."""
+    """Return the cause of each false alarm: the label of most points within 0.4 m of its middle.
+
+    A second hit on a pole is a ``duplicate``.
+    """
     tree, labels = cKDTree(cloud.points), truth["street"].labels[cloud["surface"]]
     found = []
-    for one in outcomes(result)["false alarm"].itertuples():
-        middle = one.x_m, one.y_m, one.z_base_m + one.height_m / 2
+    for alarm in outcomes(result)["false alarm"].itertuples():
+        middle = alarm.x_m, alarm.y_m, alarm.z_base_m + alarm.height_m / 2
         near = pd.Series(labels[tree.query_ball_point(middle, 0.4)])
         cause = near.mode().iloc[0] if len(near) else "nothing"
-        found.append("duplicate" if one.outcome == "duplicate" else cause)
+        found.append("duplicate" if alarm.outcome == "duplicate" else cause)
     return found
 
 
@@ -234,11 +236,11 @@ def crowded(result, cloud):
     """
     tree, surface = cKDTree(cloud.points[:, :2]), np.asarray(cloud["surface"])
     missed, hidden = outcomes(result)["miss"], 0
-    for one in missed.itertuples():
-        near = np.array(tree.query_ball_point([one.x_m, one.y_m], one.diameter_base_m / 2 + 0.3))
-        rise = cloud.points[near, 2] - one.z_base_m
-        near = near[(rise > 0.2) & (rise < one.clear_height_m)]
-        hidden += len(near) > 0 and (surface[near] != one.surface).mean() > 0.15
+    for pole in missed.itertuples():
+        near = np.array(tree.query_ball_point([pole.x_m, pole.y_m], pole.diameter_base_m / 2 + 0.3))
+        rise = cloud.points[near, 2] - pole.z_base_m
+        near = near[(rise > 0.2) & (rise < pole.clear_height_m)]
+        hidden += len(near) > 0 and (surface[near] != pole.surface).mean() > 0.15
     return stats.wilson(int(hidden), len(missed))
 
 

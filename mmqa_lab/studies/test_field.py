@@ -55,7 +55,7 @@ TARGETS_M = 45.0
 
 
 def places(street, tested):
-    """Return what a system measures of a section, as the report's reference has it.
+    """Return the places of a section that a system measures, as dense as the report's reference.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def columns(compared):
 
 @dataclass(eq=False)
 class TwoDrives:
-    """What a calibration gets: two drives of a system whose mounting is wrong.
+    """The data of a calibration: two drives of a system whose mounting is wrong.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
 
 
 def score(values, survey):
-    """Return what a mounting leaves: its own errors, and those of heights and poles.
+    """Return the errors of a mounting, and those of the heights and poles that it gives.
 
     Parameters
     ----------
