@@ -251,6 +251,22 @@ def score(found, faces, points, noise):
     }
 
 
+def held_across(found, faces):
+    """Whether the 95 % ellipse across each end of found edges on a true one has the true line."""
+    edges, _ = true_edges(faces)
+    ways = edges[:, 1] - edges[:, 0]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    held = []
+    for ends, covariance in zip(found.segments, found.covariance, strict=True):
+        number, _ = next(_along(edges, ways, ends[None]), (None, None))
+        if number is None:
+            continue
+        frame = np.linalg.svd(ways[number][None])[2][1:]
+        for off, spread in zip((ends - edges[number, 0]) @ frame.T, covariance, strict=True):
+            held.append(off @ np.linalg.solve(frame @ spread @ frame.T, off) < 5.99)
+    return np.array(held)
+
+
 def _along(edges, ways, found):
     """Which edge and from where to where, for each found segment on an edge."""
     for ends in found:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from facades import covered, score, street_of_facades, true_edges, visible
+from facades import covered, held_across, score, street_of_facades, true_edges, visible
 
 from mmqa_lab import lines
 
@@ -28,17 +28,18 @@ def clutter():
     """A fifth of a street with windows, 300 points per square metre of what is seen, its edges."""
     street = street_of_facades(7, length=6.0)
     points = covered(street, 300, 0.01, np.random.default_rng(7))
-    return street, points, lines.extract_edges(points).segments
+    return street, points, lines.extract_edges(points)
 
 
 def test_edges_of_cluttered_facades_are_found_and_true(clutter):
     """The smallest faces with edges of 1 m are bonnets and dormers; no setting is given."""
     street, points, found = clutter
-    figures = score(found, street.faces, points, 0.01)
+    figures = score(found.segments, street.faces, points, 0.01)
     assert figures["visible"] > 25
     assert figures["recall"] >= 0.85
     assert figures["true_length"] >= 0.95
     assert figures["ends_median_m"] < 0.1
+    assert held_across(found, street.faces).mean() >= 0.85
 
 
 def test_small_faces_of_a_thin_cloud_have_edges():
@@ -59,6 +60,6 @@ def test_small_faces_of_a_thin_cloud_have_edges():
 
 def test_what_ends_before_a_line_has_no_edge_there(clutter):
     """Cars stand 0.3 m above the road: their sides meet it nowhere."""
-    _, _, ends = clutter
+    ends = clutter[2].segments
     level = np.abs(ends[:, :, 2]).max(axis=1) < 0.05
     assert not (level & (np.abs(ends[:, :, 0]).max(axis=1) < 3.3)).any()

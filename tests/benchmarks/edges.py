@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pandas as pd
-from facades import covered, score, street_of_facades
+from facades import covered, held_across, score, street_of_facades
 from results import write_section
 from scipy.stats import chi2
 from towns import town
@@ -24,7 +24,7 @@ MOVES = (0.5, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 1.5, 0.0), (2.0, 1.5, 0.3)
 
 
 def edges(density, windows, seed, length):
-    """Recall and true length of the edges of one street."""
+    """Recall and true length of the edges of one street; whether their ellipses hold the truth."""
     street = street_of_facades(seed, length, windows)
     points = covered(street, density, 0.01, np.random.default_rng(seed))
     began = time.process_time()
@@ -32,7 +32,8 @@ def edges(density, windows, seed, length):
     used = time.process_time() - began
     figures = score(found.segments, street.faces, points, 0.01)
     named = {name: figures[name] for name in ("recall", "true_length", "ends_median_m")}
-    return {"scene": f"edges, {density} points/m2", **named, "s": used}
+    held = held_across(found, street.faces).mean()
+    return {"scene": f"edges, {density} points/m2", **named, "s": used, "covered": held}
 
 
 def displaced(scene, test, model, truth, moves):
