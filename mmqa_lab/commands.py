@@ -1016,9 +1016,8 @@ def _run_studies(run_study, studies, folder, quick, workers):
 @app.command
 def student(
     out: Path,
-    names: Annotated[list[str] | None, Parameter()] = None,
     /,
-    *,
+    *names: str,
     quick: bool = False,
     sheets: Path | None = None,
     checks: Path | None = None,
@@ -1042,7 +1041,7 @@ def student(
     from mmqa_lab.run import students
     from mmqa_lab.studies import chosen
 
-    wanted = chosen(names or [])
+    wanted = chosen(names)
     paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
     if checks is not None:
         paths += students.write_student_notebooks(wanted, checks, quick=quick)

@@ -106,7 +106,6 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
 EXERCISES = (
     nbformat.v4.new_markdown_cell("# Squares\n\nn: the notebook sets it."),
     nbformat.v4.new_code_cell("side = 2", metadata={"tags": ["parameters"]}),
-    nbformat.v4.new_code_cell("raise RuntimeError('nothing needs this')"),
     nbformat.v4.new_markdown_cell("## Exercise 1\n\nHow long is n sides?"),
     nbformat.v4.new_code_cell("number = 1  # yours", metadata={"tags": ["number"]}),
     nbformat.v4.new_code_cell(

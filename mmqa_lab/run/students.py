@@ -22,7 +22,6 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pandas as pd
-from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
@@ -265,7 +264,7 @@ def write_solutions(studies, folder, *, quick=False):
 def answer_table(study, *, quick=False):
     """Return the answers that are numbers, for each number of the class.
 
-    Only the cells that the answers need are run.
+    The notebook is run without the solutions, then each solution with each number.
 
     Parameters
     ----------
@@ -294,9 +293,7 @@ def answer_table(study, *, quick=False):
             tasks[_number(source)] = ast.unparse(work), blanks
     call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
     tail = nbformat.v4.new_code_cell(call)
-    plain = [cell for cell in notebook.cells if "solution" not in _tags(cell)]
-    wanted = {name for code, _ in tasks.values() for name in _names(ast.parse(code), ast.Load)}
-    notebook.cells = [*needed_cells(plain, wanted), tail]
+    notebook.cells = [cell for cell in notebook.cells if "solution" not in _tags(cell)] + [tail]
     with tempfile.TemporaryDirectory() as folder:
         failure = execute(notebook, study.path.parent, results=folder)
     if failure:
@@ -341,30 +338,6 @@ def _short(answer):
     if values.ndim > 1 or len(values) > FEW or values.dtype.kind not in "fiub":
         return None
     return ", ".join(f"{value:.4g}" for value in values.astype(float))
-
-
-def needed_cells(cells, names):
-    """Return the code cells that some names come from, with the cells that these need.
-
-    Examples
-    --------
-    >>> cells = [nbformat.v4.new_code_cell(code) for code in ("a = 1", "b = 2", "c = a")]
-    >>> [cell.source for cell in needed_cells(cells, {"c"})]
-    ['a = 1', 'c = a']
-    """
-    kept, needed = [], set(names)
-    for cell in reversed(cells):
-        if cell.cell_type != "code":
-            continue
-        nodes = list(ast.walk(ast.parse(TransformerManager().transform_cell(cell.source))))
-        stored = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Store)]
-        made = {getattr(getattr(node, "value", node), "id", "") for node in stored}
-        made |= {node.asname or node.name for node in nodes if isinstance(node, ast.alias)}
-        made |= {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
-        if made & needed:
-            needed |= {node.id for node in nodes if isinstance(node, ast.Name)}
-            kept.insert(0, cell)
-    return kept
 
 
 def _tags(cell):
