@@ -191,7 +191,7 @@ class CloudQuality(Shown):
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
-        block, residuals_mm = line_strips(self.xy, self.directional), 1000 * self.plane.residuals
+        block, residuals_mm = self.spacing.strips, 1000 * self.plane.residuals
         off = np.abs(residuals_mm - np.median(residuals_mm))
         factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
         ends = np.multiply(factor, stats.median_interval(off, block))

@@ -126,10 +126,14 @@ class Spacing(Shown):
 
         From blocks of whole scan lines where there are any, see :func:`line_strips`.
         """
-        block = line_strips(self.xy, self.directional if self.n >= FEWEST else None)
-        ends = [stats.median_interval(distances, block) for distances in self.distances.T]
+        ends = [stats.median_interval(distances, self.strips) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
-        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, block)])
+        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.strips)])
+
+    @cached_property
+    def strips(self) -> np.ndarray:
+        """The blocks of the intervals, see :func:`line_strips`."""
+        return line_strips(self.xy, self.directional if self.n >= FEWEST else None)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
