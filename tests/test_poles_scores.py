@@ -99,18 +99,6 @@ def test_scores_do_not_change_when_moved_far():
     assert np.allclose(near.detections["distance_m"], far.detections["distance_m"], atol=1e-8)
 
 
-def test_curve_ends_at_the_score_of_all_and_never_loses_recall():
-    rng = np.random.default_rng(5)
-    truth = rng.uniform(0, 100, (60, 2))
-    found = np.vstack([truth[:40], rng.uniform(0, 100, (40, 2))])
-    candidates = table(found, score=np.r_[rng.uniform(0.4, 1, 40), rng.uniform(0, 0.6, 40)])
-    curve = poles.curve(candidates, table(truth))
-    whole = poles.score(candidates, table(truth))
-    assert (np.diff(curve["recall"]) >= 0).all()
-    assert curve["recall"].iloc[-1] == pytest.approx(whole.recall.value)
-    assert curve["precision"].iloc[-1] == pytest.approx(whole.precision.value)
-
-
 def test_diameters_are_compared_where_they_were_measured():
     truth = table([[0, 0]], z_base_m=[0.0], height_m=[8.0], **{"class": ["lamp"]})
     truth = truth.assign(diameter_base_m=0.20, diameter_top_m=0.10, lean_x=0.0, lean_y=0.0)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice, check_plan, check_positive
 from mmqa_lab.cloud import Cloud, path_distance
 from mmqa_lab.poles import fgi, itc, learned
-from mmqa_lab.poles.scores import Score, curve, match, score
+from mmqa_lab.poles.scores import Score, match, score
 
 METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
 """The detectors by name, and what figures call them."""
@@ -29,7 +29,7 @@ METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (
 CORRIDORS_M = {"learned": 30.0, "fgi": 30.0, "itc": 15.0}
 """Half width of the corridor where a trajectory comes without one: that of the report's tables."""
 
-__all__ = ["METHODS", "Score", "curve", "detect", "match", "score"]
+__all__ = ["METHODS", "Score", "detect", "match", "score"]
 
 
 def detect(

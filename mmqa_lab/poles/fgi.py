@@ -105,11 +105,7 @@ def segment_lines(points, line, pulse, maximum_width=0.45, minimum_points=3):
         ``centre`` (k, 3), ``half`` (k,) half the chord and ``line`` (k,) of each group kept.
     """
     if not len(points):
-        return np.empty(0, np.int64), {
-            "centre": np.empty((0, 3)),
-            "half": np.empty(0),
-            "line": line,
-        }
+        return line, {"centre": points, "half": pulse, "line": line}
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > GROUP_M
     broken = apart | (np.diff(line) != 0) | (np.diff(pulse) > MISSING + 1)
     first = np.concatenate([[0], np.flatnonzero(broken) + 1])
@@ -280,6 +276,5 @@ def scan_lines(cloud):
         return line, place
     order = np.lexsort([place, line])
     steps = np.diff(place[order])[np.diff(line[order]) == 0]
-    return line, np.round(
-        (place - place.min()) / (np.median(steps[steps > 0]) if (steps > 0).any() else 1.0)
-    )
+    step = np.median(steps[steps > 0]) if (steps > 0).any() else 1.0
+    return line, np.round((place - place.min()) / step)

@@ -138,7 +138,5 @@ def walls(points):
     np.maximum.at(high, part[flat], centre[flat])
     extent = np.where(np.isfinite(low), high - low, 0)
     wall = flat & (np.abs(normal[:, 2]) < np.sin(np.radians(15)))
-    wall &= (np.hypot(extent[part, 0], extent[part, 1]) >= WALL_M[0]) & (
-        extent[part, 2] >= WALL_M[1]
-    )
-    return wall[cell]
+    long, high = np.hypot(extent[:, 0], extent[:, 1]) >= WALL_M[0], extent[:, 2] >= WALL_M[1]
+    return (wall & (long & high)[part])[cell]

@@ -518,13 +518,10 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": height_of(axes) + low}
     rows |= {"height_m": high - low}
     kept = reason == ""
-    for name in ("diameter_m", "diameter_low_m", "diameter_high_m"):
-        rows[name] = np.full(len(score), np.nan)
-    if kept.any():
-        diameter, half = diameters(points, height_of, found, kept)
-        rows["diameter_m"][kept] = diameter
-        rows["diameter_low_m"][kept] = np.maximum(diameter - half, 0)
-        rows["diameter_high_m"][kept] = diameter + half
+    diameter, half = np.full((2, len(score)), np.nan)
+    diameter[kept], half[kept] = diameters(points, found, kept)
+    rows |= {"diameter_m": diameter, "diameter_low_m": np.maximum(diameter - half, 0)}
+    rows["diameter_high_m"] = diameter + half
     rows |= {"lean_x": axes[:, 2], "lean_y": axes[:, 3], "score": score, "rejected_by": reason}
     if explain:
         rows |= dict(found.measures) | {
@@ -541,7 +538,7 @@ SHARE, FLOOR_M = 0.03, 0.004
 """What a circle may miss beside its scatter: tapers, bark, split beams; part of the diameter, m."""
 
 
-def diameters(points, height_of, found, kept):
+def diameters(points, found, kept):
     """Return the diameters of kept candidates halfway up their run, and half of a 95 % interval.
 
     Circles through the points of the cloud around each axis, of all heights and with one of eight
@@ -550,7 +547,7 @@ def diameters(points, height_of, found, kept):
     axes, low, high = found.axes[kept], found.shaft["low"][kept], found.shaft["high"][kept]
     core, k = found.measures["core_m"].to_numpy()[kept], kept.sum()
     a, b = pairs(axes[:, :2], points, REACH_M)
-    height = points[b, 2] - height_of(points[b])
+    height = points[b, 2] - found.ground(points[b])
     off = points[b, :2] - axes[a, :2] - axes[a, 2:4] * (height - axes[a, 4])[:, None]
     own = (np.hypot(*off.T) <= core[a]) & (height >= low[a]) & (height < high[a])
     a, off, height = a[own], off[own], height[own]

@@ -226,36 +226,3 @@ def score(
         found.assign(outcome=outcome, reference=reference, distance_m=distance),
         references.assign(target=target, found=is_found),
     )
-
-
-def curve(detections: pd.DataFrame, references: pd.DataFrame, **choices) -> pd.DataFrame:
-    """Return recall and precision over the threshold of the score.
-
-    Parameters
-    ----------
-    detections : DataFrame
-        With ``score``, one for each candidate that any threshold would accept.
-    references : DataFrame
-    **choices
-        As for :func:`score`.
-
-    Returns
-    -------
-    DataFrame
-        ``threshold`` (falling), ``hits``, ``false``, ``recall``, ``precision``. Matching is done
-        once, of all candidates, so that recall cannot fall along the curve.
-
-    Examples
-    --------
-    >>> found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": 0.0, "score": [0.9, 0.4]})
-    >>> truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": 0.0})
-    >>> curve(found, truth)[["recall", "precision"]].to_numpy().tolist()
-    [[0.5, 1.0], [0.5, 0.5]]
-    """
-    result = score(detections, references, **choices)
-    counted = result.detections[~result.detections["outcome"].isin(["ignored", "outside"])]
-    counted = counted.assign(hits=counted["outcome"] == "hit", false=counted["outcome"] != "hit")
-    rows = counted.groupby("score")[["hits", "false"]].sum().sort_index(ascending=False).cumsum()
-    rows = rows.rename_axis("threshold").reset_index()
-    recall = rows["hits"] / result.recall.n if result.recall.n else np.nan
-    return rows.assign(recall=recall, precision=rows["hits"] / (rows["hits"] + rows["false"]))
