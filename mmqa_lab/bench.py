@@ -307,7 +307,7 @@ def _listed(cases, seeds):
 
 
 def _refuse_unusable(cases, methods, seeds):
-    """Say in one sentence what cannot be run."""
+    """Refuse, in one sentence, what cannot be run."""
     if not cases or not methods or not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(
             f"Invalid bench of {len(cases)} cases, {len(methods)} methods and seeds {seeds}. "
