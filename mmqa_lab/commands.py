@@ -342,7 +342,6 @@ def plan(
     sigma
         Standard deviations of inputs, such as speed_m_s=0.2 target_heading_deg=1.93.
     """
-
     from mmqa_lab import scan_pattern
 
     target = scan_pattern.Target(

@@ -791,11 +791,11 @@ class _Search:
         return cells[takes], points[on & np.repeat(takes, self.grid.size[cells])], beside
 
     def assigned(self):
-        """Owner of each point (-1: none), the nearest plane around it within the tolerance, and
-        whether it is the only one.
+        """Owner of each point, the nearest plane within the tolerance, and whether no other is.
 
-        It is where its foot on that plane is clear of the others: noise then takes as many points
-        off one side of the plane as off the other.
+        The owner is -1 where there is none. A plane is the only one where the foot of the point
+        on it is clear of the others: noise then takes as many points off one side of the plane as
+        off the other.
         """
         grid, points, planes = self.grid, self.grid.points, list(self.planes)
         around = [grid.rows(grid.around(cells))[0] for cells in self.taken]

@@ -319,7 +319,7 @@ def coarse_pairs(image, reference):
 
 
 def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
-    """Compare settings: how well do the parameters of each fit the images of the others?
+    """Compare settings: how well the parameters of each fit the images of the others.
 
     Digital numbers that one setting gives for known radiances are turned into radiance with the
     parameters of another. If exposure time and f-number were what their records say, and nothing

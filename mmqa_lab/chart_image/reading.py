@@ -427,8 +427,10 @@ def pixel_sizes(tones, layout, chart_map):
 
 
 def _printed(layout, chart_map, shape):
-    """Per pixel: whether it lies on the chart, the tone it would see there, and how many pixels
-    deep it lies in white and in black."""
+    """Whether each pixel lies on the chart, the tone it would see, its depth in white and black.
+
+    Depths are in pixels.
+    """
     rows, columns = np.indices(shape)
     places = chart_map.chart(np.column_stack([columns.ravel(), rows.ravel()]))
     sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
@@ -534,8 +536,10 @@ def _wave(across, values, pairs, width_px):
 
 
 def _gaps(across, along, values, pairs, strips, noise):
-    """How far each gap stands out in each strip, how far it must, mean contrast, and the mean tone
-    of each gap with half of both its bars."""
+    """How far each gap stands out in each strip and how far it must, mean contrast, mean tones.
+
+    A tone is that of a gap with half of both its bars.
+    """
     strip = np.floor((along - along.min()) / (np.ptp(along) + 1e-9) * strips).astype(int)
     half = across / (pairs.pair / 2) - 0.5
     centre = np.round(half).astype(int)

@@ -464,8 +464,10 @@ class Described(NamedTuple):
 
     @property
     def middle(self):
-        """Place of the axes at half the height of the run, (k, 2): where the circle is one, its
-        centre."""
+        """Place of the axes at half the height of the run, (k, 2).
+
+        Where points lie on a circle, its centre.
+        """
         half = (self.shaft["low"] + self.shaft["high"]) / 2 - self.axes[:, 4]
         centre, radius = self.shaft["centre"], self.measures["radius_m"].to_numpy()
         is_arc = (self.measures["arc"].to_numpy() > 0.2) & (np.hypot(*centre.T) < 1.3 * radius)

@@ -158,7 +158,7 @@ def closed_forms(*, stretches, repeats, density=3000.0, size=1.5, guard=0.2):
 
 
 def _interior_f(xy, guard):
-    """f of the points away from the edge of their window."""
+    """Inhomogeneity f of the points away from the edge of their window."""
     low, high = xy.min(axis=0) + guard, xy.max(axis=0) - guard
     inside = ((xy > low) & (xy < high)).all(axis=1)
     medians = np.median(quadrant_distances(xy)[inside], axis=0)
