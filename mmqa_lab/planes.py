@@ -24,7 +24,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import sort_into_cells
 
@@ -486,7 +486,7 @@ CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 in squared sizes, 1 m2 at a size of 2 m."""
 
 FEWEST = 10, 30
-"""The points of a plane at least, by default: what its least area holds, between these."""
+"""The points of a plane at least: what its least area holds, between these."""
 
 USUAL_SIZES = 1.5, 2.0, 3.0
 """Default extents of the smallest plane, m: where points fill its cells, where lines of points are
@@ -531,9 +531,7 @@ class Patch:
         return (TRIMMED * self.sigma) ** 2 * (1 / self.plane.n + (square / self.moments).sum())
 
 
-def detect_planes(
-    points: ArrayLike, *, tolerance: float = 0.05, size: float = 2.0, minimum: int | None = None
-) -> list[Patch]:
+def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2.0) -> list[Patch]:
     """Find the planes of a cloud of any size.
 
     The space is cut into cells of a quarter of ``size``. Around the fullest cell of every eight,
@@ -550,10 +548,8 @@ def detect_planes(
         Largest distance of a point from its plane, m: about three times the noise.
     size : float
         Extent of the smallest plane sought, m. Points of a plane hang together across gaps up
-        to a quarter of it: keep that above the distance of scan lines.
-    minimum : int, optional
-        Least number of points of a plane, beside its least area of a quarter of ``size`` squared.
-        Default: what that area holds, 10 to 30.
+        to a quarter of it: keep that above the distance of scan lines. A plane has an area of a
+        quarter of ``size`` squared at least, and the points that it holds, 10 to 30.
 
     Returns
     -------
@@ -592,8 +588,7 @@ def detect_planes(
     points = check_points(points, minimum=0)
     tolerance = check_positive(tolerance, "tolerance", unit="m")
     size = check_positive(size, "size", unit="m")
-    minimum = None if minimum is None else check_count(minimum, "minimum", low=3)
-    if len(points) < (minimum or FEWEST[0]):
+    if len(points) < FEWEST[0]:
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
@@ -604,7 +599,7 @@ def detect_planes(
             f"Must have a size of {size / np.sqrt(in_cell):.2g} m or more.",
             stacklevel=2,
         )
-    minimum = minimum or int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))
+    minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))
     search = _Search(grid, tolerance, minimum)
     for _ in range(4):
         if not search.round():

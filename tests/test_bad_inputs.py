@@ -164,8 +164,6 @@ FUNCTIONS = [
     (lambda: planes.fit_line([[1, 1], [1, 1]]), "Must span a line"),
     (lambda: planes.fit_plane(SQUARE).horizontal_axes(), "Must be 0.1 degrees or more"),
     (lambda: planes.sigma_mad([np.nan]), "Must be a row of finite numbers"),
-    (lambda: lines.extract_edges(SQUARE, minimum=2), "Must be a whole number >= 3"),
-    (lambda: lines.extract_edges(SQUARE, angle=120), "Invalid angle 120"),
     (lambda: lines.components(0 * EDGE, EDGE), "no length in row 0"),
     (lambda: lines.components(np.zeros((3, 5)), EDGE), "shape (3, 5)"),
     (lambda: lines.components(np.float32(EDGE + [6e6, 0, 0]), EDGE), "float32 beyond"),

@@ -79,16 +79,16 @@ def test_profiles_dense_along_and_sparse_across(rng):
     assert lines.lengths(edges.segments)[0] == pytest.approx(7.8, abs=0.3)
 
 
-def test_a_gap_parts_an_edge_and_an_angle_is_asked_for(rng):
+def test_a_gap_parts_an_edge_and_planes_meet_at_20_degrees(rng):
     points = room(rng)
     kept = points[(points[:, 0] < 2) | (points[:, 0] > 4.5)]
     edges = extract_edges(kept)
     along = np.abs(lines.directions(edges.segments)[:, 0]) > 0.9
     assert along.sum() == 2
-    slope = points[:3000] * [1, 1, 0] + points[:3000, 1:2] * [0, 0, 0.2]
-    flat = np.concatenate([points[:3000] * [1, -1, 0], slope])
-    assert len(extract_edges(flat, angle=20)) == 0
-    assert len(extract_edges(flat, angle=5)) == 1
+    for rise, number in ((0.2, 0), (0.5, 1)):  # 11 and 27 degrees
+        slope = points[:3000] * [1, 1, 0] + points[:3000, 1:2] * [0, 0, rise]
+        flat = np.concatenate([points[:3000] * [1, -1, 0], slope])
+        assert len(extract_edges(flat)) == number
 
 
 def test_no_planes_in_a_tree(rng):

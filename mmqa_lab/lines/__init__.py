@@ -372,7 +372,7 @@ def correspond(
     near = distances <= delta
     if matcher == "fragments":
         rows, columns = np.nonzero(near)
-        stretches = _common_stretches(*_from_common_origin(test, model), rows, columns)
+        stretches = Pairs(*_from_common_origin(test, model), rows, columns).stretches
         return _apart(near.shape, rows, columns, stretches, distances[near])
     if matcher == "all" or not near.any():
         return near
@@ -386,22 +386,6 @@ def correspond(
         for axis, indices in zip((1, 0), np.indices(near.shape, sparse=True)[::-1], strict=True)
     )
     return nearest if matcher == "nearest" else nearest & back
-
-
-def _common_stretches(test, model, rows, columns, moved=0.0):
-    """Which stretch each of n pairs covers of its test and its model segment: (n, 2) each, m.
-
-    They count from the midpoints along the segments; low > high across a gap. ``moved`` (3,) or
-    (n, 3) is what the test set is displaced by.
-    """
-    axis, way = directions(model)[columns], directions(test)[rows]
-    half_t, half_m = lengths(test)[rows] / 2, lengths(model)[columns] / 2
-    s = ((midpoints(test)[rows] - midpoints(model)[columns] - moved) * axis).sum(axis=1)
-    on_model = np.stack([np.maximum(s - half_t, -half_m), np.minimum(s + half_t, half_m)], axis=1)
-    on_test = on_model - s[:, None]
-    against = (way * axis).sum(axis=1) < 0
-    on_test[against] = -on_test[against, ::-1]
-    return on_test, on_model
 
 
 def _apart(shape, rows, columns, stretches, costs):
@@ -511,20 +495,27 @@ class Pairs:
     ``place`` (n, 3) is the middle of the common stretch on the model line, ``frame`` (n, 2, 3) two
     unit vectors across it, ``offset`` (n, 2) test line minus model line there along them,
     ``variance`` (n,) what uncertain directions add to it, ``overlap`` the common stretch as a part
-    of the shorter line. The stretch is where the lines meet once ``moved`` (3,) or (n, 3) is taken
-    off the test set. Places count from the middle of the model lines.
+    of the shorter line, ``stretches`` two arrays (n, 2): where the common stretch lies on the test
+    and on the model line, m from their middles, low > high across a gap. The stretch is where the
+    lines meet once ``moved`` (3,) or (n, 3) is taken off the test set. Places count from the middle
+    of the model lines.
     """
 
     def __init__(self, test, model, rows, columns, moved=0.0):
         self.rows, self.columns, self.shape = rows, columns, (len(test), len(model))
         self.test, self.model = test, model
         self.axis, way = directions(self.model)[columns], directions(self.test)[rows]
-        way *= np.where((way * self.axis).sum(axis=1) < 0, -1, 1)[:, None]
-        self.half = lengths(self.test)[rows] / 2, lengths(self.model)[columns] / 2
+        against = (way * self.axis).sum(axis=1) < 0
+        way[against] *= -1
+        half_t, half_m = self.half = lengths(test)[rows] / 2, lengths(model)[columns] / 2
         between = midpoints(self.test)[rows] - midpoints(self.model)[columns]
         self.s = ((between - moved) * self.axis).sum(axis=1)
-        self.stretches = _common_stretches(self.test, self.model, rows, columns, moved)
-        low, high = self.stretches[1].T
+        low = np.maximum(self.s - half_t, -half_m)
+        high = np.minimum(self.s + half_t, half_m)
+        on_model = np.stack([low, high], axis=1)
+        on_test = on_model - self.s[:, None]
+        on_test[against] = -on_test[against, ::-1]
+        self.stretches = on_test, on_model
         middle = (low + high) / 2
         self.frame, on_axis = across(self.axis), middle[:, None] * self.axis
         centre = midpoints(self.model).sum(axis=0) / max(len(model), 1)
@@ -954,11 +945,9 @@ class LHD(Shown):
     @property
     def value(self) -> float:
         """The larger of both directed distances, m (equation 2); NaN without pairs."""
-        return self.at_weight(self.weight)
-
-    def at_weight(self, weight: float) -> float:
-        """The distance of the same pairs under another W, m; W = 0 leaves the angle out."""
-        return float(np.fmax(self.test_model.olhd(weight), self.model_test.olhd(weight)))
+        return float(
+            np.fmax(*(side.olhd(self.weight) for side in (self.test_model, self.model_test)))
+        )
 
     @property
     def perpendicular_only(self) -> float:

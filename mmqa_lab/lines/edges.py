@@ -9,9 +9,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
-from mmqa_lab._checks import check_number, check_points
+from mmqa_lab._checks import check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import CELLS_PER_SIZE, Grid, across, detect_planes, usual_size
+
+LEAST_DEG = 20.0
+"""Least angle between two planes that have an edge."""
 
 MISFIT = 2.0
 """Standard deviations from which on the points beside an edge lie off their plane."""
@@ -80,10 +83,8 @@ def extract_edges(
     *,
     tolerance: float = 0.05,
     size: float | None = None,
-    minimum: int | None = None,
-    angle: float = 20.0,
 ) -> Edges:
-    """Detect planes and intersect those that meet, clipped to where both have points.
+    """Detect planes and intersect those that meet at 20 degrees or more, where both have points.
 
     The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
     patches have points within half of ``size`` of the line that are clear of the other plane, and a
@@ -97,13 +98,11 @@ def extract_edges(
     ----------
     points : array_like, shape (n, 3)
         Metres.
-    tolerance, size, minimum
+    tolerance, size
         See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
         support neither; edges are half of ``size`` long at least, and a face of less than a
         quarter of ``size`` squared has none. Default size: 1.5 m, or 2 m where scan lines are far
         apart; more in thin clouds, up to 3 m, for three points in a square of a quarter of it.
-    angle : float
-        Least angle between two planes, degrees.
 
     Returns
     -------
@@ -135,13 +134,12 @@ def extract_edges(
     >>> len(edges), np.ptp(edges.segments, axis=1).max(axis=1).round(1).tolist()
     (1, [5.0])
     """
-    angle = check_number(angle, "angle", low=0, high=90, unit="degrees")
     points = check_points(points, minimum=0)
     size = usual_size(points) if size is None else size
-    patches = detect_planes(points, tolerance=tolerance, size=size, minimum=minimum)
+    patches = detect_planes(points, tolerance=tolerance, size=size)
     rows = []
     if len(patches) > 1:
-        lines = _Lines(points, patches, size / 2, angle)
+        lines = _Lines(points, patches, size / 2)
         for line, sides in lines.supported(tolerance, size / 2):
             clear = tolerance / np.sqrt(lines.sine2[line])
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
@@ -159,7 +157,7 @@ def extract_edges(
 class _Lines:
     """The lines in which neighbouring planes meet at an angle."""
 
-    def __init__(self, points, patches, reach, angle):
+    def __init__(self, points, patches, reach):
         owner = np.full(len(points), -1, dtype=np.int32)
         for number, patch in enumerate(patches):
             owner[patch.index] = number
@@ -176,7 +174,7 @@ class _Lines:
         met = np.argwhere((self.own.T @ self.around).toarray())
         met = met[met[:, 0] != met[:, 1]]
         self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
-        pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(angle))
+        pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(LEAST_DEG))
         first, second = self.normals[pairs].swapaxes(0, 1)
         cosine = (first * second).sum(axis=1)
         meet = 1 - cosine**2 >= self.least**2
