@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
 
 from mmqa_lab import poles
@@ -307,3 +308,9 @@ def test_hardly_any_points_have_no_poles(method, n, rng):
 def test_bad_input_gets_a_sentence(choices, sentence):
     with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
         poles.detect(floor(2.0), **choices)
+
+
+def test_feet_are_refused_by_the_coordinate_system():
+    cloud = Cloud(floor(2.0), crs=pyproj.CRS("EPSG:2263"))
+    with pytest.raises(ValueError, match="Invalid cloud in US survey foot"):
+        poles.detect(cloud)

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_plan, check_positive
+from mmqa_lab._checks import check_choice, check_plan, check_positive, check_same_crs
 from mmqa_lab.cloud import Cloud, path_distance
 from mmqa_lab.poles import fgi, itc, learned
 from mmqa_lab.poles.scores import Score, match, score
@@ -73,8 +73,8 @@ def detect(
     Raises
     ------
     ValueError
-        If a choice is unknown or not a number, a corridor comes without a trajectory, or ``fgi``
-        gets a cloud without scan lines.
+        If a choice is unknown or not a number, the coordinate system is not in metres, a corridor
+        comes without a trajectory, or ``fgi`` gets a cloud without scan lines.
 
     Notes
     -----
@@ -100,6 +100,7 @@ def detect(
         if name != "trees":
             check_positive(value, name)
     cloud = points if isinstance(points, Cloud) else Cloud(points)
+    check_same_crs("cloud", cloud.crs, "cloud", None)
     inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
     local = (cloud.points[inside] - origin,)
     if method == "fgi":
