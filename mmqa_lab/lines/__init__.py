@@ -1240,18 +1240,20 @@ def doubts(result: LHD) -> list[str]:
     empty = [name for name in ("test", "model") if not len(getattr(result, name))]
     if empty:
         return [f"No {' and no '.join(empty)} segments: nothing to measure."]
-    said, sides = [], (result.test_model, result.model_test)
+    sentences, sides = [], (result.test_model, result.model_test)
     for name, side in zip(("test to model", "model to test"), sides, strict=True):
         if side.threshold.fallback:
-            said.append(
+            sentences.append(
                 f"No jump in the nearest distances from {name}: the largest, "
                 f"{side.threshold.delta:.3g} m, is the threshold."
             )
         if side.n < 5:
-            said.append(f"Only {side.n} pairs from {name}: a value of chance.")
+            sentences.append(f"Only {side.n} pairs from {name}: a value of chance.")
     if result.matcher != result.asked:
-        said.append(f"Too few pairs agree on one displacement: matcher {result.matcher!r} is used.")
-    return said
+        sentences.append(
+            f"Too few pairs agree on one displacement: matcher {result.matcher!r} is used."
+        )
+    return sentences
 
 
 def compare(
@@ -1324,7 +1326,7 @@ def _compared(names, test, model, radius, choices):
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         found = lhd(test, model, radius=radius, **choices)
         moved = match_displaced(test, model, radius=radius).displacement
-    table, said = found.to_frame(), doubts(found)
+    table, sentences = found.to_frame(), doubts(found)
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
     table["lhd_low_m"], table["lhd_high_m"] = found.interval()
     for k, axis in enumerate("xyz"):
@@ -1332,5 +1334,5 @@ def _compared(names, test, model, radius, choices):
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
     table["displaced_pairs"] = moved.n
     if not np.isfinite(moved.vector).all():
-        said.append("No displacement: too few lines, or lines of one direction, agree on one.")
-    return table.assign(remarks=" ".join(said))
+        sentences.append("No displacement: too few lines, or lines of one direction, agree on one.")
+    return table.assign(remarks=" ".join(sentences))

@@ -329,6 +329,6 @@ def _ends(side, first, last, cell):
     return inside[a] - gap, spread, inside[b] + gap, spread, b - a + 1
 
 
-def _beyond(n, one):
-    """What one gap out of ``one`` exceeds, in means known from n gaps."""
-    return n * (one ** (1 / n) - 1)
+def _beyond(n, draws):
+    """The length that one gap out of ``draws`` exceeds, in means known from n gaps."""
+    return n * (draws ** (1 / n) - 1)
