@@ -134,10 +134,10 @@ def test_each_check_fails_when_its_statement_is_false():
     }
     known["row"] = {"measured": 0.7, "measured_low": 0.6, "measured_high": 0.8, "published": 0.7}
     known["row"] |= {"published_low": 0.65, "published_high": 0.75}
-    known |= {"recalls": [0.6, 0.9], "upper": 0.95}
+    known |= {"recalls": [0.6, 0.9], "behind": []}
     assert spoiled("poles", known) == []
     for name, wrong in {
-        "upper": 0.7,
+        "behind": ["recall"],
         "row": known["row"] | {"measured_low": 0.8, "measured_high": 0.9},
         "recalls": [0.9, 0.6],
     }.items():
