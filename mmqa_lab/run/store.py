@@ -125,7 +125,7 @@ def _small(output, width):
     if "image/png" in data:
         stream = io.BytesIO()
         picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"])))
-        _shrunk(picture, width, 128).save(stream, "png", optimize=True)
+        _shrunk(picture, width, 256).save(stream, "png", optimize=True)
         output["data"] = {"image/png": base64.b64encode(stream.getvalue()).decode()}
     return output
 
@@ -136,7 +136,8 @@ def _shrunk(picture, width, colours):
     white = Image.new("RGBA", picture.size, "white")
     picture = Image.alpha_composite(white, picture).convert("RGB")
     size = min(width, picture.width), round(picture.height * min(width / picture.width, 1))
-    return picture.resize(size, Image.Resampling.LANCZOS).quantize(colours)
+    picture = picture.resize(size, Image.Resampling.LANCZOS)
+    return picture.quantize(colours, method=Image.Quantize.MAXCOVERAGE)  # rare colours stay
 
 
 def _save(picture, path, width, *, colours):
