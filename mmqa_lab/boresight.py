@@ -226,7 +226,7 @@ def calibrate(
     control = None if control is None else check_points(control, name="control") - origin
     values = np.zeros((len(lever), len(PARAMETERS)))
     group = shots.drive * len(lever) + shots.head
-    for _ in range(2):
+    for _ in range(2):  # features are looked for again with the better mounting
         placed = shots.placed(values)
         kinds = [
             _OnPlanes(shots, _planes(placed, group, patches, rng)),
@@ -504,11 +504,11 @@ class _Adjustment:
     def solved(self, values):
         """The mounting (heads, 6); after each turn misfits beyond 3.5 sigma_MAD are left out."""
         parameters = self.ways.T @ values.ravel()
-        for turn in range(3):
+        for turn in range(3):  # misfits leave in between
             for kind in self.kinds if turn else []:
                 misfit = kind.rows(values)[0]
                 kind.scatter = max(sigma_mad(misfit), 1e-6)
-                kind.keep(np.abs(misfit) <= 3.5 * kind.scatter)
+                kind.keep(np.abs(misfit) <= 3.5 * kind.scatter)  # the rule for outliers
             found = least_squares(
                 lambda p: self.system(self.values(p))[0],
                 parameters,
@@ -553,7 +553,7 @@ class _Adjustment:
         """Name the parameters that can change together without any effect."""
         lengths = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
         _, size, ways = np.linalg.svd(slopes / lengths, full_matrices=False)
-        if size[-1] < 1e-4:
+        if size[-1] < 1e-4:  # of the scaled Jacobian: this combination is open
             open_ones = np.flatnonzero(np.abs(self.ways @ ways[-1]) > 0.1)
             names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in open_ones]
             raise ValueError(
