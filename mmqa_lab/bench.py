@@ -1,8 +1,8 @@
-"""Methods compared on cases of known truth: any function of the data enters any study.
+"""Comparison of methods on cases of known truth; any function of the data can be a method.
 
-:func:`run` measures every method on every case and seed, :func:`rank`, :func:`compare` and
-:func:`summary` say how the methods differ and how surely, :func:`failures` says what could not be
-measured and why. A study is a :class:`Comparison`: its cases, methods, tables and figures.
+:func:`run` measures every method on every case and seed. :func:`rank`, :func:`compare` and
+:func:`summary` show how the methods differ, with intervals. :func:`failures` lists cells without
+a value and the reasons. A study is a :class:`Comparison` of cases, methods, tables and figures.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = (
 )
 
 LONGEST_REASON = 300
-"""Characters of a reason that are kept."""
+"""Most characters of a reason."""
 
 UNITS = {
     "_per_m2": "1/m2", "_per_m": "1/m", "_per_mm": "1/mm", "_m_per_s": "m/s", "_m_s": "m/s",
@@ -44,16 +44,16 @@ UNITS = {
     "_per_px": "1/px", "_px": "px", "_percent": "%", "_share": "1", "_s": "s", "_ms": "ms",
     "_hz": "Hz", "_kmh": "km/h",
 }  # fmt: skip
-"""Endings of names and the unit that each stands for; the longest that fits counts."""
+"""Endings of names and their units. The longest ending that fits counts."""
 
 RESERVED = ("method", "case", "seed", "failure", "truth")
-"""Names of the Dataset itself: no parameter or figure may use them, nor begin with ``truth_``."""
+"""Names of the Dataset. No parameter or figure may have such a name or begin with ``truth_``."""
 
 RESAMPLES = 200
 """Bootstrap samples of the cases, for the intervals of ranks."""
 
 BROKEN = (Exception, SystemExit)
-"""What a method of whatever kind may raise; it costs its own cells."""
+"""Exceptions that a method may raise. They cost only the cells of that method."""
 
 
 def grid(**axes: Any) -> list[dict[str, Any]]:
@@ -62,7 +62,7 @@ def grid(**axes: Any) -> list[dict[str, Any]]:
     Parameters
     ----------
     **axes : tuple, list, range, array or one value
-        The values of each parameter; texts, numbers and other single values are one value each.
+        The values of each parameter. A text, a number or another single value is one value.
 
     Returns
     -------
@@ -92,51 +92,52 @@ def run(
     Parameters
     ----------
     cases : list of dict, or DataFrame
-        A case is the keyword arguments of ``make``; all cases have the same parameters.
+        A case contains the keyword arguments of ``make``. All cases have the same parameters.
     methods : dict
-        Names and functions of the data. A method returns a number, a dict of numbers, or anything
-        that ``score`` turns into one of these. Each gets its own copy of the data.
+        Functions of the data by name. A method returns a number, a dict of numbers, or a result
+        that ``score`` turns into a number or a dict. Each method gets its own copy of the data.
     make : callable
-        ``make(**case, seed=seed)`` returns data, or a tuple (data, truth) of exactly two. It is
-        called once per case and seed for all methods. Data that is itself a tuple of two is
-        returned as ``(data, None)``.
+        ``make(**case, seed=seed)`` returns data, or a tuple (data, truth). It is called once per
+        case and seed for all methods. If the data is a tuple of two, ``make`` returns
+        ``(data, None)``.
     score : callable, optional
-        ``score(result, truth)`` returns a number or a dict of numbers; truth is None where ``make``
-        gives none.
+        ``score(result, truth)`` returns a number or a dict of numbers. The truth is None if
+        ``make`` returns no truth.
     seeds : iterable of int
         Repetitions of each case.
     executor : concurrent.futures.Executor, optional
-        Where the cases are measured: a process pool, or Dask's ``client.get_executor()``; without
-        it, here. Results are equal to the last bit. A script (not a notebook) that makes a process
-        pool needs its usual guard, ``if __name__ == "__main__":``.
+        Measures the cases: a process pool, or Dask's ``client.get_executor()``. By default they
+        are measured in this process. The results are equal to the last bit. A script that makes a
+        process pool needs the usual guard ``if __name__ == "__main__":``; a notebook does not.
 
     Returns
     -------
     xarray.Dataset
-        Dimensions ``method``, the parameters of the cases if the cases are a full grid of them
-        (otherwise ``case``, with the parameters as coordinates), and ``seed``. A variable for each
-        number: ``value`` where a method returns a bare number. Truth that is a number, or a dict of
-        numbers, becomes ``truth`` or ``truth_<name>`` without the dimension ``method``. The unit
-        that a name ends with stands in ``attrs["units"]``. The variable ``failure`` has the reason
-        of each cell that could not be measured, "" elsewhere. Parameters that are no numbers become
-        texts: a function or class its name, another object what ``str`` gives. Select a method by
-        ``results.sel({"method": name})``; in ``sel(method=name)`` xarray reads another option.
+        The dimensions are ``method``, the parameters of the cases, and ``seed``. If the cases are
+        not a full grid, the dimension ``case`` replaces the parameters, which become coordinates.
+        Each number is a variable; a bare number is ``value``. A truth that is a number becomes
+        ``truth``, a dict of numbers becomes ``truth_<name>``; neither has the dimension
+        ``method``. The unit at the end of a name stands in ``attrs["units"]``. The variable
+        ``failure`` gives the reason of each cell without a value, "" elsewhere. Parameters that
+        are not numbers become texts: the name of a function or class, or the result of ``str``.
+        Select a method by ``results.sel({"method": name})``, because ``method`` is an option of
+        xarray's ``sel``.
 
     Raises
     ------
     ValueError
-        If there are no cases, methods or seeds, cases differ in their parameters, or a parameter
-        has a name that the Dataset needs.
+        If cases, methods or seeds are missing, if a seed occurs twice, if the cases differ in
+        their parameters, or if a parameter has a name that the Dataset needs.
 
     Notes
     -----
-    A method that raises, or returns NaN, infinity, another type or an array, costs its own cells
-    (NaN), and one sentence, as a warning; see :func:`failures`. A ``make`` that fails costs its
-    case and seed for all methods.
+    If a method raises, or returns NaN, infinity, an array or another type, its cell is NaN. A
+    warning reports the first such cell of each method; see :func:`failures`. If ``make`` fails,
+    the cells of all methods on this case and seed are NaN.
 
-    BLAS and OpenMP run on one thread, here and in workers, so that sums have the same order and
-    results are equal to the last bit on one machine. Methods that draw random numbers must seed
-    their own generator.
+    BLAS and OpenMP run on one thread, also in workers. Sums then have the same order, and results
+    are equal to the last bit on the same machine. A method that draws random numbers must seed its
+    own generator.
 
     Examples
     --------
@@ -156,19 +157,19 @@ def run(
 
 @dataclass
 class Comparison:
-    """A study as the bench sees it: what is compared, on what, and what is shown of it.
+    """A comparison of methods: its cases, methods, scores, tables and figures.
 
     Parameters
     ----------
     cases, methods, make, score, seeds
-        As :func:`run` takes them. ``methods`` is a dict: add your own to it.
+        See :func:`run`. ``methods`` is a dict, to which you can add your own method.
     tables : callable, optional
-        ``tables(results)`` returns a dict of DataFrames by name, a row for every method; the first
-        is the one that answers the study's question.
+        ``tables(results)`` returns a dict of DataFrames by name, with a row for every method. The
+        first table answers the study's question.
     figures : sequence of str
-        The numbers that are drawn; all where none is named.
+        Names of the numbers to draw; by default all.
     costs_cells : tuple of exceptions
-        What a method may raise: it costs that method its cell. All else ends the run.
+        Exceptions that leave a cell empty. Any other exception ends the run.
 
     Examples
     --------
@@ -204,7 +205,7 @@ class Comparison:
 
 
 def _measured(study, case, seed):
-    """The records of the truth, whose name is empty, and of each method on one case."""
+    """The records of one case by method; the record of the truth has an empty name."""
     with threadpool_limits(limits=1):
         try:
             made = study.make(**case, seed=seed)
@@ -218,10 +219,10 @@ def _measured(study, case, seed):
 
 
 def _record(study, method, data, truth, reserved):
-    """The numbers that a method gives, and a sentence on those that are none."""
+    """The numbers that a method returns, and a sentence on invalid values."""
     stage = ""
     try:
-        result = method(copy.deepcopy(data))  # it may change its own copy
+        result = method(copy.deepcopy(data))  # a method may change its copy
         stage = "score: "
         result = result if study.score is None else study.score(result, truth)
     except study.costs_cells as error:
@@ -239,7 +240,7 @@ def _record(study, method, data, truth, reserved):
 
 
 def _number(value):
-    """A value as a float, and what is wrong with it."""
+    """A value as a float, and the reason if it is invalid."""
     if hasattr(value, "dtype") and np.ndim(value) == 0:
         value = value.item()
     if not isinstance(value, numbers.Real):
@@ -248,7 +249,7 @@ def _number(value):
 
 
 def _truth_record(truth):
-    """The numbers of a truth; what is none stays with the score."""
+    """The numbers of a truth; other parts of the truth are only for the score."""
     figures = {}
     for name, value in (truth if isinstance(truth, Mapping) else {"": truth}).items():
         number, wrong = _number(value)
@@ -258,7 +259,7 @@ def _truth_record(truth):
 
 
 def _failed(error, where=""):
-    """The record of a cell that raised, with the line of a reader's own function."""
+    """The record of a cell that raised, with the line of the user's function."""
     frames = traceback.extract_tb(error.__traceback__)[1:]
     own = [frame for frame in frames if frame.filename == frames[0].filename]
     line = ""
@@ -269,7 +270,7 @@ def _failed(error, where=""):
 
 
 def _computed(study, jobs, executor):
-    """Yield each job with its records as they come."""
+    """Yield each job with its records, in the order of completion."""
     if executor is None:
         yield from ((job, _measured(study, study.cases[job[0]], job[1])) for job in jobs)
         return
@@ -280,13 +281,13 @@ def _computed(study, jobs, executor):
     for future in as_completed(futures):
         try:
             records = future.result()
-        except Exception as error:  # the process died, perhaps for want of memory
+        except Exception as error:  # the process died, perhaps without memory
             records = dict.fromkeys(("", *study.methods), _failed(error.with_traceback(None)))
         yield futures[future], records
 
 
 def _unpacked(kit, job):
-    """A job as a worker does it."""
+    """Measure a job in a worker."""
     import cloudpickle
 
     study = cloudpickle.loads(kit)
@@ -307,7 +308,7 @@ def _listed(cases, seeds):
 
 
 def _refuse_unusable(cases, methods, seeds):
-    """Refuse, in one sentence, what cannot be run."""
+    """Raise if the cases, methods or seeds are invalid."""
     if not cases or not methods or not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(
             f"Invalid bench of {len(cases)} cases, {len(methods)} methods and seeds {seeds}. "
@@ -350,7 +351,7 @@ def _dataset(cases, methods, seeds, records):
 
 
 def _reason(record, expected):
-    """Why figures are missing; also those that the method gave in other cells."""
+    """The reason why a cell lacks figures, also figures that the method gave in other cells."""
     absent = sorted(expected - set(record["figures"]))
     if record["failure"] or not absent:
         return record["failure"]
@@ -358,8 +359,8 @@ def _reason(record, expected):
 
 
 def _axes(columns, count):
-    """Each case's place on every axis, and the axes' labels: a full grid, or one axis of cases."""
-    # in the order they come; NaN is a value too
+    """The place of each case on the axes, and their labels: a full grid or a list of cases."""
+    # in the order of the cases; NaN is a value too
     found = {name: pd.factorize(one, use_na_sentinel=False) for name, one in columns.items()}
     different = len(set(zip(*(code for code, _ in found.values()), strict=True)))
     if different == count == np.prod([len(levels) for _, levels in found.values()]):
@@ -368,25 +369,25 @@ def _axes(columns, count):
 
 
 def _labels(values):
-    """The values of a parameter as a coordinate: numbers as they are, others as text."""
+    """The values of a parameter as a coordinate: numbers, or texts for other values."""
     if all(isinstance(value, numbers.Real | np.bool_) for value in values):
         return np.array(values)
     return np.array([getattr(value, "__name__", None) or str(value) for value in values])
 
 
 def unit_ending(name):
-    """The ending of a name that is a unit, or an empty text."""
+    """Return the ending of a name that denotes a unit, or an empty text."""
     return max((one for one in UNITS if name.endswith(one)), key=len, default="")
 
 
 def split_unit(name):
-    """A column's name without the unit that it ends with, and the unit; empty where none."""
+    """Return a name without the ending of its unit, and the unit, or an empty text."""
     ending = unit_ending(name)
     return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
 
 
 def failures(results: xr.Dataset) -> pd.DataFrame:
-    """Return what could not be measured, with its reasons.
+    """Return the reasons of cells without a value, with their counts.
 
     Parameters
     ----------
@@ -396,8 +397,9 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``method``, ``reason``, ``count`` (cells) and ``first_case`` (its parameters and seed); the
-        most frequent reason of each method first. No rows if all was measured.
+        ``method``, ``reason``, ``count`` (cells) and ``first_case`` (its parameters and seed). The
+        most frequent reason of each method comes first. The table is empty if every cell has a
+        value.
 
     Examples
     --------
@@ -432,7 +434,7 @@ def cell_table(results: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Rows of one method stand together, in the order of cases and seeds.
+        The rows are ordered by method, case and seed.
 
     Examples
     --------
@@ -446,7 +448,7 @@ def cell_table(results: xr.Dataset) -> pd.DataFrame:
 
 
 def figure_names(results: xr.Dataset) -> tuple[str, ...]:
-    """Return the names of the numbers that methods were measured by.
+    """Return the names of the numbers that the methods returned.
 
     Parameters
     ----------
@@ -456,7 +458,7 @@ def figure_names(results: xr.Dataset) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        The variables without truth and failures.
+        The variables other than truth and failure.
 
     Examples
     --------
@@ -480,19 +482,20 @@ def summary(
     figure : str, optional
         Name of the variable; may be left out if there is only one.
     by : str or sequence of str
-        Parameters of the cases; a row for each of their values.
+        Parameters of the cases; the table has a row for each of their values.
 
     Returns
     -------
     DataFrame
-        ``method``, the parameters of ``by``, ``mean``, ``low`` and ``high`` with the unit that the
-        figure's name ends with (95 % interval of the mean by Student's t over the cells, NaN for
-        fewer than two), ``n`` cells measured, ``missing`` cells that are NaN.
+        ``method``, the parameters of ``by``, ``mean``, ``low`` and ``high``, ``n`` (cells measured)
+        and ``missing`` (cells that are NaN). The names of the first three numbers end with the
+        unit of the figure. ``low`` and ``high`` are the 95 % confidence interval of the mean by
+        Student's t over the cells, NaN for fewer than two cells.
 
     Raises
     ------
     ValueError
-        If there is no such figure or parameter.
+        If the figure or a parameter is unknown.
 
     Examples
     --------
@@ -513,16 +516,16 @@ def summary(
 
 
 def plot(results: xr.Dataset, figures: Sequence[str] = (), *, own: Sequence[str] = ()) -> Figure:
-    """Draw the mean of each method with its 95 % interval, a panel for each figure.
+    """Draw the mean of each method with its 95 % confidence interval, a panel for each figure.
 
     Parameters
     ----------
     results : Dataset
         From :func:`run`.
     figures : sequence of str, optional
-        Names of the numbers shown; all where none is named.
+        Names of the numbers to draw; by default all.
     own : sequence of str
-        Methods that get a colour and mark of their own: a reader's.
+        Methods to highlight with another colour and mark, such as your own.
 
     Returns
     -------
@@ -538,9 +541,9 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
     Parameters
     ----------
     tables : dict of str to DataFrame
-        By the name of the number; from :func:`summary`, :func:`rank` or :func:`compare`.
+        Tables by the name of the number, from :func:`summary`, :func:`rank` or :func:`compare`.
     own : sequence of str
-        Methods that get a colour and mark of their own.
+        Methods to highlight with another colour and mark.
 
     Returns
     -------
@@ -583,23 +586,24 @@ def compare(
     reference : str
         Name of the method to compare with.
     better : {"lower", "higher"}
-        Which figure is the better one.
+        Whether lower or higher figures are better.
     over : {"cells", "cases"}
-        What varies independently: every case and seed, or only cases, each with the mean over its
-        seeds. Take cases if the question is how methods differ on other cases than these.
+        The independent units: every case and seed, or only cases, each with the mean over its
+        seeds. Take cases if the question is how the methods differ on further cases.
 
     Returns
     -------
     DataFrame
-        For each other method: ``method``, ``difference``, ``low`` and ``high`` with the figure's
-        unit (mean of method minus reference and its 95 % interval by Student's t over the paired
-        differences), ``n`` pairs measured by both, ``missing`` pairs that were not, and
-        ``better_share``, the share of pairs in which the method is strictly better.
+        A row for each other method: ``method``, ``difference`` (mean of method minus reference),
+        ``low`` and ``high`` (its 95 % confidence interval by Student's t over the paired
+        differences), ``n`` (pairs measured by both), ``missing`` (other pairs) and
+        ``better_share`` (share of pairs in which the method is strictly better). The names of the
+        difference and its interval end with the unit of the figure.
 
     Raises
     ------
     ValueError
-        If there is no such figure or method.
+        If the figure or the reference is unknown.
 
     Examples
     --------
@@ -628,37 +632,38 @@ def compare(
 
 
 def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataFrame:
-    """Return which method orders the cases best.
+    """Rank the methods by how well they order the cases.
 
     Parameters
     ----------
     results : Dataset
         From :func:`run`.
     truth : str
-        A parameter of the cases, or a variable of truth (its ``truth_`` may be left out).
+        A parameter of the cases, or a variable of truth, with or without its ``truth_``.
     figure : str, optional
         Name of the variable; may be left out if there is only one.
 
     Returns
     -------
     DataFrame
-        The best method first: ``method``, ``spearman`` (rank correlation of figure and truth over
-        all cells, ties averaged), ``low`` and ``high`` (95 % percentile interval of a bootstrap
-        that draws whole cases with all their seeds, the same for all methods), ``n`` cells
-        measured, ``missing`` cells that are NaN, ``behind_best`` (absolute correlation of the best
-        minus that of the method) and ``behind_low``, ``behind_high`` (its paired interval). The
-        best has the largest absolute correlation: a figure that falls as the truth rises orders
-        the cases as well.
+        The best method comes first. ``method``; ``spearman``, the rank correlation of figure and
+        truth over all cells, ties averaged; ``low`` and ``high``, its 95 % confidence interval;
+        ``n``, cells measured; ``missing``, cells that are NaN; ``behind_best``, the absolute
+        correlation of the best method minus the absolute correlation of this method;
+        ``behind_low`` and ``behind_high``, its paired interval. The intervals are percentiles of a
+        bootstrap that draws whole cases with all their seeds, the same cases for all methods. The
+        best method has the largest absolute correlation, because a figure that falls as the truth
+        rises also orders the cases.
 
     Raises
     ------
     ValueError
-        If there is no such truth or figure, or the truth is no number.
+        If the truth or the figure is unknown, or the truth is not a number.
 
     Notes
     -----
-    A method is ranked on the cells that it measured; one that measures only easy cells is favoured,
-    and ``missing`` shows it.
+    A method is ranked on the cells that it measured. This favours a method that measures only easy
+    cells; ``missing`` shows how many cells it left out.
 
     Examples
     --------
@@ -695,7 +700,7 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
 
 
 def _spearman(rows, true):
-    """Spearman's correlation of each row with the truth, over the cells that the row has."""
+    """Spearman's correlation of each row with the truth, over the finite cells."""
     found = np.full(len(rows), np.nan)
     for k, values in enumerate(rows):
         there = np.isfinite(values) & np.isfinite(true)
@@ -706,13 +711,13 @@ def _spearman(rows, true):
 
 
 def _percentiles(drawn):
-    """The limits of 95 % of the samples of each column, without those not measurable."""
+    """The 2.5 and 97.5 % percentiles of each column, NaN left out."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         return np.nanpercentile(drawn, (2.5, 97.5), axis=0)
 
 
 def _t_interval(values):
-    """Mean, limits of its 95 % interval by Student's t, and number of the finite values."""
+    """Mean of the finite values, its 95 % interval by Student's t, and their number."""
     values = values[np.isfinite(values)]
     n = len(values)
     if n < 2:
@@ -722,7 +727,7 @@ def _t_interval(values):
 
 
 def _by_method(results, name):
-    """Values of a variable by method, in one order of cells, and each cell's case."""
+    """Values of a variable by method, all in the same order, and the case of each cell."""
     cells = cell_table(results)
     dims = [dim for dim in results.dims if dim not in ("method", "seed")]
     cells["_case"] = cells.groupby(dims, sort=False).ngroup() if dims else 0
@@ -732,13 +737,13 @@ def _by_method(results, name):
 
 
 def _parameters(results):
-    """The parameters of the cases, whether they are dimensions or coordinates of cases."""
+    """The parameters of the cases, as dimensions or as coordinates."""
     named = [name for name in results.coords if name not in RESERVED]
     return [name for name in named if results[name].ndim == 1]
 
 
 def _figure(results, figure):
-    """The name of a figure that is there; the only one if none is named."""
+    """The name of a figure; by default the only figure of the results."""
     figures = figure_names(results)
     if figure is None and len(figures) == 1:
         return figures[0]

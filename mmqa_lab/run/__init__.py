@@ -1,4 +1,4 @@
-"""Running the studies. Here: what a run leaves behind, tables, figures, values, checks, record."""
+"""Results of a study's run: tables, figures, values, checks, and a record of the run."""
 
 from __future__ import annotations
 
@@ -33,29 +33,30 @@ FORMATS = ("pdf", "svg", "png")
 RECORD = "run.json"
 
 LICENCE = "CC BY 4.0"
-"""Of the figures."""
+"""Licence of the figures."""
 
 SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefig.dpi")
 """Settings of the house style that matter when a figure is saved."""
 
 LONGEST_LATEX = 60
-"""Rows of a table that is written for LaTeX too; longer ones are data."""
+"""Most rows of a table that is also written for LaTeX."""
 
 LATEX = {"<=": "$\\leq$", ">=": "$\\geq$", "<": "$<$", ">": "$>$", "m2)": "m$^2$)"}
-"""What LaTeX prints otherwise than it is written."""
+"""Texts and how LaTeX prints them."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
-"""What a number can be: printed in a paper, from specifications alone, from parameters chosen so
-that it comes close, or taken from a real or simulated cloud or image."""
+"""Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
+specifications alone. Fitted numbers follow from parameters that were chosen to come close to
+published ones. Measured numbers come from a real or simulated cloud or image."""
 
 DIGITS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
 def results_folder() -> Path:
-    """Return the folder for the results of notebooks: ``MMQA_RESULTS``, or one beside the notebook.
+    """Return the results folder of notebooks: ``MMQA_RESULTS``, or a folder beside the notebook.
 
-    A notebook that is run by hand writes to ``results/by_hand`` in its own folder, so it replaces
-    neither the results of ``mmqa studies`` nor those of another user.
+    A notebook that is run by hand writes to ``results/by_hand`` in its own folder. It therefore
+    replaces neither the results of ``mmqa studies`` nor the results of another user.
 
     Returns
     -------
@@ -72,18 +73,19 @@ def results_folder() -> Path:
 
 
 class Run:
-    """The results of one run of one study, each file written whole or not at all.
+    """The results of one run of a study; each file is written whole or not at all.
 
-    The run record ``run.json`` is written with every file, so that a run that ends early says
-    what it left.
+    The run record ``run.json`` is updated with every file. The record of a run that ends early
+    therefore lists the files of that run.
 
     Parameters
     ----------
     stem : str
         The study's stem; results go to ``<results_folder()>/<stem>/``.
     parameters : dict
-        The notebook's ``globals()``. The record keeps the names that the cell tagged
-        ``parameters`` of the notebook ``*<stem>*.ipynb`` in the working folder sets.
+        The notebook's ``globals()``. The record keeps the parameters of the notebook
+        ``*<stem>*.ipynb`` in the working folder: the names that its cell tagged ``parameters``
+        sets.
 
     Examples
     --------
@@ -119,7 +121,7 @@ class Run:
         self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
         files = read_record(self.folder).get("files", [])
         for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, files)]:
-            left.unlink(missing_ok=True)  # of an earlier run, or one that was killed
+            left.unlink(missing_ok=True)  # of an earlier run, or of a killed run
         self._write_record()
         if get_ipython() is not None:
             pd.set_option("display.max_colwidth", None, "display.float_format", four_digits)
@@ -127,13 +129,14 @@ class Run:
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
 
-        A table says of its numbers which of ``KINDS`` they are, by a column's name or in a column;
-        where it does not, ``kind`` becomes such a column, and tells of the columns without a word.
+        The table states the kind of its numbers, one of ``KINDS``, in the name of a column or in a
+        column of texts. ``kind`` adds such a column. It applies to the columns whose kind is not
+        stated otherwise.
 
         Raises
         ------
         ValueError
-            If the table has numbers, and neither it nor ``kind`` says of which kind they are.
+            If the table has numbers, and neither the table nor ``kind`` states their kind.
         """
         if kind:
             frame = frame.assign(**{"kind_of_number" if "kind" in frame else "kind": kind})
@@ -158,13 +161,14 @@ class Run:
         kind: str = "",
         seen: str = "",
     ) -> None:
-        """Write a matplotlib figure as PDF, SVG and PNG, equal to the byte from run to run.
+        """Write a matplotlib figure as PDF, SVG and PNG; equal runs give equal bytes.
 
-        ``data``, a DataFrame of what it shows, is written as ``<name>.csv``. Its panels get
-        letters. The kind of its numbers, ``kind`` or that of ``data`` or of the table of this name,
-        stands in its lower right corner where its texts do not say it. ``seen`` says in a sentence
-        what one sees: a caption, kept with the licence in ``captions.csv``, and for readers without
-        the picture. Without it the axes' labels do.
+        The panels of the figure get letters. ``data`` is a DataFrame of the numbers shown, written
+        as ``<name>.csv``. The kind of the numbers is ``kind``, the kind of ``data``, or the kind of
+        the table of this name. It stands in the lower right corner unless the texts of the figure
+        state it. ``seen`` describes the figure in a sentence. It is the caption, kept with the
+        licence in ``captions.csv``, and the text for readers without the picture. By default it is
+        made of the axes' labels.
         """
         if name not in self._kinds or data is not None:
             self._remove(name)
@@ -196,33 +200,33 @@ class Run:
             self._write(f"{name}.csv", data)
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
-        """Keep a named number of a kind in ``values.csv``, and as a macro in ``values.tex``."""
+        """Write a named number with its unit and kind to ``values.csv`` and ``values.tex``."""
         self._values[name] = {"name": name, "value": float(value), "unit": unit, "kind": kind}
         self._write("values.csv", pd.DataFrame(list(self._values.values())))
         self._write("values.tex", "\n".join(_macro(**kept) for kept in self._values.values()))
 
     def save_answer(self, sentence: str, *, figure: str) -> None:
-        """Keep the study's answer with its numbers, and the name of the figure that shows it.
+        """Keep the study's answer and the name of the figure that shows it.
 
-        The index page and the README take them from the run record.
+        The index page and :mod:`mmqa_lab.run.store` take both from the run record.
         """
         spaced = re.sub(r"(?<=\d)%", " %", sentence)
         self._record["answer"] = {"sentence": spaced, "figure": figure}
         self._write_record()
 
     def check(self, statement: str, passed: bool, obtained: str, reason: str) -> None:
-        """Compare a statement with the numbers of this run, in a line; a failure stops nothing.
+        """Print and record whether a statement holds for this run; a failed check stops nothing.
 
         Parameters
         ----------
         statement : str
-            What the notebook says.
+            The statement of the notebook.
         passed : bool
-            Whether it is true of this run.
+            Whether the statement is true of this run.
         obtained : str
             The numbers of this run.
         reason : str
-            Where the tolerance comes from.
+            The reason for the tolerance.
         """
         print(f"check: {'yes' if passed else 'NO'}. {statement} Here {obtained} ({reason}).")
         row = {"statement": statement, "passed": bool(passed), "obtained": obtained}
@@ -233,12 +237,12 @@ class Run:
         self._write("checks.csv", frame)
 
     def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
-        """Write what the study says of printed results as ``ledger.csv``.
+        """Write the study's values beside printed results as ``ledger.csv``.
 
         Parameters
         ----------
         entries : DataFrame or list of dict
-            As :func:`mmqa_lab.published.ledger.entries` makes them.
+            From :func:`mmqa_lab.published.ledger.entries`.
         """
         self._write("ledger.csv", pd.DataFrame(entries))
 
@@ -254,34 +258,34 @@ class Run:
             self._record["files"].remove(file)
 
     def _write(self, name, write):
-        """Write one file of this run and enter it into the record."""
+        """Write a file of this run and enter it into the record."""
         write_atomically(self.folder / name, write)
         if name not in self._record["files"]:
             self._record["files"].append(name)
         self._write_record()
 
     def _write_record(self):
-        """Write the run record as it stands."""
+        """Write the run record."""
         self._record["seconds"] = round(time.time() - self._began, 1)
         text = json.dumps(self._record, indent=1, default=str)
         write_atomically(self.folder / RECORD, text)
 
 
 def _macro(name, value, unit, kind):
-    """A named number as a LaTeX macro: letters alone, digits as words."""
+    """A named number as a LaTeX macro, whose name has letters only: digits become words."""
     spelled = re.sub(r"\d", lambda digit: f"_{DIGITS[int(digit[0])]}_", name)
     camel = "".join(part.capitalize() for part in re.split(r"[^A-Za-z]+", spelled))
     return f"\\newcommand{{\\mmqa{camel}}}{{{four_digits(value)}}} % {unit}, {kind}"
 
 
 def read_record(folder):
-    """Return the run record in a study's folder; empty where a run did not get that far."""
+    """Return the run record in a study's folder; an empty dict without a record."""
     file = Path(folder) / RECORD
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
 def parameter_names(notebook):
-    """Return the names that a notebook's cell tagged ``parameters`` sets, in their order.
+    """Return the names that a notebook's cell tagged ``parameters`` sets, in the cell's order.
 
     Parameters
     ----------
@@ -311,7 +315,7 @@ def parameter_names(notebook):
 
 
 def _environment():
-    """Version and commit of the package, of Python and of the libraries it asks for."""
+    """Versions of the package, of Python and of the required libraries; commit and platform."""
     asked = metadata.requires("mmqa_lab") or []
     names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
     installed = {one.name.lower(): one.version for one in metadata.distributions()}
@@ -325,10 +329,10 @@ def _environment():
 
 
 def _commit():
-    """The commit of the package's checkout, with ``-dirty`` where files differ; empty without."""
+    """The commit of the package's checkout, ``-dirty`` if files differ; empty if installed."""
     command = ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
     here = Path(__file__).parents[2]
-    if not (here / "pyproject.toml").is_file():  # installed: another project's folder, perhaps
+    if not (here / "pyproject.toml").is_file():  # installed, perhaps in another project
         return ""
     try:
         return subprocess.run(command, cwd=here, capture_output=True, text=True).stdout.strip()
@@ -337,7 +341,7 @@ def _commit():
 
 
 def _described(figure):
-    """What the axes of a figure show: their titles and labels."""
+    """The titles and labels of a figure's axes."""
     shown = []
     for ax in figure.axes:
         over = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
@@ -347,7 +351,7 @@ def _described(figure):
 
 
 def _latex(frame):
-    """A table for LaTeX with the rules of booktabs, its units in the headings, all escaped."""
+    """A table for LaTeX with booktabs rules, units in the headings and escaped texts."""
     names = ["_".join(filter(None, map(str, np.atleast_1d(name)))) for name in frame.columns]
     shown = frame.set_axis([_heading(name) for name in names], axis=1)
     text = shown.to_latex(index=False, escape=True, na_rep="--", float_format=_typeset)
@@ -364,18 +368,18 @@ def _heading(name):
 
 
 def _typeset(number):
-    """A number for LaTeX, powers of ten as such."""
+    """A number for LaTeX; an exponent becomes a power of ten."""
     digits, _, power = four_digits(number).partition("e")
     return f"${digits} \\times 10^{{{int(power)}}}$" if power else digits
 
 
 def four_digits(number):
-    """A number as text: of four digits or, if it is large, whole."""
+    """A number as text with four significant digits; a large number is rounded to a whole."""
     return f"{number:.0f}" if 1e4 <= abs(number) < 1e9 else f"{number + 0.0:.4g}"
 
 
 def _kind_of(frame):
-    """The kinds of a table's numbers: of a column with one in each row, or of columns' names."""
+    """The kinds of a table's numbers, from a column with a kind in each row or from the names."""
     words = frame.select_dtypes(exclude=["number", "bool"]).astype(str)
     told = [name for name in words if words[name].str.contains("|".join(KINDS)).all()]
     said = " ".join(words[told[0]].unique() if told else map(str, frame))

@@ -1,4 +1,4 @@
-"""Notebooks run without a screen, in a kernel of their own."""
+"""Run notebooks without a screen, each in its own kernel."""
 
 import json
 import os
@@ -15,9 +15,9 @@ from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
-    "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads would wait for each other
+    "OPENBLAS_NUM_THREADS": "1",  # matrices are small, so threads would only wait
     "PYDEVD_DISABLE_FILE_VALIDATION": "1",
-    "PYTHONDONTWRITEBYTECODE": "",  # or every kernel compiles its libraries anew, some 6 s
+    "PYTHONDONTWRITEBYTECODE": "",  # otherwise each kernel compiles its libraries, in 6 s
     "TQDM_DISABLE": "1",
 }
 
@@ -29,14 +29,14 @@ def run_study(study, folder, *, quick=False):
     ----------
     study : mmqa_lab.studies.Study
     folder : path
-        Results go to ``<folder>/<stem>/``, the page among them as ``<stem>.html``.
+        Results go to ``<folder>/<stem>/``; the page is ``<stem>.html``.
     quick : bool
-        Run with its small parameters.
+        Use the study's small parameters.
 
     Returns
     -------
     Outcome
-        Also written as ``outcome.json`` beside the results.
+        Also written to ``outcome.json`` in the folder of the results.
     """
     target = Path(folder).resolve() / study.stem
     outcome = Outcome(study.stem, quick)
@@ -60,7 +60,7 @@ def run_study(study, folder, *, quick=False):
 
 
 def write_outcome(outcome, folder):
-    """Write how a run ended beside its results."""
+    """Write the outcome of a run to the folder of its results."""
     write_atomically(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
 
 
@@ -74,7 +74,7 @@ def inject(notebook, parameters):
 
 
 def execute(notebook, folder, *, results):
-    """Execute a notebook in place; return what stopped it in one line, or nothing."""
+    """Execute a notebook in place; return its failure in one line, or an empty text."""
     from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError, DeadKernelError
 

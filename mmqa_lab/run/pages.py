@@ -1,7 +1,7 @@
-"""The pages of a run: an index of all studies, the ledger, and each notebook as it was executed.
+"""The pages of a run: the index of all studies, the ledger, and each executed notebook.
 
-A page is one file with relative links and needs nothing from the network. The texts around the
-results are in ``templates/``.
+A page is one file with relative links and needs no network. The texts around the results are in
+``templates/``.
 """
 
 import base64
@@ -28,29 +28,29 @@ OUTCOME = "outcome.json"
 TEMPLATES = Path(__file__).parent / "templates"
 
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
-"""A formula that stands alone, or one within a text."""
+"""A formula on a line of its own, or within a text."""
 
 FORMULA_PT = 12.5
 
 HEADING = re.compile(r"^#+ (.+)", re.MULTILINE)
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
-"""An output that needs the kernel it came from."""
+"""Type of an output that needs a running kernel."""
 
 SAVED_FIGURE = re.compile(r"""save_figure\(\s*\w+,\s*["'](\w+)["']""")
 
 SENTENCE = re.compile(r"<td>(?!NaN<)(?=[^<]*[A-Za-z]{3})")
-"""Begins a cell of words; numbers stand on the right."""
+"""Begins a table cell with words. Words are aligned left, numbers right."""
 
 ANSWERS = "answers.csv"
-"""In the folder of the notebooks: what :mod:`mmqa_lab.run.store` keeps."""
+"""File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`."""
 
 UNFINISHED = "stopped before its end"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one run of a study ended; without its end, how far it came."""
+    """The outcome of a run of a study: finished, failed or stopped before its end."""
 
     study: str
     quick: bool
@@ -71,12 +71,12 @@ class Outcome:
 
     @property
     def verdict(self):
-        """How many checks passed, or what stopped the run."""
+        """The count of passed checks, or the failure."""
         return self.failure or f"{self.passed} of {self.checks} checks passed"
 
 
 def read_outcome(folder):
-    """Return the outcome that a run left in a study's folder, or None."""
+    """Return the outcome of the last run in a study's folder, or None."""
     file = Path(folder) / OUTCOME
     return Outcome(**json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
@@ -87,9 +87,9 @@ def write_pages(folder, studies):
     Parameters
     ----------
     folder : path
-        Of all results.
+        The folder of all results.
     studies : list of mmqa_lab.studies.Study
-        Those that were never run are left out.
+        Studies that were never run are left out.
     """
     folder, file = Path(folder), notebooks_folder() / ANSWERS
     stored = dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
@@ -116,13 +116,13 @@ def notebook_page(notebook, title, *, figures, failure="", alone=False, quick=Fa
     notebook : NotebookNode
     title : str
     figures : dict
-        Of the run record; what is seen in a figure becomes the text in place of the picture.
+        The figures of the run record; their captions become the alternative texts.
     failure : str
-        What stopped the run; the page begins with it, and with a link to the cell that failed.
+        The reason why the run stopped. The page begins with it and links to the failed cell.
     alone : bool
-        Without a link to the index of all studies.
+        Leave out the link to the index of all studies.
     quick : bool
-        Of small parameters; the page says so.
+        State on the page that the parameters are small.
     """
     from nbconvert import HTMLExporter
     from pygments.formatters import HtmlFormatter
@@ -142,7 +142,7 @@ def notebook_page(notebook, title, *, figures, failure="", alone=False, quick=Fa
     )
     body, _ = exporter.from_notebook_node(notebook)
     style = HtmlFormatter(style="default").get_style_defs(".highlight")
-    body = body.replace("<table ", '<table tabindex="0" ')  # wide ones scroll, by keys too
+    body = body.replace("<table ", '<table tabindex="0" ')  # wide tables scroll, also by keys
     if failure and 'output_error"' in body:
         body = 'output_error" id="stopped"'.join(body.rsplit('output_error"', 1))
     body = SENTENCE.sub('<td class="text">', body)
@@ -151,11 +151,11 @@ def notebook_page(notebook, title, *, figures, failure="", alone=False, quick=Fa
 
 
 def _typeset(found):
-    """A formula of LaTeX as a picture, with its source for readers without the picture."""
+    """A LaTeX formula as a picture, with its source as alternative text."""
     from matplotlib import mathtext
 
     formula, picture = (found[1] or found[2]).replace("\n", " "), io.BytesIO()
-    formula = re.sub(r"\\[lr]vert(?![a-z])", "|", formula)  # mathtext has no such name
+    formula = re.sub(r"\\[lr]vert(?![a-z])", "|", formula)  # mathtext lacks these commands
     size = FORMULA_PT * (1.2 if found[1] else 1)
     font = FontProperties(size=size)
     with mpl.rc_context({"mathtext.fontset": "cm", "svg.fonttype": "path"}):
@@ -173,21 +173,21 @@ def _typeset(found):
 
 
 def write_report(path, *, title, sentences=(), tables=None, figures=None, files=()):
-    """Write one page: sentences, tables, figures, and the files it rests on with their SHA-256.
+    """Write a report page: sentences, tables, figures, and the SHA-256 of the files read.
 
     Parameters
     ----------
     path : path
-        HTML that prints well; it needs nothing from the network.
+        The HTML file. It needs no network and can be printed.
     title : str
     sentences : sequence of str
-        What was measured and what speaks against it.
+        Findings and remarks.
     tables : dict of str to DataFrame, optional
-        By their headings.
+        Tables by heading.
     figures : dict of str to matplotlib Figure, optional
-        By their captions.
+        Figures by caption.
     files : sequence of path
-        What was read.
+        The files that were read.
 
     Examples
     --------
@@ -214,7 +214,7 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
 
 
 def filled(name, **values):
-    """Return a template of ``templates/`` with its values."""
+    """Return the text of a template in ``templates/`` with values filled in."""
     from jinja2 import Environment, FileSystemLoader
 
     environment = Environment(
@@ -224,11 +224,11 @@ def filled(name, **values):
 
 
 def _card(study, folder, stored):
-    """What the index shows of one study, from what its run left on the disk."""
+    """The entry of a study on the index page, from the files of its run."""
     record, outcome, file = read_record(folder), read_outcome(folder), folder / "checks.csv"
     checks = pd.read_csv(file, keep_default_na=False) if file.is_file() else pd.DataFrame()
     figures, answer = record.get("figures", {}), record.get("answer", {})
-    shown = answer.get("figure") or next(reversed(figures), "")  # where no answer was reached
+    shown = answer.get("figure") or next(reversed(figures), "")  # if no answer was saved
     return {
         "study": study,
         "outcome": outcome,
@@ -245,7 +245,7 @@ def _card(study, folder, stored):
 
 
 def _ledger(folder, studies):
-    """The ledger of the studies' results; None before one was written."""
+    """The ledger of the studies' results; None without a ledger file."""
     if not any(folder.glob("*/ledger.csv")):
         return None
     from mmqa_lab.published import ledger

@@ -1,7 +1,7 @@
-"""What the repository keeps of a full run: ``python -m mmqa_lab.run.store``.
+"""Store the results of a full run in the repository: ``python -m mmqa_lab.run.store``.
 
-Notebooks with their outputs, thumbnails of their key figures, the ledger's counts and the picture
-of the front page, from ``notebooks/results``.
+From ``notebooks/results`` it stores the notebooks with their outputs, the thumbnails of their key
+figures, the counts of the ledger and the picture of the front page.
 """
 
 import base64
@@ -23,15 +23,15 @@ from mmqa_lab.run.pages import ANSWERS, WIDGET, read_outcome
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder, results_folder
 
 WIDTHS_PX, THUMBNAIL_PX = (700, 560, 420, 320), 280
-"""Widths of stored figures, the first (178 mm at 100 dpi) that is small enough, and thumbnails."""
+"""Possible widths of stored figures, from 178 mm at 100 dpi down, and width of thumbnails."""
 
 KEY_FIGURE = "anisotropy/patterns.png"
-"""Of a run's results: what the README shows first."""
+"""The first figure of the README, in the folder of results."""
 
 VERDICT_COLOURS = ("#009E73", "#56B4E9", "#D55E00", "#BBBBBB")
 
 LARGEST_BYTES = 1_000_000
-"""Of a notebook with its outputs."""
+"""Largest size of a notebook with its outputs."""
 
 
 def store(notebooks, folder, studies):
@@ -40,15 +40,16 @@ def store(notebooks, folder, studies):
     Parameters
     ----------
     notebooks : path
-        Folder of the notebooks, which are written with their outputs.
+        Folder of the notebooks. They are overwritten with their outputs.
     folder : path
-        Of the results.
+        Folder of the results.
     studies : list of mmqa_lab.studies.Study
 
     Raises
     ------
     ValueError
-        If a study has no full run to its end, or its notebook changed since.
+        If a study has no complete full run, if its notebook changed after the run, or if its
+        outputs are too large.
     """
     from mmqa_lab.published.ledger import collect, summary
 
@@ -79,7 +80,7 @@ def store(notebooks, folder, studies):
 
 
 def store_tool(study, folder):
-    """Run a notebook that is a tool, without a screen, and store its outputs: where it starts.
+    """Run a notebook that is a tool without a screen, and store the outputs of its start.
 
     Raises
     ------
@@ -96,13 +97,13 @@ def store_tool(study, folder):
 
 
 def code_hash(notebook):
-    """SHA-256 of a notebook's code: stored outputs are of this code, or of another."""
+    """SHA-256 of a notebook's code, which tells whether stored outputs belong to this code."""
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
     return hashlib.sha256("\n\n".join(code).encode()).hexdigest()
 
 
 def _lightened(ran, kept):
-    """The notebook with the outputs of its run: no widgets, no stderr, pictures made small."""
+    """The notebook with its outputs, without widgets and stderr, and with small pictures."""
     ran.metadata = {**kept.metadata, "mmqa_lab": {"code": code_hash(ran)}}
     for width in WIDTHS_PX:
         for cell, plain in zip(ran.cells, kept.cells, strict=True):
@@ -120,7 +121,7 @@ def _is_kept(output):
 
 
 def _small(output, width):
-    """An output with its picture at most so wide."""
+    """An output with its picture reduced to a width."""
     data = output.get("data", {})
     if "image/png" in data:
         stream = io.BytesIO()
@@ -131,17 +132,17 @@ def _small(output, width):
 
 
 def _shrunk(picture, width, colours):
-    """A picture at most that wide, on white, with few colours."""
+    """A picture on white, reduced to a width and to a number of colours."""
     picture = picture.convert("RGBA")
     white = Image.new("RGBA", picture.size, "white")
     picture = Image.alpha_composite(white, picture).convert("RGB")
     size = min(width, picture.width), round(picture.height * min(width / picture.width, 1))
     picture = picture.resize(size, Image.Resampling.LANCZOS)
-    return picture.quantize(colours, method=Image.Quantize.MAXCOVERAGE)  # rare colours stay
+    return picture.quantize(colours, method=Image.Quantize.MAXCOVERAGE)  # keeps rare colours
 
 
 def _save(picture, path, width, *, colours):
-    """Write a picture made small."""
+    """Write a reduced picture as PNG."""
     path.parent.mkdir(exist_ok=True)
     small = _shrunk(picture, width, colours)
     write_atomically(path, lambda file: small.save(file, "png", optimize=True))

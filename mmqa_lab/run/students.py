@@ -1,11 +1,11 @@
-"""Notebooks for a class: copies without answers, checks that answer in sentences, sheets to print.
+"""Notebooks for a class: students' copies, checks of answers, and solutions for the teacher.
 
-Cells tagged ``solution`` contain an answer and, below a line ``# check``, the code that tests it;
-cells tagged ``lesson`` are for the teacher. A student's copy has the test compressed, so that it
-cannot be read at a glance, and no stored outputs; a check that fails does not stop *Run All*. The
-cell tagged ``number`` sets the student's number in the class, from which exercises take their
-numbers: everyone has another answer. The first exercise stands behind what it needs, so that a
-class reaches it at once. A teacher gets the solutions with a table of answers by number.
+Cells tagged ``solution`` contain an answer and, below a line ``# check``, the code that tests the
+answer. Cells tagged ``lesson`` are for the teacher. A student's copy has no stored outputs. Its
+tests are compressed, so that nobody reads them at a glance. A failed check does not stop
+*Run All*. The cell tagged ``number`` sets the student's number in the class. Exercises take their
+values from this number, so each student has another answer. The first exercise stands directly
+below the cells that it needs. The teacher gets the solutions and a table of answers by number.
 """
 
 import ast
@@ -29,34 +29,34 @@ from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
 ASKED = "# asked for: "
-"""Begins the line of an answer that says names, types and units; students get it too."""
+"""Begins the line of an answer that states names, types and units. Students see this line."""
 
 CHECK = "# check"
-"""The line of an answer below which everything is the test of it."""
+"""The line of an answer that separates the work from its test."""
 
 NUMBER = "number"
-"""Tag of the cell for the student's number in the class, and the number's name."""
+"""Tag of the cell for the student's number in the class, and name of the number."""
 
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
-"""What the notebook says of n; in a copy it is the student who sets it."""
+"""The notebook's words on the number, replaced in copies, where the student sets it."""
 
 NUMBERS = range(1, 31)
-"""The numbers of a class, in the table of answers."""
+"""The numbers of a class in the table of answers."""
 
 FEW = 6
-"""Numbers of an answer that a table of answers has room for."""
+"""Most numbers of an answer in the table of answers."""
 
 PYTHON = {"name": "python", "pygments_lexer": "ipython3"}
 
 
 def student_cell(source):
-    """Return an answer's cell as a student gets it: the names to work out, and the check.
+    """Return the student's version of an answer's cell: names without values, and the check.
 
     Parameters
     ----------
     source : str
         Code of a cell tagged ``solution``; its first line is a comment that begins with the
-        exercise's number. All that stands below a line ``# check`` is sealed.
+        exercise's number. The code below a line ``# check`` is compressed.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def student_cell(source):
     Raises
     ------
     ValueError
-        If nothing that the answer sets is checked.
+        If the check reads none of the names that the answer sets.
 
     Examples
     --------
@@ -89,24 +89,24 @@ def student_cell(source):
 
 
 def _number(source):
-    """The exercise's number, which its answer begins with."""
+    """The exercise's number, from the first line of its answer."""
     return source.split(":")[0].lstrip("# ")
 
 
 class NotRight(AssertionError):
-    """What is wrong with an answer; a notebook shows the sentence alone."""
+    """The error of an answer; a notebook shows only its sentence."""
 
     def _render_traceback_(self):
         return [f"Exercise {self}"]
 
 
 def check_answer(sealed, scope):
-    """Check a student's work, and say in a sentence what is wrong with it.
+    """Check a student's work, and state in a sentence what is wrong.
 
     Parameters
     ----------
     sealed : str
-        The checks as :func:`student_cell` compresses them.
+        The check, compressed by :func:`student_cell`.
     scope : dict
         The notebook's ``globals()``.
 
@@ -125,27 +125,27 @@ def check_answer(sealed, scope):
         listed = ", ".join(name for name in answers if name != NUMBER)
         usual = f"not right yet. Check the formula, and the unit of {listed}."
         raise NotRight(f"{number}: {str(error) or usual}") from None
-    except Exception as error:  # of any kind: the work may be of any type
+    except Exception as error:  # the work may have any type
         what = f"{type(error).__name__}: {error}"
         raise NotRight(f"{number}: the check cannot be worked out with this: {what}.") from None
     print(f"{number}: right.")
 
 
 def _sealed(task):
-    """What is checked, as arguments of a call: text not read at a glance, and the scope."""
+    """The arguments of ``check_answer``: the compressed check and the scope."""
     text = base64.b64encode(zlib.compress(json.dumps(task).encode(), 9)).decode()
     lines = "\n".join(f'    "{part}"' for part in textwrap.wrap(text, 80))
     return f"\n{lines},\n    globals(),\n"
 
 
 def _blank(name):
-    """The line in which a student gives a name its value, with the unit that the name ends with."""
+    """The line in which a student sets a name, with the unit from the end of the name."""
     unit = split_unit(name)[1]
     return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
 
 
 def _exercise(source):
-    """An answer as a student's two cells, work and checks, as nbgrader knows them."""
+    """Yield the student's two cells of an answer, work and check, in nbgrader's form."""
     for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
         grading = {
             "grade_id": f"exercise-{_number(source)}-{part}",
@@ -160,7 +160,7 @@ def _exercise(source):
 
 
 def _student_notebook(notebook, checks):
-    """Return a copy of a notebook without answers, outputs and the teacher's cells."""
+    """A copy of a notebook without answers, outputs and the teacher's cells."""
     cells = []
     for cell in notebook.cells:
         tags = _tags(cell)
@@ -184,11 +184,11 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     ----------
     studies : list of mmqa_lab.studies.Study
     folder : path
-        Made where missing.
+        Created if missing.
     quick : bool
-        With each study's small parameters.
+        Use each study's small parameters.
     checks : bool
-        With the sealed checks; without them the copies only ask.
+        Include the compressed checks.
 
     Returns
     -------
@@ -197,7 +197,7 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     Raises
     ------
     ValueError
-        If a notebook of that name is there already: it may be a student's work.
+        If the folder already contains a notebook of that name: it may be a student's work.
 
     Examples
     --------
@@ -223,15 +223,15 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
 
 
 def write_solutions(studies, folder, *, quick=False):
-    """Write each study's solutions with answers by number and lesson plan: a page to print.
+    """Write a page per study with its solutions, answers by number and lesson plan.
 
     Parameters
     ----------
     studies : list of mmqa_lab.studies.Study
     folder : path
-        The teacher's; made where missing.
+        The teacher's folder, created if missing.
     quick : bool
-        Answers for each study's small parameters.
+        Give the answers for each study's small parameters.
 
     Returns
     -------
@@ -262,20 +262,20 @@ def write_solutions(studies, folder, *, quick=False):
 
 
 def answer_table(study, *, quick=False):
-    """Return the answers that are numbers, for each number of the class.
+    """Return the numeric answers for each number of the class.
 
-    The notebook is run without the solutions, then each solution with each number.
+    The notebook is run without the solutions, then each solution is run with each number.
 
     Parameters
     ----------
     study : mmqa_lab.studies.Study
     quick : bool
-        With its small parameters.
+        Use the study's small parameters.
 
     Returns
     -------
     DataFrame
-        ``n``, and a column for each answer that depends on it.
+        ``n``, the number in the class, and a column for each answer that depends on it.
 
     Raises
     ------
@@ -303,12 +303,12 @@ def answer_table(study, *, quick=False):
 
 
 def work_out(tasks, scope):
-    """Return the answers that are numbers for each number of the class, as JSON.
+    """Return the numeric answers for each number of the class, as JSON.
 
     Parameters
     ----------
     tasks : dict
-        Code and names of answers by the exercise's number.
+        Code and names of the answers by the exercise's number.
     scope : dict
         A notebook's ``globals()``.
 
@@ -325,15 +325,15 @@ def work_out(tasks, scope):
                 exec(code, scope)
             row |= {f"{task}: {name}": _short(scope[name]) for name in names}
             if not any(row[f"{task}: {name}"] for name in names):
-                break  # a table or a curve
+                break  # the answer is a table or a curve
     return json.dumps(list(rows.values()))
 
 
 def _short(answer):
-    """A number, or a few, as text; None for what is more than that."""
+    """A number or a few numbers as text; None for other answers."""
     try:
         values = np.atleast_1d(np.asarray(answer))
-    except ValueError:  # a list of unlike things
+    except ValueError:  # a list of unlike items
         return None
     if values.ndim > 1 or len(values) > FEW or values.dtype.kind not in "fiub":
         return None
@@ -346,6 +346,6 @@ def _tags(cell):
 
 
 def _names(node, context):
-    """Names that a piece of code reads or sets, in the order of their places."""
+    """Names that code reads or sets, in the order of the code."""
     found = [n for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, context)]
     return [n.id for n in sorted(found, key=lambda n: (n.lineno, n.col_offset))]
