@@ -6,8 +6,8 @@
     result = poles.score(found, reference, corridor=15, trajectory=positions)
     result.recall, result.precision
 
-``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011),
-``learned`` has thirty named measures and two hundred small trees.
+``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011).
+``learned`` uses thirty named measures and two hundred small trees.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from mmqa_lab.poles import fgi, itc, learned
 from mmqa_lab.poles.scores import Score, match, score
 
 METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
-"""The detectors by name, and what figures call them."""
+"""The detectors by name, with their labels in figures."""
 
 CORRIDORS_M = {"learned": 30.0, "fgi": 30.0, "itc": 15.0}
-"""Half width of the corridor where a trajectory comes without one: that of the report's tables."""
+"""Default half width of the corridor, m. The report's tables use 30 m for FGI and 15 m for ITC."""
 
 __all__ = ["METHODS", "Score", "detect", "match", "score"]
 
@@ -46,29 +46,32 @@ def detect(
     Parameters
     ----------
     points : Cloud or array_like of shape (n, 3)
-        Metres, any origin. ``fgi`` needs a cloud with scan lines: ``scan_line`` and ``pulse`` or
-        ``gps_time``, or ``gps_time`` or ``scan_angle`` from which lines are recovered.
+        Metres, any origin. ``fgi`` needs a cloud with scan lines: the columns ``scan_line`` and
+        ``pulse`` (or ``gps_time``). Without ``scan_line`` it recovers the lines from ``gps_time``
+        or ``scan_angle``.
     method : {"learned", "fgi", "itc"}
+        The detector.
     trajectory : array_like, shape (m, 2) or (m, 3), optional
-        Points farther than ``corridor`` from it are left out; where none is left, it warns.
+        Metres. Points farther than ``corridor`` from it are left out.
     corridor : float, optional
-        Metres; where left out 15 of the component method and 30 of the others.
+        Half width, metres. By default 15 for the component method and 30 for the others.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles);
-        of ``learned`` also the measures and what each adds to the log odds (``adds_...``).
+        ``learned`` adds the measures and the contribution of each to the log odds (``adds_...``).
     **choices
-        Of ``fgi`` ``maximum_width``, ``minimum_points``, ``mask_share``, ``shell``
-        (:func:`mmqa_lab.poles.fgi.detect`), of ``learned`` ``threshold`` and ``trees``
+        For ``fgi``: ``maximum_width``, ``minimum_points``, ``mask_share``, ``shell``
+        (:func:`mmqa_lab.poles.fgi.detect`). For ``learned``: ``threshold`` and ``trees``
         (:func:`mmqa_lab.poles.learned.detect`).
 
     Returns
     -------
     DataFrame
-        One row a pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
+        One row per pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
-        ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where not
-        measurable. Of ``learned`` also the ends of a 95 % interval of the diameter, for round
-        shafts; the circle through a square one is wider than its side.
+        ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where a
+        value is not measurable. ``learned`` adds the ends of a 95 % confidence interval of the
+        diameter, valid for round shafts; the circle through a square shaft is wider than its
+        side.
 
     Raises
     ------
@@ -76,11 +79,16 @@ def detect(
         If a choice is unknown or not a number, the coordinate system is not in metres, a corridor
         comes without a trajectory, or ``fgi`` gets a cloud without scan lines.
 
+    Warns
+    -----
+    UserWarning
+        If no point lies within the corridor.
+
     Notes
     -----
-    The score of ``learned`` is the probability that its trees give on streets like the training
-    ones; on others it is no probability. For the other methods it is the share of points in the
-    inner cylinder and the share of slices that are pole-like, which order detections and no more.
+    The score of ``learned`` is a probability on streets like the training streets, and not on other
+    streets. The score of ``fgi`` is the share of points in the inner cylinder. The score of ``itc``
+    is the share of pole-like slices. Both order the detections, but are no probabilities.
 
     Examples
     --------
@@ -112,7 +120,7 @@ def detect(
 
 
 def _lines(cloud, inside):
-    """Scan line and pulse of the chosen points."""
+    """Scan line and pulse of the points inside the corridor."""
     lines = fgi.scan_lines(cloud)
     if lines is None:
         columns = ", ".join(cloud.columns) or "none"
@@ -124,10 +132,10 @@ def _lines(cloud, inside):
 
 
 def _within(cloud, trajectory, corridor, usual):
-    """Which points lie in the corridor, all without a trajectory, and an origin near them."""
+    """Index of the points in the corridor (or of all without a trajectory), and a near origin."""
     points, inside = cloud.points, slice(None)
     if corridor is not None and trajectory is None:
-        raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
+        raise ValueError("Invalid trajectory None. Must be given with a corridor.")
     if trajectory is not None:
         reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
         path = check_plan(trajectory, name="trajectory")

@@ -1,4 +1,4 @@
-"""What the detectors share: the ground, pairs of places and points, the table of poles."""
+"""Functions shared by the detectors: ground, pairs of places and points, table of poles."""
 
 import numpy as np
 import pandas as pd
@@ -8,19 +8,25 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
-"""Cells; low points that stand out from a window of 9 m x 9 m by half a metre are roofs, crowns."""
+"""Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
 
 
 def ground(points):
     """Return a function of points that gives the height of the ground under them.
 
     The third lowest point of a cell is the ground, unless it stands out from a morphological
-    opening; cells without ground take the nearest cell's, and between centres it is bilinear.
+    opening. A cell without ground takes the height of the nearest cell with ground. Heights are
+    interpolated bilinearly between the centres of the cells.
 
     Parameters
     ----------
     points : array, shape (n, 3)
-        Metres; one or more.
+        Metres, n >= 1.
+
+    Returns
+    -------
+    callable
+        Takes places (m, 2) or (m, 3) and returns heights (m,), metres.
 
     Examples
     --------
@@ -45,7 +51,7 @@ def ground(points):
     grid = _filled(lowest, known) if known.any() else filled
 
     def height(xy):
-        """Bilinear between the centres of cells."""
+        """Height of the ground at places (m, 2) or (m, 3)."""
         place = (np.asarray(xy)[:, :2] - low).T / GROUND_CELL_M - 0.5
         return ndimage.map_coordinates(grid, place, order=1, mode="nearest")
 
@@ -53,13 +59,15 @@ def ground(points):
 
 
 def _filled(values, known):
-    """Values with gaps taken from the nearest known cell."""
+    """Values of a grid, gaps filled from the nearest known cell."""
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
 
 
 def pairs(xy, points, reach):
-    """Return the numbers of places (k, 2) and points (n, 2 or 3) nearer than ``reach`` in plan.
+    """Return the pairs of places (k, 2) and points (n, 2 or 3) nearer than ``reach`` in plan.
+
+    Two arrays of equal length: the row of the place and the row of the point of each pair.
 
     Examples
     --------
@@ -86,15 +94,17 @@ def pairs(xy, points, reach):
 
 
 def table(rows, method, *, explain=False):
-    """Return candidates as a DataFrame from south to north, the accepted ones or all of them.
+    """Return the accepted or all candidates as a DataFrame, from south to north.
 
     Parameters
     ----------
     rows : dict of str to array
         ``x_m``, ``y_m`` (the axis at half height), ``z_base_m``, ``height_m``, ``diameter_m``,
-        ``lean_x``, ``lean_y`` (m/m), ``score``, ``rejected_by`` (empty for accepted).
+        ``lean_x``, ``lean_y`` (m/m), ``score``, ``rejected_by`` (empty if accepted).
     method : str
+        Name of the detector.
     explain : bool
+        Keep the rejected candidates.
     """
     frame = pd.DataFrame(rows)
     lean = np.hypot(frame["lean_x"], frame["lean_y"])
@@ -106,7 +116,7 @@ def table(rows, method, *, explain=False):
 
 
 def first_reason(n, **failed):
-    """Name, for each of ``n`` candidates, the first test it failed; empty where none.
+    """Name, for each of ``n`` candidates, the first test it failed; empty if none.
 
     Examples
     --------
@@ -120,7 +130,7 @@ def first_reason(n, **failed):
 
 
 def drop_duplicates(xy, score, reason, distance):
-    """Write ``duplicate`` where an accepted candidate with a higher score is nearer than that."""
+    """Write ``duplicate`` in ``reason`` where an accepted candidate of higher score is near."""
     kept = np.flatnonzero(reason == "")
     near = cKDTree(xy[kept]).query_ball_point(xy[kept], distance) if len(kept) else []
     for k in np.lexsort([*xy[kept].T, -score[kept]]):
@@ -129,6 +139,6 @@ def drop_duplicates(xy, score, reason, distance):
 
 
 def joined(a, b, n):
-    """Number of the connected component of each of n things."""
+    """Number of the connected component of each of n nodes, from the linked pairs (a, b)."""
     graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
     return connected_components(graph, directed=False)[1]

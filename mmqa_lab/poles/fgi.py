@@ -1,13 +1,14 @@
 """The scan-line method of the Finnish Geodetic Institute (FGI).
 
-Scan lines are cut into short groups, groups of neighbouring lines that lie over each other form
-clusters, coaxial clusters are merged, and a mask of two coaxial cylinders, dense inside and almost
-empty between, is moved along each cluster (EuroSDR 2013, section 4.1; Lehtomaki et al. 2010,
-doi:10.3390/rs2030641; 2011, ISPRS Archives XXXVIII-5/W12).
+Scan lines are cut into short groups. Groups on neighbouring lines that overlap in plan form
+clusters. Coaxial clusters are merged. A mask of two coaxial cylinders then moves along each
+cluster: the inner cylinder must be dense, the shell around it almost empty (EuroSDR 2013, section
+4.1; Lehtomaki et al. 2010, doi:10.3390/rs2030641; 2011, ISPRS Archives XXXVIII-5/W12).
 
-The report states the shell of the mask (0.2 to 0.8 m, as an example), that the mask is at most as
-long as the shortest pole, and the least length (1 m). All other values are ours. So is what happens
-to duplicates; points of low intensity and isolated ones, which section 3.1.3.2 removes, are kept.
+The report states the shell of the mask (0.2 to 0.8 m, as an example), the least length of a pole
+(1 m), and that the mask is at most as long as the shortest pole. All other values and the treatment
+of duplicates are ours. Section 3.1.3.2 removes isolated points and points of low intensity; this
+method keeps them.
 """
 
 import numpy as np
@@ -17,20 +18,20 @@ from mmqa_lab.poles.common import drop_duplicates, first_reason, joined, pairs, 
 from mmqa_lab.scan_pattern import revolutions_from_time
 
 GROUP_M, MISSING = 0.10, 2
-"""Points of a line farther apart, or with more missing pulses between them, are two groups."""
+"""A line is cut where neighbours are farther apart (m), or more pulses are missing between them."""
 
 OVERLAP_M, NEIGHBOURS = 0.03, 2
-"""Groups may miss each other in plan by that much, on lines up to so many apart."""
+"""Largest gap in plan (m) and largest difference of line numbers between groups of a cluster."""
 
 MERGE_M, MERGE_DEG, GAP_M, SHORT_M = 0.20, 12.0, 2.0, 0.5
-"""Clusters are coaxial when their axes are nearer and more parallel and the gap between is shorter;
-a cluster shorter than half a metre has no direction."""
+"""Largest distance (m), angle (degrees) and gap (m) of coaxial clusters. A cluster shorter than
+half a metre has no direction."""
 
 LENGTH_M, SWEEPS, TILT_DEG, ELONGATION = 1.0, 4, 15.0, 10.0
-"""Of a pole: least length and number of lines, largest lean, least ratio of its eigenvalues."""
+"""Limits of a pole: least length and number of lines, largest tilt, least eigenvalue ratio."""
 
 MASK_M, STEP_M, MASK_ELONGATION = 0.8, 0.2, 4.0
-"""Length and step of the mask; least ratio of the eigenvalues of what lies in it."""
+"""Length and step of the mask; least eigenvalue ratio of the points in the inner cylinder."""
 
 
 def detect(
@@ -44,14 +45,19 @@ def detect(
     points : array, shape (n, 3)
         Metres from an origin nearby.
     lines : pair of array, shape (n,)
-        Scan line, and number of the pulse along it.
+        Scan line of each point, and number of its pulse along the line.
     maximum_width, minimum_points : float, int
-        Longest group of points on a scan line, metres; fewest points of one.
+        Longest group of points on a scan line, metres; fewest points of a group.
     mask_share, shell : float
         Least share of the points in both cylinders that lie in the inner one; outer minus inner
         radius, metres.
     explain : bool
         Return all candidates with the test that rejected them.
+
+    Returns
+    -------
+    DataFrame
+        The columns of :func:`mmqa_lab.poles.common.table`, in the origin of ``points``.
     """
     order = np.lexsort(lines[::-1])
     points, line, pulse = points[order], lines[0][order], lines[1][order]
@@ -97,12 +103,14 @@ def detect(
 def segment_lines(points, line, pulse, maximum_width=0.45, minimum_points=3):
     """Cut sorted scan lines into groups.
 
+    Points (n, 3), line (n,) and pulse (n,) are sorted by line, then pulse; lengths in metres.
+
     Returns
     -------
     group : array of int, shape (n,)
-        Group of each point, -1 where it was dropped as too long or too small.
+        Group of each point, -1 where the group was too long or too small.
     groups : dict of str to array
-        ``centre`` (k, 3), ``half`` (k,) half the chord and ``line`` (k,) of each group kept.
+        Of each accepted group: ``centre`` (k, 3), half its chord ``half`` (k,), ``line`` (k,).
     """
     if not len(points):
         return line, {"centre": points, "half": pulse, "line": line}
@@ -119,7 +127,7 @@ def segment_lines(points, line, pulse, maximum_width=0.45, minimum_points=3):
 
 
 def _clusters(groups, maximum_width):
-    """Number of the cluster of each group: groups that overlap in plan on neighbouring lines."""
+    """Cluster of each group: groups that overlap in plan on neighbouring lines are linked."""
     n = len(groups["half"])
     if n == 0:
         return np.empty(0, np.int64)
@@ -134,13 +142,13 @@ def _clusters(groups, maximum_width):
 
 
 def _by_member(member, n):
-    """Rows sorted by member, and where to split them."""
+    """Rows sorted by member, and the indices at which to split them."""
     order = np.argsort(member, kind="stable")
     return order, np.searchsorted(member[order], np.arange(1, n))
 
 
 def _axes(points, member):
-    """Centre, direction, ends along it and ratio of eigenvalues of each cluster."""
+    """Count, centre, direction, ends along the axis and eigenvalue ratio of each cluster."""
     n = member.max(initial=-1) + 1
     count = np.bincount(member, minlength=n)
     centre = np.stack([np.bincount(member, axis, n) for axis in points.T], axis=1)
@@ -160,7 +168,7 @@ def _axes(points, member):
 
 
 def _merged(points, member):
-    """Members with coaxial close clusters made one; clusters of one line are dropped (-1)."""
+    """Cluster of each point after the merger of coaxial clusters; -1 for clusters below 0.2 m."""
     axes = _axes(points, member)
     n, centre, direction = len(axes["count"]), axes["centre"], axes["direction"]
     low, high = (centre[:, 2] + axes[end] * direction[:, 2] for end in ("low", "high"))
@@ -182,17 +190,17 @@ def _merged(points, member):
 
 
 def _about(points, axis):
-    """Distances of points along an axis, from its centre, and across it."""
+    """Distances of points along an axis (from its centre) and across it."""
     off = points - axis[0]
     along = off @ axis[1]
     return along, np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
 
 
 def _mask(everything, own, axis, *, minimum_points, mask_share, shell):
-    """Which points of a cluster the moving mask accepts, and the mean share in its inner cylinder.
+    """Points of a cluster that the moving mask accepts, and the mean share in its inner cylinder.
 
-    At each step the inner cylinder is the smallest around the cluster's points, and what lies in it
-    must be upright and elongated.
+    At each step the inner cylinder is the smallest around the cluster's points. The points in it
+    must form an upright, elongated shape.
     """
     along, across = _about(own, axis)
     lean = np.hypot(*axis[1][:2]) / max(axis[1][2], 0.1)
@@ -224,9 +232,19 @@ def _is_upright(points):
 def chord_diameter(points, direction, line):
     """Return the diameter of a shaft from the chords that scan lines cut, metres.
 
-    A ray every ``s`` metres meets a post of diameter d d / s times on average, and the chord from
-    the first to the last hit is one spacing less: the median chord plus the median spacing. NaN
-    where fewer than five lines have two hits. The estimator is ours; the report names none.
+    With a ray every s metres a post of diameter d gets d / s hits on average. The chord from the
+    first to the last hit is shorter than d by one spacing, so the estimate is the median chord plus
+    the median spacing. NaN where fewer than five lines have two hits. The report names no
+    estimator; this one is ours.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Points of the shaft, metres.
+    direction : array, shape (3,)
+        Unit vector along the axis.
+    line : array of int, shape (n,)
+        Scan line of each point.
     """
     flat = points - np.outer(points @ direction, direction)
     order = np.argsort(line, kind="stable")
@@ -240,12 +258,12 @@ def chord_diameter(points, direction, line):
 
 
 def scan_lines(cloud):
-    """Return the scan line (n,) of each point of a cloud and its pulse along the line, or None.
+    """Return the scan line (n,) and pulse (n,) of each point of a cloud, or None without lines.
 
-    They are ``scan_line`` and ``pulse`` or ``gps_time``, or come from ``gps_time``, ``scan_angle``
-    or both: a line ends where the angle turns back by more than a quarter of its range, or in the
-    pause that all revolutions share. Lines of different ``head`` are no neighbours. A column whose
-    values are all equal says nothing.
+    They come from ``scan_line`` and ``pulse`` (or ``gps_time``) if the cloud has these columns.
+    Otherwise they are recovered: a line ends where ``scan_angle`` jumps by more than a quarter of
+    its range, or, by ``gps_time``, in the pause that all revolutions share. Lines of different
+    ``head`` are no neighbours. A column whose values are all equal is ignored.
     """
     head = np.zeros(len(cloud), np.int64)
     for name in ("head", "point_source_id"):

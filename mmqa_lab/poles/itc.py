@@ -1,12 +1,13 @@
 """The component method of ITC (University of Twente).
 
-The cloud is clipped to a corridor, the ground is removed, what is left falls into connected
-components, and each component is cut into horizontal slices whose enclosing rectangles are compared
-up the stack (EuroSDR 2013, section 4.2; Pu et al. 2011, ISPRS Journal 66, S28-S39,
-doi:10.1016/j.isprsjprs.2011.08.006). No scan lines needed.
+The cloud is clipped to a corridor and the ground is removed. The remaining points form connected
+components. Each component is cut into horizontal slices, and the enclosing rectangles of
+neighbouring slices are compared (EuroSDR 2013, section 4.2; Pu et al. 2011, ISPRS Journal 66,
+S28-S39, doi:10.1016/j.isprsjprs.2011.08.006). The method needs no scan lines.
 
-All thresholds are ours: the report prints none. It differs from section 4.2: the ground comes from
-the lowest points and not from segments; signs and trees are not told from other poles.
+All thresholds are ours, since the report prints none. Two steps differ from section 4.2: the ground
+comes from the lowest points and not from segments, and poles are not classified as signs or
+trees.
 """
 
 import cv2
@@ -17,26 +18,26 @@ from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, joined, table
 
 GROUND_M = 0.3
-"""Points lower above the ground belong to it."""
+"""Points lower than this above the ground belong to the ground."""
 
 LINK_M, SLICE_M = 0.25, 0.3
-"""Cells of a component that touch are connected; height of a slice."""
+"""Edge of the cells, which are connected where they touch; height of a slice."""
 
 DIAGONAL_M, SHIFT_M, GROWTH_M, MISSING = 0.6, 0.15, 0.25, 1
-"""Longest diagonal of a pole-like slice's rectangle, largest distance of centres and difference of
-diagonals from slice to slice, empty slices that do not end a stack."""
+"""Longest diagonal of the rectangle of a pole-like slice; largest shift of the centre and change of
+the diagonal from slice to slice; most empty slices in a row within a stack."""
 
 LENGTH_M = 1.0
 
 PLANE_CELL_M, THICK_M, TURN_DEG, OFF_M, WALL_M = 0.4, 0.03, 12.0, 0.10, (1.5, 2.0)
-"""Cells in which planes are fitted, their largest thickness, how far neighbouring ones may differ,
-least length and height of a wall."""
+"""Edge of the cells in which planes are fitted; largest thickness of a plane; largest angle and
+offset between neighbouring planes; least length and height of a wall."""
 
 
 def detect(points, *, explain=False):
     """Return the poles of a cloud (n, 3) as :func:`mmqa_lab.poles.detect` does.
 
-    The diameter is the longer side of the rectangle.
+    Lengths are in metres. The diameter is the median of the rectangles' longer sides.
     """
     above = points[:, 2] - ground(points)(points) >= GROUND_M if len(points) else slice(None)
     points = points[above]
@@ -59,13 +60,13 @@ def detect(points, *, explain=False):
 
 
 def components(points):
-    """Return the number of the connected component of each point (n, 3)."""
+    """Return the number of the connected component of each point (n, 3, metres), shape (n,)."""
     cell, places = _cells(points, LINK_M)
     return joined(*_touching(places).T, len(places))[cell]
 
 
 def _cells(points, size):
-    """Number of the occupied cell of each point, and the cells' places, (k, 3)."""
+    """Number of the occupied cell of each point (n,), and the indices of the cells (k, 3)."""
     order, starts, places = sort_into_cells(points, size)
     cell = np.empty(len(points), np.int64)
     cell[order] = np.repeat(np.arange(len(places)), np.diff(starts))
@@ -80,7 +81,7 @@ def _touching(places):
 def _stack(xy, level):
     """The longest stack of similar small slices of a component whose points are sorted by level.
 
-    Returns place, lean, first and last + 1 level, diameter, share of the slices in the stack.
+    Returns place, lean, first level, last level + 1, diameter, and the stack's share of slices.
     """
     first = np.flatnonzero(np.diff(level, prepend=-1))
     boxes = [cv2.minAreaRect(part.astype(np.float32)) for part in np.split(xy - xy[0], first[1:])]
@@ -107,7 +108,9 @@ def _stack(xy, level):
 
 
 def walls(points):
-    """Return which points (n, 3) lie on a wall: planes of cells that continue each other.
+    """Return whether each point (n, 3, metres) lies on a wall, shape (n,).
+
+    A wall is a large, upright group of cells whose fitted planes continue each other.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""A learned detector of named measures and small trees.
+"""A learned detector with named measures and small decision trees.
 
-The cloud is thinned, columns of points become candidates, each gets an axis and the ``MEASURES``,
-and shallow trees grown on simulated streets say how surely it is a pole. Scan lines are not needed.
-``python -m mmqa_lab.studies.poles_training`` makes the trees in ``trees.csv`` again.
+The cloud is thinned, and columns of points become candidates. Each candidate gets an axis and the
+``MEASURES``. Shallow trees, grown on simulated streets, give the probability that it is a pole. The
+method needs no scan lines. ``python -m mmqa_lab.studies.poles_training`` grows ``trees.csv`` again.
 """
 
 from collections.abc import Callable
@@ -19,26 +19,26 @@ from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, pairs, 
 
 VOXEL_M = 0.04
 PLACES = ((0, 0, 0), (0.5, 0.5, 0.5), (0.25, 0.75, 0.25), (0.75, 0.25, 0.75))
-"""Shifts of the thinning grid, in cubes, over which scores are averaged."""
+"""Shifts of the thinning grid, in voxels; scores are averaged over them."""
 
 GRID_M, BIN_M, BINS = 0.1, 0.25, 64
-"""Plan cells of candidates; height bins, 16 m in all."""
+"""Plan cells of candidates; height bins and their number, 16 m in all."""
 
 LOW_M = 0.1
-"""What lies lower above the ground belongs to it."""
+"""Points lower than this above the ground belong to the ground."""
 
 RADII_M = np.array([0.08, 0.15, 0.25, 0.40, 0.55])
 SHELL_M, CLEAN = 0.25, 0.15
-"""A bin is clean where the shell around the core has at most that share of the core's points."""
+"""Width of the shell. A bin is clean if the shell has at most this share of the core's points."""
 
 NARROW = 0.6
-"""The core is the narrowest whose clean run is that share of the longest: boards stay outside."""
+"""The core is the narrowest with this share of the longest clean run: boards stay outside."""
 
 REACH_M, COARSE_M, WIDE_M, ARCS = 1.0, 0.3, 4.0, 24
 MAX_LEAN, WIDEST_M, APART_M = 0.27, 0.6, 0.6
 THRESHOLD, DOUBT, LENGTH_M = 0.45, 0.02, 1.0
-"""The threshold was chosen on 36 streets of two generators and on posts, of other seeds than those
-of tests, studies and benchmarks."""
+"""The threshold was chosen on 36 streets of two generators and on posts. Their seeds are not used in
+tests, studies or benchmarks."""
 
 MEASURES = {
     "run_m": ("longest stretch with points in the core and hardly any around it", 1),
@@ -72,11 +72,11 @@ MEASURES = {
     "around_high": ("the same, 2.5 to 5 m high", 0),
     "around_top": ("the same, above 5 m", 0),
 }
-"""What the trees are told of a candidate, and whether the score may only rise (1) or fall (-1)."""
+"""Features of a candidate: description, and whether the score may only rise (1) or fall (-1)."""
 
 
 class Thin(NamedTuple):
-    """Thinned points (n, 3) up to 16 m above ground, their height (n,), and coarse cells."""
+    """Thinned points (n, 3) up to 16 m above ground, heights (n,), centres of coarse cells, m."""
 
     points: np.ndarray
     height: np.ndarray
@@ -84,7 +84,10 @@ class Thin(NamedTuple):
 
 
 def thinned(points, height_of, place=(0, 0, 0)):
-    """Return the centres of the points of each cube of a grid, and of the coarse cells."""
+    """Return the ``Thin`` cloud: the mean point of each voxel, and the centres of coarse cells.
+
+    Points (n, 3) in metres; ``height_of`` gives the ground; ``place`` shifts the grid, in voxels.
+    """
     order, starts, _ = sort_into_cells(points + VOXEL_M * np.array(place), VOXEL_M)
     centres = np.add.reduceat(points[order], starts[:-1], axis=0) / np.diff(starts)[:, None]
     height = centres[:, 2] - height_of(centres)
@@ -98,19 +101,19 @@ def thinned(points, height_of, place=(0, 0, 0)):
 
 
 SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
-"""Half width of the core and of the ring around it, in cells; a ring of 0 asks for no emptiness."""
+"""Half width of the core and of the ring around it, in cells; a ring of 0 is not tested."""
 
 SCATTER_M, WIDEST = (0.25, 0.06), 4
-"""On the widest scale, core 4, points scatter more about their axis than on the others."""
+"""Scatter about the axis (m) on the widest scale and on the others; core of the widest (cells)."""
 
 TILE, MARGIN = 600, 10
 
 
 def candidates(thin):
-    """Return plan places (k, 2), and how widely points scatter about the axis there (k,), metres.
+    """Return plan places (k, 2) and the scatter of points about the axis (k,), metres.
 
-    A place is a cell whose count of height bins with points and an empty ring is a local maximum on
-    one of four scales.
+    On one of four scales a place is a local maximum of the count of clean height bins: bins with
+    points in the core and an empty ring.
     """
     cell = np.floor(thin.points[:, :2] / GRID_M).astype(np.int64)
     rows = np.unique(np.column_stack([cell, (thin.height / BIN_M).astype(np.int64)]), axis=0)
@@ -122,7 +125,7 @@ def candidates(thin):
         inside = ((place >= 0) & (place < TILE + 2 * MARGIN)).all(axis=1)
         bits = np.zeros((TILE + 2 * MARGIN,) * 2, np.uint64)
         level = np.uint64(1) << rows[inside, 2].astype(np.uint64)
-        np.add.at(bits, tuple(place[inside].T), level)  # each bit once: a sum is a union
+        np.add.at(bits, tuple(place[inside].T), level)  # each bit is unique: sum = union
         found.append(_tops(bits) + [*corner, 0])
     found = np.unique(np.concatenate(found), axis=0)
     return (found[:, :2] + 0.5) * GRID_M, np.where(found[:, 2], *SCATTER_M)
@@ -137,7 +140,7 @@ def _spread(bits, half, axis):
 
 
 def _tops(bits):
-    """Cells of a tile that are local maxima of clean bins, and 1 for those of the widest scale."""
+    """Local maxima of clean bins in a tile: row, column, and 1 on the widest scale, else 0."""
     held = np.bitwise_count(bits).astype(np.float32)
     found = np.zeros((*bits.shape, 2), bool)
     for core, ring in SCALES:
@@ -162,10 +165,10 @@ def _tops(bits):
 
 
 def fit_axes(thin, xy, scatter):
-    """Return robust straight axes (k, 5): place (x, y) at a height, lean (x, y), that height.
+    """Return robust straight axes (k, 5): place (x, y), lean (x, y), height of the place; m, m/m.
 
     Reweighted least squares of the points within 0.5 m, with Geman-McClure weights whose scale
-    shrinks from 0.15 to 0.06 m; a moment of 1 m2 draws leans towards 0. On the widest scale, where
+    shrinks from 0.15 to 0.06 m. A prior of 1 m2 draws leans towards 0. On the widest scale, if the
     points within 0.65 m lie on a circle, the axis stands upright in its centre.
     """
     a, b = pairs(xy, thin.points, 0.65)
@@ -193,7 +196,9 @@ def fit_axes(thin, xy, scatter):
 
 
 def longest_runs(flags):
-    """Return first and last + 1 of the longest run of set flags in each row, gaps of one allowed.
+    """Return first and last + 1 of the longest run of set flags in each row (k, bins).
+
+    Gaps of a single flag are allowed.
 
     Examples
     --------
@@ -211,7 +216,7 @@ def longest_runs(flags):
 
 
 def measure(thin, axes):
-    """Return the ``MEASURES`` of axes as a DataFrame, and what they say of the shaft.
+    """Return the ``MEASURES`` of axes (k, 5) as a DataFrame, and the extent of each shaft.
 
     Returns
     -------
@@ -230,7 +235,7 @@ def measure(thin, axes):
     bins = np.arange(BINS)
 
     def held(which):
-        """Points of each candidate and bin."""
+        """Number of points per candidate and bin."""
         return np.bincount(a[which] * BINS + level[which], minlength=k * BINS).reshape(k, BINS)
 
     def filled(counts, first, last):
@@ -283,7 +288,7 @@ def measure(thin, axes):
     held_bins = np.maximum((count > 0).sum(axis=1), 1)
 
     def binned(values):
-        """Mean of the values of each bin, 0 where there are none."""
+        """Mean of the values in each bin, 0 in empty bins."""
         return np.bincount(spot, values, k * BINS).reshape(k, BINS) / np.maximum(count, 1)
 
     square = sum(binned(c) ** 2 for c in off[own].T).sum(axis=1)
@@ -304,7 +309,7 @@ def measure(thin, axes):
 
 
 def _head(a, across, height, k):
-    """Mean distance from the centre below the top by that farther down; 1 where unknown."""
+    """Mean distance from the centre below the top over the mean farther down; 1 if unknown."""
     top = np.zeros(k)
     np.maximum.at(top, a, height)
     below = top[a] - height
@@ -338,7 +343,7 @@ def _line(a, off, k):
 def _circles(a, off, k, steps=5, hold=0.02):
     """Centre, radius and misfit of the circle through the points of each of k candidates.
 
-    An algebraic circle (Taubin), then five steps of Gauss and Newton.
+    An algebraic circle (Kasa), then robust Gauss-Newton steps.
     """
     n = np.maximum(np.bincount(a, minlength=k), 1)
     mean = lambda values: np.bincount(a, values, k) / n  # noqa: E731
@@ -347,7 +352,7 @@ def _circles(a, off, k, steps=5, hold=0.02):
     z = x * x + y * y
     zz = mean(z)
     scale = np.sqrt(np.maximum(zz, 1e-9))
-    # Kasa's circle, with Taubin's normalisation left to the steps that follow
+    # Kasa's circle; the steps below correct its bias
     xx, xy, yy, xz, yz = mean(x * x), mean(x * y), mean(y * y), mean(x * z), mean(y * z)
     firm = 1e-4 * zz + 1e-7
     det = (xx + firm) * (yy + firm) - xy**2
@@ -372,11 +377,11 @@ def _circles(a, off, k, steps=5, hold=0.02):
 
 
 class Trees(NamedTuple):
-    """Nodes of all trees, one below the other, (n,) each.
+    """Nodes of all trees in arrays of shape (n,).
 
-    A node asks whether ``feature`` is at most ``limit``: then ``left`` is the next node, else
-    ``right``; leaves have -1 there. ``value`` is the log odds that all candidates at the node have
-    beside those of the trees before; ``root`` (trees,) has the first node of each.
+    If ``feature`` is at most ``limit`` the next node is ``left``, else ``right``; leaves have -1 in
+    both. ``value`` is the contribution of the node to the log odds. ``root`` (trees,) is the first
+    node of each tree.
     """
 
     feature: np.ndarray
@@ -387,10 +392,10 @@ class Trees(NamedTuple):
     root: np.ndarray
 
     def parts(self, measures):
-        """Return what each measure adds to the log odds, (k, measures), and what all begin with.
+        """Return the contribution of each measure to the log odds, (k, measures), and the offset.
 
-        On its way through a tree a candidate moves from one node's value to the next one's: the
-        step belongs to the measure that was asked.
+        A candidate passes from node to node of a tree. Each change of the value counts for the
+        measure that the node tests.
         """
         x = np.asarray(measures, float)
         rows, parts = np.arange(len(x)), np.zeros(x.shape)
@@ -406,7 +411,7 @@ class Trees(NamedTuple):
         return parts, self.value[self.root].sum()
 
     def score(self, measures):
-        """Return the probability of a pole that the trees give, (k,)."""
+        """Return the probability (k,) that each candidate is a pole."""
         parts, first = self.parts(measures)
         return 1 / (1 + np.exp(-parts.sum(axis=1) - first))
 
@@ -420,14 +425,15 @@ def grow(measures, label, weight=None, *, rounds=200, leaves=16, rate=0.07, leav
     Parameters
     ----------
     measures : DataFrame
-        Of :func:`measure`.
+        From :func:`measure`, k rows.
     label : array, shape (k,)
         1 for poles, 0 for others.
     weight : array, shape (k,), optional
+        Weights of the candidates; equal by default.
     rounds, leaves, rate : int, int, float
-        Number of trees, leaves of each, learning rate.
+        Number of trees, leaves per tree, learning rate.
     leave : tuple of str
-        Measures that the trees may not ask for.
+        Measures that the trees may not use.
     """
     import lightgbm
 
@@ -445,7 +451,7 @@ def grow(measures, label, weight=None, *, rounds=200, leaves=16, rate=0.07, leav
 
 def trees_of(model):
     """Return the ``Trees`` of a ``lightgbm.Booster``."""
-    nodes = model.trees_to_dataframe()  # each node before what is below it
+    nodes = model.trees_to_dataframe()  # each node before its children
     row_of = pd.Series(nodes.index, nodes["node_index"])
     left, right = (row_of.reindex(nodes[f"{side}_child"]).fillna(-1) for side in ("left", "right"))
     feature = nodes["split_feature"].fillna("Column_0").str.removeprefix("Column_").astype(int)
@@ -455,7 +461,7 @@ def trees_of(model):
 
 
 class Described(NamedTuple):
-    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``; ``ground`` gives heights."""
+    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft`` and ``ground`` (a function)."""
 
     axes: np.ndarray
     measures: pd.DataFrame
@@ -464,9 +470,9 @@ class Described(NamedTuple):
 
     @property
     def middle(self):
-        """Place of the axes at half the height of the run, (k, 2).
+        """Place of the axes at half the height of the run, (k, 2), m.
 
-        Where points lie on a circle, its centre.
+        If the points lie on a circle, the place is its centre.
         """
         half = (self.shaft["low"] + self.shaft["high"]) / 2 - self.axes[:, 4]
         centre, radius = self.shaft["centre"], self.measures["radius_m"].to_numpy()
@@ -495,10 +501,16 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     threshold : float
         Least score of a pole.
     trees : Trees, optional
-        The package's where left out.
+        By default the trees of the package.
     explain : bool
-        Return all candidates with the test that rejected them, the measures, and what each adds to
-        the log odds.
+        Return all candidates with the test that rejected them, the measures, and the contribution
+        of each measure to the log odds.
+
+    Returns
+    -------
+    DataFrame
+        The columns of :func:`mmqa_lab.poles.common.table` and the interval of the diameter, in the
+        origin of ``points``.
     """
     trees = shipped() if trees is None else trees
     found = describe(points)
@@ -534,17 +546,17 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
 
 
 GROUPS, FEWEST, ROUGH_M = 8, 15, 0.03
-"""Stretches of height that are left out in turn; points, and misfit, of a circle that tells."""
+"""Height groups that are left out in turn; fewest points and largest misfit of a usable circle."""
 
 SHARE, FLOOR_M = 0.03, 0.004
-"""What a circle may miss beside its scatter: tapers, bark, split beams; part of the diameter, m."""
+"""Error of a circle beyond its scatter (taper, bark, split beams): share of the diameter, m."""
 
 
 def diameters(points, found, kept):
     """Return the diameters of kept candidates halfway up their run, and half of a 95 % interval.
 
-    Circles through the points of the cloud around each axis, of all heights and with one of eight
-    stretches of height left out in turn (a jackknife), metres; NaN where points do not make one.
+    Both are in metres. A circle is fitted to the points around each axis. The interval comes from a
+    jackknife that leaves out each of eight height groups in turn. NaN where no circle fits.
     """
     axes, low, high = found.axes[kept], found.shaft["low"][kept], found.shaft["high"][kept]
     core, k = found.measures["core_m"].to_numpy()[kept], kept.sum()
@@ -570,7 +582,7 @@ COLUMNS += ("diameter_high_m", "lean_x", "lean_y", "score", "rejected_by")
 
 
 def lessons(points, targets, *, weight=1.0):
-    """Return what a cloud teaches: measures, 1 for visible poles and 0 for others, weights.
+    """Return the training data of a cloud: measures, labels (1 for visible poles), weights.
 
     Parameters
     ----------
@@ -580,13 +592,13 @@ def lessons(points, targets, *, weight=1.0):
         Poles: ``x_m``, ``y_m`` at half height, ``lean_x``, ``lean_y``, ``z_base_m``, ``height_m``,
         ``visible``.
     weight : float
-        Of this cloud beside others; a cloud weighs as the root of its candidates' number.
+        Weight of the cloud. It is spread so that a cloud of k candidates counts as sqrt(k).
 
     Returns
     -------
     DataFrame, Series, Series
-        Candidates nearer than 0.3 m to a visible pole are that pole; those up to 0.6 m away, and
-        those near a pole that the cloud hardly shows, are left out.
+        Candidates nearer than 0.3 m to a visible pole count as poles. Other candidates within 0.6 m
+        of any pole are left out.
     """
     origin = np.floor(points.min(axis=0))
     found = describe(points - origin)
@@ -602,7 +614,7 @@ def lessons(points, targets, *, weight=1.0):
 
 
 def write(trees, path):
-    """Write ``Trees`` as text: one node a row."""
+    """Write ``Trees`` to a text file, one node per row."""
     first = np.isin(np.arange(len(trees.left)), trees.root)
     rows = np.column_stack(
         [first, trees.feature, trees.limit, trees.left, trees.right, trees.value]

@@ -1,8 +1,8 @@
 """Scores of detected poles against a reference: one-to-one matching, recall and precision.
 
-Detections and references are matched one to one in plan under a gate; targets are references that
-are visible, long enough and within the corridor; a detection matched to another reference is
-ignored, neither right nor wrong; a second hit on a pole is a duplicate and wrong.
+Detections and references are matched one to one in plan within a gate. Targets are references that
+are visible, long enough and within the corridor. A detection matched to a reference that is no
+target is ignored: it is neither right nor wrong. A second hit on a target is a duplicate and wrong.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ def match(
 ) -> pd.DataFrame:
     """Match detections and references one to one, as many as possible, then as near as possible.
 
-    Distances are horizontal, between the axes at half the height of the detection: a leaning pole
-    is where it is at the height at which it was seen.
+    Distances are horizontal, between the axes at half the height of the detection. So a leaning
+    pole is compared at the height at which it was seen.
 
     Parameters
     ----------
     detections : DataFrame
-        ``x_m``, ``y_m`` at half height; ``z_base_m`` and ``height_m`` where references lean.
+        ``x_m``, ``y_m`` at half height; ``z_base_m`` and ``height_m`` if references lean.
     references : DataFrame
-        ``x_m``, ``y_m``; with ``lean_x``, ``lean_y``, ``z_base_m``, ``height_m`` they are taken at
-        half height and followed along the axis.
+        ``x_m``, ``y_m`` at half height. With ``lean_x``, ``lean_y``, ``z_base_m`` and ``height_m``
+        they are shifted along the axis to the height of the detection.
     gate : float
         Largest distance, metres.
 
@@ -63,7 +63,7 @@ def match(
     """
     gate = check_positive(gate, "gate", unit="m")
     distance = _distances(detections, references)
-    # a pair outside the gate costs more than all inside together: most pairs first
+    # a pair outside the gate costs more than all pairs inside it, so the most pairs are matched
     cost = np.where(distance <= gate, distance, 2 * gate * (min(distance.shape) + 1))
     a, b = linear_sum_assignment(cost)
     inside = distance[a, b] <= gate
@@ -72,7 +72,7 @@ def match(
 
 
 def _distances(detections, references):
-    """Distances of all detections and references, (n, m), metres."""
+    """Distances between all detections and references, (n, m), metres."""
     xy, others = _plan(detections, "detections"), _plan(references, "references")
     off = xy[:, None] - others
     heights, leans = {"z_base_m", "height_m"}, ["lean_x", "lean_y"]
@@ -98,12 +98,12 @@ class Score:
     Parameters
     ----------
     recall, precision : Rate
-        With Wilson intervals.
+        Each with its 95 % Wilson interval.
     detections : DataFrame
-        The given ones with ``outcome`` (``hit``, ``false``, ``duplicate``, ``ignored``,
+        The given detections with ``outcome`` (``hit``, ``false``, ``duplicate``, ``ignored``,
         ``outside``), ``reference`` (row, -1 for none) and ``distance_m``.
     targets : DataFrame
-        The references with ``target`` (whether it counts) and ``found``.
+        The references with ``target`` (whether the reference counts) and ``found``.
 
     Examples
     --------
@@ -135,10 +135,11 @@ class Score:
 
     @property
     def hits(self) -> pd.DataFrame:
-        """The detections that are right, with ``true_diameter_m`` where they were measured.
+        """The correct detections, with ``true_diameter_m`` at the height of measurement.
 
-        It is ``diameter_m`` of the reference, or its taper between ``diameter_base_m`` and
-        ``diameter_top_m`` at half the height of the detection.
+        The true diameter is ``diameter_m`` of the reference. If the reference tapers, it is
+        interpolated from ``diameter_base_m`` to ``diameter_top_m`` at half the height of the
+        detection.
         """
         hits = self.detections[self.detections["outcome"] == "hit"]
         truth = self.targets.loc[hits["reference"]].set_index(hits.index)
@@ -165,14 +166,14 @@ def score(
     detections : DataFrame
         As :func:`mmqa_lab.poles.detect` returns it.
     references : DataFrame
-        ``x_m``, ``y_m``; where present, ``height_m`` (shorter than 1 m: no target), ``visible``
+        ``x_m``, ``y_m``. Optional columns: ``height_m`` (less than 1 m: no target), ``visible``
         (False: no target), ``ignore`` (True: no target), ``lean_x``, ``lean_y``, diameters.
     gate : float
         Largest distance of a match, metres.
     corridor : float, optional
-        Targets and detections farther from the trajectory do not count, metres.
+        Half width, metres. Targets and detections farther from the trajectory do not count.
     trajectory : array_like, shape (m, 2 or 3), optional
-        Needed for a corridor.
+        Metres; needed with a corridor.
 
     Returns
     -------
@@ -201,7 +202,7 @@ def score(
     inside = np.ones(len(found), dtype=bool)
     if corridor is not None:
         if trajectory is None:
-            raise ValueError("Invalid trajectory None. Must be given where there is a corridor.")
+            raise ValueError("Invalid trajectory None. Must be given with a corridor.")
         path = check_plan(trajectory, name="trajectory")
         corridor = check_positive(corridor, "corridor", unit="m")
         target &= path_distance(_plan(references, "references"), path) <= corridor
