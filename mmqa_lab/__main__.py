@@ -1,11 +1,12 @@
 """mmqa: the quality of mobile mapping point clouds and images.
 
-python3 -m mmqa_lab COMMAND, and mmqa COMMAND once installed; mmqa --help lists the commands, mmqa
-COMMAND --help is the manual. studies runs all studies, lab opens the notebooks, test runs the
-tests. The first call makes .venv from environment.txt (for test: with tests/environment.txt).
+Type python3 -m mmqa_lab COMMAND or, if the package is installed, mmqa COMMAND. mmqa --help lists
+the commands; mmqa COMMAND --help is the manual. studies runs all studies, lab opens the notebooks,
+test runs the tests. The first call makes .venv from environment.txt; test adds
+tests/environment.txt.
 """
 
-# It starts with the standard library alone, and runs itself in the environment that it made.
+# This module starts with the standard library alone, then runs again in its environment.
 import hashlib
 import importlib.util
 import os
@@ -25,13 +26,13 @@ PROBES = {
     ENVIRONMENT: ("numpy", "laspy", "numba", "pandas", "dask", "nbclient", "cyclopts"),
     TOOLS: ("numpy", "pytest", "hypothesis", "ruff"),
 }
-"""What an environment made from these files can import."""
+"""Packages that an environment from each file can import."""
 
 
 def main(arguments=None):
     """Run the command line and return its exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would wait
     wanted = TOOLS if arguments[0] == "test" else ENVIRONMENT
     if prepared(wanted):
         from mmqa_lab import commands
@@ -41,21 +42,22 @@ def main(arguments=None):
         print(__doc__)
         return 0
     command = [prepare(wanted), "-m", "mmqa_lab", *arguments]
-    if os.name != "nt":  # in place of this process: signals reach the command itself
+    if os.name != "nt":  # replaces this process, so signals reach the command
         os.execv(command[0], command)
     return subprocess.call(command)
 
 
 def prepared(wanted):
-    """Return whether this interpreter has what a file of requirements asks for."""
+    """Return whether this interpreter has the packages of a requirements file."""
     return not wanted.is_file() or all(map(importlib.util.find_spec, PROBES[wanted]))
 
 
 def prepare(wanted):
-    """Make ``.venv`` from a file of requirements, once for each of its versions; return its Python.
+    """Make ``.venv`` from a requirements file, once per version of the file; return its Python.
 
-    uv does it in a fraction of pip's time. Where it is not installed, pip brings it to a temporary
-    folder, which also works with Debian's Python without ensurepip; failing that, pip does it all.
+    uv needs a fraction of pip's time. If uv is not installed, pip installs it into a temporary
+    folder, which also works with Debian's Python without ensurepip. If that fails, pip makes the
+    whole environment.
     """
     python = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     stamp = VENV / f"mmqa-{wanted.parent.name}.sha256"
@@ -81,7 +83,7 @@ def prepare(wanted):
 
 
 def _uv(folder):
-    """The path of uv, installed or fetched into a folder; None where it cannot be had."""
+    """The path of uv, installed or fetched into a folder; None if it cannot be fetched."""
     if found := shutil.which("uv"):
         return found
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--target", folder, "uv"]
@@ -90,7 +92,7 @@ def _uv(folder):
 
 
 def _install(wanted, python, uv):
-    """Make the environment where it is missing and install what a file asks for."""
+    """Make the environment if it is missing, and install the packages of a file."""
     if uv:
         make = [uv, "venv", "--quiet", "--python", sys.executable]
         install = [uv, "pip", "install", "--python", str(python)]

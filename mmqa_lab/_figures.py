@@ -1,4 +1,4 @@
-"""What every figure gets before it is shown or saved: panel letters, symbols, kind of numbers."""
+"""Finish figures before they are shown or saved: panel letters, symbols, kind of numbers."""
 
 import re
 
@@ -6,20 +6,20 @@ import matplotlib as mpl
 import matplotlib.category
 
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
-"""Spacings d1, d2, ..., ratios f and g, thresholds, s_r and sigma_MAD, as words of a text."""
+"""Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD."""
 
 JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
-"""What joins the words of a name."""
+"""The underscore between the words of a name."""
 
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
-"""Formatters of axes whose places have names."""
+"""Formatters of axes whose ticks have names."""
 
 NOTE_INCHES = 0.18
-"""Height of the line below the panels, with its margins."""
+"""Height of the line below the panels with its margins."""
 
 
 def finish_figure(figure):
-    """Letter the panels of a figure and set its symbols; twice is the same as once.
+    """Add letters to the panels of a figure and set its symbols; a second call changes nothing.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ def finish_figure(figure):
 
 
 def say_kind(figure, kind):
-    """Say in the lower right corner which kind of numbers a figure shows, unless its texts do.
+    """Write the kind of a figure's numbers in its lower right corner, unless its texts state it.
 
     Parameters
     ----------
     figure : Figure
-        Changed in place; twice is the same as once.
+        Changed in place; a second call changes nothing.
     kind : str
-        Such as "measured (simulated)"; nothing is said without one.
+        The kind, such as "measured (simulated)"; an empty text leaves the figure as it is.
 
     Examples
     --------
@@ -70,14 +70,14 @@ def say_kind(figure, kind):
     """
     said = " ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
     if kind and kind not in said and not all(word in said for word in re.findall(r"\w+", kind)):
-        figure.set_figheight(figure.get_figheight() + NOTE_INCHES)  # the panels keep theirs
+        figure.set_figheight(figure.get_figheight() + NOTE_INCHES)  # the panels keep their height
         figure.supxlabel(kind, x=0.99, ha="right", fontsize=6, color="0.35")
 
 
 def _letter(figure):
-    """(a), (b), ... outside the upper left corner of each panel, where there are several."""
+    """Write (a), (b), ... outside the upper left corner of each panel, if there are several."""
     shown = [ax for ax in figure.axes if ax.axison and ax.get_label() != "<colorbar>"]
-    places = {tuple(ax.get_position().bounds): ax for ax in reversed(shown)}  # twins count once
+    places = {tuple(ax.get_position().bounds): ax for ax in reversed(shown)}  # count twin axes once
     shown = [ax for ax in shown if ax in places.values()]
     if len(shown) < 2 or any(text.get_gid() == "letter" for text in shown[0].texts):
         return
@@ -87,7 +87,7 @@ def _letter(figure):
 
 
 def _with_symbols(text):
-    """A text with its symbols in the form of formulas, and its names of parameters in words."""
+    """A text with symbols as formulas and names of parameters as words."""
 
     def set_one(found):
         letter, index, ratio = found.groups()

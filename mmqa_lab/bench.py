@@ -480,7 +480,7 @@ def summary(
     results : Dataset
         From :func:`run`.
     figure : str, optional
-        Name of the variable; may be left out if there is only one.
+        Name of the variable; not needed if the results have a single figure.
     by : str or sequence of str
         Parameters of the cases; the table has a row for each of their values.
 
@@ -582,7 +582,7 @@ def compare(
     results : Dataset
         From :func:`run`.
     figure : str, optional
-        Name of the variable; may be left out if there is only one.
+        Name of the variable; not needed if the results have a single figure.
     reference : str
         Name of the method to compare with.
     better : {"lower", "higher"}
@@ -641,7 +641,7 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     truth : str
         A parameter of the cases, or a variable of truth, with or without its ``truth_``.
     figure : str, optional
-        Name of the variable; may be left out if there is only one.
+        Name of the variable; not needed if the results have a single figure.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""Journal figures in matplotlib: widths in millimetres, one style, colours all can tell apart.
+"""Journal figures in matplotlib: widths in millimetres, one style, colour-blind safe colours.
 
-Import it where figures are drawn: the rooms that compute never need it. Nothing here changes
-matplotlib's settings for good: use ``with style():`` for some figures, or matplotlib's own
+Only code that draws figures needs this module. It does not change matplotlib's settings
+permanently. Use ``with style():`` for some figures, or matplotlib's
 ``plt.style.use(plots.STYLE)`` for a whole notebook.
 """
 
@@ -31,8 +31,8 @@ __all__ = [
 __dir__ = __all__.copy
 
 JOURNALS = _tables(Path(__file__).with_suffix(".toml"))
-"""What a publisher asks of a figure: widths of one column and of the whole text, fonts in the order
-of preference, size of the letters, and where the publisher says so. Others join with their source.
+"""A publisher's rules for figures: widths of one column and of the whole text, fonts in the order
+of preference, size of the letters, and the source. New publishers are added with their source.
 """
 
 COLOURS = {
@@ -45,7 +45,7 @@ COLOURS = {
     "black": "#000000",
     "grey": "#7F7F7F",
 }
-"""Okabe and Ito's palette (jfly.uni-koeln.de/color), and a grey."""
+"""The palette of Okabe and Ito (jfly.uni-koeln.de/color), and a grey."""
 
 KIND_COLOURS = {
     "published": COLOURS["black"],
@@ -65,7 +65,7 @@ STYLE = {
     "svg.hashsalt": "mmqa_lab",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
-    "mathtext.fontset": "custom",  # of the same family as the text, also for publishers
+    "mathtext.fontset": "custom",  # the fonts of the text, also for publishers
     "mathtext.rm": "sans",
     "mathtext.it": "sans:italic",
     "mathtext.cal": "sans:italic",
@@ -86,37 +86,37 @@ STYLE = {
     "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"])
     + cycler(linestyle=["-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (2, 1)), (0, (1, 3))]),
 }
-"""The house style as matplotlib's settings: fonts embedded as TrueType (Type 42), text in SVG stays
-text, and files are equal to the byte from run to run."""
+"""The house style as matplotlib's settings. Fonts are embedded as TrueType (Type 42). Text in SVG
+stays text. Equal runs give files with equal bytes."""
 
 _in_use = {"single": 85.0, "double": 178.0}
 
 
 @contextlib.contextmanager
 def style(journal: str = "house") -> Iterator[dict]:
-    """Draw figures as a publisher asks, for the lines of a ``with`` or, above it, of a function.
+    """Draw figures by a publisher's rules, inside a ``with`` block or as a function's decorator.
 
-    Widths, fonts and lettering are those of ``JOURNALS``; matplotlib's settings are as they were
-    afterwards. Save the figure within it, too. A font that is not installed is replaced by DejaVu
-    Sans, with a warning.
+    Widths, fonts and lettering come from ``JOURNALS``. Afterwards matplotlib has its earlier
+    settings again, so save the figure inside the block. If no font of the publisher is installed,
+    DejaVu Sans replaces it, with a warning.
 
     Parameters
     ----------
     journal : {"house", "elsevier", "ieee", "mdpi", "isprs", "springer"}
-        Columns and whole text are 85 and 178 mm wide (our own choice), 90 and 190 mm (Elsevier,
-        artwork sizing), 88.9 and 182 mm (IEEE, size requirements for graphics), 138.6 and 184.6 mm
-        (MDPI, its LaTeX class of 2024), 82 and 170 mm (ISPRS, guidelines for authors), 84 and
-        174 mm (Springer, artwork instructions).
+        One column and the whole text are 85 and 178 mm wide (house, our choice), 90 and 190 mm
+        (Elsevier, artwork sizing), 88.9 and 182 mm (IEEE, size requirements for graphics), 138.6
+        and 184.6 mm (MDPI, LaTeX class of 2024), 82 and 170 mm (ISPRS, guidelines for authors), or
+        84 and 174 mm (Springer, artwork instructions).
 
     Yields
     ------
     dict
-        Of ``JOURNALS``.
+        The rules of the journal, from ``JOURNALS``.
 
     Raises
     ------
     ValueError
-        If the journal is not known.
+        If the journal is unknown.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def style(journal: str = "house") -> Iterator[dict]:
 
 
 def _lettering(journal):
-    """Settings for the letters that a publisher asks for."""
+    """Settings for a publisher's fonts and size of letters."""
     installed = {font.name for font in font_manager.fontManager.ttflist}
     if not installed & set(journal["fonts"]):
         asked = " and ".join(journal["fonts"])
@@ -155,17 +155,18 @@ def subplots(
     height_mm: float = 60.0,
     **choices: Any,
 ) -> tuple[plt.Figure, plt.Axes | np.ndarray]:
-    """Return a figure of a journal's width and its axes.
+    """Return a figure with the width of a journal, and its axes.
 
     Parameters
     ----------
     rows, columns : int
+        Numbers of panels.
     width : {"single", "double"}
-        One column, or the whole width of the page's text, of the journal that :func:`style` was
-        given.
+        One column, or the whole width of the text, in the journal chosen by :func:`style`.
     height_mm : float
+        Height of the figure, mm.
     **choices
-        Handed to ``matplotlib.pyplot.subplots``.
+        Arguments of ``matplotlib.pyplot.subplots``.
 
     Returns
     -------
@@ -175,7 +176,7 @@ def subplots(
     Raises
     ------
     ValueError
-        If the width is none of these.
+        If the width is neither ``"single"`` nor ``"double"``.
 
     Examples
     --------
@@ -190,20 +191,21 @@ def subplots(
 
 
 def draw_points(xy: ArrayLike, *, ax: plt.Axes, **colours: Any) -> PathCollection:
-    """Draw points in a plane, in mm-true proportion.
+    """Draw points in a plane, with the same scale on both axes.
 
     Parameters
     ----------
     xy : array, shape (n, 2)
-        Metres.
+        Coordinates, m.
     ax : Axes
+        The axes to draw on.
     **colours
-        ``c``, ``vmin``, ``vmax``, ``cmap`` as ``Axes.scatter`` takes them; blue without.
+        ``c``, ``vmin``, ``vmax``, ``cmap`` of ``Axes.scatter``; blue by default.
 
     Returns
     -------
     matplotlib.collections.PathCollection
-        What a colour bar needs.
+        The points, for a colour bar.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The small clouds in ``data_samples`` and the larger public ones outside the repository."""
+"""The small clouds in ``data_samples`` and larger public clouds outside the repository."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ REAL_VARIABLE = "MMQA_DATA"
 
 _ROWS = _tables(Path(__file__).with_suffix(".toml"))["samples"]
 SAMPLES = tuple(SimpleNamespace(**row) for row in _ROWS)
-"""The files of ``data_samples``: name, file, sha256, licence, origin, units, contents."""
+"""The files of ``data_samples`` with name, file, sha256, licence, origin, units and contents."""
 
 
 def path(name: str) -> Path:
@@ -29,6 +29,7 @@ def path(name: str) -> Path:
     Parameters
     ----------
     name : str
+        A name of ``SAMPLES``.
 
     Returns
     -------
@@ -51,12 +52,12 @@ def path(name: str) -> Path:
 def road_patch_heads() -> dict:
     """Return the road patch split by scan head, without repeated points.
 
-    The two heads passed it one after the other, so the largest gap in GPS time parts them.
+    The two heads passed the patch one after the other. The largest gap in GPS time separates them.
 
     Returns
     -------
     dict of str to array, shape (n, 3)
-        ``head A``, ``head B`` and ``both heads``, m.
+        Points of ``head A``, ``head B`` and ``both heads``, m.
 
     Examples
     --------
@@ -83,7 +84,7 @@ def has_real(relative: str) -> bool:
     Returns
     -------
     bool
-        False without that variable.
+        False also if that variable is not set.
 
     Examples
     --------
@@ -109,7 +110,7 @@ def real_path(relative: str) -> Path:
     Raises
     ------
     FileNotFoundError
-        If the variable is not set or the file is not there.
+        If the variable is not set or the file does not exist.
 
     Examples
     --------
@@ -123,6 +124,6 @@ def real_path(relative: str) -> Path:
         root = os.environ.get(REAL_VARIABLE, "")
         raise FileNotFoundError(
             f"Invalid real cloud {relative} with {REAL_VARIABLE}={root!r}. "
-            "Must exist in the folder which that environment variable names."
+            "Must exist in the folder that this environment variable names."
         )
     return Path(os.environ[REAL_VARIABLE]) / relative

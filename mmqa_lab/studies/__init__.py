@@ -1,4 +1,4 @@
-"""The studies, one module per notebook, and their list, which stands in a TOML file."""
+"""The studies, one module per notebook, and their list, read from a TOML file."""
 
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -11,7 +11,7 @@ from mmqa_lab._checks import check_choice
 
 @dataclass(frozen=True)
 class Study:
-    """One study: a notebook, the module behind it, and what it asks."""
+    """A study: its notebook, its module, its question and its source."""
 
     number: int
     stem: str
@@ -21,7 +21,7 @@ class Study:
     tables: tuple = ()
     """Source and name of the printed tables that its ledger answers."""
     quick: dict = field(default_factory=dict)
-    """Small parameters of its notebook, for the tests and for copies for a class."""
+    """Small parameters of its notebook, for tests and for students' copies."""
 
     @property
     def notebook(self):
@@ -34,7 +34,7 @@ class Study:
         return notebooks_folder() / f"{self.notebook}.ipynb"
 
     def bench(self, *, quick=False):
-        """The study's comparison of methods; for a quick look with few seeds and small cases."""
+        """Return the study's comparison of methods; ``quick`` takes few seeds and small cases."""
         make = import_module(f"mmqa_lab.studies.{self.stem}").bench
         small = {"seeds": range(3)} | self.quick if quick else {}
         return make(**{name: small[name] for name in signature(make).parameters if name in small})
@@ -64,13 +64,15 @@ def notebooks_folder():
 
 
 def results_folder(notebooks):
-    """Return where full runs go: beside the notebooks, or here where these are installed."""
+    """Return the folder of full runs: beside the notebooks or, if installed, in this folder."""
     own = (notebooks.parent / "pyproject.toml").is_file()
     return (notebooks if own else Path.cwd()) / "results"
 
 
 def chosen(names=()):
-    """Return the studies with these stems or notebook names, in the catalogue's order; all if none.
+    """Return the studies with these stems or notebook names, in the catalogue's order.
+
+    Without names it returns all studies.
 
     Examples
     --------
