@@ -1,7 +1,7 @@
-"""The point-distribution chart: from a selection of points to its quality figures.
+"""The point-distribution chart: quality figures of a selection of points.
 
-Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix A. Every figure has
-a 95 % interval that follows from the points themselves, see :meth:`CloudQuality.intervals`.
+The source is Pfeifer et al. 2021 (doi 10.3390/rs13020237), sections 3.3 and 4.2 and Appendix A.
+Every figure has a 95 % confidence interval from the points, see :meth:`CloudQuality.intervals`.
 """
 
 from __future__ import annotations
@@ -29,59 +29,60 @@ __all__ = ["CloudQuality", "chart_polygon", "evaluate_cloud", "inside_polygon"]
 __dir__ = __all__.copy
 
 UPRIGHT = 0.7
-"""Cosine of the slope below which a surface is upright: its axes are horizontal by default."""
+"""A surface is upright if the cosine of its slope is smaller. Its default axes are horizontal."""
 
 ALIKE = 1.1
-"""Ratio of the two largest variances of points below which principal axes turn by chance."""
+"""Ratio of the two largest variances below which the principal axes have a random direction."""
 
 FAR, DENSEST = 3.0, 1e7
-"""A remark is made on points this many 90 % quantiles away, and on so many points per m2."""
+"""Limits for remarks: distance in 90 % quantiles of all distances, and points per m2."""
 
 PAIRS = 5.0
-"""Points come in pairs where d2 / d1 is larger: it is 1.7 at random, and 2 on lines."""
+"""Points come in pairs if d2 / d1 is larger. It is 1.7 for random points and 2 on lines."""
 
 COARSE_MM = 1e-3
-"""Steps of coordinates below this are never too coarse."""
+"""Smaller steps of coordinates are never too coarse."""
 
 FULL = 1.5
-"""A polygon that is this many times as large as the hull of its points gets a remark."""
+"""Ratio of a polygon's area to the hull of its points above which a remark is given."""
 
 GRID = (np.arange(100) + 0.5) / 100
-"""Places along each side of an outline's box: their number in a strip stands for its area."""
+"""Places along each side of an outline's box. Their number in a strip measures its area."""
 
 OFF_PLANE = 0.05
-"""A vertex may lie this share of the vertices' spread off the plane of a polygon."""
+"""Largest distance of a vertex from the polygon's plane, as a share of the vertices' spread."""
 
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
-"""Lower, right, upper and left: leaves half a square metre of the random pattern of a 1 m x 1 m
-chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge) stay 4 cm away,
-more than twice the assumed error of a click. The paper prints neither size: they are those of
-:func:`mmqa_lab.charts.point_chart`."""
+"""Lower, right, upper and left margins. They leave half a square metre of the random pattern of a
+1 m x 1 m chart. The border (5 cm) and the plain squares (up to 25 cm above the lower edge) are 4 cm
+away, more than twice the assumed error of a click. The paper prints neither size; the sizes come
+from :func:`mmqa_lab.charts.point_chart`."""
 
 
 @dataclass(frozen=True, eq=False)
 class CloudQuality(Shown):
-    """The quality figures of the points on one planar surface.
+    """The quality figures of the points on a planar surface.
 
     Parameters
     ----------
     area_polygon_m2, area_hull_m2 : float
-        Area of the selection polygon laid onto the plane (NaN without a polygon), and of the convex
+        Area of the selection polygon on the plane (NaN without a polygon), and area of the convex
         hull of the points in the plane.
     sigma_mad_mm : float
         Dispersion of the orthogonal distances from the plane.
     axes : str
         The axes of the quadrants.
     rho0_per_m2 : float
-        Density that is asked for; NaN where none is.
+        Required density; NaN if not given.
     remarks : tuple of str
-        Sentences that a reader of the figures must know: on coordinates too coarse for a figure,
-        coincident points, axes by chance, a polygon off its plane, and the like.
+        Warnings about the figures, for example on coordinates that are too coarse, coincident
+        points, random axes, or a polygon off its plane.
     plane : Plane
+        The regression plane of the points.
     spacing : Spacing
-        Of the points in the plane along those axes, from its centre.
+        Spacing of the points in the plane. Coordinates are along the axes from the plane's centre.
     outline : shapely geometry
-        The polygon, or the hull where there is none, in the same coordinates, m.
+        The polygon, or the hull without a polygon, in the same coordinates, m.
 
     Examples
     --------
@@ -103,7 +104,7 @@ class CloudQuality(Shown):
 
     @property
     def n(self) -> int:
-        """Points evaluated."""
+        """Number of points evaluated."""
         return self.spacing.n
 
     @property
@@ -113,22 +114,22 @@ class CloudQuality(Shown):
 
     @property
     def std_mm(self) -> float:
-        """Standard deviation of the orthogonal distances from the plane."""
+        """Standard deviation of the orthogonal distances from the plane, mm."""
         return 1000 * self.plane.std
 
     @property
     def d_mm(self) -> np.ndarray:
-        """Medians of the sorted quadrant distances, shape (4,); NaN where no point has so many."""
+        """Medians of the sorted quadrant distances, shape (4,), mm; NaN if not measurable."""
         return 1000 * self.spacing.d
 
     @property
     def d1_mm(self) -> float:
-        """The smallest of ``d_mm``."""
+        """Median distance to the nearest of the four quadrant neighbours, mm."""
         return float(self.d_mm[0])
 
     @property
     def d4_mm(self) -> float:
-        """The largest of ``d_mm``."""
+        """Median distance to the farthest of the four quadrant neighbours, mm."""
         return float(self.d_mm[3])
 
     @property
@@ -143,14 +144,14 @@ class CloudQuality(Shown):
 
     @property
     def f(self) -> float:
-        """Inhomogeneity d4 / d1; NaN where d1 is zero or either is not measurable."""
+        """Inhomogeneity d4 / d1; NaN if d1 is zero or if d1 or d4 is not measurable."""
         return self.spacing.f if self.d1_mm > 0 else np.nan
 
     @property
     def f_exempt(self) -> bool | None:
         """Whether f does not matter (section 3.3), see :func:`mmqa_lab.spacing.exempt`.
 
-        None where no density is asked for.
+        None if no density is required.
         """
         if np.isnan(self.rho0_per_m2):
             return None
@@ -167,20 +168,21 @@ class CloudQuality(Shown):
         Returns
         -------
         DataFrame
-            ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN where not measurable, and for
-            fewer than 50 points.
+            ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN if not measurable. Fewer than
+            50 points give no interval.
 
         Notes
         -----
-        Confidence intervals of the mean over scans with the same mean pattern; another scan's
-        figure, which errs as well, falls inside in about 83 %. What a scan line shares errs for all
-        of its points: strips of whole lines, along and across them, are the blocks that count
-        (:func:`mmqa_lab.spacing.line_strips`). sigma_MAD, d1..d4 and the two spacings behind g are
-        medians, f and g ratios of two: :func:`mmqa_lab.stats.median_interval` and
-        :func:`mmqa_lab.stats.median_ratio_interval`. The density and the variance behind std are
-        means. The operator's part is :func:`mmqa_lab.repeatability.repeatability`. Intervals of the
-        density are too wide for regular patterns, whose blocks make up for each other, and those
-        of the spacing where it grows much over the surface.
+        These are confidence intervals of the mean over scans with the same mean pattern. The figure
+        of another scan has its own error and lies inside in about 83 % of cases. Points of the same
+        scan line share errors. The independent blocks are therefore strips of whole lines, along
+        and across the lines (:func:`mmqa_lab.spacing.line_strips`). sigma_MAD, d1..d4 and the two
+        spacings of g are medians (:func:`mmqa_lab.stats.median_interval`). f and g are ratios of
+        two medians (:func:`mmqa_lab.stats.median_ratio_interval`). The density and the variance of
+        std are means. The operator's error is not included, see
+        :func:`mmqa_lab.repeatability.repeatability`. Intervals of the density are too wide for
+        regular patterns, because the errors of their blocks cancel. Intervals of the spacing are
+        too wide if the spacing grows much over the surface.
 
         Examples
         --------
@@ -208,7 +210,7 @@ class CloudQuality(Shown):
         return pd.concat(parts, ignore_index=True)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row with every figure in the field's units."""
+        """Return a row with every figure; the names of its columns end with the units."""
         first = ("n", "area_polygon_m2", "area_hull_m2", "density_polygon_per_m2")
         first += ("density_hull_per_m2", "std_mm", "sigma_mad_mm")
         row = {name: getattr(self, name) for name in first}
@@ -218,7 +220,7 @@ class CloudQuality(Shown):
         return pd.DataFrame([row | {"axes": self.axes, "remarks": " ".join(self.remarks)}])
 
     def plot(self) -> Figure:
-        """Draw the points, their distances from the plane, and the histograms of both.
+        """Draw the points, their distances from the plane, and both histograms.
 
         Returns
         -------
@@ -242,9 +244,9 @@ class CloudQuality(Shown):
         Parameters
         ----------
         spacings : Axes
-            For the nearest and the farthest distance of each point, and their d.
+            For the nearest and the farthest quadrant distance of each point, with d1 and d4.
         residuals : Axes
-            For the distances from the plane, with std and sigma_MAD to either side of zero.
+            For the distances from the plane, with std and sigma_MAD on both sides of zero.
         """
         from mmqa_lab.plots import COLOURS
 
@@ -266,7 +268,7 @@ class CloudQuality(Shown):
         return self.intervals().to_html(index=False, float_format="{:.4g}".format)
 
     def _density_interval(self):
-        """Density of the outline and its interval, from counts in strips of it."""
+        """Density in the outline and its interval, from counts in strips."""
         density = self.n / self.outline.area if self.outline.area else np.nan
         if np.isnan(density) or self.n < FEWEST:
             return density, np.nan, np.nan
@@ -275,7 +277,7 @@ class CloudQuality(Shown):
         places = np.column_stack([x.ravel(), y.ravel()])
         places = places[shapely.contains_xy(self.outline, *places.T)]
         block = line_strips(np.vstack([self.xy, places]), self.directional)
-        # a point counts 1, a place of the grid takes off what is expected there
+        # a point counts 1, a place of the grid minus the points expected per place
         expected = np.full(len(places), self.n / len(places))
         signs = np.concatenate([np.ones(self.n), -expected])
         reach = stats.mean_reach(signs, block) * len(signs) / self.outline.area
@@ -292,31 +294,32 @@ def evaluate_cloud(
     scale: float = CONSISTENT_SCALE,
     rho0: float | None = None,
 ) -> CloudQuality:
-    """Evaluate the points on one planar surface.
+    """Evaluate the points on a planar surface.
 
-    The points, or those that the polygon selects, get an orthogonal regression plane; its residuals
-    give std and sigma_MAD. In the plane, the distances to the nearest point in each of four
-    quadrants are sorted point by point, and their medians are d1..d4.
+    A regression plane is fitted to the selected points by orthogonal distances. Its residuals give
+    std and sigma_MAD. In the plane, the distances to the nearest point in each of four quadrants
+    are sorted for each point. The medians of the sorted distances are d1..d4.
 
     Parameters
     ----------
     points : Cloud or array_like, shape (n, 3)
-        Metres; three or more after selection.
-    polygon : array_like of shape (m, 3), optional
-        The selection, metres; see :func:`inside_polygon`.
+        The cloud, m; three points or more after selection.
+    polygon : array_like, shape (m, 3), optional
+        Outline of the selection, m, see :func:`inside_polygon`; by default all points are selected.
     thickness : float
-        Points up to this far from the polygon's plane are selected, m.
+        Largest distance of selected points from the polygon's plane, m.
     axes : {"principal", "horizontal"} or float, optional
-        Axes of the quadrants: the principal axes of the selected points, the horizontal line and
-        the line of greatest slope of the plane, or the principal axes turned by so many degrees.
-        When not given, horizontal on surfaces steeper than 45 degrees, else principal.
+        Axes of the quadrants. ``"principal"`` takes the principal axes of the selected points.
+        ``"horizontal"`` takes the horizontal line and the line of greatest slope of the plane. A
+        number turns the principal axes by this angle in degrees. By default horizontal on surfaces
+        steeper than 45 degrees, otherwise principal.
     radius : float
-        Neighbours farther than this do not count, m.
+        Largest distance of a neighbour, m.
     scale : float
         Factor of sigma_MAD, see :func:`mmqa_lab.planes.sigma_mad`.
     rho0 : float, optional
-        Density that is asked for, points per m2: where d1 and d4 are both at most
-        sqrt(1 / rho0), f does not matter (``f_exempt``).
+        Required density, points per m2. If d1 and d4 are both at most sqrt(1 / rho0), f does not
+        matter (``f_exempt``).
 
     Returns
     -------
@@ -325,21 +328,21 @@ def evaluate_cloud(
     Raises
     ------
     ValueError
-        If fewer than three points are left or they lie on a line, or an argument is invalid.
+        If fewer than three points are selected, if they lie on a line, or if an argument is
+        invalid.
 
     Notes
     -----
-    ``remarks`` says where coordinates are coarser than sigma_MAD or than a fifth of d1; by the
-    ``resolution`` of the cloud and, where its coordinates are all multiples of 1, 2 or 5 times a
-    power of ten, by that step.
+    A remark is given if the step of the coordinates is larger than sigma_MAD or than a fifth of d1.
+    The step is the ``resolution`` of the cloud, or a larger step of which all coordinates are
+    multiples, from 1 mm to 0.1 m.
 
-    Nearly square selections have principal axes that turn by chance (which is said), and f depends
-    on the axes: the same scan lines give another f when they run along an axis than when they run
-    across both.
-    A homogeneous random pattern has f = 3.257 at every density, so f < 2 asks for more regularity
-    than chance gives. The hull's area is smaller than that of the surface the points were drawn
-    from, by about (8/3) ln(n)/n for a square, so its density is too high. The medians are of all
-    distances; the histograms of Appendix A end at 0.3 m and have bins of 5 mm.
+    The principal axes of a nearly square selection have a random direction (a remark states this).
+    f depends on the axes: scan lines along an axis and oblique scan lines give different f.
+    A homogeneous random pattern has f = 3.257 at every density. The criterion f < 2 therefore
+    requires a more regular pattern. The hull is smaller than the surface by about (8/3) ln(n)/n for
+    a square, so its density is too high. The medians are of all distances, whereas the histograms
+    of Appendix A end at 0.3 m and have bins of 5 mm.
 
     References
     ----------
@@ -390,11 +393,11 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
     Parameters
     ----------
     points : Cloud or array_like, shape (n, 3)
-        Metres.
+        The cloud, m.
     polygon : array_like, shape (m, 3)
-        Vertices in order, metres, convex or concave.
+        Vertices in order, m; convex or concave.
     thickness : float
-        Largest distance from the polygon's plane to either side, m.
+        Largest distance from the polygon's plane on either side, m.
 
     Returns
     -------
@@ -403,15 +406,15 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
     Raises
     ------
     ValueError
-        If the polygon has fewer than three vertices, crosses itself or has no area; if a vertex
-        lies off the plane of all by more than 5 % of their spread (the rms distance from their
-        mean).
+        If the polygon has fewer than three vertices, crosses itself or has no area, or if the
+        distance of a vertex from the plane of the vertices is larger than 5 % of their spread (the
+        rms distance from their mean).
 
     Warns
     -----
     UserWarning
-        If a vertex lies off the plane by more than a quarter of ``thickness``, so that points near
-        it may be missed.
+        If the distance of a vertex from the plane is larger than a quarter of ``thickness``. Points
+        near this vertex may be missed.
 
     Examples
     --------
@@ -429,25 +432,26 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
 def chart_polygon(
     corners: ArrayLike, *, margins: float | tuple[float, ...] = CHART_MARGINS_M
 ) -> np.ndarray:
-    """Return the part of a chart to evaluate, from its four surveyed corners.
+    """Return the outline of a chart's evaluated part from its four surveyed corners.
 
     Parameters
     ----------
     corners : array_like, shape (4, 3)
-        Metres, in order around the chart, from the lower left one.
+        Corners in order around the chart, from the lower left corner, m.
     margins : float or sequence of four
-        Width left out inwards from the lower, right, upper and left edge, m. By default half a
-        square metre of the random pattern of a 1 m chart remains, without the border and the
-        plain squares in the lower part (section 3.3).
+        Widths of the margins at the lower, right, upper and left edge, m. The default margins leave
+        half a square metre of the random pattern of a 1 m chart, without the border and the plain
+        squares in the lower part (section 3.3).
 
     Returns
     -------
     array, shape (4, 3)
+        Corners of the outline in the same order, m.
 
     Raises
     ------
     ValueError
-        If there are not four corners or the margins leave nothing.
+        If the number of corners is not four, or if the margins leave no area.
 
     References
     ----------
@@ -483,7 +487,7 @@ def _directions(plane, axes):
 
 
 def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
-    """Sentences on figures that these points cannot give, or give wrongly."""
+    """Remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR * np.quantile(away, 0.9)
@@ -504,8 +508,8 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
         "not measured.": gaps.incomplete_share == 1,
         f"{gaps.coincident} points ({share:.3g} %) share their place with another: they raise the "
         "density.": gaps.coincident > 0,
-        f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as by two returns of a pulse "
-        "or a scan that is there twice; density and f count both.": d2_mm > PAIRS * d1_mm,
+        f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as from two returns of a pulse "
+        "or from a repeated scan; density and f count both.": d2_mm > PAIRS * d1_mm,
         f"Fewer than {FEWEST} points: no confidence intervals.": gaps.n < FEWEST,
         "Points spread alike in all directions: principal axes, and f, are by chance.": (
             axes != "horizontal" and wide < ALIKE * narrow
@@ -517,7 +521,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
 
 
 def _remark_on_layers(residuals_mm, step_mm):
-    """A sentence where the distances from the plane have two peaks: they are not noise alone."""
+    """A remark if the distances from the plane have two peaks, so they are not noise alone."""
     low, high = np.quantile(residuals_mm, [0.005, 0.995])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
     if len(residuals_mm) < 100 or not high - low > 4 * width:
@@ -534,7 +538,7 @@ def _remark_on_layers(residuals_mm, step_mm):
 
 
 def _step(points):
-    """The coarsest step, m, of which all coordinates are multiples; NaN where none is seen."""
+    """The coarsest step, m, of which all coordinates are multiples; NaN without such a step."""
     local = points[:: 1 + len(points) // 1000] - points[0]
     for step in (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001):
         places = local / step
@@ -544,7 +548,7 @@ def _step(points):
 
 
 def _selected(points, polygon, thickness):
-    """The vertices of a polygon, the mask of the points in it, remarks, its plane."""
+    """The vertices of a polygon, the mask of its points, remarks and its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
     vertices, remarks = check_polygon(polygon), []
     plane = fit_plane(vertices)
@@ -567,7 +571,7 @@ def _selected(points, polygon, thickness):
 
 
 def _found(points, vertices, inside):
-    """The points inside a polygon; the error for fewer than three tells where the cloud is."""
+    """The points inside a polygon; the error for fewer than three gives the cloud's extent."""
     if inside.sum() >= 3:
         return points[inside]
     away = np.linalg.norm(points - vertices.mean(axis=0), axis=1).min()
@@ -580,7 +584,7 @@ def _found(points, vertices, inside):
 
 
 def _outline(vertices, plane, normal):
-    """The area of a polygon laid onto a plane along a direction."""
+    """A polygon projected onto a plane along a direction, in plane coordinates."""
     reach = plane.distances(vertices) / (normal @ plane.normal)
     polygon = shapely.Polygon(plane.project(vertices - reach[:, None] * normal))
     if not polygon.is_valid or polygon.area == 0:

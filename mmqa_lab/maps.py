@@ -1,9 +1,9 @@
-"""Quality figures in the square cells of a plan: of a cloud in memory, or of a campaign in tiles.
+"""Maps of quality figures in square cells, for a cloud in memory or for a campaign in tiles.
 
-Each cell gets the figures that a chart gets as a whole: density, spacings d1..d4, f, and sigma_MAD
-about the plane of its points. :func:`map_cloud` maps a cloud. :func:`map_campaign` maps files tile
-by tile on Dask, and :func:`open_map` opens its map. The figures do not depend on the tiles.
-``dataset["f"].plot()`` draws one of them.
+Each cell has the figures of a chart: density, spacings d1..d4, f, and sigma_MAD about the plane of
+its points. :func:`map_cloud` maps a cloud. :func:`map_campaign` maps files tile by tile on Dask,
+and :func:`open_map` opens the map. The figures do not depend on the size of the tiles.
+``dataset["f"].plot()`` draws a figure.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ FIGURES = {
 """Variables of a map with their units and meanings."""
 
 MINIMUM = 10
-"""Points that a cell's sigma_MAD needs: fewer lie too near to a plane fitted to them."""
+"""Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely."""
 
 MOST_TILES = 30_000
-"""Of the rectangle over a campaign, most of them empty: 11 km x 11 km with half metres."""
+"""Most tiles in the rectangle around a campaign: 11 km x 11 km for cells of half a metre."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -57,17 +57,17 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     Parameters
     ----------
     points : array_like, shape (n, 3)
-        Metres.
+        Easting, northing and height, m.
     cell : float
-        Side of the square cells, m; their borders lie at its multiples.
+        Side of the square cells, m. The borders lie at multiples of the side.
     radius : float
-        Neighbours farther than this in plan do not count, m.
+        Largest distance of a neighbour in plan, m.
 
     Returns
     -------
     Dataset
-        Dimensions ``y``, ``x`` (centres of the cells, m); the variables of ``FIGURES``, NaN where
-        not measurable.
+        Dimensions ``y``, ``x`` (centres of the cells, m), and the variables of ``FIGURES`` with
+        their units; NaN if not measurable.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
 
 
 def _evaluated(local, first, size, cell, radius, inner):
-    """The Dataset of some cells, from points whose coordinates begin at the first cell's corner."""
+    """The Dataset of cells, from points with the corner of the first cell as origin."""
     import xarray as xr
 
     column, row = np.floor(local[inner, :2] / cell).astype(int).T
@@ -126,7 +126,7 @@ def _evaluated(local, first, size, cell, radius, inner):
 
 
 def _medians(values, group):
-    """Median of each group's numbers, NaN left out; NaN where there are none."""
+    """Median of each group without its NaN; NaN for a group without numbers."""
     return pd.Series(values).groupby(group).median().to_numpy()
 
 
@@ -148,20 +148,20 @@ def map_campaign(
     tile: int = 128,
     client: Any = None,
 ) -> Path:
-    """Map any number of cloud files tile by tile, on Dask; tiles on disk are not made again.
+    """Map cloud files tile by tile on Dask; tiles on disk are not computed again.
 
     Parameters
     ----------
     paths : sequence of path
-        Cloud files, and folders of LAS, LAZ and COPC files; of one coordinate system.
+        Cloud files, and folders of LAS, LAZ and COPC files, all in the same coordinate system.
     folder : path
-        Of this run. A run that was stopped goes on with the tiles that are missing.
+        Folder of this run. A run that was stopped continues with the missing tiles.
     cell, radius : float
-        As for :func:`map_cloud`, m.
+        See :func:`map_cloud`, m.
     tile : int
         Cells along the side of a tile.
     client : distributed.Client, optional
-        A cluster that sees the same paths; without it the processes of this machine.
+        A cluster that can read the same paths; by default processes of this machine.
 
     Returns
     -------
@@ -171,8 +171,8 @@ def map_campaign(
     Raises
     ------
     ValueError
-        If the files' coordinate systems differ, there is no point, or the folder is of other files
-        or parameters.
+        If the coordinate systems of the files differ, if the files contain no point or too wide an
+        area, or if the folder belongs to a run with other files or parameters.
     """
     import dask
     from tqdm.dask import TqdmCallback
@@ -193,13 +193,13 @@ def map_campaign(
     if client is not None:
         client.gather(client.compute(tasks))
     else:
-        with TqdmCallback(desc="tiles", disable=None, leave=False):  # none where nobody looks
+        with TqdmCallback(desc="tiles", disable=None, leave=False):  # none without a terminal
             dask.compute(tasks, scheduler="processes")
     return folder
 
 
 def _files(paths):
-    """Cloud files, with those of folders."""
+    """The cloud files of paths and of folders."""
     found = []
     for path in map(Path, paths):
         inside = sorted(file for file in path.rglob("*") if file.suffix.lower() in LAS_ENDINGS)
@@ -210,7 +210,7 @@ def _files(paths):
 
 
 def _record(folder):
-    """The record of a run folder; empty where there is none."""
+    """The record of a run folder; an empty dict without a record."""
     file = folder / "run.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
@@ -221,9 +221,9 @@ def _tile(folder, place):
 
 
 def _sorted_points(paths, folder, side):
-    """Write each tile's points into a file of its own; the tiles and the coordinate system."""
+    """Write the points of each tile to a file; return the tiles, origin and coordinate system."""
     folder.mkdir(parents=True, exist_ok=True)
-    for left in folder.glob("*.xyz"):  # of a run that was stopped while it sorted
+    for left in folder.glob("*.xyz"):  # of a run that was stopped while sorting
         left.unlink()
     origin = crs = None
     places, without = set(), set()
@@ -251,7 +251,7 @@ def _sorted_points(paths, folder, side):
 
 
 def _check_extent(places, side):
-    """Refuse clouds that are too wide, as those in millimetres are."""
+    """Refuse clouds that are too wide, such as clouds in millimetres."""
     spans = np.ptp(np.array(list(places)), axis=0) + 1
     if spans.prod() > MOST_TILES:
         wide = " x ".join(f"{span * side / 1000:.0f} km" for span in spans)
@@ -285,15 +285,15 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
     Parameters
     ----------
     folder : path
-        Of :func:`map_campaign`.
+        Folder of :func:`map_campaign`.
     rho0 : float, optional
-        Density that is asked for, points per m2. The map then has ``exempt``: 1 where f does not
-        matter (:func:`mmqa_lab.spacing.exempt`), 0 where it does, NaN where d4 is not measurable.
+        Required density, points per m2. With it the map has ``exempt``: 1 where f does not matter
+        (:func:`mmqa_lab.spacing.exempt`), 0 where f matters, NaN where d4 is not measurable.
 
     Returns
     -------
     Dataset
-        As :func:`map_cloud` gives it, with the files' coordinate system.
+        The map as from :func:`map_cloud`, with the coordinate system of the files.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
 
 
 def summarise(dataset: xr.Dataset) -> pd.DataFrame:
-    """Return quantiles over the cells of each figure.
+    """Return quantiles of each figure over the cells.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def summarise(dataset: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        A row for each figure: ``figure``, ``unit``, ``n`` (cells that have it), ``q05`` .. ``q95``.
+        A row for each figure: ``figure``, ``unit``, ``n`` (cells with a value), ``q05`` to ``q95``.
     """
     names = [name for name in FIGURES if name != "n"]
     cells = dataset[names].to_dataframe()[names]
@@ -350,10 +350,17 @@ def summarise(dataset: xr.Dataset) -> pd.DataFrame:
 def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
     """Write a map as NetCDF (``.nc``) or GeoTIFF (``.tif``, a band for each figure).
 
+    Parameters
+    ----------
+    dataset : Dataset
+        From :func:`map_cloud` or :func:`open_map`.
+    path : path
+        The file to write.
+
     Raises
     ------
     ValueError
-        If the ending is another, or a GeoTIFF would have no coordinate system.
+        If the ending is neither of these, or if a GeoTIFF would lack a coordinate system.
     """
     path = Path(path)
     if check_ending(path) == ".nc":
@@ -366,5 +373,5 @@ def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
 
 
 def check_ending(path):
-    """Return the ending of a map, or raise with the endings that are possible."""
+    """Return the ending of a map's file, or raise an error with the possible endings."""
     return check_choice(Path(path).suffix, "ending of the map", (".nc", ".tif"))

@@ -1,8 +1,8 @@
-"""How far quality figures vary when an operator selects the same surface again.
+"""Variation of quality figures when an operator selects the same surface again.
 
-An operator's polygon is a nominal outline whose vertices carry a click error. Selections of one
-scan differ in it alone (repeatability), scans of one surface differ too; ISO 5725 and the analysis
-of variance separate these parts, and :func:`strip_law` says what to expect.
+An operator's polygon is a nominal outline whose vertices have a click error. Selections of the same
+scan differ by this error alone (repeatability). Scans of the same surface differ too. The analysis
+of variance separates the two parts (ISO 5725). :func:`strip_law` predicts the first part.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ __all__ = [
 __dir__ = __all__.copy
 
 STRIP = 0.4579
-"""Half of the mean area between two jittered outlines, per perimeter and click error."""
+"""Half of the mean area between two outlines with click errors, per perimeter and error."""
 
 LIMIT = 2.8
-"""1.96 sqrt(2): two results differ by less than 2.8 standard deviations in 95 % (ISO 5725-6)."""
+"""1.96 sqrt(2): two results differ by less than 2.8 s_r in 95 % of cases (ISO 5725-6)."""
 
 
 def operator_polygons(
@@ -44,31 +44,33 @@ def operator_polygons(
 ) -> np.ndarray:
     """Draw the polygons of an operator who clicks the same outline again and again.
 
-    Vertices lie evenly on the outline, the corners among them, and get independent normal errors in
-    both directions of the plane.
+    Vertices are spaced evenly along each side and include the corners. They get independent normal
+    errors in both directions of the plane.
 
     Parameters
     ----------
     corners : array_like, shape (4, 3)
-        The intended outline, in order, metres, such as
-        :func:`mmqa_lab.chart_cloud.chart_polygon` gives.
+        Corners of the intended outline in order, m, for example from
+        :func:`mmqa_lab.chart_cloud.chart_polygon`.
     repeats : int
         Number of polygons.
     click : float
-        Standard deviation of a vertex in each direction, m; 1 to 2 cm in a 3-D editor.
+        Standard deviation of a vertex in each direction, m. In a 3-D editor it is 1 to 2 cm.
     seed : int
+        Seed of the random errors.
     vertices : int
-        A multiple of 4; 4 for a quadrilateral, more for a free polygon.
+        Number of vertices, a multiple of 4: 4 for a quadrilateral, more for a free polygon.
 
     Returns
     -------
     array, shape (repeats, vertices, 3)
-        Metres.
+        Vertices of the polygons, m.
 
     Raises
     ------
     ValueError
-        If a polygon crosses itself because the click error is too large for the outline.
+        If there are not four corners, if ``vertices`` is not a multiple of 4, or if a polygon
+        crosses itself because the click error is too large for the outline.
 
     Examples
     --------
@@ -92,7 +94,7 @@ def operator_polygons(
     if not valid.all():
         raise ValueError(
             f"Invalid click {click}: {int((~valid).sum())} of {repeats} polygons cross themselves. "
-            "Must be well below the distance of the vertices."
+            "Must be much smaller than the distance between vertices."
         )
     return polygons
 
@@ -100,14 +102,14 @@ def operator_polygons(
 def evaluate_selections(
     points: ArrayLike, polygons: ArrayLike, *, axes: str | float | None = None
 ) -> pd.DataFrame:
-    """Evaluate one cloud with each of many polygons.
+    """Evaluate the selection of each polygon in the same cloud.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
-        Metres.
+        The cloud, m.
     polygons : array_like, shape (repeats, vertices, 3)
-        Metres.
+        Vertices of the polygons, m.
     axes
         See :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
 
@@ -119,7 +121,7 @@ def evaluate_selections(
     Raises
     ------
     ValueError
-        As :func:`mmqa_lab.chart_cloud.evaluate_cloud`: too few points in a polygon, and the like.
+        If a polygon cannot be evaluated, for example because it contains too few points.
 
     Examples
     --------
@@ -136,25 +138,25 @@ def evaluate_selections(
 
 @dataclass(frozen=True)
 class Repeatability(Shown):
-    """Repeatability of one figure, as ISO 5725-2 names its parts.
+    """Repeatability of a figure, with the symbols of ISO 5725-2.
 
     Parameters
     ----------
     mean : float
-        Mean of all results, in the unit of the figure, like all standard deviations here.
+        Mean of all results. The mean and the standard deviations have the unit of the figure.
     s_r : float
-        Repeatability standard deviation: between selections of the same scan.
+        Repeatability standard deviation, between selections of the same scan.
     s_l : float
-        Standard deviation between scans, beyond what selections explain; 0 where none is seen.
+        Standard deviation between scans without the part of the selections; at least 0.
     icc : float
-        Intraclass correlation ICC(1,1): share of the variance that lies between scans.
+        Intraclass correlation ICC(1,1), the share of the variance between scans.
     icc_low, icc_high : float
-        Its 95 % interval (F distribution).
+        95 % confidence interval of the ICC (F distribution).
     s_r_low, s_r_high : float
-        95 % interval of s_r by chi-squared, whose degrees of freedom allow for the kurtosis of the
-        selections about their scan's mean.
+        95 % confidence interval of s_r (chi-squared distribution). The degrees of freedom allow for
+        the kurtosis of the selections about the mean of their scan.
     groups, n : int
-        Scans, and results in all.
+        Number of scans, and number of all results.
 
     Examples
     --------
@@ -180,7 +182,7 @@ class Repeatability(Shown):
         return LIMIT * self.s_r
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row with all parts, ``r`` and ``relative_s_r_percent`` with its interval."""
+        """Return a row with all fields, ``r``, and ``relative_s_r_percent`` with its interval."""
         percent = 100 / self.mean
         relative = {
             "relative_s_r_percent": percent * self.s_r,
@@ -193,20 +195,21 @@ class Repeatability(Shown):
 def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     """Separate repeatability and the variance between scans.
 
-    One-way analysis of variance of a figure over the scans (ISO 5725-2, section 7.4); unequal
-    numbers are allowed.
+    This is the one-way analysis of variance of a figure over the scans (ISO 5725-2, section 7.4).
+    The numbers of selections may differ between scans.
 
     Parameters
     ----------
     table : DataFrame
-        A row per selection; its column ``scan`` names the scan, all rows are of one without it.
+        A row per selection. The column ``scan`` names the scan. Without this column all selections
+        belong to the same scan.
     value : str
         The column of the figure.
 
     Returns
     -------
     Repeatability
-        Between-scan parts are NaN with one scan only.
+        The parts between scans are NaN for a single scan.
 
     Raises
     ------
@@ -240,32 +243,34 @@ def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
 
 
 def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[str]) -> pd.DataFrame:
-    """Estimate the variance that each level of a balanced nested design adds.
+    """Estimate the variance component of each level of a balanced nested design.
 
-    Analysis of variance of the logarithms (so that the parts are relative), with every factor
-    nested in those before it; a component is the difference of two mean squares over the number of
-    results behind one level.
+    The analysis of variance uses logarithms, so the components are relative. Every factor is nested
+    in the factors before it. A component is the difference of two mean squares over the number of
+    results per level.
 
     Parameters
     ----------
     table : DataFrame
         A row per result.
     value : str
-        The figure; positive.
+        The column of the figure, with positive values.
     factors : sequence of str
-        Columns from the coarsest to the finest, for example system, distance_m, scan.
+        The columns of the factors from the coarsest to the finest, for example system, distance_m,
+        scan.
 
     Returns
     -------
     DataFrame
         ``factor`` (the last is ``selection``), ``degrees_of_freedom``, ``mean_square``,
-        ``variance`` (of the natural logarithm, 0 where the difference is negative), ``share``,
-        ``relative_sd`` (1), ``n``.
+        ``variance`` (of the natural logarithm, 0 if the difference is negative), ``share``,
+        ``relative_sd`` (1), ``n`` (results).
 
     Raises
     ------
     ValueError
-        If a value is not positive or the design is not balanced.
+        If a value is not positive, if the design is not balanced, or if a factor has a single
+        level.
 
     Examples
     --------
@@ -275,20 +280,20 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     (['scan', 'selection'], [0.49, 0.034])
     """
     if not (np.isfinite(table[value]) & (table[value] > 0)).all():
-        raise ValueError(f"Invalid {value}: not positive. Must be so in every selection.")
+        raise ValueError(f"Invalid {value}: not positive. Must be positive in every selection.")
     logs = np.log(table[value])
     nested = [
         logs.groupby([table[name] for name in factors[:k]]) for k in range(1, 1 + len(factors))
     ]
     if any(groups.size().nunique() > 1 for groups in nested):
-        raise ValueError("Invalid table: not balanced. Must have as many results in every cell.")
+        raise ValueError("Invalid table: not balanced. Must have equal counts in every cell.")
     means = np.array(
         [np.full(len(logs), logs.mean()), *(g.transform("mean") for g in nested), logs]
     )
     counts = np.array([1, *(groups.ngroups for groups in nested), len(logs)])
     freedom = np.diff(counts)
     if min(freedom) < 1:
-        raise ValueError(f"Invalid factors {factors}. Must have two levels or more each.")
+        raise ValueError(f"Invalid factors {factors}. Must have at least two levels each.")
     squares = (np.diff(means, axis=0) ** 2).sum(axis=1) / freedom
     behind = len(logs) / counts[1:-1]
     variances = np.clip([*(-np.diff(squares) / behind), squares[-1]], 0, None)
@@ -306,16 +311,16 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
 
 
 def _chi_squared_ends(off, freedom):
-    """Ends of the 95 % interval of a variance over its estimate (Bonett 2006)."""
+    """Limits of the 95 % interval of a variance over its estimate (Bonett 2006)."""
     variance = (off**2).mean()
     excess = (off**4).mean() / variance**2 - 3 if variance > 0 else 0.0
-    # a small sample understates its kurtosis, so at least that of normal values is taken
+    # a small sample understates its kurtosis, so normal kurtosis is the minimum
     freedom = 2 / (2 / freedom + max(excess, 0) / len(off))
     return freedom / chi2.ppf([0.975, 0.025], freedom)
 
 
 def _between(parts, within):
-    """Standard deviation between groups, ICC(1,1) and its interval; NaN for a single group."""
+    """Standard deviation between groups, ICC(1,1) with its interval; NaN for a single group."""
     groups, sizes = len(parts), np.array([len(part) for part in parts])
     if groups < 2:
         return (np.nan,) * 4
@@ -332,36 +337,38 @@ def _between(parts, within):
 
 
 def strip_law(*, density: float, area: float, click: float) -> float:
-    """Predicted relative s_r of the density when square selections of one random pattern vary.
+    """Return the predicted relative s_r of the density for square selections of a random pattern.
 
-    Two selections share all points but those in the strip between their outlines, whose mean area
-    is 0.916 P click for the perimeter P. The density changes by the chance in these points:
-    s_r / value = sqrt(0.458 P click / density) / area, with P = 4 sqrt(area). So it falls with
-    area^(-3/4) and density^(-1/2), not with the number of points alone.
+    Two selections share all points except the points in the strip between their outlines. The mean
+    area of this strip is 0.916 P click for the perimeter P. The density varies with the random
+    number of points in the strip: s_r / value = sqrt(0.458 P click / density) / area, with
+    P = 4 sqrt(area). The prediction falls with area^(-3/4) and density^(-1/2), not with the number
+    of points alone.
 
     Parameters
     ----------
     density : float
-        Points per square metre.
+        Points per m2.
     area : float
-        Of the selection, square metres.
+        Area of the selection, m2.
     click : float
         Standard deviation of a vertex in each direction, m.
 
     Returns
     -------
     float
+        s_r over the density, as a share.
 
     Raises
     ------
     ValueError
-        If density or area is not above zero or ``click`` is negative.
+        If density or area is not above zero, or if ``click`` is negative.
 
     Notes
     -----
-    For a Poisson pattern; points on scan lines come in whole lines and vary otherwise. Figures
-    other than the density vary by the influence of one point on them times as much: sqrt(1/2) for
-    std, 1.166 for sigma_MAD of normal residuals (asymptotic).
+    The law holds for a Poisson pattern. Points on scan lines enter a selection as whole lines and
+    vary differently. For other figures the prediction is multiplied by the influence of a point on
+    the figure: sqrt(1/2) for std and 1.166 for sigma_MAD, for normal residuals (asymptotic).
 
     Examples
     --------

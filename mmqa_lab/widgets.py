@@ -1,6 +1,6 @@
-"""In the notebook: controls over what studies draw, the choice of a surface, the jury's form.
+"""Controls for notebooks: explorers of figures, the selection of a surface, the jury's form.
 
-Without a screen (``MMQA_HEADLESS``) every control becomes the picture of where it starts.
+Without a screen (``MMQA_HEADLESS``) every control is replaced by a picture of its first state.
 """
 
 from __future__ import annotations
@@ -39,16 +39,17 @@ __dir__ = __all__.copy
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
 WIDEST_PX, LARGEST_ZOOM = 800, 12
-"""A crop is enlarged by whole numbers up to this width on the screen; nothing is interpolated."""
+"""Largest width and zoom of a crop on the screen. The zoom is a whole number, so no pixel is
+interpolated."""
 
 SHOWN = 10_000
-"""Points drawn; all of them are evaluated."""
+"""Most points that are drawn. All points are evaluated."""
 
 LISTED = 30
-"""Planes in the list: those with the most points."""
+"""Most planes in the list. The planes with the most points come first."""
 
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
-"""Of the planes that are not chosen, on the picture and in the list."""
+"""Colours of the other planes in the picture and in the list."""
 
 AXES = ("easting", "northing", "height")
 
@@ -61,14 +62,14 @@ def explore(
     Parameters
     ----------
     function : callable
-        Takes the controls' values by name and returns a matplotlib figure.
+        Takes the values of the controls by name and returns a matplotlib figure.
     **controls
-        An ipywidgets control each, such as :func:`slider` makes.
+        Controls of ipywidgets, such as :func:`slider` and :func:`choice` return.
 
     Returns
     -------
     ipywidgets.VBox or matplotlib.figure.Figure
-        The controls with the figure below, or the static figure where there is no screen.
+        The controls with the figure below them; without a screen, the figure alone.
 
     Examples
     --------
@@ -85,10 +86,10 @@ def explore(
     """
 
     def drawn():
-        """The figure of the controls' present values."""
+        """The figure for the current values of the controls."""
         figure = function(**{name: control.value for name, control in controls.items()})
         finish_figure(figure)
-        plt.close(figure)  # the cell that returns it shows it, pyplot would show it once more
+        plt.close(figure)  # the cell shows it; pyplot would show it again
         return figure
 
     if is_headless():
@@ -96,7 +97,7 @@ def explore(
     output = ipywidgets.Output()
 
     def redraw(_=None):
-        """That figure in place of the last one."""
+        """Replace the figure shown."""
         with output, plt.ioff():
             figure = drawn()
             output.clear_output(wait=True)
@@ -111,19 +112,20 @@ def explore(
 def slider(
     name: str, value: float, low: float, high: float, step: float, *, unit: str = ""
 ) -> ipywidgets.IntSlider | ipywidgets.FloatSlider:
-    """Return a slider whose label has the unit; it reports when it is let go.
+    """Return a slider with the unit in its label; it reports its value on release.
 
     Parameters
     ----------
     name : str
+        Label of the slider.
     value, low, high, step : float or int
-        Where it starts, its ends and its step; whole numbers where the step is one.
+        First value, ends and step. An int as step gives whole numbers.
     unit : str
+        Unit of the values.
 
     Returns
     -------
-    IntSlider or FloatSlider
-        Of ipywidgets.
+    ipywidgets.IntSlider or ipywidgets.FloatSlider
 
     Examples
     --------
@@ -150,12 +152,13 @@ def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
     Parameters
     ----------
     name : str
+        Label of the list.
     options : sequence of str
+        Texts to choose from.
 
     Returns
     -------
-    Dropdown
-        Of ipywidgets.
+    ipywidgets.Dropdown
 
     Examples
     --------
@@ -168,25 +171,26 @@ def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
 
 
 class SelectionTool:
-    """A polygon on a surface, whose vertices can be dragged, and the quality of what it selects.
+    """A polygon with draggable vertices on a surface, and the quality of the selected points.
 
-    The surface is seen at right angles to its plane, upright where it stands.
+    The view is at right angles to the plane of the surface. Upright surfaces are shown upright.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
-        A surface and what is around it, metres.
+        The points of a surface and its surroundings, m.
     polygon : array_like, shape (m, 3), optional
-        Where to start; by default the largest rectangle in which points are everywhere.
+        The first polygon, m; by default the largest rectangle without gaps, see
+        :func:`largest_rectangle`.
     **choices
-        Thickness, axes, radius and so on of :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
+        Arguments of :func:`mmqa_lab.chart_cloud.evaluate_cloud`, such as thickness and axes.
 
     Attributes
     ----------
     vertices : array, shape (m, 3)
-        The polygon as it is now, metres.
+        The current polygon, m.
     quality : CloudQuality or None
-        Of what it selects; None while it selects too little.
+        The quality of the selected points; None if they cannot be evaluated.
 
     Raises
     ------
@@ -216,7 +220,7 @@ class SelectionTool:
         self.box = None if is_headless() else ipywidgets.VBox([*self._shown(), self.text])
 
     def show(self, points: ArrayLike, polygon: ArrayLike | None = None) -> None:
-        """Take other points, shape (n, 3), and the polygon on them."""
+        """Show other points, shape (n, 3), m, and a polygon, shape (m, 3), m."""
         self.points = check_points(points, minimum=3)
         plane = fit_plane(self.points, robust=True)
         flat = abs(plane.normal[2]) > np.cos(np.radians(45))
@@ -230,14 +234,15 @@ class SelectionTool:
         self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
 
     def select(self, polygon: ArrayLike) -> None:
-        """Move the polygon, shape (m, 3), and evaluate what it selects."""
+        """Move the polygon, shape (m, 3), m, and evaluate the selected points."""
         self._selector.verts = self._to_plane(check_polygon(polygon)).tolist()
         self._moved(self._selector.verts)
 
     def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
-        """Show what a function displays of the selection, now and after every change; a decorator.
+        """Call a function of this tool, a decorator, now and after every change of the selection.
 
-        With ``button``, a text, it is called again only when that button is pressed.
+        The tool shows the output of the function. With ``button``, the text of a button, the
+        function is called again only when the button is pressed.
         """
         if function is None:
             return lambda decorated: self.follow(decorated, button=button)
@@ -247,13 +252,13 @@ class SelectionTool:
         output = ipywidgets.Output()
 
         def again(_=None):
-            """What it displays, in place of the last."""
+            """Replace the output shown."""
             with output:
                 output.clear_output(wait=not button)
                 display(HTML(self.text.value)) if self.quality is None else function(self)
 
         def waits():
-            """Say that what is shown is of another selection."""
+            """State that the selection has changed."""
             with output:
                 output.clear_output()
                 print("The selection has changed: press the button.")
@@ -266,11 +271,11 @@ class SelectionTool:
         return function
 
     def _ipython_display_(self):
-        """Show the tool, or its picture where there is no screen."""
+        """Show the tool; without a screen, its picture."""
         display(*self._shown(), HTML(self.text.value)) if is_headless() else display(self.box)
 
     def _shown(self):
-        """What stands above the line of text."""
+        """The parts above the line of text."""
         return [self.canvas]
 
     def _to_plane(self, points):
@@ -278,11 +283,11 @@ class SelectionTool:
         return (np.asarray(points, dtype=np.float64) - self._centre) @ self._axes.T
 
     def _to_space(self, xy):
-        """Points of the plane in space, shape (n, 3), m."""
+        """Coordinates in space of points in the plane, shape (n, 3), m."""
         return self._centre + np.asarray(xy, dtype=np.float64) @ self._axes
 
     def _moved(self, vertices):
-        """Evaluate and draw again after a vertex was dragged."""
+        """Evaluate and draw the selection again after a change of the polygon."""
         self.vertices = self._to_space(vertices)
         try:
             self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
@@ -298,26 +303,26 @@ class SelectionTool:
 
 
 class SurfaceTool(SelectionTool):
-    """The planes of some clouds in a list beside a picture; the chosen one with its polygon below.
+    """A list of planes in clouds beside a picture, and the selection tool for the chosen plane.
 
     Parameters
     ----------
     clouds : dict of str to Cloud or array_like, shape (n, 3)
-        Metres.
+        Points by name of the cloud, m.
     tolerance, size : float
-        Of :func:`mmqa_lab.planes.detect_planes`, m.
+        See :func:`mmqa_lab.planes.detect_planes`, m.
     **choices
-        As of :class:`SelectionTool`.
+        See :class:`SelectionTool`.
 
     Attributes
     ----------
     name : str
-        Of the chosen cloud.
+        Name of the chosen cloud.
     patch : Patch
         The chosen plane.
     planes : DataFrame
         ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
-        ``northing_m``, ``height_m`` of all.
+        ``northing_m``, ``height_m`` of all planes.
 
     Raises
     ------
@@ -359,17 +364,17 @@ class SurfaceTool(SelectionTool):
         super().__init__(self.surface(first), **choices)
 
     def choose(self, cloud: str, plane: int = 0) -> None:
-        """Choose a plane by its cloud and its number in ``planes``."""
+        """Choose a plane by the name of its cloud and its number in ``planes``."""
         check_choice(cloud, "cloud", tuple(self._points))
         self._enter(cloud, plane)
         self.show(self.surface(cloud, plane))
 
     def surface(self, cloud: str, plane: int = 0) -> np.ndarray:
-        """The points of a plane, shape (n, 3), m."""
+        """Return the points of a plane, shape (n, 3), m."""
         return self._points[cloud][self._patches[cloud][plane].index]
 
     def _enter(self, cloud, plane):
-        """Mark a plane on the picture; draw it and the list anew where the cloud is another one."""
+        """Mark a plane in the picture; draw picture and list again if the cloud has changed."""
         if cloud != self.name:
             self.name = self._clouds.value = cloud
             self._draw_scene()
@@ -381,7 +386,7 @@ class SurfaceTool(SelectionTool):
         self._scene.canvas.draw_idle()
 
     def _draw_scene(self):
-        """The cloud of that name along its shortest extent, and the list of its planes."""
+        """Draw the chosen cloud along its shortest extent, and list its planes."""
         points, patches = self._points[self.name], self._patches[self.name]
         owner = np.full(len(points), -1)
         for number, patch in enumerate(patches):
@@ -389,7 +394,7 @@ class SurfaceTool(SelectionTool):
         step = 1 + len(points) // SHOWN
         self._owner, shown = owner[::step], points[::step]
         across, up = sorted(np.argsort(np.ptp(points, axis=0))[1:])
-        offset = np.round(points.mean(axis=0) / 1000) * 1000  # drawn far from zero, ticks repeat
+        offset = np.round(points.mean(axis=0) / 1000) * 1000  # or ticks would repeat
         self._scene.clear()
         ax = self._scene.add_subplot(aspect="equal")
         x, y = (shown - offset)[:, [across, up]].T
@@ -402,7 +407,7 @@ class SurfaceTool(SelectionTool):
         self._list.children = [self._button(row) for row in rows.to_dict("records")]
 
     def _button(self, row):
-        """What chooses a plane."""
+        """A button that chooses a plane."""
         text = "{plane}: {area_m2:.1f} m², at {height_m:.1f} m, slope {slope_deg:.0f}°"
         button = ipywidgets.Button(description=text.format(**row), layout={"width": "20em"})
         button.style.button_color = TINTS[row["plane"] % len(TINTS)]
@@ -418,7 +423,7 @@ class SurfaceTool(SelectionTool):
 
 
 def _described(patch, points):
-    """What the list and the table say of a plane."""
+    """The figures of a plane in the list and in the table."""
     hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
     return {
         "points": len(patch),
@@ -430,9 +435,9 @@ def _described(patch, points):
 
 
 def _canvas(figure):
-    """A canvas of ipympl, or the figure where there is no screen.
+    """A canvas of ipympl; without a screen, the figure.
 
-    On import ipympl takes over the figures of the whole session; they stay with their backend.
+    The import of ipympl changes the backend of the whole session, so the backend is set back.
     """
     if is_headless():
         return figure
@@ -444,22 +449,22 @@ def _canvas(figure):
     canvas = Canvas(figure)
     canvas.header_visible, canvas.toolbar_visible = False, True
     canvas.toolbar_position = "bottom"
-    canvas.keep = FigureManager(canvas, 0)  # the toolbar is gone with its manager
+    canvas.keep = FigureManager(canvas, 0)  # without its manager the toolbar disappears
     return canvas
 
 
 def largest_rectangle(xy: ArrayLike) -> np.ndarray:
-    """Return the largest rectangle along the axes in which points are everywhere.
+    """Return the largest rectangle along the axes without gaps between points.
 
     Parameters
     ----------
     xy : array_like, shape (n, 2)
-        Metres.
+        Coordinates, m.
 
     Returns
     -------
     array, shape (4, 2)
-        Its corners, to a sixtieth of the longer extent or three times the spacing.
+        Its corners, m, in steps of a sixtieth of the longer extent or of three times the spacing.
 
     Examples
     --------
@@ -491,7 +496,7 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
 
 
 def _summary(quality):
-    """The quality in one line, and what speaks against it in others."""
+    """The figures of a quality in one line, and its remarks in further lines."""
     figures = (
         f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
         f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
@@ -502,30 +507,30 @@ def _summary(quality):
 
 
 class JuryForm:
-    """A form in which one juror marks how well texts can be read.
+    """A form in which a juror marks how well texts can be read.
 
-    Each juror sees the same crops in the same order, without knowing where they come from, and
-    gives a mark a (every letter), b (the text) or c (not legible). Every mark is on disk before the
-    next crop is shown; a form on the same file goes on where it was left.
+    Each juror sees the same crops in the same order, without their names. The marks are a (every
+    letter), b (the text) and c (not legible). Every mark is written to the file before the next
+    crop is shown. A new form on the same file continues with the first crop without a mark.
 
     Parameters
     ----------
     crops : dict of str to array, shape (rows, columns)
-        Linear light by name of the element, such as ``"photo 3, text_1"``.
+        Images in linear light by name of the element, such as ``"photo 3, text_1"``.
     juror : str
-        Who marks.
+        Name of the juror.
     file : path
-        CSV with ``juror``, ``element``, ``mark``; shared by all jurors, made when missing.
+        CSV with ``juror``, ``element``, ``mark``. All jurors share it. It is created if missing.
 
     Attributes
     ----------
     box : ipywidgets.Widget
-        What a notebook displays.
+        The form, as a notebook shows it.
 
     Raises
     ------
     ValueError
-        If the juror has no name, or the file has no marks.
+        If the name of the juror is empty, or the file contains invalid marks.
 
     Examples
     --------
@@ -552,20 +557,20 @@ class JuryForm:
 
     @property
     def marks(self) -> pd.DataFrame:
-        """All marks in the file so far, of every juror."""
+        """All marks in the file, of all jurors."""
         if not self._file.is_file():
             return pd.DataFrame(columns=["juror", "element", "mark"])
         return check_marks(pd.read_csv(self._file, dtype=str, keep_default_na=False))
 
     @property
     def element(self) -> str | None:
-        """Name of the crop shown; None when all are marked."""
+        """Name of the crop shown; None if all crops are marked."""
         marks = self.marks
         done = set(marks.loc[marks["juror"] == self._juror, "element"])
         return next((name for name in self._crops if name not in done), None)
 
     def mark(self, mark: str) -> None:
-        """Give the crop shown a mark, write it down and show the next one."""
+        """Mark the crop shown with a, b or c, write the mark to the file and show the next crop."""
         check_choice(mark, "mark", MARKS)
         if (element := self.element) is not None:
             row = {"juror": self._juror, "element": element, "mark": mark}
@@ -573,12 +578,12 @@ class JuryForm:
             self._show()
 
     def _ipython_display_(self):
-        """The form, or the crop it shows where there is no screen."""
+        """Show the form; without a screen, the current crop."""
         shown = Image(self._picture.value) if self._picture.value else Markdown(self._line.value)
         display(shown if is_headless() else self.box)
 
     def _show(self):
-        """Bring the form up to date."""
+        """Show the next crop, or the end of the form."""
         element, names = self.element, list(self._crops)
         place = len(names) if element is None else names.index(element)
         for button in self._buttons:
@@ -589,7 +594,7 @@ class JuryForm:
 
 
 def _png(crop):
-    """A crop as PNG, each pixel a square."""
+    """A crop as PNG, each pixel enlarged to a square."""
     import cv2
 
     low, high = np.percentile(crop, [0.5, 99.5])

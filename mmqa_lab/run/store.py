@@ -112,7 +112,9 @@ def _lightened(ran, kept):
                 cell.outputs = [_small(one, width) for one in cell.outputs if _is_kept(one)]
         if len(nbformat.writes(ran)) < LARGEST_BYTES:
             return ran
-    raise ValueError(f"Invalid outputs: {len(nbformat.writes(ran))} bytes. Must be a million.")
+    raise ValueError(
+        f"Invalid outputs: {len(nbformat.writes(ran))} bytes. Must be less than a million."
+    )
 
 
 def _is_kept(output):
