@@ -1,4 +1,4 @@
-"""What f = d4/d1 measures: patterns of known anisotropy, other measures, rules, real clouds."""
+"""Anisotropy: f = d4/d1 beside other measures on patterns of known anisotropy and real clouds."""
 
 from itertools import product
 
@@ -19,13 +19,13 @@ from mmqa_lab.simulate.point_patterns import (
 from mmqa_lab.spacing import directional, quadrant_distances, quadrants, turned_f
 
 LEAST_NOISE, EXACT = 1e-10, 1e-6
-"""Metres: noise that only decides on which side of an axis a point lies, and what it changes."""
+"""Noise that only decides on which side of an axis a point lies, and its largest effect on f, m."""
 
 KNOWN = ("lattice", "hexagonal", "scan_lines", "poisson")
 
 CLOSED = {(kind, "turned by 25°"): {"angle": 25} for kind in KNOWN}
 CLOSED["scan_lines", "along, least noise"] = {"noise": LEAST_NOISE}
-"""Patterns whose f is known in closed form, with their position to the axes."""
+"""Patterns whose f has a closed form, with their position relative to the axes."""
 
 BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
 
@@ -33,8 +33,8 @@ BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boar
 def structure_tensor(xy):
     """Median of sqrt(largest / smallest eigenvalue) of the scatter of the 16 nearest points.
 
-    Random neighbourhoods are longer than wide: a Poisson pattern has about 1.5. On lines
-    the nearest points are all on one line and the ratio is infinite.
+    ``xy`` has the shape (n, 2), m. Random neighbourhoods are longer than wide: a Poisson pattern
+    has about 1.5. If all nearest points lie on the same line, the ratio is infinite.
     """
     near = cKDTree(xy).query(xy, k=min(17, len(xy)))[1][:, 1:]
     offsets = xy[near] - xy[:, None]
@@ -45,11 +45,12 @@ def structure_tensor(xy):
 
 
 def pair_contrast(xy):
-    """Contrast of Ripley's K between the directions with most and fewest pairs: 0 none, 1 all.
+    """Contrast of Ripley's K between the directions with most and fewest pairs, from 0 to 1.
 
-    Of the pairs up to twice the linear point distance apart, N lie within 45 degrees of
-    the direction of their second harmonic and M at a right angle to it: (N - M) / (N + M). Illian
-    et al. 2008, section 4.5, doi:10.1002/9780470725160.
+    ``xy`` has the shape (n, 2), m. Pairs are at most twice the linear point distance apart. N pairs
+    lie within 45 degrees of the direction of their second harmonic, M pairs lie within 45 degrees
+    of the direction at a right angle. The contrast is (N - M) / (N + M). Illian et al. 2008,
+    section 4.5, doi:10.1002/9780470725160.
     """
     reach = 2 * np.sqrt(np.prod(np.ptp(xy, axis=0)) / len(xy))
     first, second = cKDTree(xy).query_pairs(reach, output_type="ndarray").T
@@ -61,10 +62,11 @@ def pair_contrast(xy):
 
 
 def clark_evans(xy):
-    """Clark and Evans's index: mean nearest distance over that of a random pattern.
+    """Clark and Evans's index: mean nearest distance over its expectation for a random pattern.
 
-    2.149 on a hexagonal lattice, 1 at random, less for clusters; with Donnelly's correction for the
-    edges of the hull. It knows no direction. Ecology 35 (1954), doi:10.2307/1931034.
+    ``xy`` has the shape (n, 2), m. The index is 2.149 for a hexagonal lattice, 1 for a random
+    pattern, and less for clusters. Donnelly's correction for the edges of the hull is applied. The
+    index does not depend on direction. Ecology 35 (1954), doi:10.2307/1931034.
     """
     nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
     hull = ConvexHull(xy - xy.mean(axis=0))
@@ -81,7 +83,7 @@ METHODS = {
     "Ripley's K by direction": pair_contrast,
     "Clark-Evans index": clark_evans,
 }
-"""f, g, and other measures of anisotropy or evenness: functions of points (n, 2) in m."""
+"""f, g and other measures of anisotropy or regularity: functions of points, shape (n, 2), m."""
 
 
 def pattern(kind, stretch, angle, n, noise_mm, *, seed, density=3000.0):
@@ -106,12 +108,13 @@ def bench(
     Parameters
     ----------
     methods : dict, optional
-        Functions of points (n, 2) in m; by default ``METHODS``.
+        Functions of points, shape (n, 2), m; by default ``METHODS``.
     kinds : tuple of str
-        Of :data:`mmqa_lab.simulate.point_patterns.KINDS`.
+        Names of :data:`mmqa_lab.simulate.point_patterns.KINDS`.
     stretches, angles, counts, noises_mm : tuple of float
-        Ratios across / along, directions of the lines in degrees, points, noise in mm.
+        Ratios across / along, directions of the lines in degrees, numbers of points, noise in mm.
     seeds : iterable of int
+        Seeds of the patterns.
 
     Returns
     -------
@@ -128,20 +131,20 @@ def closed_forms(*, stretches, repeats, density=3000.0, size=1.5, guard=0.2):
     Parameters
     ----------
     stretches : sequence of float
-        Across / along, above 5 (where lines along an axis have their closed form).
+        Ratios across / along, above 5, so that lines along an axis have their closed form.
     repeats : int
-        Patterns of each kind; their spread gives the standard error.
+        Patterns of each kind. Their spread gives the standard error.
     density : float
-        Points per square metre.
+        Points per m2.
     size, guard : float
-        Width of the window, and of its edge whose points are only neighbours, m.
+        Width of the window, and width of its edge, whose points are only neighbours, m.
 
     Returns
     -------
     DataFrame
         ``pattern``, ``axes``, ``stretch``, ``f_predicted``, ``f_measured``, ``standard_error``,
-        ``z`` (difference in standard errors; 0 where it is below 1e-6, what the least noise
-        does), ``n`` (patterns).
+        ``z`` (difference in standard errors; 0 if the difference is below 1e-6, the effect of
+        the least noise), ``n`` (patterns).
     """
     rows = []
     for ratio, ((kind, axes), turn) in product(stretches, CLOSED.items()):
@@ -158,7 +161,7 @@ def closed_forms(*, stretches, repeats, density=3000.0, size=1.5, guard=0.2):
 
 
 def _interior_f(xy, guard):
-    """Inhomogeneity f of the points away from the edge of their window."""
+    """Inhomogeneity f of the points outside the edge of their window."""
     low, high = xy.min(axis=0) + guard, xy.max(axis=0) - guard
     inside = ((xy > low) & (xy < high)).all(axis=1)
     medians = np.median(quadrant_distances(xy)[inside], axis=0)
@@ -166,7 +169,7 @@ def _interior_f(xy, guard):
 
 
 def boards():
-    """Return the points of boards, (n, 3), m, by name; none where MMQA_DATA has no boards."""
+    """Return the points of boards, shape (n, 3), m, by name; empty if MMQA_DATA has no boards."""
     found = {
         name: samples.real_path(file) for name, file in BOARDS.items() if samples.has_real(file)
     }
@@ -174,9 +177,9 @@ def boards():
 
 
 def real_clouds():
-    """Return real clouds in their planes, without repeated points: dict of name to (n, 2), m.
+    """Return real clouds in their planes without repeated points: shape (n, 2), m, by name.
 
-    The two heads of the road patch, and both; boards where MMQA_DATA has them.
+    They are the two heads of the road patch, both heads together, and the boards of MMQA_DATA.
     """
     clouds = {f"road, {name}": points for name, points in samples.road_patch_heads().items()}
     clouds |= boards()

@@ -1,4 +1,4 @@
-"""Table 1 from images: the limit of line pairs by rendering, photographs whose truth is known."""
+"""Table 1 from images: the limit of line pairs in rendered images and simulated photographs."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -19,28 +19,28 @@ ROW = ["system", "distance_m", "view"]
 PAIRS = charts.imaging_chart().of_kind(LinePairs)
 
 LADDERS_MM = {d: sorted((p.pair for p in PAIRS if p.direction == d), reverse=True) for d in "hv"}
-"""Widths on the chart, of the standing and of the lying bars."""
+"""Widths on the chart of the standing (h) and of the lying bars (v)."""
 
 FITTED_PX = 0.8
-"""Point spread of the photographs: 2.8 pixels a pair are its limit."""
+"""Point spread of the photographs. Its limit is 2.8 pixels per line pair."""
 
 SENSOR = cameras.Sensor(noise=0.01, gamma="srgb", bits=8, jpeg_quality=90)
 
 SPEED_KMH = 40.0
 
 LIMIT_STEP, LIMIT_STEPS, LIMIT_LENGTH_PX, MAP_ERROR_PX = 1.04, 9, 24.0, 0.1
-"""Steps, number and length of the line pairs that find the limit, and the error of their place."""
+"""Ratio, number and length of the line pairs for the limit, and the error of their position."""
 
 
 def table_1():
-    """Return Table 1 with a row for each photograph that was evaluated.
+    """Return Table 1 with a row for each evaluated photograph.
 
     Returns
     -------
     DataFrame
         ``system``, ``distance_m``, ``view``, ``pixel_h_mm`` (lying bar), ``pixel_v_mm`` (standing
         bars), ``w_h_mm`` (standing bars), ``w_v_mm``, ``legibility`` (a, b, c), all published.
-        NaN is a printed dash.
+        A printed dash is NaN.
 
     Examples
     --------
@@ -60,19 +60,24 @@ def table_1():
 
 
 def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
-    """Return the narrowest line pairs that are definitely resolved, pixels; NaN if none is.
+    """Return the width of the narrowest line pairs that are resolved, px; NaN without any.
 
-    Patterns in steps of 4 % around the limit of the noise-free contrast are photographed with 1 %
-    noise, a roll of up to a degree and a map wrong by 0.1 pixels, and read by
-    :func:`mmqa_lab.chart_image.read_pairs`.
+    The patterns have widths in steps of 4 % around the limit of the noise-free contrast. They are
+    photographed with 1 % noise, a roll of up to a degree and a position error of 0.1 pixels, and
+    read by :func:`mmqa_lab.chart_image.read_pairs`.
 
     Parameters
     ----------
     sigma_px : float
-        Point spread, standard deviation without that of the pixel itself.
+        Standard deviation of the point spread without the pixel, px.
     blur_px : float
-        Motion across the bars.
+        Motion across the bars, px.
     seed : int
+        Seed of noise, roll and position.
+
+    Returns
+    -------
+    float
 
     Examples
     --------
@@ -94,31 +99,32 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
 
 @lru_cache(maxsize=64)
 def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, seed=0, layout=None):
-    """Photograph the chart as a row of Table 1 saw it: ``make`` of the bench.
+    """Photograph the chart with the view of a row of Table 1, as ``make`` of the bench.
 
-    Noise of 1 %, sRGB, 8 bits and JPEG are in the chain. Roll and place of the pixels follow from
-    the seed.
+    The chain includes noise of 1 %, sRGB, 8 bits and JPEG. The seed sets the roll and the position
+    of the pixels.
 
     Parameters
     ----------
     system, distance_m, view
-        The row.
+        Columns ``ROW`` of the row.
     spread_px : float
-        Point spread of the whole camera.
+        Standard deviation of the camera's point spread, px.
     exposure_ms : float
-        At 40 km/h: 1 ms are 11 mm.
+        Exposure time at 40 km/h, ms. The camera moves 11 mm per ms.
     seed : int
+        Seed of noise, roll and position.
     layout : Layout, optional
-        Of the chart; the imaging chart as built when not given.
+        Layout of the chart; by default the imaging chart as built.
 
     Returns
     -------
     seen : ImageQuality
-        Of :func:`mmqa_lab.chart_image.evaluate_image`.
+        From :func:`mmqa_lab.chart_image.evaluate_image`.
     truth : dict
-        ``pixel_h_mm``, ``pixel_v_mm`` (true, along the bars) and ``carried``: whether the optics
-        carry each pattern at all: two pixels a pair or more, and a tenth of the contrast in closed
-        form.
+        ``pixel_h_mm``, ``pixel_v_mm`` (true pixel sizes along the bars) and ``carried`` (whether
+        the optics carry each pattern: two pixels per line pair or more, and at least a tenth of the
+        contrast in closed form).
     """
     row = table_1().set_index(ROW).loc[(system, distance_m, view)]
     layout = layout or charts.imaging_chart()
@@ -141,36 +147,37 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
 
 
 def score_rule(resolved, truth):
-    """Count the patterns that a rule accepts or refuses against what the optics carry.
+    """Count the patterns that a rule accepts or refuses wrongly.
 
-    ``resolved`` has a truth value for each pattern, in the order of ``seen.pairs``, and ``truth``
-    is that of :func:`photo_case`. ``spurious`` patterns are accepted but not carried, ``missed``
-    ones are carried but refused.
+    ``resolved`` has a truth value for each pattern, in the order of ``seen.pairs``. ``truth`` comes
+    from :func:`photo_case`. ``spurious`` patterns are accepted although the optics do not carry
+    them. ``missed`` patterns are refused although the optics carry them.
     """
     resolved, carried = np.asarray(resolved, dtype=bool), truth["carried"]
     return {"spurious": int(sum(resolved & ~carried)), "missed": int(sum(carried & ~resolved))}
 
 
 def every_gap(seen):
-    """Accept a pattern when every gap stands out and number and place of the bars are right."""
+    """Accept a pattern if all gaps are visible and number and positions of the bars are right."""
     return seen.pairs["resolved"]
 
 
 def contrast_alone(seen):
-    """Accept a pattern when its bars differ by a tenth of the contrast, whichever is darker."""
+    """Accept a pattern if bars and gaps differ by a tenth of the contrast, with either sign."""
     return seen.pairs["contrast"].abs() >= reading.SMALLEST_GAP
 
 
 def enough_pixels(seen):
-    """Accept from 2.74 pixels a pair on, the number that satisfies most of Table 1."""
+    """Accept a pattern from 2.74 pixels per line pair on, which agrees with most of Table 1."""
     return seen.pairs["width_px"] >= 2.74
 
 
 def bench(systems="ABC", photo_spreads_px=(0.4, FITTED_PX), exposures_ms=(0, 0.5, 1.5), seed=1):
     """Return the study's comparison: rules for *resolved* on photographs of the chart.
 
-    The photographs are those of Table 1 with the fitted point spread, then the orthogonal views at
-    10 m with every combination of ``photo_spreads_px`` and ``exposures_ms``.
+    The first photographs have the views of Table 1 and the fitted point spread. The further
+    photographs have the orthogonal views at 10 m and every combination of ``photo_spreads_px`` (px)
+    and ``exposures_ms`` (ms).
 
     Examples
     --------
@@ -189,10 +196,11 @@ def bench(systems="ABC", photo_spreads_px=(0.4, FITTED_PX), exposures_ms=(0, 0.5
 
 
 def ledger_rows(rows, what, *, value, kind, note):
-    """Return the ledger's entries on a quantity of Table 1, such as ``"pixel size"``.
+    """Return the ledger's entries for a quantity of Table 1, such as ``"pixel size"``.
 
-    ``rows`` has the columns ``ROW`` and ``value``, a ``direction`` if the quantity has one, and for
-    a prediction the ends of its interval, ``low_mm`` and ``high_mm``.
+    ``rows`` has the columns ``ROW``, the column that ``value`` names and, if the quantity depends
+    on the direction, ``direction``. Predictions also have the limits of their interval, ``low_mm``
+    and ``high_mm``.
     """
     place = rows["system"] + rows["distance_m"].map(" {:.0f} m ".format) + rows["view"] + " "
     cell = place + rows["direction"] + " " + what if "direction" in rows else place + what
@@ -202,7 +210,7 @@ def ledger_rows(rows, what, *, value, kind, note):
 
 
 def _steps_chart(sigma_px, blur_px):
-    """Return a chart of line pairs around the limit; a millimetre of it is a pixel."""
+    """A chart of line pairs around the limit; a millimetre of the chart is a pixel."""
     widths = np.geomspace(60, reading.SMALLEST_PAIR_PX, 2000)
     poor = reading.expected_contrast(widths, sigma_px, blur_px) < reading.SMALLEST_GAP
     closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else reading.SMALLEST_PAIR_PX
@@ -218,7 +226,7 @@ def _steps_chart(sigma_px, blur_px):
 
 
 def _view(row, distance_m, view, layout, rng):
-    """Return the map of a chart whose pixels have the sizes of a row of Table 1.
+    """The map of a chart whose pixels have the sizes of a row of Table 1.
 
     An oblique view makes pixels longer along x by 1/cos of its angle. In an orthogonal view the two
     sizes differ because one of the two bars is grey.
@@ -239,13 +247,13 @@ def _view(row, distance_m, view, layout, rng):
 
 
 def _way(chart_map, view):
-    """A millimetre of the drive in the camera's axes: along the chart, or towards it."""
+    """A millimetre of the drive in the camera's axes: along the chart, or towards the chart."""
     along, up = chart_map.matrix[:, 0], chart_map.matrix[:, 1]
     return along if view == "orthogonal" else 1000 * np.cross(along, up)
 
 
 def _blur_px(chart_map, travel, pairs):
-    """By how many pixels motion blurs a pattern across its bars."""
+    """Motion blur of a pattern across its bars, px."""
     moved = chart_map.matrix.copy()
     moved[:, 2] -= travel
     middle, bar = pairs.corners().mean(axis=0), np.eye(2)["hv".index(pairs.direction)] / 2

@@ -1,6 +1,6 @@
-"""Chart metrics: the chart of three systems of Pfeifer et al. 2021, read in several ways.
+"""Chart metrics: the chart of Pfeifer et al. 2021 for three systems, read in several ways.
 
-The paper asks for 40 km/h or more and does not print the speed driven; 40 km/h is assumed.
+The paper requires 40 km/h or more and does not print the driven speed. Here it is 40 km/h.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ FIGURES = {
     "d4_mm": "d4",
     "f": "f",
 }
-"""Figures of Table 2, and how the ledger calls them."""
+"""Figures of Table 2, and their names in the ledger."""
 
 SENSORS = {
     "A": systems.SYSTEM_A,
@@ -33,7 +33,7 @@ SENSORS = {
 
 
 def table_2():
-    """Return the published Table 2, with sigma_MAD as ``precision_mm``.
+    """Return the published Table 2 with sigma_MAD as ``precision_mm``.
 
     Examples
     --------
@@ -45,10 +45,10 @@ def table_2():
 
 
 def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
-    """Scan the chart with a system of ``SENSORS``: a Cloud in metres from the chart's centre.
+    """Scan the chart with a system of ``SENSORS``; return a Cloud, m, with the centre as origin.
 
-    x points away from the path, y along it, z up. The sensor is ``height_m`` above the centre.
-    ``changes`` are fields of the sensor.
+    x points away from the path, y along the path, and z up. The sensor is ``height_m`` above the
+    centre. ``changes`` are other values for fields of the sensor.
     """
     sensor = replace(SENSORS[system], **changes)
     cloud = systems.pass_chart(sensor, distance_m, seed=seed, height=height_m)
@@ -56,7 +56,7 @@ def chart_cloud(system, distance_m, *, seed, height_m=0.0, **changes):
 
 
 def make(system, distance_m, *, seed):
-    """Scan the chart: a Cloud, and its true density and noise."""
+    """Scan the chart; return the Cloud, and its true density and noise as a dict."""
     cloud = chart_cloud(system, distance_m, seed=seed)
     across = cloud["range_noise_m"] * np.cos(np.radians(cloud["incidence_deg"]))
     return cloud, {"density_per_m2": len(cloud), "precision_mm": 1000 * across.std()}
@@ -71,11 +71,12 @@ def read(
     scale=PAPER_SCALE,
     margins=CHART_MARGINS_M,
 ):
-    """Read the figures of Table 2 from a chart, by default as Appendix A of the paper does.
+    """Read the figures of Table 2 from a chart, by default by Appendix A of the paper.
 
-    The density is that of the ``"hull"`` or of the ``"polygon"``, the spread ``"sigma_mad"`` or
-    ``"std"``. Axes and scale are those of :func:`mmqa_lab.chart_cloud.evaluate_cloud`, margins
-    those of :func:`mmqa_lab.chart_cloud.chart_polygon`. The dict has the keys of ``FIGURES``.
+    The density is the points per area of the ``"hull"`` or of the ``"polygon"``. The spread is
+    ``"sigma_mad"`` or ``"std"``. For axes and scale see
+    :func:`mmqa_lab.chart_cloud.evaluate_cloud`, for margins
+    :func:`mmqa_lab.chart_cloud.chart_polygon`. The returned dict has the keys of ``FIGURES``.
     """
     corners = chart_corners((0, 0, 0), heading=systems.FACING_THE_ROAD)
     polygon = chart_polygon(corners, margins=margins)
@@ -96,8 +97,8 @@ METHODS = {
     "horizontal axes": partial(read, axes="horizontal"),
     "whole chart": partial(read, margins=0.0),
 }
-"""How the same chart can be read: the area, the axes, the estimator, the selection. Section 3.3
-prints no factor of sigma_MAD; its reading here has the consistent one."""
+"""Readings of the same chart. They differ in area, axes, estimator or selection. Section 3.3 prints
+no factor of sigma_MAD; its reading here has the consistent factor."""
 
 
 def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seeds=range(4)):
@@ -106,11 +107,13 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seed
     Parameters
     ----------
     methods : dict, optional
-        Functions of the chart's Cloud, which return figures; by default ``METHODS``.
+        Functions of the chart's Cloud that return a dict of figures; by default ``METHODS``.
     systems : tuple of str
-        Of ``SENSORS``.
+        Names of ``SENSORS``.
     distances_m : tuple of float
+        Distances from the path to the chart, m.
     seeds : iterable of int
+        Seeds of the passes.
 
     Returns
     -------
@@ -122,10 +125,10 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances_m=(5.0, 10.0), seed
 
 
 def differences(results, reference):
-    """Differences of the figures from a reading or, with ``"truth"``, from the truth, in per cent.
+    """Return differences of figures from a reading or from the ``"truth"``, in percent.
 
-    Results are those of :func:`bench`. The table has a row for each ``method`` and ``system``, and
-    a column for each figure, named as in the ledger.
+    ``results`` is the Dataset of :func:`bench`. The table has a row for each ``method`` and
+    ``system``, and a column for each figure with its name in the ledger.
     """
     means = benches.cell_table(results).groupby(["method", "system"], sort=False)
     means = means.mean(numeric_only=True)

@@ -1,4 +1,4 @@
-"""From a camera's numbers to reflectance: simulated targets, and what the report prints.
+"""From digital numbers (DN) to reflectance: simulated targets, and the report's numbers.
 
 The images of the report (EuroSDR 2013, image radiometry) are airborne and not published.
 """
@@ -16,34 +16,34 @@ from mmqa_lab.simulate.targets import ATMOSPHERES, Atmosphere, expose
 SOURCE = "eurosdr2013_radiometry"
 
 GAIN, OFFSET, BITS = 28.0, 60.0, 12
-"""DN per W m-2 sr-1 um-1 at reference exposure, and DN of darkness, of the simulated sensor."""
+"""Gain (DN per W m-2 sr-1 um-1 at reference exposure) and offset (DN) of the simulated sensor."""
 
 FULL_SCALE = 2**BITS - 1
 REFERENCE_SETTING = (0.005, 8.0)
 
 SETTINGS = [(t / 1000, 8.0) for t in (3.5, 4.5, 5.5, 6.5)]
 SETTINGS += [(t / 1000, 11.0) for t in (3.5, 4.25, 5, 5.75, 6.5)]
-"""Exposure times (s) and f-numbers, assumed: nine as in section 4.3, in the range of 5.2."""
+"""Assumed exposure times (s) and f-numbers: nine as in section 4.3, in the range of 5.2."""
 
 GREY_STEPS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.33, 0.45, 0.58, 0.70])
 PATCH = 24
 """Side of a radiometric target in the image, px."""
 
 BANDS = {"green": (1.08, 1.5), "red": (1.0, 1.0), "near infrared": (0.68, 0.4)}
-"""Irradiance and path radiance over those in the red: scattering falls with the wavelength."""
+"""Ratios of irradiance and of path radiance to red: scattering falls with the wavelength."""
 
 ANISOTROPY = np.array([1.03, 1.06, 1.04])
-"""How much more than at nadir the reference targets reflect towards the camera, assumed."""
+"""Assumed reflectance of the reference targets towards the camera, over reflectance at nadir."""
 
 OTHERS = dict(zip(BANDS, [(0.1, 0.2, 0.09), (0.11, 0.24, 0.06), (0.13, 0.29, 0.42)], strict=True))
 """Assumed reflectances of asphalt, gravel and grass."""
 
 WATER, SURROUNDINGS = 0.015, 0.15
-"""Assumed reflectance of the darkest surface, and mean of the ground."""
+"""Assumed reflectance of the darkest surface, and mean reflectance of the ground."""
 
 
 def grey_wedge(radiance, exposure, seed):
-    """An image of targets side by side, and their places (rows and columns) in it."""
+    """Return an image of targets side by side, and their rows and columns, shape (n, 4)."""
     light = np.repeat(np.repeat(radiance[None], PATCH, axis=0), PATCH, axis=1)
     image = expose(light * exposure, gain=GAIN, offset=OFFSET, bits=BITS, seed=seed)
     columns = PATCH * np.arange(len(radiance))
@@ -51,7 +51,7 @@ def grey_wedge(radiance, exposure, seed):
 
 
 def wedge_targets(exposure_std, seed, settings=None):
-    """Targets of a grey wedge at all settings, whose recorded exposures err; the truth."""
+    """Return targets of a grey wedge at all settings with errors of exposure, and the truth."""
     rng = np.random.default_rng([seed, 7])
     radiance, tables = ATMOSPHERES["clean"].radiance(GREY_STEPS), []
     for number, setting in enumerate(SETTINGS if settings is None else settings):
@@ -66,7 +66,7 @@ def wedge_targets(exposure_std, seed, settings=None):
 
 
 def calibrated(targets):
-    """The sensor that targets show: weighted, and without the saturated ones."""
+    """Fit a sensor to targets by weighted least squares, without saturated targets."""
     std = targets["std_dn"].clip(0.3)  # rounding alone gives a pixel 0.3 DN
     choices = {"exposure": targets["exposure"], "std_dn": std, "full_scale": FULL_SCALE}
     return radiometry.fit_sensor(targets["radiance"], targets["mean_dn"], **choices)
@@ -74,12 +74,12 @@ def calibrated(targets):
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """What a method may know of a field.
+    """The data of a field that a method may use.
 
-    ``references`` has ``mean_dn``, ``std_error_dn``, ``reflectance``, ``anisotropy``; ``surfaces``
-    has ``mean_dn``, ``std_error_dn``; ``darkest_dn`` is that of water; ``sensor`` is a fitted
-    sensor and ``exposure`` that of the image; ``air`` is the mean state of the air as a perfect
-    model would give it, ``standard_air`` that of a clear day.
+    ``references`` has ``mean_dn``, ``std_error_dn``, ``reflectance`` and ``anisotropy``.
+    ``surfaces`` has ``mean_dn`` and ``std_error_dn``. ``darkest_dn`` is the DN of water. ``sensor``
+    is a fitted sensor. ``exposure`` is the relative exposure of the image. ``air`` is the true mean
+    state of the air, as from a perfect model. ``standard_air`` is the air of a clear day.
     """
 
     references: pd.DataFrame
@@ -92,7 +92,7 @@ class Field:
 
 
 def surfaces_of(band):
-    """Surfaces by class, with ``reference``; tarps of Hyytiälä as printed for the green."""
+    """Return surfaces by class with ``reference``; the tarps of Hyytiälä as printed for green."""
     tarps = table(SOURCE, "reference_targets").query("campaign == 'Hyytiälä'")["reflectance"]
     names = ["black tarp", *["bright tarps"] * 3, "uniform", "uniform", "grass"]
     reference = [*tarps.dropna(), *OTHERS[band]]
@@ -100,14 +100,14 @@ def surfaces_of(band):
 
 
 def air_of(name, band):
-    """An atmosphere in a band."""
+    """Return an atmosphere in a band."""
     mean, (irradiance, path) = ATMOSPHERES[name], BANDS[band]
     irradiance, path = mean.irradiance * irradiance, mean.path_radiance * path
     return replace(mean, irradiance=irradiance, path_radiance=path)
 
 
 def field(air, band, reference_std, seed):
-    """A field with the portable targets of Sjökulla, whose reflectances are known to a share."""
+    """Return a field with the targets of Sjökulla as references, and the true surfaces."""
     key = [seed, list(ATMOSPHERES).index(air), list(BANDS).index(band)]
     rng, mean = np.random.default_rng([*key, 5]), air_of(air, band)
     targets = table(SOURCE, "reference_targets").query("campaign == 'Sjökulla'")
@@ -128,7 +128,7 @@ def field(air, band, reference_std, seed):
 
 
 def line(field, anisotropy=True):
-    """Empirical line through the references, with or without the anisotropy that is known."""
+    """Return reflectances by an empirical line, with or without the known anisotropy."""
     known = field.references
     factor = known["anisotropy"] if anisotropy else 1.0
     choices = {"std_dn": known["std_error_dn"], "anisotropy": factor}
@@ -137,13 +137,13 @@ def line(field, anisotropy=True):
 
 
 def one_target(field):
-    """The simplest rule: reflectance in proportion to DN, by the brightest reference."""
+    """Return reflectances in proportion to DN, scaled by the brightest reference."""
     known = field.references.iloc[-1]
     return field.surfaces["mean_dn"] * known["reflectance"] / known["mean_dn"]
 
 
 def equation_4(field):
-    """Equation 4 with the calibrated sensor and the state of the air."""
+    """Return reflectances by equation 4, with the calibrated sensor and the state of the air."""
     air, mean = field.air, {"surroundings": SURROUNDINGS}
     light = field.sensor.radiance(field.surfaces["mean_dn"], exposure=field.exposure)
     known = {"path_radiance": air.radiance(0.0, **mean), "transmittance": air.direct, **mean}
@@ -152,7 +152,7 @@ def equation_4(field):
 
 
 def dark_pixel(field):
-    """Equation 4 in clean air, its path radiance from a darkest surface that reflects 1 %."""
+    """Return reflectances by equation 4 in clean air; the darkest surface is taken for 1 %."""
     air = field.standard_air
     dn = field.surfaces["mean_dn"], field.darkest_dn
     light, dark = (field.sensor.radiance(value, exposure=field.exposure) for value in dn)
@@ -167,11 +167,11 @@ METHODS = {
     "equation 4": equation_4,
     "dark pixel": dark_pixel,
 }
-"""Functions of a :class:`Field` that return the reflectances of its surfaces."""
+"""Methods: functions of a :class:`Field` that return the reflectances of its surfaces."""
 
 
 def class_errors(found, surfaces):
-    """RMSE of reflectance in percent (equation 8) by class of target."""
+    """Return the RMSE of reflectance in percent (equation 8) by class of target."""
     square = (100 * (np.asarray(found) / surfaces["reference"] - 1)) ** 2
     rmse = np.sqrt(square.groupby(surfaces["target_class"]).mean())
     return rmse.rename(lambda name: f"{name.replace(' ', '_')}_percent").to_dict()
@@ -183,12 +183,13 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
     Parameters
     ----------
     methods : dict, optional
-        ``METHODS`` when not given.
+        Functions of a :class:`Field`; by default ``METHODS``.
     airs : sequence of str
-        Of ``ATMOSPHERES``.
+        Names of ``ATMOSPHERES``.
     reference_stds : sequence of float
-        How well the reference targets are known, shares.
+        Standard deviations of the known reflectances of reference targets, as shares.
     seeds : iterable of int
+        Seeds of the fields.
 
     Examples
     --------

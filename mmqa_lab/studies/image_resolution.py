@@ -1,7 +1,7 @@
-"""Resolution: edges of known blur, photographs, and what the report prints of resolution.
+"""Resolution: edges of known blur, real photographs, and the report's numbers on resolution.
 
-The images of the report (EuroSDR 2013, image radiometry) are airborne and not published. Here all
-is simulated but the photographs of ``REAL_EDGES``.
+The images of the report (EuroSDR 2013, image radiometry) are airborne and not published. All images
+here are simulated, except the photographs of ``REAL_EDGES``.
 """
 
 from functools import lru_cache, partial
@@ -18,11 +18,11 @@ from mmqa_lab.simulate.targets import PointSpread, render_edge
 SOURCE = "eurosdr2013_radiometry"
 
 LOW, HIGH = 0.1, 0.6
-"""Levels of all targets; their noise is a share of the difference."""
+"""Levels of all targets. The noise is a share of their difference."""
 
 LENSES = ("gaussian", "disc", "diffraction")
 
-# Those tools were given the codes of the files, not light: so are ours.
+# The other tools read the codes of the files, not linear light, so our methods do too.
 REAL_EDGES = {
     "slanted edge": ("images/slanted_edge.tif", (slice(None), slice(None)), 0.285),
     "ISO chart, left": ("images/iso_chart_mono.jpg", (slice(478, 652), slice(380, 490)), 0.34),
@@ -32,13 +32,13 @@ REAL_EDGES = {
 
 
 def noisy(image, noise, rng):
-    """An image with noise of a share of the targets' contrast."""
+    """Return an image with noise, which is a share of the targets' contrast."""
     return image + noise * (HIGH - LOW) * rng.standard_normal(image.shape)
 
 
 @lru_cache
 def spread_of(lens, mtf50):
-    """The point spread of a lens that leaves half the contrast at a frequency (cycles per pixel).
+    """Return the point spread of a lens with a given MTF50 (cycles per pixel).
 
     Examples
     --------
@@ -53,7 +53,7 @@ def spread_of(lens, mtf50):
 
 
 def edge_patch(lens, mtf50, noise, seed):
-    """A noisy patch with an edge at a random angle of 3 to 11.5 degrees; its MTF50 and FWHM."""
+    """Return a noisy patch with an edge at a random angle (3 to 11.5 degrees), and the truth."""
     rng = np.random.default_rng(seed)
     angle, place = rng.uniform(3, 11.5), rng.uniform(-1, 1)
     spread = spread_of(lens, mtf50)
@@ -63,26 +63,26 @@ def edge_patch(lens, mtf50, noise, seed):
 
 
 def real_patch(photograph, seed=0):
-    """An edge of a real photograph, and its MTF50 by other tools."""
+    """Return an edge of a real photograph, and its MTF50 by other tools."""
     name, part, other = REAL_EDGES[photograph]
     return io.read_image(samples.real_path(name))[part] / 255, {"mtf50": other}
 
 
 def edge_errors(found, truth):
-    """Errors in percent of MTF50, or of the numbers of a dict, where the truth has them."""
+    """Return the errors of MTF50, or of the numbers of a dict, in percent of the truth."""
     named = found if isinstance(found, dict) else {"mtf50": found}
     known = [name for name in named if name in truth]
     return {f"{name}_error_percent": 100 * (named[name] / truth[name] - 1) for name in known}
 
 
 def estimate(patch, method):
-    """MTF50 and FWHM of a patch with one edge by ``fit_edge``."""
+    """Return MTF50 and FWHM (px) of a patch with an edge by ``fit_edge``."""
     found = fit_edge(patch, method=method)
     return {"mtf50": found.mtf50, "fwhm_px": found.fwhm_px}
 
 
 def rise(patch):
-    """The simplest rule: a Gaussian blur from the distance in which an edge rises by 10 to 90 %."""
+    """Return MTF50 and FWHM (px) of a Gaussian blur from the 10 to 90 % rise of an edge."""
     low, high = patch[:, :8].mean(), patch[:, -8:].mean()
     level = (patch - low) / (high - low)
     row, column = np.indices(patch.shape)
@@ -101,22 +101,22 @@ METHODS = {
     "Gaussian sigmoid": partial(estimate, method="sigmoid"),
     "logistic sigmoid": partial(estimate, method="logistic"),
 }
-"""Estimators of resolution: functions of a patch, grey values (rows, columns) with one edge."""
+"""Estimators of resolution: functions of a patch, grey values (rows, columns) with an edge."""
 
 
 def errors_by_lens(cells, name="mtf50"):
-    """Return the median error, and the error that 95 % of edges do not exceed.
+    """Return the median error, and the absolute error that 95 % of edges do not exceed.
 
     Parameters
     ----------
     cells : DataFrame
-        Of :func:`mmqa_lab.bench.cell_table`.
+        From :func:`mmqa_lab.bench.cell_table`.
     name : {"mtf50", "fwhm_px"}
 
     Returns
     -------
     DataFrame
-        ``median_percent``, ``largest_95_percent``, ``n``, over method and lens.
+        ``median_percent``, ``largest_95_percent``, ``n`` (edges), by method and lens.
     """
     errors = cells.groupby(["method", "lens"], sort=False)[f"{name}_error_percent"]
     table = pd.DataFrame({"median_percent": errors.median()})
@@ -130,11 +130,12 @@ def bench(methods=None, mtf50s=(0.1, 0.15, 0.2, 0.3, 0.4), noises=(0.01, 0.03), 
     Parameters
     ----------
     methods : dict, optional
-        ``METHODS`` when not given. A method returns MTF50 in cycles per pixel, or a dict with
-        ``mtf50`` and ``fwhm_px``.
+        Functions of a patch; by default ``METHODS``. A method returns MTF50 in
+        cycles per pixel, or a dict with ``mtf50`` and ``fwhm_px``.
     mtf50s, noises : sequence of float
-        True MTF50 of each of ``LENSES``; noise as a share of the contrast.
+        True MTF50 of each of ``LENSES``, cycles per pixel, and noise as a share of the contrast.
     seeds : iterable of int
+        Seeds of the patches.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How far density, sigma_MAD and f vary when the same chart is selected again."""
+"""Variation of density, sigma_MAD and f when the same chart is selected again."""
 
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -16,7 +16,7 @@ from mmqa_lab.simulate import chart_corners, systems
 from mmqa_lab.studies.anisotropy import boards
 
 UPRIGHT = replace(systems.SYSTEM_B, range_noise_m=0.01)
-"""B's range noise is fitted: it gives about the published sigma_MAD of 9.2 mm."""
+"""B's range noise is fitted to the published sigma_MAD of 9.2 mm."""
 
 SENSORS = {
     "A": systems.SYSTEM_A,
@@ -24,20 +24,20 @@ SENSORS = {
     "B tilted": replace(UPRIGHT, tilt_deg=45.0),
     "C": systems.SYSTEM_C,
 }
-"""A and B with the specifications of the paper and of data sheets, except B's noise. A's tilt of 45
-degrees and noise are assumed. B's mounting is not stated: once upright, once tilted by 45 degrees,
-which comes close to the published spacings. C is fitted to Table 2."""
+"""A and B have the specifications of the paper and of data sheets, except B's noise. A's noise and
+its tilt of 45 degrees are assumed. B's mounting is not stated. It is simulated upright and tilted
+by 45 degrees, which comes close to the published spacings. C is fitted to Table 2."""
 
 FIGURES = {"density_polygon_per_m2": "density", "std_mm": "std", "sigma_mad_mm": "sigma_MAD"}
 FIGURES |= {name: name.removesuffix("_mm") for name in ("d1_mm", "d2_mm", "d3_mm", "d4_mm", "f")}
-"""What is evaluated, and its name in tables."""
+"""Figures and their names in tables."""
 
 KEYS = ["method", "system", "distance_m"]
-"""Columns that name a surface and its operator."""
+"""Columns that name an operator and a surface."""
 
 
 class Surface(NamedTuple):
-    """A scan of a surface, ``points`` (n, 3), and ``corners`` (4, 3) of the outline meant, m."""
+    """A scan of a surface, ``points`` (n, 3), and ``corners`` (4, 3) of the intended outline, m."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -45,10 +45,10 @@ class Surface(NamedTuple):
 
 @lru_cache(maxsize=64)
 def chart_scan(system, distance_m, scan, *, seed=5000):
-    """Drive a system of ``SENSORS`` past a chart: a Surface.
+    """Drive a system of ``SENSORS`` past a chart; return a Surface.
 
-    The number ``scan`` of the drive is added to ``seed``. Each drive has its own errors, and its
-    scan pattern falls elsewhere.
+    The number ``scan`` of the drive is added to ``seed``. Each drive has its own errors and its own
+    position of the scan pattern.
     """
     corners = chart_corners((distance_m, 0, 0), heading=systems.FACING_THE_ROAD)
     cloud = systems.pass_chart(SENSORS[system], distance_m, seed=seed + scan)
@@ -57,14 +57,14 @@ def chart_scan(system, distance_m, scan, *, seed=5000):
 
 @lru_cache(maxsize=1)
 def real_surfaces():
-    """Return the road patch, and boards where MMQA_DATA has them: a dict of Surface by name."""
+    """Return the road patch and, if MMQA_DATA has them, boards: a dict of Surface by name."""
     road = io.read_cloud(samples.path("road_patch"), columns=()).points
     found = {"road, two heads": _outlined(np.unique(road, axis=0), 0.81, 0.62)}
     return found | {name: _outlined(points, 0.65, 0.45) for name, points in boards().items()}
 
 
 def _outlined(points, width, height):
-    """A real surface with a rectangle about its middle, along its principal axes."""
+    """A real surface with a rectangle around its middle, along its principal axes."""
     plane = fit_plane(points, robust=True)
     middle = np.median(points, axis=0)
     middle = middle - plane.distances(middle) * plane.normal
@@ -73,10 +73,11 @@ def _outlined(points, width, height):
 
 
 def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
-    """Select a surface once, as an operator does: a dict with the keys of ``FIGURES``.
+    """Evaluate an operator's selection of a surface; return a dict with the keys of ``FIGURES``.
 
-    Clicks have the standard deviation ``click_m`` in each direction. ``vertices`` is 4 for a
-    quadrilateral and a multiple of 4 for a free polygon. ``axes`` is that of ``evaluate_cloud``.
+    Clicks have the standard deviation ``click_m`` in each direction, m. ``vertices`` is 4 for a
+    quadrilateral and a multiple of 4 for a free polygon. For ``axes`` see
+    :func:`mmqa_lab.chart_cloud.evaluate_cloud`.
     """
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
@@ -85,7 +86,7 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
 
 
 def operators(click_m=0.015):
-    """Return ways to select with a click error: functions of a tuple (Surface, seed)."""
+    """Return operators with a click error, m: functions of a tuple (Surface, seed) by name."""
     chosen = partial(selected, click_m=click_m)
     return {
         "4 clicks, principal axes": lambda data: chosen(*data),
@@ -110,16 +111,15 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances=(5.0, 10.0), scans=
     Parameters
     ----------
     methods : dict, optional
-        Functions of a tuple (Surface, seed), which return a dict of figures; by default
-        ``METHODS``.
+        Functions of a tuple (Surface, seed) that return a dict of figures; by default ``METHODS``.
     systems : tuple of str
-        Of ``SENSORS`` or of :func:`real_surfaces`.
+        Names of ``SENSORS`` or of :func:`real_surfaces`.
     distances : tuple of float
-        From the path to the chart, m.
+        Distances from the path to the chart, m.
     scans : int
-        Drives past each chart.
+        Number of drives past each chart.
     seeds : iterable of int
-        Of the selections.
+        Seeds of the selections.
 
     Returns
     -------
@@ -131,10 +131,10 @@ def bench(*, methods=None, systems=tuple(SENSORS), distances=(5.0, 10.0), scans=
 
 
 def limits(results):
-    """Return the repeatability of every figure of every surface and operator.
+    """Return the repeatability of every figure for each surface and operator.
 
-    Results are those of :func:`bench`. A row has ``method``, ``system``, ``distance_m``, ``figure``
-    and the columns of :meth:`mmqa_lab.repeatability.Repeatability.to_frame`.
+    ``results`` is the Dataset of :func:`bench`. A row has ``method``, ``system``, ``distance_m``,
+    ``figure`` and the columns of :meth:`mmqa_lab.repeatability.Repeatability.to_frame`.
     """
     cells = benches.cell_table(results).set_index([*KEYS, "scan"])
     values = cells[cells.columns.intersection(list(FIGURES))].stack().dropna()
@@ -148,8 +148,9 @@ def limits(results):
 def ranges_of_five(results):
     """Return the ranges of figures over groups of five selections of a scan, as in section 4.4.
 
-    Results are those of :func:`bench`. A row for each group has ``density_percent`` (of the group's
-    mean), ``precision_mm`` (of sigma_MAD) and ``medians_mm`` (the widest range of d1..d4).
+    ``results`` is the Dataset of :func:`bench`. Each group has a row with ``density_percent`` (in
+    percent of the group's mean), ``precision_mm`` (range of sigma_MAD) and ``medians_mm`` (the
+    widest range of d1..d4).
     """
     table = benches.cell_table(results)
     groups = table.groupby([*KEYS, "scan", (table["seed"] // 5).rename("group")], sort=False)

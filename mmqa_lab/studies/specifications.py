@@ -1,8 +1,9 @@
-"""Specifications: Table 2 of Pfeifer et al. 2021 predicted from them, and fitted.
+"""Specifications: Table 2 of Pfeifer et al. 2021 predicted from specifications, and fitted.
 
-Predicted figures follow from the specifications that the paper and the data sheets state; open
-parameters may lie anywhere within plausible bounds. Fitted figures are those of the best open
-parameters: three or four free numbers for ten printed ones, so a fit is no reproduction.
+Predicted figures follow from the specifications in the paper and the data sheets. Parameters that
+are not stated (open parameters) may lie anywhere within plausible bounds. Fitted figures follow
+from the best open parameters. A fit has three or four free parameters for ten printed numbers, so
+it is no reproduction.
 """
 
 from functools import partial
@@ -28,33 +29,33 @@ FITS = (
     ("B", "free", {"tilt_deg": (0, 50), "height_m": (0, 2)}),
     ("C", "free", {"resampled_per_m2": (20_000, 40_000), "hard_core": (0, 0.55)}),
 )
-"""System, name and bounds of each fit. The free fit of A gives up the stated 200 Hz."""
+"""System, name and bounds of each fit. The free fit of A also varies the stated 200 Hz."""
 
 HALF_UNITS = pd.Series([0.5, 0.05, 0.5, 0.5, 0.05], list(FIGURES))
-"""Half a unit of the last digit that Table 2 prints."""
+"""Half a unit of the last digit printed in Table 2."""
 
 FITTED = ["density_per_m2", "d1_mm", "d4_mm", "f"]
 
 TOLERANCE = 0.02
-"""Relative part of a fit's tolerance: charts and crops are not known to a per cent."""
+"""Relative part of a fit's tolerance: charts and crops are not known to 1 %."""
 
 
 def one_pair(drive):
-    """Match one stereo pair of system C; points a pixel and noise are fitted at 5 m."""
+    """Match a stereo pair of system C; points per pixel and noise are fitted at 5 m."""
     per_px = 28_901 * (5 / systems.SYSTEM_C.focal_px) ** 2
     pair = {"resampled_per_m2": 0, "hard_core": 0.36, "points_per_px": per_px}
     return chart_cloud("C", drive[0], seed=drive[1], noise_px=0.69, floor_m=0, **pair)
 
 
 def pairs_fused(drive):
-    """Fuse as many stereo pairs as keep the density."""
+    """Fuse the number of stereo pairs that gives the same density at each distance."""
     distance_m, seed = drive
     seeds = range(100 * seed, 100 * seed + round((distance_m / 5) ** 2))
     return Cloud.concatenate(one_pair((distance_m, each)) for each in seeds)
 
 
 def thinned(drive):
-    """Thin a dense cloud in space; its density, least distance and noise are fitted."""
+    """Thin a dense cloud in space; density, least distance and noise are fitted."""
     supply = 75_000 * (drive[0] / systems.SYSTEM_C.focal_px) ** 2
     dense = {"hard_core": 0, "resampled_per_m2": 0, "points_per_px": supply, "correlated_share": 0}
     cloud = chart_cloud("C", drive[0], seed=drive[1], noise_px=0.15, floor_m=0.0113, **dense)
@@ -62,7 +63,7 @@ def thinned(drive):
 
 
 def resampled(drive):
-    """Resample the surface to one density with a least distance; both are fitted."""
+    """Resample the surface to a fixed density with a least distance; both are fitted."""
     return chart_cloud("C", drive[0], seed=drive[1])
 
 
@@ -72,14 +73,25 @@ METHODS = {
     "thinned in space": thinned,
     "resampled on the surface": resampled,
 }
-"""Ways to match and to sample: functions of a drive, a tuple (distance in m, seed)."""
+"""Methods of matching and sampling: functions of a drive, a tuple (distance in m, seed)."""
 
 
 def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
-    """Define the study's bench: what each way to match and sample gives at both distances.
+    """Define the study's bench: methods of matching and sampling at both distances.
 
-    Methods are functions of a tuple (distance in m, seed) that return points from the chart's
-    centre, by default ``METHODS``.
+    Parameters
+    ----------
+    methods : dict, optional
+        Functions of a tuple (distance in m, seed) that return points, m, with the chart's centre as
+        origin; by default ``METHODS``.
+    distances_m : tuple of float
+        Distances from the path to the chart, m.
+    seeds : iterable of int
+        Seeds of the drives.
+
+    Returns
+    -------
+    Comparison
     """
     cases = benches.grid(distance_m=distances_m)
     answer = {"tables": lambda results: {"misfits": misfits(results)}}
@@ -87,20 +99,20 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
 
 
 def make(distance_m, *, seed):
-    """Return a drive past the chart, which a way to match is given."""
+    """Return a drive past the chart, the argument of a method."""
     return (distance_m, seed), None
 
 
 def score(cloud, truth):
-    """Return the figures of Table 2 as Appendix A reads them; no truth is known."""
+    """Return the figures of Table 2 by Appendix A; there is no truth."""
     return read(cloud)
 
 
 def misfits(results):
-    """Return the mean figures of each way, and how far they are from C's printed rows.
+    """Return the mean figures of each method and their misfit from C's printed rows.
 
-    Results are those of :func:`bench`. A row has ``model``, ``distance_m``, the figures, and
-    ``misfit``: the root mean square difference in tolerances, over all figures and distances.
+    ``results`` is the Dataset of :func:`bench`. A row has ``model``, ``distance_m``, the figures,
+    and ``misfit``, the root mean square difference in tolerances over all figures and distances.
     """
     models = benches.cell_table(results.mean("seed", keep_attrs=True))
     models = models.rename(columns={"method": "model"})
@@ -112,38 +124,40 @@ def misfits(results):
 
 
 def in_tolerances(figures, printed, names):
-    """Return differences in tolerances: half a printed digit and 2 %, in quadrature."""
+    """Return differences in units of a tolerance: half a printed digit and 2 %, in quadrature."""
     return (figures - printed) / np.hypot(HALF_UNITS[names], TOLERANCE * printed)
 
 
 def measure(cases, *, seeds):
-    """Return the figures of Appendix A in each case, arguments of ``chart_cloud``."""
+    """Return the figures of Appendix A for each case; cases are arguments of ``chart_cloud``."""
     readings = benches.run(cases, {"Appendix A": read}, make=chart_cloud, seeds=seeds)
     return benches.cell_table(readings)
 
 
 def fit(*, seed, candidates, repeats):
-    """Fit the open parameters of each system to its published rows; of A, also the stated 200 Hz.
+    """Fit the open parameters of each system to its published rows; for A, also the stated 200 Hz.
 
-    Candidates are drawn over the bounds by a Latin hypercube, as many again over a third of them
-    about the best, and again over a ninth. System A's candidates are judged by the closed form of
-    the scan lattice, the others' by simulation; C is simulated at 5 m alone, since resampling makes
-    its pattern independent of the distance. The candidates have the data sheets' noise; that of
-    the result follows from sigma_MAD.
+    A Latin hypercube draws candidates over the bounds. A second round draws candidates over a third
+    of the bounds around the best candidate, a third round over a ninth. The figures of system A
+    follow from the closed form of the scan lattice, the figures of B and C from simulation. C is
+    simulated at 5 m only, because resampling makes its pattern independent of the distance. The
+    candidates have the noise of the data sheets. The fitted noise follows from sigma_MAD.
 
     Parameters
     ----------
-    seed, candidates : int
-        Candidates a round for the systems that are simulated; 1000 for the closed form.
+    seed : int
+        Seed of the candidates and of the simulations.
+    candidates : int
+        Candidates per round for the simulated systems. The closed form takes 1000.
     repeats : int
-        Passes for the table, on seeds that the search has not seen.
+        Passes for the table, with other seeds than the search.
 
     Returns
     -------
     parameters : DataFrame
         ``system``, ``fit`` (``stated``, ``free``), ``parameter``, ``fitted``, ``misfit``.
     passes : DataFrame
-        Of :func:`measure`, with ``fit``.
+        The table of :func:`measure`, with ``fit``.
     """
     rows, passes = [], []
     for system, name, bounds in tqdm(FITS, unit="fit", leave=False):
@@ -180,7 +194,7 @@ def search(judge, bounds, target, *, seed, candidates):
 def closed_form(values):
     """Return density, d1, d4 and f of n candidates for A from the lattice at the chart's centre.
 
-    Shape (n, 2, 4): at 5 m and at 10 m.
+    The array has the shape (n, 2, 4), for 5 m and 10 m.
     """
     given = {name: values[[name]].to_numpy() for name in values}
     setup = ScanSetup(
@@ -196,7 +210,7 @@ def closed_form(values):
 
 
 def simulated(values, *, system, seed):
-    """Return density, d1, d4 and f of n candidates, one pass each; of C at 5 m alone."""
+    """Return density, d1, d4 and f of n candidates from a pass each; for C at 5 m only."""
     distances = pd.DataFrame({"distance_m": (5.0, 10.0) if system == "B" else (5.0,)})
     cases = values.assign(system=system).merge(distances, how="cross")
     return measure(cases, seeds=[seed])[FITTED].to_numpy().reshape(len(values), -1, len(FITTED))
@@ -205,8 +219,8 @@ def simulated(values, *, system, seed):
 def fitted_noise(system, parameters, target, seed):
     """Return the noise that gives the published sigma_MAD, as fields of the sensor.
 
-    The noise of a scanner is scaled. The noise of matching is a floor and a part that grows with
-    the square of the distance; the two published values determine both.
+    The noise of a scanner is scaled. The noise of matching has a constant part and a part that
+    grows with the square of the distance. The two published values determine both parts.
     """
     if system == "C":
         near, far = target["precision_mm"] / 1000
@@ -220,23 +234,23 @@ def fitted_noise(system, parameters, target, seed):
 
 
 def compare(cells, passes):
-    """Compare Table 2 as published, predicted and fitted, cell by cell; NaN is a missing number.
+    """Return the published, predicted and fitted numbers of Table 2; NaN is a missing number.
 
     Parameters
     ----------
     cells : DataFrame
-        Readings of A and B with the open parameters over their bounds: ``system``,
+        Readings of A and B with open parameters over their bounds: ``system``,
         ``distance_m``, ``tilt_deg``, ``height_m``, and the figures.
     passes : DataFrame
-        Of :func:`fit`.
+        From :func:`fit`.
 
     Returns
     -------
     DataFrame
-        ``system``, ``distance_m``, ``figure``, ``published``; ``predicted`` (usual values, mean
-        over passes) with ``predicted_low`` and ``predicted_high`` over all of them; ``fitted`` with
-        ``fitted_low`` and ``fitted_high``, 95 % of further passes; ``fitted_stated``, where the
-        stated 200 Hz of A are kept.
+        ``system``, ``distance_m``, ``figure``, ``published``; ``predicted``, the mean over passes
+        with usual values; ``predicted_low`` and ``predicted_high``, the limits over all readings;
+        ``fitted``; ``fitted_low`` and ``fitted_high``, the limits for 95 % of further passes;
+        ``fitted_stated``, fitted with the stated 200 Hz of A.
     """
     kept, names = ["system", "distance_m"], list(FIGURES)
     usual = cells.merge(pd.DataFrame({"system": name, **USUAL[name]} for name in USUAL))
