@@ -465,7 +465,9 @@ def chart_polygon(
     corners = check_polygon(corners, name="corners")
     given = np.asarray(margins, dtype=np.float64)
     if len(corners) != 4 or given.size not in (1, 4) or (given < 0).any():
-        raise ValueError(f"Invalid margins {margins}. Must be one or four widths >= 0 m, of four.")
+        raise ValueError(
+            f"Invalid margins {margins}. Must be one or four widths >= 0 m, for four corners."
+        )
     low, right, high, left = np.broadcast_to(given.ravel(), 4)
     a, b, c, d = corners
     width, height = np.linalg.norm(b - a), np.linalg.norm(d - a)

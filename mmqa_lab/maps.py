@@ -72,7 +72,7 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     Raises
     ------
     ValueError
-        If there is no point, or ``cell`` or ``radius`` is not above zero.
+        If the cloud is empty, or if ``cell`` or ``radius`` is not above zero.
 
     References
     ----------
@@ -261,7 +261,7 @@ def _check_extent(places, side):
 
 
 def _map_tile(folder, place, run):
-    """Evaluate one tile with the points around it, and write it whole."""
+    """Evaluate a tile with the points around it, and write its file."""
     side, cell, radius = run["tile"] * run["cell"], run["cell"], run["radius"]
     parts, corner = [], np.array([*place, 0]) * side
     low, high = corner[:2] - radius, corner[:2] + side + radius
@@ -280,7 +280,7 @@ def _map_tile(folder, place, run):
 
 
 def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Dataset:
-    """Open the tiles of a campaign as one Dataset.
+    """Open the map of a campaign, joined from its tiles.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ ENVIRONMENT = {
 
 
 def run_study(study, folder, *, quick=False):
-    """Run one study.
+    """Run the notebook of a study.
 
     Parameters
     ----------
