@@ -3,12 +3,12 @@
 Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3 and Appendix A: the plane of a chart is
 the orthogonal regression plane of its points; sigma_MAD of the residuals is the precision.
 
-Planes of a whole cloud: local trials, then growth over a grid of cells, in linear time.
-Trials of three neighbouring points need no normals: the profiles of mobile scanners are dense along
-and sparse across, and normals from nearest neighbours then describe one scan line, not the wall.
-Every trial and every step of growth looks only at the cells around it, so that a kilometre of
-street is treated like a room, and no cloud is thinned (Poreba & Goulette 2013 name modelled
-principal planes, walls and roads, and leave their detection to a companion paper).
+Planes of a whole cloud come from local trials and growth over a grid of cells, in linear time.
+A trial of three neighbouring points needs no normals. Profiles of mobile scanners are dense along
+the line and sparse across it, so normals from nearest neighbours describe a scan line, not the
+wall. Every trial and every step of growth uses only the cells around it. So a kilometre of street
+is treated like a room, and no cloud is thinned. Poreba & Goulette 2013 name principal planes, such
+as walls and roads, and leave their detection to a companion paper.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): makes sigma_MAD equal the standard deviation of normal residuals."""
 
 PAPER_SCALE = 1.4862
-"""The factor in the code of Pfeifer et al. 2021, Appendix A (two digits changed places)."""
+"""The factor in the code of Pfeifer et al. 2021, Appendix A (1.4826 with two digits swapped)."""
 
 TUKEY = 4.685
 """Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
 
 FAR = 0.01
-"""Distances from a circle beyond this weigh less, m."""
+"""Distances from a circle beyond this get less weight, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,11 @@ class Plane(Shown):
         return float(np.std(self.residuals, ddof=1))
 
     def project(self, points: ArrayLike) -> np.ndarray:
-        """Coordinates in the plane along ``axes``, from ``centre``: shape (n, 2), m."""
+        """Coordinates of points (n, 3) along ``axes``, from ``centre``: shape (n, 2), m."""
         return (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T
 
     def distances(self, points: ArrayLike) -> np.ndarray:
-        """Signed orthogonal distances of any points, shape (n,), m."""
+        """Signed orthogonal distances of points (n, 3) from the plane, shape (n,), m."""
         return (np.asarray(points, dtype=np.float64) - self.centre) @ self.normal
 
     def horizontal_axes(self) -> np.ndarray:
@@ -100,8 +100,7 @@ class Plane(Shown):
         Raises
         ------
         ValueError
-            If the plane is horizontal to within 0.1 degree: no direction in it is more level
-            than another.
+            If the plane is horizontal to within 0.1 degree: its horizontal axis is then undefined.
         """
         level = np.cross([0.0, 0.0, 1.0], self.normal)
         slope = np.linalg.norm(level)
@@ -117,16 +116,16 @@ class Plane(Shown):
 def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     """Fit the orthogonal regression plane.
 
-    The normal is the eigenvector of the smallest eigenvalue of the centred scatter matrix, the axes
-    are the other two. The robust fit repeats it with Tukey's biweights of the residuals,
-    scaled by their sigma_MAD, until the weights stand still.
+    The normal is the eigenvector of the smallest eigenvalue of the centred scatter matrix. The axes
+    are the other two eigenvectors. The robust fit repeats this with Tukey's biweights of the
+    residuals, scaled by their sigma_MAD, until the weights converge.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
         Metres, n >= 3, not on one line.
     robust : bool
-        Weigh down points off the plane. The residuals of all points are returned all the same.
+        Reduce the weight of points off the plane. All points keep their residuals.
 
     Returns
     -------
@@ -135,12 +134,12 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     Raises
     ------
     ValueError
-        If there are fewer than three points, or they lie on a line or a spot.
+        If there are fewer than three points, or all lie on one line or spot.
 
     Notes
     -----
-    Principal axes follow the outline of the selection, not the scan: nearly square selections have
-    axes that turn by chance.
+    Principal axes follow the outline of the selection, not the scan. In a nearly square selection
+    their direction is random.
 
     References
     ----------
@@ -159,7 +158,7 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
 
 
 def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
-    """Return coordinates in a plane: given ones, or points laid onto their regression plane.
+    """Return coordinates in a plane; points in space are projected onto their regression plane.
 
     Parameters
     ----------
@@ -171,7 +170,8 @@ def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
     Returns
     -------
     array, shape (n, 2)
-        Metres. Points in space count from their mean along the principal axes of their plane.
+        Metres. Points in space get coordinates along the principal axes of their plane, from their
+        mean.
 
     Raises
     ------
@@ -209,7 +209,7 @@ class Line(Shown):
     _metres = ("centre",)
 
     def distances(self, points: ArrayLike) -> np.ndarray:
-        """Signed orthogonal distances of any points, shape (n,), left of the direction positive."""
+        """Signed orthogonal distances of points (n, 2), shape (n,), m, positive to the left."""
         normal = np.array([-self.direction[1], self.direction[0]])
         return (np.asarray(points, dtype=np.float64) - self.centre) @ normal
 
@@ -222,7 +222,7 @@ def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
     points : array_like, shape (n, 2)
         Metres, n >= 2, not on one spot.
     robust : bool
-        Weigh down points off the line (Tukey).
+        Reduce the weight of points off the line (Tukey).
 
     Returns
     -------
@@ -253,7 +253,7 @@ def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
         In any unit, finite, n >= 1.
     scale : float
         ``CONSISTENT_SCALE`` = 1.4826 (default) equals the standard deviation for normal
-        residuals; ``PAPER_SCALE`` = 1.4862 is what the paper's code multiplies by.
+        residuals; ``PAPER_SCALE`` = 1.4862 is the factor in the paper's code.
 
     Returns
     -------
@@ -267,8 +267,8 @@ def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
 
     Notes
     -----
-    The paper's factor makes every precision 0.24 % larger; use it to reproduce Table 2 and the
-    other for anything new. Coordinates rounded to a grid make sigma_MAD jump in steps of the grid.
+    The paper's factor makes every precision 0.24 % larger. Use it to reproduce Table 2, and the
+    default for new data. Coordinates rounded to a grid make sigma_MAD jump in steps of the grid.
 
     References
     ----------
@@ -325,12 +325,12 @@ class Circle(Shown):
     Parameters
     ----------
     centre : array, shape (2,)
-        m.
+        Metres.
     radius : float
-        m; as given where it was.
+        m; the given radius if the diameter was given.
     covariance : array, shape (2, 2)
-        Of the centre, m^2; NaN where the arc leaves it open. With a free diameter the centre of an
-        arc is far less sure along the line of sight than across it.
+        Of the centre, m^2; NaN where the arc does not determine it. With a free diameter the centre
+        of an arc is far less certain along the line of sight than across it.
     """
 
     centre: np.ndarray
@@ -355,23 +355,24 @@ class Circle(Shown):
 
 
 def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
-    """Fit a circle to points in plan, robustly: Cauchy loss of the distances from it.
+    """Fit a circle to points in plan, with a robust (Cauchy) loss of the distances from it.
 
     Parameters
     ----------
     points : array_like, shape (n, 2)
         Metres, n >= 3.
     diameter : float, optional
-        Where it is known, m. Points of a pole cover less than half of the circle: with a free
-        diameter centre and radius trade off along the line of sight.
+        Known diameter, m. Points on a pole cover less than half of the circle. With a free diameter
+        centre and radius then trade off along the line of sight.
 
     Returns
     -------
     Circle
-        The best one from three starts: the algebraic circle, and one on either side of the points.
-        Its covariance is unknown where another one, on the other side of the points, fits as well;
-        where there are only four points more than parameters, or fewer; and where a free radius is
-        known to 12 % only, or points scatter by 15 % of it: such circles lie amid the points.
+        The best circle from three starts: the algebraic circle, and a circle on either side of the
+        points. Its covariance is NaN if a circle on the other side of the points fits as well, or
+        if there are at most four points more than parameters. With a free radius it is also NaN if
+        the radius is uncertain by 12 % or the points scatter by 15 % of it: such circles lie among
+        the points.
 
     Raises
     ------
@@ -420,28 +421,28 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     pulls = off / (1 + (off / FAR) ** 2)
     normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
     freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
-    # a rival lies apart and more than 120 degrees about the points' middle
+    # a rival lies more than half a radius away, 120 degrees or more about the points' middle
     others = np.array(circles)[:, :2]
     apart = np.hypot(*(others - centre).T) > radius / 2
     rivals = apart & (others @ centre < -0.5 * np.hypot(*others.T) * np.hypot(*centre))
     ratio = np.min(costs[rivals], initial=np.inf) / max(costs[best], 1e-300)
-    # it must fit worse by a log of the likelihood ratio of 5
+    # the log likelihood ratio to the best rival must be above 5
     if np.linalg.cond(normal) < 1e10 and freedom > 4 and freedom * np.log(ratio) > 10:
         inverse = np.linalg.inv(normal)
         effects = inverse @ (ways * pulls[:, None]).T
-        # from each residual and from their mean; two less, as their spread is uncertain itself
+        # from each residual and from their mean; less two, since their spread is uncertain itself
         each = len(xy) / (freedom - 2) * effects @ effects.T
         alike = pulls @ off / (freedom - 2) * inverse
         larger = max(each, alike, key=lambda one: np.trace(one[:2, :2]))
         scatter = np.sqrt(pulls @ off / freedom) / radius
-        # beyond, errors of the centre are no longer like normal ones
+        # beyond these limits the errors of the centre are not normal
         if not free or (larger[2, 2] < 0.12**2 and scatter < 0.15):
             covariance = larger[:2, :2]
     return Circle(origin + centre, float(radius), covariance)
 
 
 def _principal_axes(points, robust):
-    """Mean, weighted centre from there, and directions by extent, largest component positive."""
+    """Mean, weighted centre from it, and directions by extent, largest component positive."""
     origin = points.mean(axis=0)
     local = points - origin
     previous = np.ones(len(local))
@@ -474,7 +475,7 @@ def _principal(local, weights):
 
 
 def across(axes):
-    """Two unit vectors across each of n unit vectors and square to each other, shape (n, 2, 3)."""
+    """Two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3)."""
     helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
     first = np.cross(axes, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -482,22 +483,22 @@ def across(axes):
 
 
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
-"""Cells of the grid along the smallest plane: points hang together across one of them; and its area
-in squared sizes, 1 m2 at a size of 2 m."""
+"""Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
+Points of a plane are connected across one cell."""
 
 FEWEST = 10, 30
-"""The points of a plane at least: what its least area holds, between these."""
+"""Limits of the least number of points of a plane; its least area sets the number in between."""
 
 USUAL_SIZES = 1.5, 2.0, 3.0
-"""Default extents of the smallest plane, m: where points fill its cells, where lines of points are
-too far apart to, and the largest, in thin clouds."""
+"""Default extents of the smallest plane, m: for points that fill the cells, for scan lines that are
+too far apart for that, and the largest extent, for thin clouds."""
 
 TRIM, TRIMMED = 2.5, 1.05
-"""Points further from their plane than so many standard deviations do not define it; standard
-deviation of normal errors as a multiple of that of the others, whose mean is as much less sure."""
+"""Points farther from their plane than TRIM standard deviations are not fitted. The factor TRIMMED
+corrects the standard deviation of trimmed normal errors, and that of their mean."""
 
 LEAST_TRIAL = 6
-"""Points of a trial at least."""
+"""Least number of points of a trial."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -507,14 +508,14 @@ class Patch:
     Parameters
     ----------
     plane : Plane
-        Fitted to the points that lie on this plane only, not also on a neighbouring one, and within
-        2.5 standard deviations.
+        Fitted to the points that lie within 2.5 standard deviations of this plane and on no
+        neighbouring plane.
     index : array of int, shape (n,)
         Rows of the cloud within the tolerance, nearest to this plane.
     moments : array, shape (2,)
         Sums of the squared coordinates of the fitted points along the plane's axes, square metres.
     sigma : float
-        Standard deviation of the points about the plane, as independent errors, m.
+        Standard deviation of the points about the plane, m, if their errors are independent.
     """
 
     plane: Plane
@@ -526,7 +527,7 @@ class Patch:
         return len(self.index)
 
     def offset_variance(self, point: np.ndarray) -> float:
-        """Variance of the plane's height at a point, square metres: independent residuals."""
+        """Variance of the plane's height at a point (3,), m^2, for independent residuals."""
         square = self.plane.project(point[None])[0] ** 2
         return (TRIMMED * self.sigma) ** 2 * (1 / self.plane.n + (square / self.moments).sum())
 
@@ -534,11 +535,12 @@ class Patch:
 def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2.0) -> list[Patch]:
     """Find the planes of a cloud of any size.
 
-    The space is cut into cells of a quarter of ``size``. Around the fullest cell of every eight,
-    planes through three neighbouring points are tried; the one that most of the neighbourhood lies
-    on is refined. The best of these plane pieces grow first, cell by cell, refitted on the way;
-    trials are repeated among what is left. At the end each point goes to the nearest plane around
-    it, and the planes are fitted again to the points that belong to one plane alone.
+    The space is cut into cells with an edge of a quarter of ``size``. In every block of eight cells
+    planes through three neighbouring points are tried around the fullest cell. The plane with most
+    points of the neighbourhood is refined. The best of these planes grow first, cell by cell, and
+    are refitted on the way. The trials are repeated among the remaining points. At the end each
+    point goes to the nearest plane around it. The planes are then fitted again to the points that
+    belong to a single plane.
 
     Parameters
     ----------
@@ -547,20 +549,21 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
     tolerance : float
         Largest distance of a point from its plane, m: about three times the noise.
     size : float
-        Extent of the smallest plane sought, m. Points of a plane hang together across gaps up
-        to a quarter of it: keep that above the distance of scan lines. A plane has an area of a
-        quarter of ``size`` squared at least, and the points that it holds, 10 to 30.
+        Extent of the smallest plane sought, m. Points of a plane are connected across gaps of up to
+        a quarter of ``size``, which should exceed the distance between scan lines. The least area
+        of a plane is a quarter of ``size`` squared. The least number of points is the number on
+        that area, limited to 10 to 30.
 
     Returns
     -------
     list of Patch
-        The one with the most points first; empty when there is none.
+        Sorted by number of points, largest first; empty if there is no plane.
 
     Raises
     ------
     ValueError
-        If a setting is not positive, a coordinate is not finite, or the cloud is too large for its
-        cells to be numbered.
+        If a setting is not positive, a coordinate is not finite, or the cloud has too many cells to
+        number.
 
     Warns
     -----
@@ -569,9 +572,9 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
 
     Notes
     -----
-    Time and memory grow linearly with the points. Nothing is random: equal clouds give equal
-    planes. Curved and rough surfaces come out as several planes or none. Planes closer to each
-    other than the tolerance are one.
+    Time and memory grow linearly with the number of points. Equal clouds give equal planes. A
+    curved or rough surface gives several planes or none. Planes closer to each other than the
+    tolerance are merged.
 
     References
     ----------
@@ -592,7 +595,7 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
-    if in_cell < 1:  # surfaces do not hang together
+    if in_cell < 1:  # surfaces are not connected
         warnings.warn(
             f"About {in_cell / grid.edge**2:.2g} points per square metre are too few for planes of "
             f"{size:g} m: some will be missed. "
@@ -610,7 +613,7 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
 
 
 def usual_size(points):
-    """The extent of the smallest plane that points carry, m."""
+    """Extent of the smallest plane that points (n, 3) support, m."""
     if not len(points):
         return USUAL_SIZES[1]
     _, starts, fine = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE)
@@ -618,15 +621,15 @@ def usual_size(points):
     in_cell = _points_per_cell(starts)
     at_random = 4 * np.expm1(-in_cell) / np.expm1(-4 * in_cell)
     filled = len(fine) >= 0.8 * at_random * len(doubled)
-    # of 2.4 to 4.4 points per cell those from 2.8 to 3.8 found most edges of simulated streets
+    # of 2.4 to 4.4 points per cell, 2.8 to 3.8 gave most edges on simulated streets
     carried = USUAL_SIZES[0] * np.sqrt(3.2 / in_cell)
     return float(np.clip(carried, USUAL_SIZES[0 if filled else 1], USUAL_SIZES[2]))
 
 
 def _points_per_cell(start):
-    """Points that a cell of a surface has on average, empty cells of the surface included.
+    """Mean number of points per cell of a surface, its empty cells included.
 
-    A surface with x points per cell shows x / (1 - exp(-x)) in those that ``start`` bounds.
+    With a mean of x, the occupied cells (bounded by ``start``) have x / (1 - exp(-x)) on average.
     """
     seen = np.median(np.diff(start)[:: max(1, len(start) // 100_000)])
     mean = max(float(np.diff(start).mean()), 1.0 + 1e-9) if seen < 3 else seen
@@ -634,7 +637,7 @@ def _points_per_cell(start):
 
 
 def _patches(points, owner, clear, tolerance, minimum):
-    """Fitted patches of each owner's points, those without a clear plane left out."""
+    """Fitted patches of each owner's points; groups without a clear plane are left out."""
     patches = []
     for index in _members(owner, owner.max() + 1):
         fitted = index[clear[index]]
@@ -642,7 +645,7 @@ def _patches(points, owner, clear, tolerance, minimum):
             continue
         plane = fit_plane(points[fitted])
         width = np.std(plane.project(points[fitted])[:, 1])
-        # points without any plane have 0.58
+        # points without any plane have a ratio of 0.58
         if plane.std > 0.48 * tolerance or width < 1.2 * tolerance:
             continue
         # points of window reveals lie on one side of a wall, within the tolerance
@@ -659,9 +662,10 @@ def _patches(points, owner, clear, tolerance, minimum):
 class Grid:
     """Points sorted into the cubic cells that they occupy.
 
-    ``points`` are relative to their mean and in the order of the cells; ``order`` are their rows,
-    ``cell`` their cells; ``start`` bounds the cells, ``size`` counts their points; ``near`` (cells,
-    cells) tells which are the same or touch, and ``places`` where they are.
+    ``points`` are relative to their mean and in the order of the cells; ``order`` has their rows in
+    the cloud, ``cell`` their cells. ``start`` bounds the cells and ``size`` counts their points.
+    ``near`` (cells, cells) is true where two cells are the same or touch. ``places`` has the
+    indices of the cells.
     """
 
     def __init__(self, points, edge):
@@ -683,13 +687,13 @@ class Grid:
         self.near = csr_array(coo_array((np.ones(pairs.shape[1], bool), pairs), shape=(n, n)))
 
     def rows(self, cells):
-        """Rows of the points in some cells, and where each cell's begin."""
+        """Rows of the points in some cells, and the index at which each cell begins."""
         first = np.cumsum(self.size[cells]) - self.size[cells]
         total = self.size[cells].sum()
         return np.repeat(self.start[cells] - first, self.size[cells]) + np.arange(total), first
 
     def around(self, cells):
-        """The same cells and all that touch one of them."""
+        """The given cells and all cells that touch one of them."""
         return np.unique(self.near[cells].indices)
 
 
@@ -704,18 +708,18 @@ class _Search:
         self.trials = np.random.default_rng(0).random((32, 3))
 
     def round(self):
-        """Try planes among the points that nobody owns and grow them; whether any was found."""
+        """Try planes among the free points and grow them; return whether any was found."""
         grid, before = self.grid, len(self.planes)
         free = np.flatnonzero(self.owner < 0)
         counts = np.bincount(grid.cell[free], minlength=len(grid.size))
-        # of every eight cells the fullest
+        # the fullest cell of every block of eight
         blocks = grid.places // 2
         order = np.lexsort((-counts, *blocks.T))
         seeds = order[np.r_[True, (np.diff(blocks[order], axis=0) != 0).any(axis=1)]]
         seeds = seeds[counts[seeds] > 0]
         first = np.searchsorted(grid.cell[free], np.arange(len(counts)))
         rank = np.arange(len(free)) - first[grid.cell[free]]
-        # three points of a cell: dense and sparse parts count alike
+        # about three points per cell, so that dense and sparse parts count alike
         stride = -(-counts // 3)[grid.cell[free]]
         drawn = grid.points[free[rank % stride == 0]]
         tree, low = cKDTree(drawn), grid.points[grid.start[seeds]]
@@ -731,7 +735,7 @@ class _Search:
         return len(self.planes) > before
 
     def grow(self, seed, centre, normal):
-        """Keep the plane of the points that hang together with a seed's cell, if it is large."""
+        """Keep the plane of the points connected with the cell of a seed, if it is large enough."""
         cells, grown = np.array([seed]), 0
         for turn in range(4):
             cells, number, beside, plane = self._spread(cells, centre, normal, refit=turn == 0)
@@ -740,7 +744,7 @@ class _Search:
             if len(cells) <= grown:
                 break
             grown, (centre, normal) = len(cells), plane
-        if number < 1.5 * beside:  # a volume filled with points has half of them beside
+        if number < 1.5 * beside:  # a filled volume has twice as many points beside
             return
         rows, _ = self.grid.rows(cells)
         rows = rows[self.owner[rows] < 0]
@@ -750,10 +754,10 @@ class _Search:
         self.taken.append(cells)
 
     def _spread(self, front, centre, normal, refit):
-        """Cells that hang together on a plane, its points, those beside it, and the fitted plane.
+        """Connected cells of a plane, number of points on it and beside it, and the fitted plane.
 
-        With ``refit`` the plane is fitted anew whenever its points have doubled; never to those of
-        the first cell alone, which may lie on one scan line.
+        With ``refit`` the plane is fitted again whenever its points have doubled. It is never
+        fitted to the first cell alone, whose points may lie on a single scan line.
         """
         cells, points, beside, looked, fitted = [], [], 0, [], 4 * LEAST_TRIAL
         while len(front):
@@ -774,7 +778,7 @@ class _Search:
         return np.concatenate(cells), len(points), beside, plane
 
     def _takes(self, cells, centre, normal):
-        """Those of the cells that a plane takes, its free points there, how many are beside it."""
+        """Cells that a plane takes, its free points in them, and the number of points beside it."""
         rows, first = self.grid.rows(cells)
         points = self.grid.points[rows]
         off, free = np.abs((points - centre) @ normal), self.owner[rows] < 0
@@ -786,11 +790,11 @@ class _Search:
         return cells[takes], points[on & np.repeat(takes, self.grid.size[cells])], beside
 
     def assigned(self):
-        """Owner of each point, the nearest plane within the tolerance, and whether no other is.
+        """Owner (the nearest plane) of each point, and whether it is the only plane.
 
-        The owner is -1 where there is none. A plane is the only one where the foot of the point
-        on it is clear of the others: noise then takes as many points off one side of the plane as
-        off the other.
+        The owner is -1 if no plane is within the tolerance. A plane is the only plane of a point if
+        the foot of the point on it is clear of all others. With this rule noise removes as many
+        points on one side of the plane as on the other.
         """
         grid, points, planes = self.grid, self.grid.points, list(self.planes)
         around = [grid.rows(grid.around(cells))[0] for cells in self.taken]
@@ -816,7 +820,7 @@ class _Search:
 
 
 def _members(owner, number):
-    """Rows of each of a number of owners."""
+    """Rows of the points of each owner."""
     order = np.argsort(owner, kind="stable")
     return np.split(order, np.searchsorted(owner[order], np.arange(number + 1)))[1:-1]
 
@@ -829,7 +833,7 @@ def _fitted(points):
 
 
 def _pieces(drawn, near, trials, tolerance, edge):
-    """Planes through three points on which most neighbours lie, refined: score, centre, normal."""
+    """Refined planes through three points with most neighbours on them: score, centre, normal."""
     there = near < len(drawn)
     local = np.concatenate([drawn, np.full((1, 3), np.nan)])[near]
     picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)

@@ -1,8 +1,8 @@
-"""3-D line segments: their Hausdorff distance, which belong together, how far two sets are apart.
+"""3-D line segments: Hausdorff distance, correspondence, displacement of two sets.
 
-A set is an array (n, 2, 3): the two ends of each segment, in metres. The distance is that of Chen,
-Leung & Gao 2003. With e the direction of the line that stays, c the midpoints and L the lengths,
-rotating the other line about its midpoint until it is parallel leaves
+A set is an array (n, 2, 3): the two ends of each segment, in metres. The distance follows Chen,
+Leung & Gao 2003. One line is fixed, with direction e. The other line is rotated about its midpoint
+until it is parallel. With midpoints c and lengths L of the test (t) and model (m) segments,
 
     d_theta = min(L_t, L_m) sin(angle between the lines)
     s       = (c_t - c_m) . e
@@ -10,16 +10,17 @@ rotating the other line about its midpoint until it is parallel leaves
     d_perp  = |(c_t - c_m) - s e|
     d       = sqrt(W d_theta^2 + d_par^2 + d_perp^2)
 
-(Poreba & Goulette 2013, section 2.2 and equations 3-5). The sine comes from the cross product: the
-arccosine of a scalar product is lost below 1e-8 rad. Differences are taken before products.
+(Poreba & Goulette 2013, section 2.2 and equations 3-5). The sine comes from the cross product,
+since the arccosine of a scalar product loses angles below 1e-8 rad. Coordinates are subtracted
+before they are multiplied.
 
-The displacement of two sets: a pair of lines says nothing about a shift along them; across them
+A pair of lines does not determine a displacement along the lines. Across them
 
     B (t - m) = B u(x) + noise,
 
-with t and m the points of both lines at the middle of their common stretch, x that place and the
-rows of B perpendicular to the model line. u(x) is a constant and a turn about the vertical.
-:mod:`mmqa_lab.lines.edges` has the edges of clouds: the lines where planes meet.
+with t and m the points of both lines at the middle x of their common stretch, and the rows of B
+perpendicular to the model line. The displacement u(x) is a vector and a rotation about the
+vertical. :mod:`mmqa_lab.lines.edges` extracts edges from clouds: the lines where planes meet.
 """
 
 from __future__ import annotations
@@ -48,15 +49,17 @@ from mmqa_lab.planes import across
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 BLOCK_PAIRS = 500_000
-"""Pairs that are computed at a time."""
+"""Number of pairs computed at a time."""
 
 KINDS = ["one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple"]
 PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
-"""What a distance is made of, and their sum."""
+"""Parts of a distance, and their sum."""
 
 
 def check_segments(segments, name="segments"):
     """Return segments as float64 of shape (n, 2, 3), n >= 0, all finite and with a length.
+
+    Raises ``TypeError`` if they are not real numbers, ``ValueError`` if a segment is invalid.
 
     Examples
     --------
@@ -70,7 +73,7 @@ def check_segments(segments, name="segments"):
     if values.size and values.shape[1:] != (2, 3):
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape (n, 2, 3).")
     ends = values.astype(np.float64).reshape(-1, 2, 3)
-    # there float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)
+    # beyond 100 km float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)
     coarse = (values.dtype.itemsize < 8) & (values.dtype.kind == "f") & (np.abs(ends) > 1e5)
     for rows, what, wanted in (
         (~np.isfinite(ends).all(axis=(1, 2)), "not finite", "be finite coordinates"),
@@ -88,7 +91,7 @@ def lengths(segments: ArrayLike) -> np.ndarray:
 
 
 def directions(segments: ArrayLike) -> np.ndarray:
-    """Unit vectors from the first end to the second, shape (n, 3)."""
+    """Unit vectors of segments (n, 2, 3) from the first end to the second, shape (n, 3)."""
     return np.diff(segments, axis=1)[:, 0] / lengths(segments)[:, None]
 
 
@@ -99,7 +102,7 @@ def midpoints(segments: ArrayLike) -> np.ndarray:
 
 
 def _from_common_origin(test, model):
-    """Both sets, checked, less one end: what remains is exact to 1e-9 m."""
+    """Both sets, checked and shifted to a common origin, exact to 1e-9 m."""
     test, model = check_segments(test, "test"), check_segments(model, "model")
     origin = np.concatenate([model, test])[:1, 0]
     return (test, model) if not len(origin) else (test - origin, model - origin)
@@ -114,7 +117,7 @@ class Components:
     angle, parallel, perpendicular : array, shape (p, q)
         d_theta, d_par and d_perp, m.
     shift : array, shape (p, q)
-        Midpoint of the test segment along the line that stays, from the model's midpoint, m.
+        Midpoint of the test segment along the fixed line, from the model's midpoint, m.
 
     Examples
     --------
@@ -144,11 +147,11 @@ def components(
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     rotate : {"test", "shorter"}
-        Which line is turned about its midpoint: always the one of the test set (Poreba & Goulette
-        2013, section 2.2) or the shorter one of each pair (Gao & Leung 2002).
+        The line that is rotated about its midpoint: always the test segment (Poreba & Goulette
+        2013, section 2.2) or the shorter segment of each pair (Gao & Leung 2002).
     within : {"containment", "overlap"}
-        When the parallel distance vanishes: one segment lies within the range of the other (figure
-        2 of the paper), or they overlap at all.
+        Condition for a parallel distance of zero: the range of one segment contains the other
+        (figure 2 of the paper), or the two overlap at all.
 
     Returns
     -------
@@ -189,7 +192,7 @@ def components(
 
 
 def _parts(test, model, rotate, within):
-    """d_theta, d_par, d_perp and s of some test segments (midpoint, direction, length)."""
+    """d_theta, d_par, d_perp and s of a block of test segments (midpoint, direction, length)."""
     (middle_t, way_t, length_t), (middle_m, way_m, length_m) = test, model
     angle = np.minimum(length_t, length_m) * np.linalg.norm(np.cross(way_t, way_m), axis=-1)
     stays = ((rotate == "shorter") & (length_m < length_t))[..., None]
@@ -217,8 +220,8 @@ def distance_matrix(
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     weight : float
-        W of equation 5, >= 0: a larger W punishes angles more. (In Gao & Leung 2002 the angle's
-        square is *divided* by W: there a larger W punishes them less.)
+        W of equation 5, >= 0. A larger W gives angles more weight. (Gao & Leung 2002 *divide* the
+        square of the angle distance by W, so that a larger W gives angles less weight.)
     rotate, within
         As in :func:`components`.
 
@@ -226,6 +229,15 @@ def distance_matrix(
     -------
     array, shape (p, q)
         Metres.
+
+    Raises
+    ------
+    ValueError
+        As :func:`components`, or if the weight is negative.
+
+    References
+    ----------
+    Poreba & Goulette 2013 (hal-00846334), equation 5.
 
     Examples
     --------
@@ -238,14 +250,15 @@ def distance_matrix(
 
 @dataclass(frozen=True, eq=False)
 class Threshold(Shown):
-    """A threshold, how it was found, and the distances.
+    """A threshold of the distance, its origin, and the sorted nearest distances.
 
     Parameters
     ----------
     delta : float
-        Pairs with d <= delta correspond, m; NaN when there is no distance.
+        Pairs with d <= delta correspond, m; NaN if there are no distances.
     fallback : bool
-        No jump was found: delta is the largest nearest distance and accepts every row's nearest.
+        True if no jump was found. delta is then the largest nearest distance, so that the nearest
+        partner of every segment is accepted.
     nearest : array, shape (n,)
         The nearest distances in ascending order, m.
     """
@@ -267,8 +280,8 @@ def peak_threshold(
 ) -> Threshold:
     """Threshold at the first peak of the differences of the sorted nearest distances.
 
-    The distances are sorted, differenced ``order`` times, and searched for the first maximum
-    that stands out by ``sensitivity`` on both sides (the curve returns to zero behind its end). The
+    The distances are sorted and differenced ``order`` times. The first maximum that stands out by
+    ``sensitivity`` on both sides is the jump (beyond its end the curve counts as zero). The
     threshold is the last distance before the jump. Peaks at or below zero are no jumps.
 
     Parameters
@@ -276,15 +289,15 @@ def peak_threshold(
     nearest : array_like, shape (n,)
         The least distance of each segment to the other set, m.
     sensitivity : float
-        How far a peak must stand out, m. The paper gives no value; 0.4-0.8 m work alike on the
-        simulated canyon, 0.1 m or 2 m do not. It decides more than W does.
+        Least prominence of a peak, m. The paper gives no value. On the simulated canyon 0.4 to
+        0.8 m work equally well, 0.1 m and 2 m do not. It affects the result more than W.
     order : {2, 1}
         Second differences as in the paper, or first.
     at : {"below", "value"}
-        The distance before the jump (our reading), or the value of the difference itself, which is
-        what the paper says literally.
+        The distance before the jump (our reading), or the value of the difference itself (the
+        literal text of the paper).
     sort_again : bool
-        Sort the first differences before they are differenced again, another reading of "the new
+        Sort the first differences before the second differencing: another reading of "the new
         list".
 
     Returns
@@ -295,7 +308,7 @@ def peak_threshold(
     ------
     ValueError
         If a distance is negative or not finite, the sensitivity is not above zero, or ``order`` or
-        ``at`` is another.
+        ``at`` is unknown.
 
     References
     ----------
@@ -314,7 +327,7 @@ def peak_threshold(
     check_choice(order, "order", (1, 2))
     check_choice(at, "at", ("below", "value"))
     curve = np.diff(np.sort(np.diff(nearest))) if sort_again else np.diff(nearest, order)
-    # low before the curve, zero behind it: a peak at either end is seen as well
+    # low before the curve, zero after it, so that a peak at either end is found as well
     padded = np.concatenate([[curve.min(initial=0) - 2 * sensitivity], curve, [0.0]])
     peaks = find_peaks(padded, prominence=sensitivity)[0] - 1
     peaks = peaks[curve[peaks] > 0]
@@ -337,16 +350,16 @@ def correspond(
     Parameters
     ----------
     distances : array_like, shape (p, q)
-        Of test (rows) to model segments (columns), m.
+        From test (rows) to model segments (columns), m.
     delta : float
         Threshold, m; NaN pairs nothing.
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments"}
-        ``all``: every cell (equation 6 of the paper). ``nearest``: the nearest model of each test.
-        ``mutual``: nearest both ways. ``hungarian``: one-to-one, with the largest sum of
-        ``delta - d``. ``fragments``: nearest first; a segment takes several partners only where
-        they cover different stretches of it, as the pieces of a split edge do.
+        ``all``: every cell (equation 6 of the paper). ``nearest``: the nearest model segment of
+        each test segment. ``mutual``: nearest both ways. ``hungarian``: one-to-one, with the
+        largest sum of ``delta - d``. ``fragments``: nearest first; a segment takes several partners
+        only if they cover different stretches of it, like the pieces of a split edge.
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
-        The segments, of which ``fragments`` alone takes note.
+        The segments, m; only ``fragments`` uses them.
 
     Returns
     -------
@@ -376,7 +389,7 @@ def correspond(
         return _apart(near.shape, rows, columns, stretches, distances[near])
     if matcher == "all" or not near.any():
         return near
-    if matcher == "hungarian":  # a cell at the very threshold still counts
+    if matcher == "hungarian":  # a cell at the threshold still counts
         cost = np.where(near, distances - delta * (1 + 1e-9) - 1e-12, 0.0)
         pairs = np.zeros_like(near)
         pairs[linear_sum_assignment(cost)] = True
@@ -389,7 +402,7 @@ def correspond(
 
 
 def _apart(shape, rows, columns, stretches, costs):
-    """Accept pairs in the order of their costs while their stretches stay apart; bool (p, q)."""
+    """Accept pairs in the order of their costs if their stretches do not overlap; bool (p, q)."""
     pairs, taken = np.zeros(shape, dtype=bool), defaultdict(list)
     for k in np.argsort(costs, kind="stable"):
         places = ("test", rows[k]), ("model", columns[k])
@@ -401,7 +414,7 @@ def _apart(shape, rows, columns, stretches, costs):
 
 
 def _free(stretch, taken):
-    """Whether a stretch leaves those already taken alone, but for three tenths of it."""
+    """Whether a stretch overlaps each stretch already taken by at most 30 % of its length."""
     length = stretch[1] - stretch[0]
     shared = [min(stretch[1], other[1]) - max(stretch[0], other[0]) for other in taken]
     return not taken or (length > 0 and max(shared) <= 0.3 * length)
@@ -409,14 +422,14 @@ def _free(stretch, taken):
 
 @dataclass(frozen=True)
 class PairingScores(Shown):
-    """Counts over all p x q cells and the rates that follow from them; NaN where nothing is there.
+    """Counts over all p x q cells and their rates; NaN where a denominator is zero.
 
     Parameters
     ----------
     tp, fp, fn, tn : int
-        True and false, positives and negatives.
+        Numbers of true and false positives and negatives.
     detection_rate, null_rate : float
-        (TP + TN) / (p q), the paper's rate, as a share, and that of pairing nothing at all.
+        (TP + TN) / (p q), the paper's rate, as a share; and the same rate if nothing is paired.
     precision, recall, f1 : float
         Share of the proposed pairs that are true, share of the true pairs that are proposed, and
         the harmonic mean of both.
@@ -452,8 +465,8 @@ def pairing_scores(pairs: ArrayLike, truth: ArrayLike) -> PairingScores:
 
     Notes
     -----
-    With p q cells and some tens of pairs nearly all cells are true negatives: pairing nothing has a
-    detection rate of 97.8 to 99.1 % on the paper's tables. Look at F1.
+    With some tens of pairs nearly all of the p q cells are true negatives. On the paper's tables
+    the detection rate is at least 97.8 % even if nothing is paired. Use F1 instead.
 
     References
     ----------
@@ -480,25 +493,25 @@ def pairing_scores(pairs: ArrayLike, truth: ArrayLike) -> PairingScores:
 
 
 TURN_RAD = np.radians(1.0)
-"""Standard deviation of turns about the vertical, before the lines are seen."""
+"""Prior standard deviation of the rotation about the vertical."""
 
 HYPOTHESES, WIDER = 2000, 4.0
-"""Displacements that are tried; the longest lines are also sought within so many radii."""
+"""Number of displacements tried; factor of the radius in the wider search of the longest lines."""
 
 CLUTTER_PER_M2 = 0.1
-"""Density of parallel unrelated lines."""
+"""Density of unrelated parallel lines."""
 
 
 class Pairs:
     """Pairs of lines: ``rows`` of the test set with ``columns`` of the model set.
 
-    ``place`` (n, 3) is the middle of the common stretch on the model line, ``frame`` (n, 2, 3) two
-    unit vectors across it, ``offset`` (n, 2) test line minus model line there along them,
-    ``variance`` (n,) what uncertain directions add to it, ``overlap`` the common stretch as a part
-    of the shorter line, ``stretches`` two arrays (n, 2): where the common stretch lies on the test
-    and on the model line, m from their middles, low > high across a gap. The stretch is where the
-    lines meet once ``moved`` (3,) or (n, 3) is taken off the test set. Places count from the middle
-    of the model lines.
+    ``place`` (n, 3) is the middle of the common stretch on the model line. ``frame`` (n, 2, 3) has
+    two unit vectors across the line. ``offset`` (n, 2) is test line minus model line at that place,
+    along the frame. ``variance`` (n,) is the part of its variance from uncertain directions.
+    ``overlap`` (n,) is the common stretch as a share of the shorter line. ``stretches`` are two
+    arrays (n, 2): the ends of the common stretch on the test and on the model line, m from their
+    midpoints, low > high across a gap. ``moved`` (3,) or (n, 3) is subtracted from the test set
+    before the common stretch is found. Places are relative to the mean midpoint of the model lines.
     """
 
     def __init__(self, test, model, rows, columns, moved=0.0):
@@ -527,20 +540,20 @@ class Pairs:
         self.overlap = (high - low) / (2 * np.minimum(*self.half))
 
     def again(self, moved):
-        """The same pairs, met at the places of another displacement."""
+        """The same pairs, with their common stretches after another displacement."""
         return Pairs(self.test, self.model, self.rows, self.columns, moved)
 
     def design(self, centre):
-        """What a vector and a turn about the vertical at a centre move pairs across: (n, 2, 4)."""
+        """Design matrix (n, 2, 4) of offsets for a vector and a rotation about a vertical axis."""
         turned = np.einsum("nkd,nd->nk", self.frame, _levers(self.place - centre))
         return np.concatenate([self.frame, turned[..., None]], axis=2)
 
     def likely_ends(self):
-        """Log of how much likelier true pairs leave such gaps between their ends than false.
+        """Log likelihood ratio of true to false pairs, from the gaps between their ends.
 
-        Ends at one place are apart by 0.55 m, those of a line that is cut short by 5 m. At one
-        place are 0.6 of the ends of true pairs, and 0.37 of those of false ones, which often share
-        the ground or the building.
+        Ends at the same place differ by 0.55 m (normal), ends of a shortened line by 5 m
+        (exponential). A share of 0.6 of the ends of true pairs is at the same place. For false
+        pairs the share is 0.37, since they often share the ground or the building.
         """
         gaps = np.abs([self.s + sign * (self.half[0] - self.half[1]) for sign in (-1, 1)])
         agree = np.sqrt(2 / np.pi) / 0.55 * np.exp(-((gaps / 0.55) ** 2) / 2)
@@ -550,7 +563,7 @@ class Pairs:
 
 
 def _levers(arm):
-    """How places (m, 3) beside a vertical axis move per radian of a turn about it."""
+    """Movement of places (m, 3) per radian of rotation about a vertical axis."""
     return np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)
 
 
@@ -561,14 +574,14 @@ class Displacement(Shown):
     Parameters
     ----------
     vector : array, shape (3,)
-        Metres; NaN where the pairs leave a direction open.
+        Metres; NaN if the pairs do not determine all directions.
     covariance : array, shape (3, 3)
-        Square metres, by jackknife over the test lines: noise, drift and false pairs are in it.
+        Square metres, by jackknife over the test lines. It includes noise, drift and false pairs.
     n : int
         Number of pairs.
     turn_deg : float
-        Turn of the test set about the vertical through the middle of the pairs, degrees, counted
-        from east to north: it is part of the fit, and without an interval.
+        Rotation of the test set about the vertical through the middle of the pairs, degrees, from
+        east to north. It is part of the fit and has no interval.
     centre : array, shape (3,)
         Middle of the pairs, m from the middle of the model lines.
     """
@@ -580,7 +593,7 @@ class Displacement(Shown):
     centre: np.ndarray | None = None
 
     def at(self, places):
-        """Displacement (m, 3) at places (m, 3) that count from the middle of the model lines."""
+        """Displacement (m, 3) at places (m, 3) relative to the middle of the model lines, m."""
         return self.vector + np.radians(self.turn_deg) * _levers(places - self.centre)
 
     def to_frame(self) -> pd.DataFrame:
@@ -594,18 +607,19 @@ class Displacement(Shown):
 def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Displacement:
     """Estimate the displacement of one line set from another, given the pairs.
 
-    Least squares of a vector and a turn about the vertical; far residuals weigh less (Huber).
+    Least squares for a vector and a rotation about the vertical, with Huber weights.
 
     Parameters
     ----------
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     pairs : array_like of bool, shape (p, q)
+        True where a test and a model segment correspond.
 
     Returns
     -------
     Displacement
-        The vector is NaN when fewer than three lines are paired or all of them are parallel.
+        The vector is NaN if fewer than three lines are paired or all of them are parallel.
 
     Examples
     --------
@@ -623,7 +637,7 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     normal = np.einsum("nkd,nke->de", lines.frame, lines.frame)
     if np.linalg.eigvalsh(normal)[0] < 1e-3 * len(rows):
         return unknown
-    for _ in range(3):  # where lines overlap depends on the displacement
+    for _ in range(3):  # the common stretches depend on the displacement
         centre = lines.place.mean(axis=0)
         solution, covariance = _solved(lines, centre, solution)
         lines = lines.again(solution[:3] + solution[3] * _levers(lines.place - centre))
@@ -645,8 +659,8 @@ def _solved(lines, centre, solution):
     rest = (~members @ each.reshape(-1, 16)).reshape(-1, 4, 4) + prior + 1e-9 * np.eye(4)
     spread = np.linalg.solve(rest, (~members @ right)[..., None])[:, :3, 0] - solution[:3]
     n = len(members)
-    # as wide as few lines ask for where chi-squared is taken for their ellipsoid; pairs that were
-    # chosen because they agree do so better than their errors would, by 1.3 in the variance
+    # ellipsoids are drawn by chi-squared, so few lines (F distribution) widen the covariance;
+    # pairs were selected for their agreement, which makes the variance too small by 1.3
     wider = 1.3 * 3 * stats.f.ppf(0.95, 3, max(n - 4, 1)) / stats.chi2.ppf(0.95, 3)
     return solution, wider * (n - 1) / n * spread.T @ spread
 
@@ -658,7 +672,9 @@ class DisplacedMatch(Shown):
     Parameters
     ----------
     pairs : array of bool, shape (p, q)
+        True where a test and a model segment correspond.
     displacement : Displacement
+        Displacement of the test set from the model set.
     """
 
     pairs: np.ndarray
@@ -670,21 +686,21 @@ class DisplacedMatch(Shown):
 
 
 def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -> DisplacedMatch:
-    """Pair two displaced segment sets by the displacement that brings most of them together.
+    """Pair two displaced segment sets by the displacement that unites most of their lines.
 
     Parameters
     ----------
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     radius : float
-        Largest displacement sought, m. A larger one costs time and admits more false hypotheses.
-        Where far more lines come together beyond it, up to four times as far, it is enlarged.
+        Largest displacement sought, m. A larger radius takes time and admits more false hypotheses.
+        It is enlarged if far more lines agree on a displacement beyond it, up to four times as far.
 
     Returns
     -------
     DisplacedMatch
-        Without pairs, and with an unknown displacement, when fewer than three lines agree or no
-        more than chance would bring together.
+        Without pairs, and with a displacement of NaN, if fewer than three lines agree or no more
+        lines than by chance.
 
     Raises
     ------
@@ -698,9 +714,9 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
 
     Notes
     -----
-    Segments must run in two directions at least. Settings were chosen on simulated canyons with
-    other seeds than those reported. The idea is that of line-based registration (Poreba & Goulette
-    2015); the distance of the 2013 paper is then taken at the original coordinates.
+    Segments must have two directions at least. Settings were chosen on simulated canyons whose
+    seeds differ from the reported seeds. The idea comes from line-based registration (Poreba &
+    Goulette 2015). The distance of the 2013 paper still uses the original coordinates.
 
     Examples
     --------
@@ -717,8 +733,8 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     reach = _wider(test, model, radius)
     if reach > radius:
         warnings.warn(
-            f"Far more lines meet at a displacement beyond the radius of {radius:g} m: "
-            f"it is sought within {reach:.1f} m.",
+            f"Far more lines agree on a displacement beyond the radius of {radius:g} m. "
+            f"The search is extended to {reach:.1f} m.",
             stacklevel=2,
         )
     lines = _candidates(test, model, reach)
@@ -726,14 +742,14 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     outcomes = [_refined(lines, start) for start in _starts(shifts, scores)]
     nothing = 0.0, np.zeros((len(test), len(model)), dtype=bool)
     pairs = max([nothing, *outcomes], key=lambda outcome: outcome[0])[1]
-    # sets of other streets, and those beyond reach, pair at most 0.164 in a hundred trials
+    # in a hundred trials unrelated or too distant sets paired a share of 0.164 at most
     if pairs.any(axis=1).sum() < 0.175 * min(pairs.shape):
         pairs = nothing[1]
     return DisplacedMatch(pairs, fit_displacement(test, model, pairs))
 
 
 def _candidates(test, model, radius):
-    """The pairs of nearly parallel lines within the radius of each other."""
+    """Pairs of nearly parallel lines within the radius of each other."""
     parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
     parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
     gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
@@ -742,7 +758,7 @@ def _candidates(test, model, radius):
 
 
 def _wider(test, model, radius):
-    """The radius, or a larger one where far more lines come together beyond it."""
+    """The radius, or a larger radius if far more lines agree beyond it."""
     few = [ends[np.argsort(-lengths(ends))[:300]] for ends in (test, model)]
     lines = _candidates(*few, WIDER * radius)
     shifts, scores = _hypotheses(lines, WIDER * radius, 4 * HYPOTHESES)
@@ -753,14 +769,14 @@ def _wider(test, model, radius):
 
 
 def _hypotheses(lines, radius, most):
-    """Displacements (k, 3) that pairs of crossing lines suggest, and how many lines each unites."""
+    """Displacements (k, 3) from pairs of crossing lines, and the number of lines each unites."""
     if len(lines.rows) < 3:
         return np.empty((0, 3)), np.empty(0)
     normal = np.einsum("nkd,nke->nde", lines.frame, lines.frame)
     right = np.einsum("nkd,nk->nd", lines.frame, lines.offset)
     a, b = np.random.default_rng(0).integers(len(lines.rows), size=(2, 8 * most))
     use = (lines.rows[a] != lines.rows[b]) & (lines.columns[a] != lines.columns[b])
-    # two lines so near to each other are displaced alike
+    # lines within 40 m of each other have a similar displacement
     use &= np.linalg.norm(lines.place[a] - lines.place[b], axis=1) < 40
     use &= np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
     a, b = a[use][:most], b[use][:most]
@@ -768,7 +784,7 @@ def _hypotheses(lines, radius, most):
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
     weight = np.minimum(1, 2 * np.minimum(*lines.half) / 3)
     first = np.flatnonzero(np.r_[True, np.diff(lines.rows) > 0])
-    # |offset - frame shift|^2 as one product of matrices; lines 0.35 m apart meet
+    # |offset - frame shift|^2 as one product of matrices; lines within 0.35 m agree
     products = np.einsum("kd,ke->kde", shifts, shifts).reshape(-1, 9)
     unknowns = np.column_stack([np.ones(len(shifts)), -2 * shifts, products])
     knowns = np.column_stack([(right**2).sum(axis=1), right, normal.reshape(-1, 9)]).T
@@ -780,7 +796,7 @@ def _hypotheses(lines, radius, most):
 
 
 def _starts(shifts, scores):
-    """The five displacements that bring most lines together, 0.4 m apart from each other."""
+    """The five displacements that unite most lines, at least 0.4 m apart."""
     starts, left = [], shifts[np.argsort(-scores, kind="stable")]
     while len(left) and len(starts) < 5:
         starts.append(left[0])
@@ -789,7 +805,7 @@ def _starts(shifts, scores):
 
 
 def _refined(lines, start):
-    """Evidence and pairs that a start leads to, pairs and displacement by turns."""
+    """Evidence and pairs from a start, by alternate updates of pairs and displacement."""
     moved, noise = np.broadcast_to(start, (len(lines.rows), 3)), 0.25
     spread = np.broadcast_to(0.04 * np.eye(3), (len(lines.rows), 3, 3))
     outcome = 0.0, np.zeros(lines.shape, dtype=bool)
@@ -812,21 +828,21 @@ def _refined(lines, start):
 
 
 def _log_density(lines, moved, spread, noise):
-    """Log density of each pair's offset from the displacement expected there, and the residual."""
+    """Log density of each pair's offset given the expected displacement, and the residual."""
     off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
     covariance = lines.frame @ spread @ lines.frame.swapaxes(1, 2)
     covariance = covariance + (noise**2 + lines.variance)[:, None, None] * np.eye(2)
     squares = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=1)
     density = -squares / 2 - np.log(2 * np.pi) - np.log(np.linalg.det(covariance)) / 2
-    # the least common stretch is a part of the shorter line
+    # the common stretch must be 0.18 of the shorter line at least
     density[(lines.overlap < 0.18) | (squares > stats.chi2.ppf(0.997, 2))] = -np.inf
     return density, off
 
 
 def _field(lines, members, noise):
-    """Displacement (n, 3) and covariance (n, 3, 3) at all pairs, each member's from the others.
+    """Displacement (n, 3) and covariance (n, 3, 3) at all pairs, each predicted from the others.
 
-    Drift has a standard deviation of 0.25 m; a neighbour's is felt within 30 m.
+    Drift has a standard deviation of 0.25 m and a correlation length of 30 m.
     """
     frame, place = lines.frame[members], lines.place[members]
     weight = 1 / (noise**2 + lines.variance[members])
@@ -852,19 +868,19 @@ class Directed:
     Parameters
     ----------
     threshold : Threshold
-        Its delta is NaN where a matcher has none.
+        Its delta is NaN if the matcher uses no threshold.
     pairs : array of bool, shape (p, q)
         Test segments in rows, model segments in columns, in either direction.
     parts : Components
-        Of the k pairs' distances in the order of ``np.nonzero(pairs)``.
+        Parts of the distances of the k pairs, in the order of ``np.nonzero(pairs)``.
     length : array, shape (k,)
-        Length of each pair's target, its weight in the mean, m.
+        Length of the target of each pair, which is its weight in the mean, m.
     source : array of int, shape (k,)
         Source segment of each pair.
     coverage : float
         Share of the source set's length that is paired.
     total : float
-        What the weighted sum of :meth:`olhd` is divided by, m.
+        Divisor of the weighted sum of :meth:`olhd`, m.
     """
 
     threshold: Threshold
@@ -892,7 +908,7 @@ class Directed:
     def bootstrap(self, statistic, rng):
         """A statistic of the pairs' weights (r, k) -> (r, ...), and its 95 % interval.
 
-        Source segments are drawn with their pairs; ends are as wide as Student's t asks for.
+        Source segments are drawn with their pairs. The interval is widened by Student's t.
         """
         clusters, cluster = np.unique(self.source, return_inverse=True)
         value, n = statistic(self.length[None])[0], len(clusters)
@@ -913,7 +929,8 @@ class LHD(Shown):
     weight : float
         W.
     matcher, asked : str
-        The matcher that made the pairs, and the one asked for: the displaced one may give way.
+        The matcher that made the pairs, and the matcher asked for. They differ if ``displaced``
+        found too few pairs.
     test_model, model_test : Directed
         Both directions.
     test, model : array, shapes (p, 2, 3) and (q, 2, 3)
@@ -923,7 +940,7 @@ class LHD(Shown):
     --------
     >>> model = np.array([[[x, 0, 0], [x, 0, 6]] for x in range(0, 60, 10)], dtype=float)
     >>> test = model + [0, 0.1, 0]
-    >>> test[-1, :, 1] += 40  # of this one there is no partner
+    >>> test[-1, :, 1] += 40  # this segment has no partner
     >>> result = lhd(test, model, matcher="mutual")
     >>> round(result.value, 3), round(result.perpendicular_only, 3), result.test_model.n
     (0.1, 0.1, 5)
@@ -963,14 +980,14 @@ class LHD(Shown):
     def interval(self, *, seed: int = 0) -> tuple[float, float]:
         """95 % confidence interval of the value for fixed pairs and threshold: (low, high), m.
 
-        By bootstrap of the source segments. Says how far the value depends on the segments that
-        happened to be found, not whether the pairs are right. NaN below two sources a direction.
+        By bootstrap of the source segments. It covers the choice of the segments, not errors of the
+        pairs. NaN if a direction has fewer than two sources.
         """
         rng, side = np.random.default_rng(seed), self._larger
         if min(self.test_model.n, self.model_test.n) < 2:
             return np.nan, np.nan
         distances = side.parts.distance(self.weight)
-        # its own denominator, whatever the norm
+        # each draw is divided by its own sum of weights, for both norms
         _, ends = side.bootstrap(lambda weights: weights @ distances / weights.sum(axis=1), rng)
         low, high = ends * side.length.sum() / side.total
         return max(float(low), 0.0), float(high)
@@ -978,14 +995,14 @@ class LHD(Shown):
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
 
-        The parts of the larger direction add up to its distance. *displacement*: mean of what the
-        displacement and turn of the set move the rightly paired lines across themselves. *position*
-        and *direction*: what their perpendicular distance exceeds that by, and what the angle adds,
-        both of the extraction of edges and of drift. *ends*: what the parallel distance adds.
-        *false pairs*: what the pairs do that are none of ``truth`` (bool, (p, q); by default the
-        pairs that agree on one displacement, of :func:`match_displaced`). 95 % confidence intervals
-        by bootstrap of the source segments, with the covariance of the displacement. NaN where
-        unknown.
+        The parts of the larger direction add up to its distance. *displacement*: mean shift of the
+        correctly paired lines across themselves, from the displacement and rotation of the set.
+        *position*: excess of their perpendicular distance. *direction*: contribution of the angle.
+        Position and direction come from the extraction of edges and from drift. *ends*:
+        contribution of the parallel distance. *false pairs*: contribution of the pairs that are not
+        in ``truth`` (bool, (p, q); by default the pairs of :func:`match_displaced`). The 95 %
+        confidence intervals come from a bootstrap of the source segments and the covariance of the
+        displacement. NaN if the displacement is unknown.
         """
         truth = match_displaced(self.test, self.model).pairs if truth is None else truth
         side, truth = self._larger, np.asarray(truth)
@@ -1003,7 +1020,7 @@ class LHD(Shown):
         levels = np.sqrt(np.cumsum(squares, axis=0))
 
         def means(weights):
-            """Mean length of the parts for weights of the pairs (r, k), one after the other."""
+            """Mean of each part, (r, parts), for weights of the pairs (r, k)."""
             drawn = rng.multivariate_normal(np.zeros(3), moved.covariance, len(weights))
             drawn *= len(weights) > 1  # a single row is the measurement
             moves = across + np.einsum("nkd,rd->rnk", pairs.frame, drawn)
@@ -1012,17 +1029,17 @@ class LHD(Shown):
             steps = [*(sums / own.sum(axis=1)), weights @ levels[-1] / weights.sum(axis=1)]
             return np.column_stack([steps[0], np.diff(steps, axis=0).T, steps[-1]])
 
-        with np.errstate(invalid="ignore"):  # no right pair may be drawn
+        with np.errstate(invalid="ignore"):  # a draw may have no correct pair
             value, ends = side.bootstrap(means, rng)
         table = pd.DataFrame(np.column_stack([value, *ends]), columns=names)
         return table.assign(part=PARTS)[["part", *names]]
 
     def kinds(self) -> pd.Series:
-        """Return how many segments have which correspondence (section 2.3): Series of int.
+        """Return the number of groups of each kind of correspondence (section 2.3), Series of int.
 
-        ``one-to-null``: without a partner, in either set. ``one-to-one``; ``one-to-multiple``: a
-        test segment with several partners of its own; ``multiple-to-one``: a model segment with
-        several; ``multiple-to-multiple``: what remains, as groups that hang together.
+        ``one-to-null``: a segment of either set without a partner. ``one-to-one``: a single pair.
+        ``one-to-multiple``: a test segment with several partners. ``multiple-to-one``: a model
+        segment with several partners. ``multiple-to-multiple``: all other connected groups.
         """
         pairs = self.test_model.pairs
         p, q = pairs.shape
@@ -1064,16 +1081,17 @@ def hausdorff(test: ArrayLike, model: ArrayLike, **choices) -> float:
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     **choices
-        Of :func:`mmqa_lab.lines.distance_matrix`: ``weight``, ``rotate``, ``within``.
+        Passed to :func:`mmqa_lab.lines.distance_matrix`: ``weight``, ``rotate``, ``within``.
 
     Returns
     -------
     float
-        The larger of both directions, m; NaN when a set is empty.
+        The larger of both directions, m; NaN if a set is empty.
 
     Notes
     -----
-    A single segment without a counterpart decides it: hence the mean over pairs of :func:`lhd`.
+    A single segment without a counterpart determines the value. For this reason :func:`lhd` takes
+    the mean over pairs.
 
     References
     ----------
@@ -1107,9 +1125,9 @@ def lhd(
 ) -> LHD:
     """Line-segment Hausdorff distance between a test and a model set.
 
-    Each direction takes the distances of all pairs, finds the threshold where the sorted nearest
-    distances jump, pairs segments, and averages the pairs' distances weighted by the target's
-    length; the larger direction is the distance.
+    In each direction the threshold is at the jump of the sorted nearest distances. Segments within
+    the threshold are paired. The directed distance is the mean over the pairs, weighted by the
+    length of the target. The larger directed distance is the result.
 
     Parameters
     ----------
@@ -1118,20 +1136,20 @@ def lhd(
     weight : float
         W of the angle, >= 0.
     sensitivity : float
-        Of the peak that gives the threshold, m. Decides more than W.
+        Least prominence of the peak that gives the threshold, m. It affects the result more than W.
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments", "displaced"}
         ``all`` is the published method. ``displaced`` estimates the displacement first
-        (:func:`match_displaced`); where it finds too little it gives way to ``fragments``.
+        (:func:`match_displaced`); if it finds too few pairs, ``fragments`` is used.
     rotate, within
         As in :func:`components`.
     norm : {"pairs", "all"}
-        What the weighted sum of equation 7 is divided by: the lengths of all pairs (a mean; agrees
-        with the published numbers), or of all targets (as printed).
+        Divisor of the weighted sum of equation 7: the summed length of all pairs (a mean, which
+        agrees with the published numbers), or of all targets (as printed).
     threshold : callable, optional
-        Takes the nearest distances of one direction and returns a :class:`Threshold`, or its
-        delta; by default :func:`peak_threshold` with ``sensitivity``.
+        Takes the nearest distances of a direction (m) and returns a :class:`Threshold` or its
+        delta. By default :func:`peak_threshold` with ``sensitivity``.
     pairs : array_like of bool, shape (p, q), optional
-        Pairs that are known, in place of threshold and matcher.
+        Known pairs, used instead of threshold and matcher.
     radius : float
         Largest displacement that ``displaced`` seeks, m.
 
@@ -1143,19 +1161,19 @@ def lhd(
     ------
     ValueError
         If a setting is out of range, or the nearest segments of both sets are more than 100 m
-        apart: different coordinate systems.
+        apart, as in different coordinate systems.
 
     Warns
     -----
     UserWarning
-        If a set is empty, a threshold is a fallback, fewer than five pairs remain, or the displaced
-        matcher gave way.
+        If a set is empty, a threshold is a fallback, fewer than five pairs remain, or ``displaced``
+        was replaced by ``fragments``.
 
     Notes
     -----
-    The value is no displacement: angle and end-point noise add to it, false pairs enlarge and a
-    large displacement shrinks it. Look at :attr:`LHD.perpendicular_only`, ``displacement`` and
-    the coverage as well. It is no metric either.
+    The value is no displacement. Noise of angles and end points and false pairs increase it, and a
+    large displacement reduces it. Compare :attr:`LHD.perpendicular_only`, ``displacement`` and the
+    coverage. The value is no metric either.
 
     References
     ----------
@@ -1182,7 +1200,7 @@ def lhd(
     one_way = partial(_one_way, threshold=threshold, **settings)
 
     def both_ways(matcher, pairs=None):
-        """Both directions, by a matcher or with pairs that are known."""
+        """Both directions, by a matcher or with known pairs."""
         given = (None, None) if pairs is None else (pairs, pairs.T)
         there = one_way(test, model, matcher=matcher, pairs=given[0])
         back = one_way(model, test, matcher=matcher, pairs=given[1])
@@ -1198,7 +1216,7 @@ def lhd(
             )
     elif asked == "displaced":
         pairs, fragments = match_displaced(test, model, radius=radius).pairs, both_ways("fragments")
-        # it gives way where it finds less than three fifths of the pairs
+        # too few pairs: less than three fifths of those found by fragments
         used = asked if pairs.sum() >= 0.6 * fragments[0].n else "fragments"
     sides = fragments if used != asked else both_ways(used, pairs)
     result = LHD(weight, used, asked, *sides, test, model)
@@ -1208,7 +1226,7 @@ def lhd(
 
 
 def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, within, norm):
-    """One direction, its pairs (source, target)."""
+    """Directed distance from source to target, with pairs (source, target)."""
     parts = components(source, target, rotate=rotate, within=within)
     distances = parts.distance(weight)
     nearest = distances.min(axis=1) if len(target) else np.empty(0)
@@ -1236,22 +1254,22 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
 
 
 def doubts(result: LHD) -> list[str]:
-    """Return sentences on what makes a distance doubtful."""
+    """Return the reasons to doubt a distance, each as a sentence."""
     empty = [name for name in ("test", "model") if not len(getattr(result, name))]
     if empty:
-        return [f"No {' and no '.join(empty)} segments: nothing to measure."]
+        return [f"No {' and no '.join(empty)} segments, so there is nothing to measure."]
     sentences, sides = [], (result.test_model, result.model_test)
     for name, side in zip(("test to model", "model to test"), sides, strict=True):
         if side.threshold.fallback:
             sentences.append(
-                f"No jump in the nearest distances from {name}: the largest, "
-                f"{side.threshold.delta:.3g} m, is the threshold."
+                f"No jump in the nearest distances from {name}. "
+                f"The threshold is the largest distance, {side.threshold.delta:.3g} m."
             )
         if side.n < 5:
-            sentences.append(f"Only {side.n} pairs from {name}: a value of chance.")
+            sentences.append(f"Only {side.n} pairs from {name}. The value may be due to chance.")
     if result.matcher != result.asked:
         sentences.append(
-            f"Too few pairs agree on one displacement: matcher {result.matcher!r} is used."
+            f"Too few pairs agree on a displacement. Matcher {result.matcher!r} is used."
         )
     return sentences
 
@@ -1263,26 +1281,26 @@ def compare(
     radius: float = 4.0,
     **choices,
 ) -> pd.DataFrame:
-    """Compare several sets of segments with each other, both ways, as the paper's tables do.
+    """Compare several sets of segments with each other in both directions, as in the paper.
 
     Parameters
     ----------
     sets : dict of str to array_like, shape (n, 2, 3)
         Segments by name, two sets or more, m.
     reference : str, optional
-        The set that the others are measured against: it is always the model.
+        The reference set, which is always the model.
     radius : float
         Largest displacement that is sought, m.
     **choices
-        Of :func:`lhd`.
+        Passed to :func:`lhd`.
 
     Returns
     -------
     DataFrame
         A row for each comparison and direction: ``kind`` (repeatability, absolute), ``comparison``,
         the columns of :meth:`LHD.to_frame`, the 95 % confidence interval of the larger distance,
-        the displacement (m) with its standard deviations, ``displaced_pairs`` that agree on it, and
-        ``remarks``.
+        the displacement (m) with its standard deviations, the number of pairs that
+        agree on it (``displaced_pairs``), and ``remarks``.
 
     Raises
     ------
@@ -1306,7 +1324,7 @@ def compare(
     if len(sets) < 2 or empty:
         raise ValueError(
             f"Invalid sets {', '.join(sets)}: {len(sets)}, empty {', '.join(empty) or 'none'}. "
-            "Must be two or more with segments."
+            "Must be two or more sets with segments."
         )
     check_choice(reference, "reference", (None, *sets))
     courses = [name for name in sets if name != reference]
@@ -1334,5 +1352,5 @@ def _compared(names, test, model, radius, choices):
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
     table["displaced_pairs"] = moved.n
     if not np.isfinite(moved.vector).all():
-        sentences.append("No displacement: too few lines, or lines of one direction, agree on one.")
+        sentences.append("No displacement: too few lines agree, or all of them are parallel.")
     return table.assign(remarks=" ".join(sentences))

@@ -1,4 +1,4 @@
-"""Edges of clouds, where adjacent planes meet, with their uncertainty."""
+"""Edges of clouds, where planes meet, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from mmqa_lab._results import Shown
 from mmqa_lab.planes import CELLS_PER_SIZE, Grid, across, detect_planes, usual_size
 
 LEAST_DEG = 20.0
-"""Least angle between two planes that have an edge."""
+"""Least angle between two planes with an edge."""
 
 MISFIT = 2.0
-"""Standard deviations from which on the points beside an edge lie off their plane."""
+"""Points beside an edge are off their plane from this height, in standard deviations."""
 
 BEYOND = 40.0
-"""Of 40 rows of points one ends further before the end of its face than is allowed for, so that the
-shorter of two does so in 5 %."""
+"""One row of points in 40 ends farther before the end of its face than the spread allows. The
+shorter of two rows then exceeds it in 5 % of all cases."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edges(Shown):
-    """Edges of a cloud and how well they are known.
+    """Edges of a cloud and their uncertainty.
 
     Parameters
     ----------
     segments : array, shape (n, 2, 3)
         Edges, m.
     covariance : array, shape (n, 2, 3, 3)
-        Of both ends, square metres: across the edge from the planes, along it from the distances
-        and the noise of the points beside it, or from a third plane.
+        Of both ends, square metres. Across the edge it comes from the planes. Along the edge it
+        comes from the spacing and noise of the points beside it, or from a third plane.
     support : array of int, shape (n, 2)
-        Points of either plane beside the edge and clear of the other plane.
+        Number of points of each plane beside the edge and clear of the other plane.
     angle : array, shape (n,)
         Angle between the planes, degrees, 0 to 90.
     """
@@ -84,25 +84,25 @@ def extract_edges(
     tolerance: float = 0.05,
     size: float | None = None,
 ) -> Edges:
-    """Detect planes and intersect those that meet at 20 degrees or more, where both have points.
+    """Detect planes and intersect neighbours with an angle of 20 degrees or more.
 
-    The line of two planes is cut into bins of a quarter of ``size``. A bin counts where both
-    patches have points within half of ``size`` of the line that are clear of the other plane, and a
-    quarter of what their other bins have at least; runs of bins, gaps of one bin closed, are edges.
-    Points of both must also come as near to the line as their spacing allows: planes that end
-    before it have no edge there. An edge ends where its first side ends: at the last point and half
-    a gap, which is what the end of a row of points leaves open, or where a third plane meets both
-    within that uncertainty.
+    The line of two planes is cut into bins of a quarter of ``size``. A bin is full if both planes
+    have points within half of ``size`` of the line and clear of the other plane. Each needs a
+    quarter of its usual number at least. Points of both must also come as near to the line as their
+    spacing allows, since a plane that ends before the line has no edge there. Runs of full bins are
+    edges; gaps of a single bin are closed. An edge ends where its shorter side ends: half a gap
+    beyond the last point, or where a third plane meets both within the uncertainty of that end.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
         Metres.
     tolerance, size
-        See :func:`mmqa_lab.planes.detect_planes`, m: points within the tolerance of both planes
-        support neither; edges are half of ``size`` long at least, and a face of less than a
-        quarter of ``size`` squared has none. Default size: 1.5 m, or 2 m where scan lines are far
-        apart; more in thin clouds, up to 3 m, for three points in a square of a quarter of it.
+        As in :func:`mmqa_lab.planes.detect_planes`, m. Points within the tolerance of both planes
+        support neither. Edges are half of ``size`` long at least. A face smaller than a quarter of
+        ``size`` squared has no edges. Default size: 1.5 m, or 2 m if scan lines are far apart. In
+        thin clouds it grows up to 3 m, for about three points in a square with a side of a quarter
+        of ``size``.
 
     Returns
     -------
@@ -115,12 +115,12 @@ def extract_edges(
 
     Notes
     -----
-    The uncertainty is that of two planes whose points err independently by their residual standard
-    deviation. Where the points beside an edge lie off their plane by more than chance, as those of
-    a car's body that is joined with its cabin within the tolerance, this height is added. On
-    simulated streets of 10 to 300 points per square metre the 95 % ellipse across held 90 to 92 %
-    of the ends. Errors that neighbouring points share (positioning, relief) are not in it: compare
-    surveys to see those.
+    The uncertainty assumes independent errors of the points with their residual standard deviation.
+    If the points beside an edge lie off their plane by more than chance, this height is added. An
+    example is the body of a car that is joined with its cabin within the tolerance. On simulated
+    streets of 10 to 300 points per square metre the 95 % ellipse across the edge contained 90 to
+    92 % of the ends. Errors shared by neighbouring points (positioning, relief) are not included;
+    a comparison of surveys shows them.
 
     References
     ----------
@@ -155,7 +155,7 @@ def extract_edges(
 
 
 class _Lines:
-    """The lines in which neighbouring planes meet at an angle."""
+    """Intersection lines of neighbouring planes."""
 
     def __init__(self, points, patches, reach):
         owner = np.full(len(points), -1, dtype=np.int32)
@@ -186,7 +186,7 @@ class _Lines:
         self.foot = start + height[:, None] * (second - cosine[:, None] * first)
 
     def supported(self, tolerance, reach):
-        """Each line with the points beside it on either plane: rows station, depth, height."""
+        """Yield each line with its points on both planes, as rows station, depth, height."""
         for line, (first, second) in enumerate(self.pairs):
             sides = [
                 self._beside(line, *pair, tolerance, reach)
@@ -196,7 +196,7 @@ class _Lines:
                 yield line, sides
 
     def _beside(self, line, own, other, tolerance, reach):
-        """Points of a patch near a line and clear of the other plane, in the order of stations."""
+        """Points of a patch near a line and clear of the other plane, sorted by station."""
         cells = [
             matrix.indices[matrix.indptr[k] : matrix.indptr[k + 1]]
             for matrix, k in ((self.own, own), (self.around, other))
@@ -229,9 +229,9 @@ class _Lines:
         return ends, covariance, counts, opening
 
     def _corner(self, line, end, most):
-        """Where a third plane meets both within ``most`` of an end, with its spread; else the end.
+        """The corner with a third plane within ``most`` of an end, with its spread; else the end.
 
-        Three planes know the corner of a face far better than the gap behind its last point does.
+        Three planes determine the corner of a face far better than the gap after its last point.
         """
         near = np.intersect1d(*(self.near[number] for number in self.pairs[line]))
         slope = self.normals[near] @ self.direction[line]
@@ -247,9 +247,9 @@ class _Lines:
 
 
 def _misfits(side, low, high, reach):
-    """Heights at both ends (2,) of the points to one side of a line, where not zero by chance.
+    """Significant heights (2,) at both ends of the points beside a line; zero if not significant.
 
-    A face that is joined with another one within the tolerance lies off their common plane.
+    Two faces that are joined within the tolerance lie off their common plane.
     """
     heights = np.zeros(2)
     side = side[:, (np.abs(side[1]) <= reach) & (side[0] >= low) & (side[0] <= high)]
@@ -269,9 +269,9 @@ def _misfits(side, low, high, reach):
 
 
 def _runs(sides, cell, clear):
-    """Edges along a line: (low end, its spread), (high end, its spread), numbers of points."""
+    """Yield the edges along a line: (low end, spread), (high end, spread), numbers of points."""
     gaps = [np.median(np.diff(side[0])) / np.log(2) for side in sides if side.shape[1] > 1]
-    # four mean gaps of a bin, so that by chance few bins of a thin cloud are empty
+    # a bin spans four mean gaps at least, so that few bins of a thin cloud are empty by chance
     cell = max(cell, 4 * max(gaps, default=0.0))
     low = max(side[0, 0] for side in sides)
     bins = int(np.ceil((min(side[0, -1] for side in sides) - low) / cell))
@@ -292,7 +292,7 @@ def _runs(sides, cell, clear):
 
 
 def _full(side, edges, cell, clear):
-    """Bins with a fair share of the points, less what chance takes away, that reach the line."""
+    """Whether each bin has enough points, with a margin for chance, and reaches the line."""
     station, distance = side[0], np.abs(side[1])
     bins = np.searchsorted(edges, station, "right") - 1
     inside = (bins >= 0) & (bins < len(edges) - 1)
@@ -303,17 +303,17 @@ def _full(side, edges, cell, clear):
     lines_apart = np.diff(np.sort(distance)).max(initial=0)
     # four mean gaps across the line
     away = np.maximum(max(cell / 4, lines_apart), 8 * cell / (counts + 1))
-    # strays do not lengthen an edge
+    # stray points do not lengthen an edge
     fair = counts >= max(1, 0.25 * usual - np.sqrt(usual))
     return fair & (nearest <= clear + away)
 
 
 def _ends(side, first, last, cell):
-    """Both ends, each with its spread, and number of points of one side about a run of bins.
+    """Both ends of a side about a run of bins, each with its spread, and the number of points.
 
-    The gap behind the last point is exponentially distributed; its mean is that of n gaps, so that
-    one of 40 is longer than n (40^(1/n) - 1) means. By the same law a side is broken off at a gap
-    that one of 40 sides of so many points has.
+    The gap after the last point is exponentially distributed. Its mean is estimated from n gaps, so
+    that one gap in 40 is longer than n (40^(1/n) - 1) means. By the same law a side is cut at a gap
+    that occurs by chance on one side in 40.
     """
     inside = side[np.searchsorted(side, first - cell) : np.searchsorted(side, last + cell, "right")]
     gaps = np.diff(inside)
@@ -330,5 +330,5 @@ def _ends(side, first, last, cell):
 
 
 def _beyond(n, draws):
-    """The length that one gap out of ``draws`` exceeds, in means known from n gaps."""
+    """Length that one gap in ``draws`` exceeds, as a multiple of the mean estimated from n gaps."""
     return n * (draws ** (1 / n) - 1)

@@ -37,8 +37,8 @@ NARROW = 0.6
 REACH_M, COARSE_M, WIDE_M, ARCS = 1.0, 0.3, 4.0, 24
 MAX_LEAN, WIDEST_M, APART_M = 0.27, 0.6, 0.6
 THRESHOLD, DOUBT, LENGTH_M = 0.45, 0.02, 1.0
-"""The threshold was chosen on 36 streets of two generators and on posts. Their seeds are not used in
-tests, studies or benchmarks."""
+"""The threshold was chosen on 36 streets of two generators and on posts. Tests, studies and
+benchmarks use other seeds."""
 
 MEASURES = {
     "run_m": ("longest stretch with points in the core and hardly any around it", 1),
@@ -461,7 +461,7 @@ def trees_of(model):
 
 
 class Described(NamedTuple):
-    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft`` and ``ground`` (a function)."""
+    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``, ``ground`` (a function)."""
 
     axes: np.ndarray
     measures: pd.DataFrame

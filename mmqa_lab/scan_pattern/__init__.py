@@ -1,15 +1,15 @@
-"""Scan geometry of 2-D profile scanners on a moving vehicle: what falls on a surface, predicted.
+"""Scan geometry of 2-D profile scanners on a moving vehicle: prediction and measurement.
 
-Frame, right-handed: X to the target's side, across the track; Y in the direction of travel; Z up;
-origin in the scanner at the moment of the pulse. With all rotations zero the scan plane is vertical
-across the track (normal Y) and the target a vertical wall along it (normal X). Scanner and target
-are tilted first (scanner about X, target about Y), then turned by their heading about Z, both
-counter-clockwise positive: a target of positive heading is turned towards the vehicle, one of
-positive tilt leans away from it. This reading of Cahalane et al. 2014
-(doi 10.3390/s140609471, equation 1) is the one that gives their Table 3.
+The frame is right-handed: X to the target's side, across the track; Y in the direction of travel; Z
+up; origin in the scanner at the moment of the pulse. With all rotations zero the scan plane is
+vertical across the track (normal Y) and the target is a vertical wall along it (normal X). Scanner
+and target are tilted first (scanner about X, target about Y), then turned by their heading about Z.
+Angles are counter-clockwise positive. A target of positive heading is turned towards the vehicle; a
+target of positive tilt leans away from it. This reading of Cahalane et al. 2014
+(doi 10.3390/s140609471, equation 1) reproduces their Table 3.
 
-The core is the scan lattice of two steps on the surface: to the next pulse, and to the next
-profile. Start here::
+The scan lattice has two steps on the surface: to the next pulse, and to the next profile.
+Example::
 
     from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
 SMOOTH = (*MEASURED, "density_per_m2")
 QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
-"""What a lattice predicts, in the order of its table."""
+"""Predicted quantities, in the order of the table of a lattice."""
 
 EXPLAINED = (
     *(f"{side}_{turn}_deg" for side in ("scanner", "target") for turn in ("heading", "tilt")),
@@ -54,23 +54,23 @@ EXPLAINED = (
 """The inputs of Table 6."""
 
 TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
-FEWEST = 100  # pulses a revolution: with fewer a step of the mirror is no small step on the surface
-SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the last that will do is refined, m/s
+FEWEST = 100  # pulses per revolution; with fewer, a step on the surface is not small
+SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the refinement, m/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSetup:
-    """A profile scanner on a vehicle that drives along Y: MIMIC's five numbers.
+    """A profile scanner on a vehicle that drives along Y: the five inputs of MIMIC.
 
-    Every number may be an array; arrays broadcast, so that a sweep or a Monte-Carlo draw is one
-    set-up.
+    Every input may be an array; arrays broadcast. So a single set-up can hold a sweep or a
+    Monte-Carlo draw.
 
     Parameters
     ----------
     pulse_rate_hz : float
         Pulses per second (PRR).
     mirror_frequency_hz : float
-        Revolutions per second, one profile each (Mf). Pulses run upwards on the +X side.
+        Revolutions per second, each a profile (Mf). Pulses run upwards on the +X side.
     speed_m_s : float
         Speed along Y (v).
     scanner_heading_deg, scanner_tilt_deg : float
@@ -113,10 +113,10 @@ class ScanSetup:
 
     @classmethod
     def of_scanner(cls, scanner: Any, *, speed_m_s: float) -> ScanSetup:
-        """Return the set-up of a simulated profile scanner, driven at a speed.
+        """Return the set-up of a simulated profile scanner at a speed.
 
-        Its boresight and lever arm are left out. A head of several layers, as Sensei's, counts as
-        one: the layer of its own ``tilt_deg``.
+        Its boresight and lever arm are ignored. A head of several layers, such as Sensei, is
+        represented by the layer of its own ``tilt_deg``.
 
         Parameters
         ----------
@@ -124,6 +124,7 @@ class ScanSetup:
             Has ``pulse_rate_hz``, ``mirror_frequency_hz``, ``heading_deg`` and ``tilt_deg``, as
             ``simulate.Scanner`` does.
         speed_m_s : float
+            Speed of the vehicle.
         """
         return cls(
             pulse_rate_hz=scanner.pulse_rate_hz,
@@ -135,7 +136,7 @@ class ScanSetup:
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation (..., 3, 3); its columns: level and normal of the scan plane, upward in it."""
+        """Rotation (..., 3, 3); columns: level line, normal and upward line of the scan plane."""
         return turned(z=self.scanner_heading_deg, x=self.scanner_tilt_deg)
 
 
@@ -143,12 +144,12 @@ SETUP_NAMES = tuple(field.name for field in fields(ScanSetup))
 
 
 class Patch(NamedTuple):
-    """Small pieces of any surface, each by its place and its normal.
+    """Small pieces of any surface, each given by its place and normal.
 
     Parameters
     ----------
     points : array_like, shape (..., 3)
-        X and Z from the scanner in metres; Y is free, for the scan comes past every Y.
+        X and Z from the scanner, metres. Y is free, since the scan passes every Y.
     normals : array_like, shape (..., 3)
         Of any length.
     """
@@ -169,7 +170,7 @@ class Target:
         beta_targ: positive leans its top away from the vehicle.
     range_m : float
         Horizontal range (Hr): X of the plane where the horizontal pulse of the level vehicle
-        strikes it. That pulse is ``range_m / cos(scanner heading)`` long.
+        hits it. That pulse is ``range_m / cos(scanner heading)`` long.
     height_difference_m : float
         Height of the evaluated spot above the scanner (h_targ - h_scan).
 
@@ -197,7 +198,7 @@ class Target:
         check_values(self.range_m, "range_m", positive=True)
 
     def patch(self, setup: ScanSetup) -> Patch:
-        """Return the spot of the plane that is evaluated.
+        """Return the evaluated spot of the plane as a ``Patch``.
 
         Raises
         ------
@@ -220,7 +221,7 @@ class Target:
 
 TARGET_NAMES = {"target_heading_deg": "heading_deg", "target_tilt_deg": "tilt_deg"}
 TARGET_NAMES |= {name: name for name in ("range_m", "height_difference_m")}
-INPUTS = (*SETUP_NAMES, *TARGET_NAMES)  # names of what may be in error
+INPUTS = (*SETUP_NAMES, *TARGET_NAMES)  # names of the inputs that may have errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,24 +238,25 @@ class Lattice(Shown):
         The horizontal line of the surface and its line of greatest slope; on a level surface,
         across the track and along it.
     a : array, shape (..., 2)
-        Step along ``axes`` from a pulse to the next, m; the spot is halfway in time.
+        Step along ``axes`` from a pulse to the next, m; the spot is halfway between them in time.
     b : array, shape (..., 2)
-        Step to the next profile, the spot halfway in time: to the same mirror angle where PRR / Mf
-        is whole, else to the pulse nearest to it.
+        Step to the next profile, m; the spot is halfway in time. It leads to the same mirror angle
+        if PRR / Mf is whole, else to the nearest pulse.
     profile_spacing_perpendicular_m : array
-        Gap between neighbouring profiles.
+        Gap between neighbouring profiles, m.
     profile_spacing_horizontal_m, profile_spacing_vertical_m : array
-        Gap along the horizontal line (d_PrSH) and along the slope (d_PrSV); inf along profiles, NaN
-        if level.
+        Gap along the horizontal line (d_PrSH) and along the slope (d_PrSV), m; infinite along the
+        profiles, NaN on a level surface.
     profile_angle_deg : array
-        Angle between profiles and the horizontal line, 0 to 90 (theta_PrA); NaN if level.
+        Angle between profiles and the horizontal line, 0 to 90 (theta_PrA); NaN on a level
+        surface.
     point_spacing_m : array
-        Distance to the next point of the profile (d_PS).
+        Distance to the next point of the profile (d_PS), m.
     density_per_m2 : array
-        PRR cos(i) / (2 pi R v |Y.n_scan|), in which the mirror frequency does not appear.
+        PRR cos(i) / (2 pi R v |Y.n_scan|), independent of the mirror frequency.
     d1_mm, d4_mm, f : array
         Quadrant distances of the chart's metric along ``axes`` and f = d4 / d1. In a lattice
-        d2 = d1 and d3 = d4, for it looks the same from behind.
+        d2 = d1 and d3 = d4 by symmetry.
 
     Examples
     --------
@@ -281,18 +283,18 @@ class Lattice(Shown):
     f: np.ndarray
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a DataFrame of ``QUANTITIES``, a row per spot."""
+        """Return a DataFrame of ``QUANTITIES``, one row per spot."""
         return pd.DataFrame({name: np.ravel(getattr(self, name)) for name in QUANTITIES})
 
     def points(self, half_width: float = 0.25) -> np.ndarray:
-        """Return the points that the steps lay about the spot, along ``axes``, (n, 2), metres."""
+        """Return the lattice points about a single spot, along ``axes``, (n, 2), metres."""
         reach = np.abs(np.linalg.inv(np.array([self.a, self.b]).T)).sum(axis=1) * half_width
         i, j = np.meshgrid(*(np.arange(-r, r + 1) for r in np.minimum(np.ceil(reach), 2000)))
         xy = np.multiply.outer(i, self.a) + np.multiply.outer(j, self.b)
         return xy[(np.abs(xy) <= half_width).all(axis=-1)]
 
     def plot(self, *, ax: Axes | None = None, half_width: float = 0.25) -> Axes:
-        """Draw the points about a single spot and the two steps, millimetres; return the axes."""
+        """Draw the points about a single spot and both steps, in millimetres; return the axes."""
         from mmqa_lab.plots import COLOURS, subplots
 
         ax = ax or subplots()[1]
@@ -310,20 +312,21 @@ class Lattice(Shown):
 def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     """Return the scan lattice on each piece of a surface.
 
-    The piece is struck when the scan plane comes past it. The pulses half a step before and after,
-    and those half a revolution before and after, are intersected with the piece's plane in closed
-    form, each from where the scanner then is.
+    A piece is hit when the scan plane passes it. The pulses half a step and half a revolution
+    before and after that moment are intersected with the plane of the piece in closed form, each
+    from the position of the scanner at its own time.
 
     Parameters
     ----------
     setup : ScanSetup
+        Scanner and speed.
     patch : Patch or Target
-        Its shape and the set-up's broadcast.
+        Pieces of the surface. Their shape and the shape of the set-up broadcast.
 
     Returns
     -------
     Lattice
-        NaN where a pulse does not meet the plane.
+        NaN where a pulse does not hit the plane.
 
     Raises
     ------
@@ -333,9 +336,9 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     Notes
     -----
     The lattice is local: over a wall of some metres range and incidence change, and so do the
-    steps. Laid about the spot they are those of the spot; a step from the spot to the next pulse
-    differs by half of what spacing changes from step to step (0.2 to 2 %), upwards and downwards
-    with opposite signs. 1 / |a x b| is the density up to the square of the mirror's step (1e-5).
+    steps. Each step has the spot in its middle. A step from the spot to the next pulse differs from
+    it by half of the change of spacing from step to step (0.2 to 2 %), with opposite signs upwards
+    and downwards. 1 / |a x b| equals the density up to the square of the mirror's step (1e-5).
 
     References
     ----------
@@ -354,12 +357,12 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
     speed = np.asarray(setup.speed_m_s, dtype=np.float64)
     level, plane, upward = np.moveaxis(setup.rotation, -1, 0)
-    # from where the scanner is when its plane comes past the points
+    # from the position of the scanner when its plane passes the points
     beam = points - (_dot(points, plane) / plane[..., 1])[..., None] * TRAVEL
     scan_angle = np.arctan2(_dot(beam, upward), _dot(beam, level))
 
     def strike(seconds, turns):
-        """Where the pulse some time and turns of the mirror later meets the plane."""
+        """Hit on the plane of the pulse after a time and a number of turns of the mirror."""
         angle = scan_angle + 2 * np.pi * turns
         aim = np.cos(angle)[..., None] * level + np.sin(angle)[..., None] * upward
         start = (speed * seconds)[..., None] * TRAVEL
@@ -369,7 +372,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
         return start + np.where(ahead, reach, np.nan)[..., None] * aim
 
     def step(pulses):
-        """Step along the axes over some pulses, the spot in the middle, whole turns left out."""
+        """Step along the axes over a number of pulses, about the spot, without whole turns."""
         seconds, turns = pulses / pulse_rate, pulses * mirror / pulse_rate
         turns = turns - np.round(turns)
         ends = [strike(side * seconds, side * turns) for side in (-0.5, 0.5)]
@@ -403,7 +406,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
 
 
 def lattice_distances(a, b):
-    """Return d1 = d2 and d3 = d4 of an endless lattice: nearest points of its quadrants.
+    """Return d1 = d2 and d3 = d4 of an infinite lattice: nearest points of its quadrants.
 
     The quadrants are half open, each without the axis on its counter-clockwise side. The basis is
     reduced (Lagrange); the nearest point of each quadrant is then within three steps.
@@ -446,7 +449,7 @@ def lattice_distances(a, b):
 
 
 def _checked(patch):
-    """Places and unit normals of a patch, or the sentence that says what is wrong."""
+    """Places and unit normals of a patch, checked."""
     points, normals = check_values(patch.points, "points"), check_values(patch.normals, "normals")
     length = np.linalg.norm(np.atleast_1d(normals), axis=-1, keepdims=True)
     if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,) or not length.all():
@@ -456,7 +459,7 @@ def _checked(patch):
 
 
 def _axes(normal):
-    """Level line and line of greatest slope, and where a surface has no level line of its own."""
+    """Level line and line of greatest slope of a surface, and whether the surface is level."""
     flat = np.hypot(normal[..., 0], normal[..., 1]) < LEVEL
     level = np.where(flat[..., None], np.cross(TRAVEL, normal), np.cross([0.0, 0.0, 1.0], normal))
     level /= np.linalg.norm(level, axis=-1, keepdims=True)
@@ -483,37 +486,38 @@ def _reduced(a, b):
 def largest_speed(
     setup: ScanSetup, target: Target | Patch, *, quantity: str, limit: float
 ) -> float:
-    """Return the largest speed at which a predicted quantity still keeps to a limit.
+    """Return the largest speed at which a predicted quantity still keeps a limit.
 
-    Density must be the limit or more, spacings, distances and f the limit or less. The speeds
-    between 0.01 and 100 m/s are tried in steps of 0.23 %, and the last one that will do is refined
-    to 1e-9 m/s; so the answer is right also for f, which may rise, fall and rise again with speed.
+    The limit is a minimum for the density, and a maximum for spacings, distances and f. Speeds
+    between 0.01 and 100 m/s are tried in steps of 0.23 %. The last speed that keeps the limit is
+    refined to 1e-9 m/s. So the result is also correct for f, which may rise, fall and rise again
+    with speed.
 
     Parameters
     ----------
     setup : ScanSetup
-        Of plain numbers; its own speed does not matter.
+        Of plain numbers; its own speed is ignored.
     target : Target or Patch
         A single spot.
     quantity : str
         One of ``QUANTITIES`` except the profile angle.
     limit : float
-        In the quantity's unit.
+        In the unit of the quantity.
 
     Returns
     -------
     float
-        m/s.
+        Speed, m/s.
 
     Raises
     ------
     ValueError
-        If no speed in the range keeps to the limit, or the fastest still does.
+        If no speed in the range keeps the limit, or even the fastest keeps it.
 
     Notes
     -----
-    A density has the closed form PRR cos(i) / (2 pi density R |Y.n_s|), and a perpendicular profile
-    spacing is spacing x Mf |n_s x n_t| / |Y.n_s| up to the motion of the scan plane during a
+    For a density the speed is PRR cos(i) / (2 pi density R |Y.n_s|). For a perpendicular profile
+    spacing it is spacing x Mf |n_s x n_t| / |Y.n_s| up to the motion of the scan plane during a
     revolution.
 
     Examples
@@ -529,7 +533,7 @@ def largest_speed(
     limit = check_positive(limit, "limit")
 
     def margin(speed):
-        """How far the quantity keeps to its limit, as a share of it; -1 if not defined."""
+        """Margin of the quantity to its limit, as a share of the limit; -1 if undefined."""
         values = getattr(scan_lattice(replace(setup, speed_m_s=speed), target), quantity)
         share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
         return np.where(np.isnan(share), -1.0, share)
@@ -554,24 +558,26 @@ def propagate(
 ) -> pd.DataFrame:
     """Propagate errors of set-up and target to the prediction, by Monte Carlo.
 
-    Independent normal errors are drawn, and the pattern is predicted each time. The plane stays
-    where the nominal set-up finds it; a turned target turns about that spot.
+    Independent normal errors are drawn, and the pattern is predicted for each draw. The plane stays
+    at the spot of the nominal set-up. A target with an error of rotation turns about that spot.
 
     Parameters
     ----------
     setup : ScanSetup
         Of plain numbers.
     target : Target
+        The nominal target.
     sigmas : dict of str to float
-        Standard deviation of inputs by their names: fields of ``ScanSetup``;
-        ``target_heading_deg``, ``target_tilt_deg``, ``range_m``, ``height_difference_m``.
+        Standard deviations of inputs by name: fields of ``ScanSetup``, ``target_heading_deg``,
+        ``target_tilt_deg``, ``range_m``, ``height_difference_m``; in the unit of the input.
     draws, seed : int
+        Number of draws (100 or more) and seed.
 
     Returns
     -------
     DataFrame
-        A row per quantity: ``quantity``, ``predicted``, ``std``, ``low`` and ``high`` (2.5 % and
-        97.5 %), ``n`` draws.
+        One row per quantity: ``quantity``, ``predicted``, ``std``, the 95 % interval ``low`` and
+        ``high``, and the number of draws ``n``.
 
     Raises
     ------
@@ -604,8 +610,8 @@ def explain_error(
 ) -> pd.DataFrame:
     """Return the change of each input, one at a time, that turns the prediction into a measurement.
 
-    What Table 6 of Cahalane et al. 2014 gives for an error of 2 mm: of the changes that do it, the
-    smallest, found within 15 degrees or a fifth of a rate or speed.
+    Table 6 of Cahalane et al. 2014 gives such changes for an error of 2 mm. The result is the
+    smallest change within 15 degrees, or within a fifth of a rate or speed.
 
     Parameters
     ----------
@@ -613,15 +619,15 @@ def explain_error(
         Of plain numbers.
     target : Target
     quantity : str
-        One of the spacings, the angle or the density, see :func:`propagate`.
+        A spacing, the angle or the density, as in the table of :func:`propagate`.
     measured : float
-        In the quantity's unit.
+        In the unit of the quantity.
 
     Returns
     -------
     DataFrame
-        ``input`` (those of Table 6), ``change`` (signed, in the input's unit; NaN where no change
-        in the range will do), ``predicted`` and ``measured``.
+        ``input`` (the inputs of Table 6), ``change`` (signed, in the unit of the input; NaN if no
+        change in the range explains the error), ``predicted`` and ``measured``.
 
     Raises
     ------
@@ -651,11 +657,11 @@ def explain_error(
 
 
 def _change(setup, target, quantity, measured, name):
-    """The smallest change of an input that does it; NaN where none does or all do."""
+    """The smallest change of an input that explains the error; NaN if none or every change does."""
     reach = 15.0 if name.endswith("_deg") else 0.2 * getattr(setup, name)
 
     def lack(change):
-        """By how much the prediction exceeds the measurement once the input is changed."""
+        """Excess of the prediction over the measurement after a change of the input."""
         return getattr(_with_errors(setup, target, {name: change}), quantity) - measured
 
     tried = np.linspace(-reach, reach, 601)
@@ -668,7 +674,7 @@ def _change(setup, target, quantity, measured, name):
 
 
 def _with_errors(setup, target, errors):
-    """The lattice with errors added to the named inputs, the plane where it was found."""
+    """The lattice with errors added to the named inputs, at the spot of the nominal set-up."""
     changed = {name: getattr(setup, name) + errors[name] for name in errors if name in SETUP_NAMES}
     moved = {
         field: getattr(target, field) + errors.get(name, 0.0)

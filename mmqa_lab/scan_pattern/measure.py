@@ -1,8 +1,8 @@
 """Scan patterns measured in the points of a planar patch.
 
-In place of distances clicked between points (Cahalane et al. 2014, sections 4.1.2 and 4.2.2), all
-profiles of a patch are fitted at once. Which profile and which pulse a point belongs to is found
-from its time or its scan line; standard deviations come from leaving out blocks of profiles.
+Cahalane et al. 2014 (sections 4.1.2 and 4.2.2) click distances between points. Here all profiles of
+a patch are fitted at once. The time or the scan line of a point gives its profile and its pulse.
+Standard deviations come from a jackknife over blocks of profiles.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from mmqa_lab._results import Shown
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.mimic import LEVEL
 
-PAUSE = 20  # of the typical step of time: longer ones separate runs of points
-FEW = 16  # runs whose beginnings are compared for the period
+PAUSE = 20  # longer pauses, in typical time steps, separate runs of points
+FEW = 16  # number of runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
-LEAST_OFF_M = 1e-4  # but not if they lie as near as that
-MANY = 150  # points from which on curvature and the turning of the beam are fitted too
-BLOCKS = 40  # of profiles, left out in turn; single ones where there are fewer
+LEAST_OFF_M = 1e-4  # points nearer to their profile are always kept
+MANY = 150  # least number of points for a fit of curvature and of the turn of the beam
+BLOCKS = 40  # blocks of profiles left out in turn; single profiles if there are fewer
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
-LONGEST_S = 300_000.0  # times farther apart have passed the end of a GPS week
-CROSSED = 0.3  # points off their profiles by this share of the gap, or left out, are no profiles
-UNEVEN = 0.2  # what the median gap between neighbours may differ from the mean
+LONGEST_S = 300_000.0  # a longer span of times passes the end of a GPS week
+CROSSED = 0.3  # largest scatter as a share of the gap, and largest share of points left out
+UNEVEN = 0.2  # largest relative difference of the median gap from the mean gap
 MEASURED = (
     *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
     *("profile_angle_deg", "point_spacing_m"),
@@ -38,24 +38,24 @@ MEASURED = (
 
 @dataclass(frozen=True, eq=False)
 class PatternMeasurement(Shown):
-    """What was measured in a patch; metres and degrees, each with its standard deviation.
+    """The measured pattern of a patch in metres and degrees, with standard deviations.
 
     Parameters
     ----------
     direction : array, shape (3,)
         Unit vector along the profiles.
     profiles, points : int
-        Used.
+        Numbers of profiles and points used.
     profile_spacing_perpendicular_m : float
         The mean gap between neighbouring profiles over the patch.
     profile_spacing_horizontal_m, profile_spacing_vertical_m : float
-        The same along the horizontal line of the plane and along its line of greatest slope, the
-        latter badly determined above 75 degrees.
+        The gap along the horizontal line of the plane and along its line of greatest slope. The
+        vertical gap is poorly determined for profile angles above 75 degrees.
     profile_angle_deg, point_spacing_m : float
-        The angle from the horizontal line and the spacing of points along a profile at the
-        reference point. NaN where not measurable.
+        The angle of the profiles from the horizontal line, and the spacing of points along a
+        profile, both at the reference point. NaN if not measurable.
     std : dict of str to float
-        The standard deviations of these five, by their names; NaN with fewer than four profiles.
+        Standard deviations of these five quantities by name; NaN with fewer than four profiles.
 
     Examples
     --------
@@ -92,23 +92,23 @@ def measure_pattern(
 ) -> PatternMeasurement:
     """Measure the scan pattern of a planar patch.
 
-    Profiles are numbered by ``scan_line`` or from ``gps_time``. One direction, one curvature and
-    one way of sliding along the beam (range noise moves points off the plane and across the
-    profiles at the same time) are fitted to all profiles at once; the gap is the slope of their
-    offsets. Pulses are counted by time, and the spacing of points is the slope of place over count
-    at the reference point.
+    Profiles are numbered by ``scan_line`` or from ``gps_time``. All profiles share a direction, a
+    curvature and a slide along the beam, since range noise moves points off the plane and across
+    the profiles at the same time. The gap is the slope of the offsets of the profiles over their
+    numbers. Pulses are counted by time. The point spacing is the slope of place over pulse count at
+    the reference point.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
-        One planar patch, one pass of one scanner head, metres.
+        A single planar patch from a single pass of one scanner head, metres.
     gps_time : array_like, shape (n,), optional
-        Seconds. Without it, or where its clock is coarser than the pulses, there is no point
-        spacing.
+        Seconds. The point spacing is NaN without times, or if their clock is coarser than the
+        pulses.
     scan_line : array_like of int, shape (n,), optional
-        Counts profiles; missing ones must be missing in it too.
+        Number of the profile; missing profiles must leave gaps in the numbers.
     reference : array_like, shape (3,), optional
-        Where angle and point spacing are given; the centroid where left out.
+        Where angle and point spacing are evaluated, metres; by default the centroid.
 
     Returns
     -------
@@ -117,17 +117,17 @@ def measure_pattern(
     Raises
     ------
     ValueError
-        If there is neither time nor scan line, times pass the end of a week, columns are not as
-        long as the points, fewer than two profiles of three points and twelve points in all are
-        found, or the points do not lie on one family of parallel profiles.
+        If there is neither time nor scan line, times pass the end of a GPS week, a column has the
+        wrong length, there are fewer than twelve points or fewer than two profiles of three points,
+        or the points do not lie on a single family of parallel profiles.
 
     Notes
     -----
-    Standard deviations contain what shows in the patch: range and angle noise, drop-outs, drift of
-    speed, jitter of attitude. They do not contain what turns or stretches the whole patch:
-    boresight, attitude bias, and noise along the beam that tilts the fitted plane (0.13 degrees of
-    profile angle where noise is 2 cm, 0.01 where it is 5 mm). Distances between neighbouring
-    points, the obvious measure, are 1 to 3 mm too long at 5 mm range noise.
+    Standard deviations contain errors that vary within the patch: range and angle noise, drop-outs,
+    drift of speed, jitter of attitude. They do not contain errors that turn or stretch the whole
+    patch: boresight, attitude bias, and noise along the beam that tilts the fitted plane (0.13
+    degrees of profile angle for noise of 2 cm, 0.01 degrees for 5 mm). Plain distances between
+    neighbouring points are 1 to 3 mm too long at 5 mm range noise.
 
     References
     ----------
@@ -171,17 +171,17 @@ def measure_pattern(
 
 
 def _column(values, name, n):
-    """A column as float64, one value a point, or None."""
+    """A column as float64, one value per point, or None."""
     if values is None:
         return None
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (n,) or not np.isfinite(values).all():
-        raise ValueError(f"Invalid {name} of shape {values.shape}. Must be finite, one a point.")
+        raise ValueError(f"Invalid {name} of shape {values.shape}. Must be finite, one per point.")
     return values
 
 
 def _without_strays(local, numbers, kept):
-    """Rows of profiles of three points or more, without those that stray, and their share."""
+    """Rows of profiles of three points or more, without stray points, and the share kept."""
     whole = 0
     for _ in range(3):
         _, group, counts = np.unique(numbers[kept], return_inverse=True, return_counts=True)
@@ -203,17 +203,17 @@ class _Fit(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     off: np.ndarray  # from the plane
-    group: np.ndarray  # place of each point's profile in numbers
+    group: np.ndarray  # index of each point's profile in numbers
     numbers: np.ndarray
     offsets: np.ndarray  # of the profiles across
-    gap: float  # the mean between neighbours: slope of offsets over numbers
-    beside: np.ndarray  # how far points lie beside their profile
+    gap: float  # mean gap between neighbours: slope of offsets over numbers
+    beside: np.ndarray  # distances of points beside their profile
     along: np.ndarray  # unit vectors in space along the profiles, and the plane's normal
     normal: np.ndarray
 
 
 def _fitted(local, numbers, centre):
-    """Plane, and one direction for all profiles, their curvature and slide shared."""
+    """Fit a plane, and profiles with a common direction, curvature and slide along the beam."""
     flat = fit_plane(local)
     uv, off = flat.project(local) - flat.project(centre), flat.residuals
     present, group = np.unique(numbers, return_inverse=True)
@@ -235,7 +235,7 @@ def _fitted(local, numbers, centre):
 
 
 def _check_one_head(fit, share):
-    """Refuse points that are not on one family of parallel profiles, numbered evenly."""
+    """Refuse points that are not on a family of parallel, evenly numbered profiles."""
     steps = np.abs(np.diff(fit.offsets) / np.diff(fit.numbers))
     crossed = np.std(fit.beside) > CROSSED * fit.gap or share < 1 - CROSSED
     if crossed or abs(np.median(steps) / fit.gap - 1) > UNEVEN:
@@ -247,14 +247,14 @@ def _check_one_head(fit, share):
 
 
 def _figures(local, numbers, pulse, centre):
-    """The five figures."""
+    """The five quantities of ``MEASURED``."""
     fit = _fitted(local, numbers, centre)
     level = np.cross([0.0, 0.0, 1.0], fit.normal)
     size, angle, spacing = np.linalg.norm(level), np.nan, np.nan
     if size >= LEVEL:
         angle = np.arccos(min(abs(fit.along @ level) / size, 1.0))
     if np.isfinite(pulse).all():
-        # pulses are a polynomial of place, to a degree that the points bear, and the slide
+        # pulses are a polynomial of place and the slide; few points allow the first degree only
         degree = 1 if len(pulse) < MANY else 3
         powers = [(i, j) for i in range(1, degree + 1) for j in range(degree + 1 - i)]
         terms = np.stack([*(fit.x**i * fit.y**j for i, j in powers), fit.off], axis=1)
@@ -265,7 +265,7 @@ def _figures(local, numbers, pulse, centre):
 
 
 def _jackknifed(local, numbers, pulse, centre):
-    """Standard deviations of the five figures, from leaving out blocks of profiles in turn.
+    """Standard deviations of the five quantities, by jackknife over blocks of profiles.
 
     They are widened so that 1.96 of them are the 95 % interval by Student's t.
     """
@@ -283,7 +283,7 @@ def _jackknifed(local, numbers, pulse, centre):
 
 
 def _pulses(time, numbers, used):
-    """Pulses since the first point by time; NaN where the clock is too coarse to count them."""
+    """Pulses since the first point, by time; NaN if the clock is too coarse to count them."""
     if time is None:
         return np.full(len(used), np.nan)
     since = time[used] - time[used].min()
@@ -293,7 +293,8 @@ def _pulses(time, numbers, used):
 def pulse_period(time, group):
     """Return the time from pulse to pulse, seconds, from the times of the points of profiles.
 
-    NaN where points of a profile share times: the clock is then coarser than the pulses.
+    Shapes of time and group are (n,). NaN if the clock is coarser than the pulses, so that points
+    of a profile share times.
 
     Examples
     --------
@@ -314,14 +315,14 @@ def pulse_period(time, group):
 
 
 def solve_groups(terms, values, group):
-    """Least squares of ``values`` on shared terms and one constant for each group.
+    """Least squares of values (n,) on shared terms (n, k) and a constant per group (n,).
 
-    Terms without any spread (distances from a plane without noise) get coefficient 0.
+    A term without spread (distances from a plane without noise) gets the coefficient 0.
 
     Returns
     -------
     tuple of array
-        Coefficients, the groups' constants, residuals.
+        Coefficients (k,), constants of the groups (m,), residuals (n,).
     """
     means, level = group_means(terms, group), group_means(values, group)
     about, target = terms - means[group], values - level[group]
@@ -333,7 +334,7 @@ def solve_groups(terms, values, group):
 
 
 def group_means(values, group):
-    """Means of numbers, or of the rows of a matrix, over groups, (m, ...)."""
+    """Means over groups of values (n,) or of rows (n, k): shape (m,) or (m, k)."""
     if values.ndim == 2:
         return np.stack([group_means(column, group) for column in values.T], axis=1)
     return np.bincount(group, values) / np.bincount(group)
@@ -342,7 +343,7 @@ def group_means(values, group):
 def revolutions_from_time(time: ArrayLike) -> np.ndarray:
     """Return the number of the revolution of each point, from 0.
 
-    Revolutions are cut in the longest pause of their phase: while the beam is off the patch.
+    Revolutions are cut in the longest pause of their phase, when the beam is off the patch.
 
     Parameters
     ----------
@@ -356,7 +357,7 @@ def revolutions_from_time(time: ArrayLike) -> np.ndarray:
     Raises
     ------
     ValueError
-        If no frequency of a mirror shows in the times.
+        If the times show no mirror frequency.
 
     Examples
     --------
@@ -369,13 +370,13 @@ def revolutions_from_time(time: ArrayLike) -> np.ndarray:
 
 
 def mirror_frequency(time):
-    """Return the revolutions per second that the times of the points show.
+    """Return the revolutions per second from the times (n,) of the points, in seconds.
 
-    Of the periods between the beginnings of runs of points, that one is taken which leaves the
-    longest part of a revolution without any point; then a line is fitted through the middles of the
-    revolutions, without the first and the last, which may be cut. Where the patch is not
-    symmetrical about the direction of travel its outline shifts from profile to profile, by a few
-    pulses of some thousand: the answer is good to 0.1 %.
+    Candidate periods are the times between the beginnings of runs of points. The chosen period
+    leaves the longest part of a revolution without points. A line is then fitted through the
+    middles of the revolutions, without the first and the last, which may be incomplete. If the
+    patch is not symmetrical about the direction of travel, its outline shifts from profile to
+    profile by a few pulses in some thousand. The result is accurate to 0.1 %.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""MIMIC's own equations (Cahalane et al. 2014), as printed and as they must be read.
+"""The equations of MIMIC (Cahalane et al. 2014), as printed and as they must be read.
 
-MIMIC is the MobIle Mapping poInt density Calculator. Sensors 14(6), 9471-9488,
-doi:10.3390/s140609471. Names follow the paper's symbols; notebook 05 lists them, and what had to be
-settled before the equations could be used. In them the scan plane stands still while the mirror
-turns; in ``scan_lattice`` it moves. Angles in degrees.
+MIMIC is the MobIle Mapping poInt density Calculator (Sensors 14(6), 9471-9488,
+doi:10.3390/s140609471). Names follow the symbols of the paper. Notebook 05 lists them, with the
+choices that the equations require. In these equations the scan plane stands still while the mirror
+turns; in ``scan_lattice`` it moves. Angles are in degrees.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,7 @@ def turned(*, z=0.0, x=0.0, y=0.0):
 def scanner_normal(alpha_scan, gamma_scan):
     """Equation 1 for the scan plane: its normal, Y before rotation, (..., 3).
 
-    Read with row vectors, tilt before heading: the reading that gives Table 3.
+    The equation is read with row vectors, tilt before heading. This reading reproduces Table 3.
 
     Parameters
     ----------
@@ -91,14 +91,14 @@ def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
 
     Law of sines in the plan view: d sin(theta_3) / sin(theta_4) for a target turned away
     (equation 2, alpha_targ < 0, the paper's d+), d sin(theta_2) / sin(theta_5) for one turned
-    towards the vehicle (equation 3, d-). The angles are drawn in figure 4 only; Table 3 asks for
+    towards the vehicle (equation 3, d-). The angles appear in figure 4 only; Table 3 requires
     theta_2 = theta_3 = 90 - alpha_scan, theta_4 = 90 - alpha_scan - |alpha_targ| and
     theta_5 = 90 - alpha_scan + |alpha_targ|. Scanner tilt and target tilt do not enter.
 
     Parameters
     ----------
     d : float
-        Distance driven in a revolution, v / Mf, metres.
+        Distance driven per revolution, v / Mf, metres.
     alpha_scan, alpha_targ : float
         Degrees.
 
@@ -110,7 +110,7 @@ def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
     Raises
     ------
     ValueError
-        If the angles do not let the horizontal pulse strike the front of the target.
+        If the horizontal pulse cannot hit the front of the target at these angles.
 
     References
     ----------
@@ -183,14 +183,15 @@ def profile_spacing_vertical(d_prsh, theta_pra):
 
 
 def pulse_angle(pulse_rate_hz, mirror_frequency_hz):
-    """Equation 5: theta_A, the field of view over the pulses in it (PpM), degrees.
+    """Equation 5: theta_A, the field of view divided by the number of its pulses (PpM), degrees.
 
-    PpM is not printed: PRR / Mf for 360 degrees and its share of a smaller field of view, so that
-    the field of view drops out.
+    PpM is not printed. It is PRR / Mf for 360 degrees and proportionally less for a smaller field
+    of view, so that the field of view cancels.
 
     Parameters
     ----------
     pulse_rate_hz, mirror_frequency_hz : float or array_like
+        Pulses and revolutions per second.
 
     Returns
     -------
@@ -206,16 +207,16 @@ def pulse_angle(pulse_rate_hz, mirror_frequency_hz):
 
 
 class PointSpacing(NamedTuple):
-    """The chain of equations 5 to 10; metres and degrees, symbols of the paper.
+    """The results of equations 5 to 10, in metres and degrees, with the symbols of the paper.
 
     Parameters
     ----------
     d2 : float
-        Way along the profile to the evaluated height, metres (equations 6 and 7).
+        Distance along the profile to the evaluated height, metres (equations 6 and 7).
     r2 : float
         Length of the pulse there, metres (equation 9).
     theta_o : float
-        Angle at the next point struck, degrees.
+        Angle at the next point hit, degrees.
     d_ps : float
         Point spacing, metres (equation 10).
 
@@ -240,7 +241,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     scanner, target : pair of float
         (alpha_scan, gamma_scan) and (alpha_targ, beta_targ), degrees.
     h_r : float
-        Hr: X of the target where the horizontal pulse strikes it, metres.
+        Hr: X of the target where the horizontal pulse hits it, metres.
     height_difference : float
         h_targ - h_scan, metres.
     theta_a : float
@@ -248,7 +249,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     literal : bool
         Equation 10 as printed, with r1.
     upwards : bool
-        To the pulse above the one that strikes at h_targ, or to that below.
+        Spacing from the pulse at h_targ to the pulse above it; if False, to the pulse below it.
 
     Returns
     -------
@@ -257,14 +258,13 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     Raises
     ------
     ValueError
-        If the scan plane is level, or no pulse strikes the target's front.
+        If the scan plane is level, or no pulse hits the front of the target.
 
     Notes
     -----
-    theta_scan is the angle at the point struck by the horizontal pulse, between the way to the
-    scanner and the way up the profile; theta_o the angle of the triangle of both pulses at the
-    second point struck. The spacing upwards and downwards differs by up to some per cent at
-    grazing incidence.
+    theta_scan is the angle at the point hit by the horizontal pulse, between the directions to the
+    scanner and up the profile. theta_o is the angle at the second point in the triangle of both
+    pulses. At grazing incidence the spacings upwards and downwards differ by up to some per cent.
 
     References
     ----------
@@ -299,7 +299,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
 
 
 def _check_strike(alpha_scan, alpha_targ):
-    """Refuse angles at which the horizontal pulse misses the target's front."""
+    """Refuse angles at which the horizontal pulse misses the front of the target."""
     scan = check_values(alpha_scan, "alpha_scan")
     between = np.abs(scan - check_values(alpha_targ, "alpha_targ"))
     if (np.maximum(between, np.abs(scan)) >= 90).any():
@@ -310,7 +310,7 @@ def _check_strike(alpha_scan, alpha_targ):
 
 
 def check_values(values, name, *, positive=False):
-    """Return finite float64 numbers of any shape, above zero if they must be."""
+    """Return finite float64 numbers of any shape, checked to be above zero if ``positive``."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")

@@ -1,12 +1,12 @@
 """Spacing of points in a plane: quadrant distances, d1..d4, f, spacing by direction, g.
 
-Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3: the distances to the nearest point in
-each of four quadrants, sorted, show whether points lie evenly or in lines. f = d4/d1 sorts them and
-so forgets their directions. The *spacing ratio* g keeps them: the spacing across the direction in
-which points lie closest, divided by the spacing along it.
+In Pfeifer et al. 2021 (doi 10.3390/rs13020237), section 3.3, the sorted distances to the nearest
+point in each of four quadrants show whether points lie evenly or in lines. Sorting loses the
+directions, and so does f = d4/d1. The *spacing ratio* g keeps them: it is the spacing across the
+direction in which points lie closest, divided by the spacing along that direction.
 
 :func:`quadrants` gives d1..d4 and f, :func:`directional` the spacing by direction and g, each with
-95 % intervals; :func:`exempt` says where f does not matter.
+95 % confidence intervals. :func:`exempt` tells where f does not matter.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ __all__ = [
 __dir__ = __all__.copy
 
 STEP_DEG = 4.0
-"""Distance between the directions that are tried."""
+"""Step between the directions that are tried, degrees."""
 
 SECTOR_STEPS = 15
-"""Width of a sector in those steps: 60 degrees, a third of all directions."""
+"""Width of a sector in steps of STEP_DEG: 60 degrees, a third of all directions."""
 
 AT_ONCE = 1_000_000
-"""Neighbours that are searched together: bounds the memory."""
+"""Number of neighbours that are searched together; it limits the memory."""
 
 FEW = 30_000
-"""Points that are searched by scipy, in all, before numba is imported: that takes as long."""
+"""Total number of points searched by scipy before numba is imported, which takes as long."""
 
 CHANCE = 3.2
 """95 % of random patterns of n points have a g below 1 + CHANCE / sqrt(n)."""
 
 FEWEST = 50
-"""Points that an interval needs."""
+"""Least number of points for an interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +83,18 @@ class Spacing(Shown):
 
     @property
     def n(self) -> int:
-        """Points in all."""
+        """Number of points."""
         return len(self.xy)
 
     @cached_property
     def d(self) -> np.ndarray:
-        """Medians d1..d4 of the distances, m; NaN where no point has a neighbour of that rank."""
+        """Medians d1..d4 of the distances, m; NaN if no point has a neighbour of that rank."""
         known = (values[~np.isnan(values)] for values in self.distances.T)
         return np.array([np.median(values) if len(values) else np.nan for values in known])
 
     @property
     def counts(self) -> np.ndarray:
-        """Points behind each median."""
+        """Number of points in each median, shape (4,)."""
         return (~np.isnan(self.distances)).sum(axis=0)
 
     @property
@@ -104,7 +104,7 @@ class Spacing(Shown):
 
     @cached_property
     def coincident(self) -> int:
-        """Points that share their place with another one."""
+        """Number of points that share their place with another point."""
         # numpy orders complex numbers by their real, then their imaginary part
         places = np.sort(np.ascontiguousarray(self.xy).view(np.complex128).ravel())
         same = places[1:] == places[:-1]
@@ -112,7 +112,7 @@ class Spacing(Shown):
 
     @property
     def f(self) -> float:
-        """Inhomogeneity d4 / d1, equation (1); NaN where one of them is not measurable."""
+        """Inhomogeneity d4 / d1, equation (1); NaN if d1 or d4 is not measurable."""
         return float(self.d[-1] / self.d[0])
 
     @cached_property
@@ -124,7 +124,7 @@ class Spacing(Shown):
     def intervals(self) -> np.ndarray:
         """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2).
 
-        From blocks of whole scan lines where there are any, see :func:`line_strips`.
+        They come from blocks of whole scan lines if the points lie in lines: :func:`line_strips`.
         """
         ends = [stats.median_interval(distances, self.strips) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
@@ -132,7 +132,7 @@ class Spacing(Shown):
 
     @cached_property
     def strips(self) -> np.ndarray:
-        """The blocks of the intervals, see :func:`line_strips`."""
+        """Blocks for the intervals, see :func:`line_strips`."""
         return line_strips(self.xy, self.directional if self.n >= FEWEST else None)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
@@ -155,7 +155,7 @@ class Spacing(Shown):
         return ax
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a row for each of d1..d4 (mm) and f: value, 95 % interval and points."""
+        """Return a row for each of d1..d4 (mm) and f: value, 95 % interval, number of points."""
         table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self.intervals)
         return table.assign(n=[*self.counts, self.counts[-1]])
 
@@ -163,9 +163,9 @@ class Spacing(Shown):
 def quadrant_distances(
     xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, of: ArrayLike | None = None
 ) -> np.ndarray:
-    """Distance from each point to the nearest other one in each of four quadrants.
+    """Distance from each point to the nearest other point in each of four quadrants.
 
-    The quadrants about a point are half open and share no place: [dx > 0, dy >= 0],
+    The quadrants about a point are half open and do not overlap: [dx > 0, dy >= 0],
     [dx <= 0, dy > 0], [dx < 0, dy <= 0], [dx >= 0, dy < 0]. The search is exact.
 
     Parameters
@@ -182,8 +182,8 @@ def quadrant_distances(
     Returns
     -------
     array, shape (n, 4)
-        Metres, in each row ascending and NaN last: one NaN for each quadrant without a point
-        within the radius. Rows are in the order of the points.
+        Metres, ascending in each row, NaN last. Each quadrant without a point within the radius
+        gives a NaN. Rows are in the order of the points.
 
     Raises
     ------
@@ -193,9 +193,9 @@ def quadrant_distances(
 
     Notes
     -----
-    Coincident points lie in none of each other's quadrants and count for nothing here. Distances
-    depend on the axes: where these run along noisy scan lines, all four quadrants find neighbours
-    on the point's own line, and the gap to the next line goes unseen.
+    A coincident point lies in no quadrant and does not count. Distances depend on the axes. If the
+    axes run along noisy scan lines, all four quadrants find neighbours on the point's own line and
+    miss the gap to the next line.
 
     References
     ----------
@@ -236,13 +236,13 @@ def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spac
     Raises
     ------
     ValueError
-        As :func:`quadrant_distances`.
+        As for :func:`quadrant_distances`.
 
     Notes
     -----
-    Each median is over the points that have a neighbour of that rank; points at the edge lack
-    neighbours on one side. Repeated points leave d as it is and raise the density; see
-    ``coincident``. f of a homogeneous random pattern is 3.257, see :func:`poisson_spacing`.
+    Each median is over the points that have a neighbour of that rank. Points at the edge lack
+    neighbours on one side. Repeated points do not change d, but increase the density; see
+    ``coincident``. A homogeneous random pattern has f = 3.257; see :func:`poisson_spacing`.
 
     References
     ----------
@@ -260,22 +260,22 @@ def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spac
 
 
 def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
-    """Say where f does not matter, since the points are dense enough in both directions.
+    """Return where f does not matter because the points are dense enough in both directions.
 
-    Section 3.3 of the source exempts a surface from the threshold of f where d1 and d4 are both at
-    most d0 = sqrt(1 / rho0), the linear point distance of the density that is asked for.
+    Section 3.3 of the source exempts a surface from the threshold of f if d1 and d4 are both at
+    most d0 = sqrt(1 / rho0), the linear point distance of the required density.
 
     Parameters
     ----------
     d1, d4 : array_like
         Smallest and largest median quadrant distance, m.
     rho0 : float
-        Density that is asked for, points per m2.
+        Required density, points per m2.
 
     Returns
     -------
     array of bool
-        A single value for numbers; False where d1 or d4 is not measurable.
+        A single value for numbers; False if d1 or d4 is not measurable.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
 
     Notes
     -----
-    A random pattern has d4 = 1.53 / sqrt(rho), so it is exempt from 2.34 rho0 on.
+    A random pattern has d4 = 1.53 / sqrt(rho), so it is exempt if rho is at least 2.34 rho0.
 
     References
     ----------
@@ -302,9 +302,9 @@ def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
 def poisson_spacing(density: float) -> np.ndarray:
     """Expected d1..d4 of a homogeneous Poisson pattern.
 
-    The area pi r^2 / 4 of a quadrant out to its nearest point is exponential, so the k-th of the
-    four sorted distances has the median d_k = sqrt(-4 ln(1 - q_k) / (pi density)), with q_k the
-    median of the k-th of four uniform order statistics, Beta(k, 5 - k).
+    The area pi r^2 / 4 of a quadrant out to its nearest point is exponentially distributed. So the
+    k-th of the four sorted distances has the median d_k = sqrt(-4 ln(1 - q_k) / (pi density)). q_k
+    is the median of the k-th of four uniform order statistics, Beta(k, 5 - k).
 
     Parameters
     ----------
@@ -323,8 +323,8 @@ def poisson_spacing(density: float) -> np.ndarray:
 
     Notes
     -----
-    d4 / d1 = 3.257 at every density, without edges and for a radius well above d4. A threshold of
-    f <= 2 therefore asks for more regularity than chance gives.
+    d4 / d1 = 3.257 at every density, without edge effects and for a radius well above d4. So a
+    threshold of f <= 2 requires more regularity than a random pattern has.
 
     Examples
     --------
@@ -348,12 +348,12 @@ class DirectionalSpacing(Shown):
     directions_deg : array, shape (45,)
         0, 4, ..., 176 degrees counter-clockwise from the first axis.
     spacing : array, shape (45,)
-        Median distance to the nearest other point near that direction, either way, in the unit of
-        the coordinates; NaN where fewer than half of the points have one.
+        Median distance to the nearest other point near the direction or its opposite, in the unit
+        of the coordinates; NaN if fewer than half of the points have such a neighbour.
     xy : array, shape (n, 2)
-        The points, each place once.
+        The points, without repeated places.
     nearest : array, shape (n, 45)
-        Distance of each point to the nearest other one by direction, infinite where none is near.
+        Distance of each point to the nearest other point by direction; infinite without neighbour.
 
     Examples
     --------
@@ -370,14 +370,14 @@ class DirectionalSpacing(Shown):
 
     @property
     def n(self) -> int:
-        """Points in all."""
+        """Number of points."""
         return len(self.xy)
 
     @property
     def direction_deg(self) -> float:
-        """Direction along the scan lines: where points lie closest, 0 to 180 degrees.
+        """Direction in which points lie closest, along the scan lines, 0 to 180 degrees.
 
-        The phase of the second harmonic of log spacing, so that the whole turn has a say.
+        It is the phase of the second harmonic of log spacing, which uses all directions.
         """
         known = np.isfinite(self.spacing)
         largest = self.spacing[known].max(initial=0) or 1.0
@@ -387,24 +387,24 @@ class DirectionalSpacing(Shown):
 
     @property
     def along(self) -> float:
-        """Spacing along that direction."""
+        """Spacing along ``direction_deg``, in the unit of the coordinates."""
         return self.at(self.direction_deg)
 
     @property
     def across(self) -> float:
-        """Spacing at a right angle to it; NaN when not measurable."""
+        """Spacing at a right angle to ``direction_deg``; NaN if not measurable."""
         return self.at(self.direction_deg + 90)
 
     @property
     def g(self) -> float:
-        """Spacing ratio across / along: 1 without a direction; needs no axes."""
+        """Spacing ratio across / along, independent of the axes; 1 without a direction."""
         return self.across / self.along
 
     @cached_property
     def intervals(self) -> np.ndarray:
-        """95 % confidence intervals of along, across and g, shape (3, 2), for that direction.
+        """95 % confidence intervals of along, across and g, shape (3, 2).
 
-        From blocks of whole scan lines where there are any, see :func:`line_strips`.
+        They hold for the direction found, and come from the blocks of :func:`line_strips`.
         """
         block = line_strips(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
@@ -424,22 +424,23 @@ class DirectionalSpacing(Shown):
         return ax
 
     def to_frame(self) -> pd.DataFrame:
-        """Return rows for along and across (mm) and g: value, 95 % interval, direction, points."""
+        """Return rows for along, across (mm) and g: value, 95 % interval, direction, n."""
         values = [self.along, self.across, self.g]
         table = _table(["along", "across", "g"], values, self.intervals)
         return table.assign(direction_deg=self.direction_deg, n=self.n)
 
     def at(self, direction: float) -> float:
-        """Spacing in a direction (degrees), between those tried."""
+        """Spacing in a direction (degrees), interpolated between the directions tried."""
         return float(np.interp(direction, self.directions_deg, self.spacing, period=180))
 
 
 def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     """Median distance to the nearest point near each direction.
 
-    For directions 4 degrees apart: from every point the nearest other one within 30 degrees of that
-    direction or its opposite; then the median over the points. Unlike the quadrants of f, the
-    sectors turn with the direction, and their distances are not sorted.
+    Directions are 4 degrees apart. For each direction and each point the nearest other point within
+    30 degrees of the direction or its opposite is found; the spacing is the median over the points.
+    Unlike the quadrants of f, the sectors turn with the direction, and their distances are not
+    sorted.
 
     Parameters
     ----------
@@ -451,7 +452,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     Returns
     -------
     DirectionalSpacing
-        ``g`` and ``direction_deg`` among others.
+        With ``g``, ``direction_deg`` and the spacing by direction.
 
     Raises
     ------
@@ -460,12 +461,12 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
 
     Notes
     -----
-    Because the direction is sought, a random pattern of n points has g = 1 + 1.6 / sqrt(n) on
-    average, and 95 % of them stay below 1 + 3.2 / sqrt(n) (simulated, n = 200 to 10,000). The
-    direction is found to about 2 degrees. Repeated points are counted once. On scan lines blurred
-    by more than their point spacing, the nearest point across lies on the same line: g falls
-    towards 1, as the pattern has no direction at that scale. Elongated clusters have their
-    direction along their length.
+    Since the direction is chosen from the pattern, random patterns of n points have a mean g of
+    1 + 1.6 / sqrt(n). In 95 % of such patterns g is below 1 + 3.2 / sqrt(n) (simulated, n = 200 to
+    10,000). The direction is accurate to about 2 degrees. Repeated points are counted once. On scan
+    lines blurred by more than their point spacing, the nearest point across lies on the same line.
+    g then falls towards 1, since the pattern has no direction at that scale. Elongated clusters
+    have their direction along their length.
 
     Examples
     --------
@@ -481,7 +482,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     extent = np.ptp(xy, axis=0)
     limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy), 1e-9)
     medians, reach = np.array(np.inf), 16
-    while np.isinf(medians).any():  # what lies beyond the medians cannot change them
+    while np.isinf(medians).any():  # points beyond the medians cannot change them
         limit = min(limit, radius)
         nearest = _nearest(xy, limit, reach, len(directions), _by_direction)
         medians = np.median(nearest, axis=0)
@@ -492,24 +493,25 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
 
 
 def line_strips(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
-    """Number the points by strips along the scan lines and across them, the blocks of intervals.
+    """Number the points by strips along and across the scan lines, as blocks for intervals.
 
-    What a whole line shares, as its distance from the next one, errs for all of its points alike.
-    The direction is that in which points lie closest. Where there is none, two pairs of strips
-    along the axes and half way between them, since the lines of two scan heads that cross on an
-    upright board have no direction.
+    An error of a whole line, such as its distance from the next line, is common to all of its
+    points. The strips follow the direction in which points lie closest. Without such a direction
+    there are two pairs of strips, along the axes and at 45 degrees to them: the crossing lines of
+    two scan heads on an upright board have no common direction.
 
     Parameters
     ----------
     xy : array_like, shape (n, 2)
+        Coordinates in the plane, metres.
     found : DirectionalSpacing, optional
-        Of these points, where it is known already.
+        Spacing by direction of these points, if known.
 
     Returns
     -------
     array of int, shape (2, n) or (4, n)
-        See :func:`mmqa_lab.stats.strips`. One block, which has no interval, for fewer than 50
-        points and for a single place.
+        See :func:`mmqa_lab.stats.strips`. Fewer than 50 points, or points at a single place, form
+        one block and have no interval.
 
     Examples
     --------
@@ -528,7 +530,7 @@ def line_strips(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nd
 
 
 def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.ndarray:
-    """Return f = d4/d1 for axes turned by each of ``angles`` (degrees), an array of that shape.
+    """Return f = d4/d1 for axes turned by each of several angles.
 
     Parameters
     ----------
@@ -537,11 +539,17 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     angles : array_like, shape (k,)
         Degrees.
     radius : float
-        Of the search, m.
+        Neighbours up to this far count, m.
 
     Returns
     -------
     array, shape (k,)
+        f for each angle.
+
+    Raises
+    ------
+    ValueError
+        As for :func:`quadrant_distances`.
 
     Examples
     --------
@@ -554,7 +562,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
 
 
 def _table(names, values, intervals):
-    """Rows of figures with their intervals; all but the last are lengths."""
+    """Rows of figures with their intervals; all figures but the last are lengths."""
     numbers = np.column_stack([values, intervals])
     numbers[:-1] *= 1000
     table = pd.DataFrame(numbers, columns=["value", "low", "high"])
@@ -563,7 +571,7 @@ def _table(names, values, intervals):
 
 
 def _turned(xy, angle):
-    """``xy`` in axes turned by ``angle`` degrees; four quarter turns are the same quadrants."""
+    """``xy`` in axes turned by ``angle`` degrees; quarter turns give the same quadrants."""
     turn = np.radians(angle % 90)
     if turn == 0:
         return xy
@@ -571,11 +579,11 @@ def _turned(xy, angle):
     return (xy - xy.min(axis=0)) @ np.array([[c, -s], [s, c]])
 
 
-_searched = []  # numbers of points that scipy searched
+_searched = []  # numbers of points searched by scipy so far
 
 
 def _nearest_per_quadrant(xy, radius, of):
-    """The compiled search, but scipy's for the first few points where numba is not imported."""
+    """The compiled search, or the search by scipy for few points while numba is not imported."""
     if "numba" in sys.modules or sum(_searched) + len(xy) > FEW:
         from mmqa_lab.spacing._search import nearest_per_quadrant
 
@@ -594,11 +602,11 @@ def _nearest_by_scipy(xy, radius):
 
 
 def _nearest(xy, radius, reach, ranks, fold):
-    """Return what ``fold`` makes of each point's neighbours, shape (n, ranks).
+    """Return the result of ``fold`` for the neighbours of each point, shape (n, ranks).
 
     ``fold`` takes the distances of the k nearest points (rows, k), infinite beyond the radius and
-    for the point itself, and their offsets (rows, k, 2). Where one of its results is infinite, it
-    is called again with more neighbours.
+    for the point itself, and their offsets (rows, k, 2). If a result is infinite, ``fold`` is
+    called again with more neighbours.
     """
     from scipy.spatial import cKDTree
 
@@ -606,7 +614,7 @@ def _nearest(xy, radius, reach, ranks, fold):
     waiting = _portions(np.arange(len(xy)), min(reach, len(xy)))
     while waiting:
         rows, reach = waiting.pop()
-        bound = radius * (1 + 1e-9)  # a little beyond, as scipy compares squares
+        bound = radius * (1 + 1e-9)  # a little larger, since scipy compares squares
         choices = {"distance_upper_bound": bound, "workers": 1 + len(rows) // FEW}
         away, other = tree.query(xy[rows], np.arange(1, reach + 1), **choices)
         all_seen = np.isinf(away[:, -1]) | (reach == len(xy))
@@ -621,13 +629,13 @@ def _nearest(xy, radius, reach, ranks, fold):
 
 
 def _portions(rows, reach):
-    """Rows whose ``reach`` nearest points fit into the memory together, and that number."""
+    """Blocks of rows whose ``reach`` nearest points fit into memory, each with ``reach``."""
     parts = np.array_split(rows, 1 + len(rows) * reach // AT_ONCE)
     return [(part, reach) for part in parts if len(part)]
 
 
 def _by_quadrant(away, offset):
-    """The least distance in each quadrant, sorted; signs are exact."""
+    """The least distance in each quadrant, sorted; quadrants follow from exact signs."""
     dx, dy = np.moveaxis(offset, -1, 0)
     place = np.where(dy > 0, dx <= 0, np.where(dy < 0, 2 + (dx >= 0), 2 * (dx < 0)))
     return np.sort(_least(away, place, 4), axis=1)
@@ -644,7 +652,7 @@ def _by_direction(away, offset):
 
 
 def _least(away, place, count):
-    """The least distance of each row in each of ``count`` places, infinite where none is."""
+    """The least distance of each row in each of ``count`` sectors; infinite in empty sectors."""
     found = np.full(len(away) * count, np.inf)
     first = count * np.arange(len(away))[:, None]
     np.minimum.at(found, (first + place).ravel(), away.ravel())

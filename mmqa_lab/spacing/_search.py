@@ -1,11 +1,12 @@
 """The compiled search for the nearest point in each quadrant; exact for every pattern.
 
-The points are halved across the longer side of their box, over and over, down to leaves of 16;
-that is a binary tree of boxes. All points of a leaf search together, so that the processor's vector
-units work on several at once: first in their own leaf, then down the tree, the nearer box first.
+The points are repeatedly halved across the longer side of their box, down to leaves of 16 points.
+This gives a binary tree of boxes. All points of a leaf search together, so that the vector units of
+the processor work on several points at once. They search their own leaf first, then the tree from
+the root, the nearer box first.
 
-Coordinates are compared and subtracted as given, never scaled, so every distance has the bits that
-sqrt(dx * dx + dy * dy) has.
+Coordinates are compared and subtracted as given and never scaled. So every distance equals
+sqrt(dx * dx + dy * dy) to the last bit.
 """
 
 import math
@@ -16,13 +17,13 @@ from numba import njit
 from mmqa_lab._compiled import in_threads
 
 LEAF = 16
-"""Points that search together. Fewer and the compiler does not vectorise the loops over them."""
+"""Number of points that search together. With fewer the compiler does not vectorise the loops."""
 
 
 def nearest_per_quadrant(xy, radius, of):
     """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last.
 
-    Only for the points in the mask ``of``; the others get NaN.
+    Points (n, 2) and radius are in the same unit. Points outside the mask ``of`` (n,) get NaN.
     """
     rows, points = np.arange(len(xy)), np.array(xy.T, order="C")
     size = LEAF << (-(-len(xy) // LEAF) - 1).bit_length()
@@ -30,7 +31,7 @@ def nearest_per_quadrant(xy, radius, of):
     while size > LEAF:
         in_threads(_halve, -(-len(xy) // size), points, rows, size, least=1 + 10_000 // size)
         size //= 2
-    # the last point fills up the last leaf: it lies in no quadrant of its own place
+    # copies of the last point fill the last leaf: a copy lies in no quadrant of its own place
     filler = -len(xy) % LEAF
     rows, points = np.pad(rows, (0, filler), "edge"), np.pad(points, ((0, 0), (0, filler)), "edge")
     leaves = np.ascontiguousarray(points.reshape(2, -1, LEAF).transpose(1, 0, 2))
@@ -42,7 +43,7 @@ def nearest_per_quadrant(xy, radius, of):
 
 @njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
 def _halve(first, last, points, rows, size):
-    """Reorder some blocks of points so that a half of each lies to one side of the other."""
+    """Reorder blocks of points so that each block is divided in two along its longer side."""
     for block in range(first, last):
         start, end = block * size, min((block + 1) * size, len(rows))
         middle = start + size // 2
@@ -65,7 +66,7 @@ def _select(key, other, rows, low, high, middle):
         a, b, c = key[low], key[(low + high) // 2], key[high]
         pivot = max(min(a, b), min(max(a, b), c))
         first = _put_below(pivot, key, other, rows, low, high)
-        if first == low:  # the pivot is the least: those equal to it go first
+        if first == low:  # the pivot is the least: equal keys go first
             first = _put_below(np.nextafter(pivot, np.inf), key, other, rows, low, high)
             if middle < first:
                 break
@@ -77,7 +78,7 @@ def _select(key, other, rows, low, high, middle):
 
 @njit(cache=True)
 def _put_below(bound, key, other, rows, low, high):
-    """Put what is below a bound first and return where the rest begins; no branch to mispredict."""
+    """Put keys below a bound first; return the index of the next key. Free of branches."""
     first = low
     for i in range(low, high + 1):
         x, y, row = key[i], other[i], rows[i]
@@ -88,7 +89,7 @@ def _put_below(bound, key, other, rows, low, high):
 
 
 def _boxes(leaves, bottom):
-    """Boxes (x low, y low, x high, y high) in a tree: that of k is around those of 2k, 2k + 1."""
+    """Boxes (x low, y low, x high, y high) in a tree: box k encloses boxes 2k and 2k + 1."""
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * bottom, 1))
     boxes[bottom : bottom + len(leaves)] = np.hstack([leaves.min(axis=2), leaves.max(axis=2)])
     while bottom > 1:
@@ -101,7 +102,7 @@ def _boxes(leaves, bottom):
 
 @njit(cache=True, nogil=True)
 def _search(first, last, leaves, boxes, order, radius, of, found):
-    """Fill in the distances of the points of some leaves."""
+    """Find the distances of the points of a range of leaves."""
     bottom = len(boxes) // 2
     group, reach, stack = np.empty(6 * LEAF), np.empty(4), np.empty(128, np.int64)
     for leaf in range(first, last):
@@ -134,7 +135,7 @@ def _search(first, last, leaves, boxes, order, radius, of, found):
 
 @njit(cache=True)
 def _is_any(of, rows):
-    """Whether one of these rows is asked for."""
+    """Whether any of the rows is in the mask."""
     found = False
     for row in rows:
         found |= of[row]
@@ -145,7 +146,7 @@ def _is_any(of, rows):
 def _gather(leaves, leaf, radius, group):
     """Start a group: its least squared distances by quadrant, then its coordinates."""
     for k in range(4 * LEAF):
-        # a little beyond, as squaring rounds: the distance itself decides in the end
+        # a little larger, since squaring rounds; the distance itself decides at the end
         group[k] = radius * radius * (1 + 1e-15)
     for k in range(LEAF):
         group[4 * LEAF + k], group[5 * LEAF + k] = leaves[leaf, 0, k], leaves[leaf, 1, k]
@@ -178,7 +179,7 @@ def _reach(group, reach):
 
 @njit(cache=True)
 def _gap(boxes, leaf, node, reach):
-    """Squared gap between two boxes; inf where the node has nothing that the leaf needs."""
+    """Squared gap between two boxes; inf if the node cannot improve the leaf."""
     x_low, y_low, x_high, y_high = boxes[leaf, 0], boxes[leaf, 1], boxes[leaf, 2], boxes[leaf, 3]
     low_x, low_y, high_x, high_y = boxes[node, 0], boxes[node, 1], boxes[node, 2], boxes[node, 3]
     dx = max(low_x - x_high, x_low - high_x, 0.0)

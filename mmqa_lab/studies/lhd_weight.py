@@ -1,4 +1,4 @@
-"""The line-segment Hausdorff distance: weights, thresholds, matchers on scenes of known truth."""
+"""Study of the line-segment Hausdorff distance: weights, thresholds, matchers, known truth."""
 
 import warnings
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
 """Test and model survey of each comparison, in the order of Tables 1 and 2."""
 
-# The numbers of segments and true pairs were set for all rows.
+# The numbers of segments and true pairs were given for all rows.
 FITTED = ("C1-C2", "C1-C3", "C1-TLS", "C2-TLS")
-"""Rows whose distances and errors the canyon's noise was fitted to; the others were held out."""
+"""Rows whose distances and errors were used to fit the canyon's noise; all others were held out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Sets:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """True pairs (p, q), the displacement (k, 3) of each and the direction (k, 3) of its edge."""
+    """True pairs (p, q), their displacements (k, 3), m, and directions (k, 3) of their edges."""
 
     sets: Sets
     pairs: np.ndarray
@@ -39,7 +39,7 @@ class Truth:
     axes: np.ndarray
 
     def mean(self, vectors):
-        """Mean length of vectors (k, 3) weighted as the LHD is, m."""
+        """Mean length of vectors (k, 3) with the weights of the LHD, m."""
         rows, columns = np.nonzero(self.pairs)
         sizes = np.linalg.norm(vectors, axis=1)
         weights = lines.lengths(self.sets.model)[columns], lines.lengths(self.sets.test)[rows]
@@ -61,10 +61,11 @@ def scene(comparison="C1-TLS", *, seed, **conditions):
     Parameters
     ----------
     comparison : str
-        One of ``COURSES``.
+        A name in ``COURSES``.
     seed : int
+        Seed of the canyon.
     **conditions
-        Of :func:`~mmqa_lab.simulate.canyon.canyon`.
+        Passed to :func:`~mmqa_lab.simulate.canyon.canyon`.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def scene(comparison="C1-TLS", *, seed, **conditions):
 
 
 def measured(sets, **choices):
-    """Return the LHD of the sets; few pairs are no warning here, since the figures count them."""
+    """Return the LHD of the sets, without warnings of few pairs, since the figures count them."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         return lines.lhd(sets.test, sets.model, **choices)
 
@@ -89,15 +90,16 @@ def score(result, truth):
     Parameters
     ----------
     result : LHD, array of bool (p, q), or float
-        What a method returns: the whole distance, pairs alone, or a distance alone.
+        Result of a method: the full result, pairs alone, or a distance (m) alone.
     truth : Truth
+        From :func:`scene`.
 
     Returns
     -------
     dict of str to float
         ``f1``, ``false_pairs``, ``missed_pairs``, ``rate_percent`` (means of both directions);
-        ``lhd_m``, and by how much it and its part across the edges are above the true displacement
-        (``lhd_bias_m``, ``across_bias_m``); without what could not be measured.
+        ``lhd_m``; the excess of the distance and of its part across the edges over the true
+        displacement (``lhd_bias_m``, ``across_bias_m``). Figures of NaN are left out.
     """
     if np.isscalar(result):
         return {"lhd_m": result, "lhd_bias_m": result - truth.mean(truth.displacements)}
@@ -118,7 +120,7 @@ def score(result, truth):
 
 
 def score_directions(result, truth):
-    """Return the figures of Tables 1 and 2 for both directions: left is test to model."""
+    """Return the figures of Tables 1 and 2 for both directions; left means test to model."""
     figures = {"p": len(truth.sets.test), "q": len(truth.sets.model)}
     figures["pairs"] = int(truth.pairs.sum())
     for side, part in (("left", result.test_model), ("right", result.model_test)):
@@ -130,7 +132,7 @@ def score_directions(result, truth):
 
 
 def score_vector(result, truth):
-    """Return :func:`score`, the displacement's error, and whether its ellipsoid covers it."""
+    """Return :func:`score`, the error of the displacement, and whether its ellipsoid covers it."""
     found, figures = result.displacement, score(result, truth)
     error = found.vector - truth.displacements.mean(axis=0)
     if np.isfinite(error).all():
@@ -141,9 +143,9 @@ def score_vector(result, truth):
 
 
 def otsu_threshold(nearest):
-    """Return where logarithms of distances split with the largest variance between both classes.
+    """Return the distance at which logarithms split with the largest variance between classes.
 
-    Otsu 1979, doi:10.1109/TSMC.1979.4310076, on the sample instead of a histogram.
+    Otsu 1979, doi:10.1109/TSMC.1979.4310076, applied to the sample instead of a histogram.
 
     Examples
     --------
@@ -180,7 +182,7 @@ METHODS = {
     "fragments": partial(measured, matcher="fragments"),
     "displaced": partial(measured, matcher="displaced"),
 }
-"""The published method, its other readings, and others: functions of :class:`Sets`."""
+"""The published method, its other readings and other methods, as functions of :class:`Sets`."""
 
 
 def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURSES), **conditions):
@@ -189,13 +191,14 @@ def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURS
     Parameters
     ----------
     methods : dict, optional
-        Functions of :class:`Sets`, which return an ``LHD``, true pairs or a number; by default
+        Functions of :class:`Sets` that return an ``LHD``, pairs or a distance; by default
         ``METHODS``.
     seeds : iterable of int
+        Each seed gives a canyon.
     scored : callable
         :func:`score`, :func:`score_directions` or :func:`score_vector`.
     comparison : tuple of str
-        Of ``COURSES``.
+        Names in ``COURSES``.
     **conditions : tuple
         Values of the conditions of :func:`scene`.
 
@@ -209,13 +212,13 @@ def bench(*, methods=None, seeds=range(30), scored=score, comparison=tuple(COURS
 
 
 def published_rows():
-    """Return both printed tables, with the rates and F1 that follow from the printed counts.
+    """Return both printed tables, with rates and F1 computed from the printed counts.
 
     Returns
     -------
     DataFrame
         The printed columns, with ``name`` (as in ``COURSES``), ``rate_from_counts_percent``,
-        ``null_rate_percent`` (pairing nothing) and ``f1``.
+        ``null_rate_percent`` (rate if nothing is paired) and ``f1``.
     """
     tables = [table("poreba2013", name).assign(table=name) for name in ("table_1", "table_2")]
     rows = pd.concat(tables, ignore_index=True)
@@ -235,12 +238,12 @@ def replicas(results):
     Parameters
     ----------
     results : Dataset
-        Of the published method with :func:`score_directions`.
+        Results of the published method with :func:`score_directions`.
 
     Returns
     -------
     DataFrame
-        A row for each of the 14 printed distances: the columns of :func:`published_rows`, ``side``,
+        One row per printed distance (14 rows): the columns of :func:`published_rows`, ``side``,
         ``kind`` (fitted or predicted), ``simulated_m``, and ``low_m`` and ``high_m``, the 95 %
         range of single scenes.
     """
@@ -261,12 +264,12 @@ def of_scenes(values):
     Parameters
     ----------
     values : DataArray
-        A figure of each scene; NaN where it could not be measured.
+        A figure of each scene; NaN if not measurable.
 
     Returns
     -------
     dict of str to float
-        ``value``, ``low`` and ``high``, by Student's t; no end is below 0.
+        ``value``, ``low`` and ``high``, by Student's t; ``low`` is not below 0.
     """
     values = values.values[np.isfinite(values)]
     n, middle = len(values), values.mean()

@@ -1,4 +1,4 @@
-"""MIMIC's walls: scan patterns predicted by its equations and by the lattice, and measured."""
+"""Study of MIMIC: scan patterns on walls, predicted by equations and lattice, and measured."""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -24,7 +24,7 @@ SETUP = ScanSetup(
 """The scanner of the constructed models: 45/45 degrees and 10 m/s (4.1.1), 0.12 degrees (4.2.1)."""
 
 RATES_HZ = ((300e3, 100.0), (125e3, 100.0), (500e3, 200.0))
-"""Pulses and revolutions a second of the XP1 and of two settings of the Lynx M1 (section 4.2.2)."""
+"""Pulses and revolutions per second of the XP1 and two settings of the Lynx M1 (section 4.2.2)."""
 
 FIGURES = ("horizontal_mm", "vertical_mm", "point_mm", "angle_deg")
 
@@ -40,7 +40,7 @@ class Scan:
 
 
 def cad_walls(ranges_m, *, height_m=-1.5):
-    """Return the 14 walls of Tables 3 and 4 at some ranges as cases of the bench."""
+    """Return the 14 walls of Tables 3 and 4 at the given ranges (m) as cases of the bench."""
     walls = pd.concat([table(SOURCE, name).assign(table=name) for name in ("table_3", "table_4")])
     walls = walls.rename(columns={"alpha_targ_deg": "heading_deg", "beta_targ_deg": "tilt_deg"})
     walls = walls[["table", "no", "heading_deg", "tilt_deg"]].assign(**vars(SETUP))
@@ -49,12 +49,12 @@ def cad_walls(ranges_m, *, height_m=-1.5):
 
 
 def surfaces(n, *, seed=1):
-    """Return ``n`` surfaces within the limits that section 3.2.3 prints, as cases of the bench.
+    """Return ``n`` surfaces within the limits of section 3.2.3, as cases of the bench.
 
-    Range, height and rotations are drawn evenly; the head is turned by 45 degrees to the side from
-    which it sees more of the surface, tilted by 45, and the speed is what gives a density drawn
-    from 300 to 1500 points per square metre, at most 30 m/s. The mountings are assumed: the paper
-    does not print them.
+    Range, height and rotations are drawn uniformly. The head is turned by 45 degrees to the side
+    from which it sees more of the surface, and tilted by 45 degrees. The speed, at most 30 m/s,
+    gives a density drawn from 300 to 1500 points per square metre. The mountings are assumed, since
+    the paper does not print them.
     """
     rng = np.random.default_rng(seed)
     low, high = (
@@ -83,7 +83,7 @@ def parts(case):
 
 
 def make(*, seed, range_noise_m=0.005, **case):
-    """Return a case's simulated scan and its true spacings, those of rays cast on the wall."""
+    """Return the simulated scan of a case, and its true spacings from rays cast on the wall."""
     setup, target = parts(case)
     noise = {"range_noise_m": range_noise_m}
     cloud, driven = simulate_patch(setup, target, size_m=1.0, seed=seed, **noise)
@@ -91,25 +91,26 @@ def make(*, seed, range_noise_m=0.005, **case):
 
 
 def simulate_patch(setup, target, *, size_m, seed, range_noise_m=0.005, speed_share=0.01, **noise):
-    """Scan a square patch of a target, from a vehicle whose speed wanders.
+    """Scan a square patch of a target from a vehicle of varying speed.
 
     Parameters
     ----------
     setup : ScanSetup
     target : Target
     size_m : float
-        Width of the patch.
+        Width of the patch, metres.
     seed : int
+        Seed of speed and noise.
     range_noise_m, speed_share : float
-        Standard deviations of ranges and of speed (correlated over 0.5 s).
+        Standard deviations of ranges (m) and of speed (share, correlated over 0.5 s).
     **noise
-        ``angle_noise_deg`` (0.005 where left out) of recorded mirror angles, ``dropout_share``
-        (0.05) of pulses without an echo.
+        ``angle_noise_deg`` of recorded mirror angles (default 0.005), ``dropout_share`` of pulses
+        without an echo (default 0.05).
 
     Returns
     -------
     Cloud, ScanSetup
-        The points, and the set-up at the mean of the speeds at which they were scanned.
+        The points, and the set-up with the mean speed during their scan.
     """
     spot, (along, up) = target.patch(setup), scan_lattice(setup, target).axes
     corners = spot.points + size_m / 2 * np.array([-along - up, along - up, up - along, along + up])
@@ -143,8 +144,8 @@ def cast(setup, target, *, still=False):
     setup : ScanSetup
     target : Target
     still : bool
-        The vehicle stands while the mirror turns by a step, as the paper assumes, and the step is
-        that from the spot to the pulse above it.
+        The vehicle stands while the mirror turns by a step, as the paper assumes. The step leads
+        from the spot to the pulse above it.
 
     Returns
     -------
@@ -170,9 +171,10 @@ def cast(setup, target, *, still=False):
 
 
 def paper(scan, *, literal=False, ways=(True, False)):
-    """Equations 2 to 10 of the paper, with r2 in equation 10; the mean of both next pulses.
+    """Equations 2 to 10 of the paper, with r2 in equation 10 unless ``literal``.
 
-    The paper does not say whether the spacing is that to the pulse above or below (``ways``).
+    The paper does not say whether the spacing leads to the pulse above or below. The result is the
+    mean over ``ways``, by default both.
     """
     setup, target = scan.setup, scan.target
     scanner = setup.scanner_heading_deg, setup.scanner_tilt_deg
@@ -194,7 +196,7 @@ def lattice(scan):
 
 
 def measured(scan):
-    """All profiles of the simulated points fitted at once, with time."""
+    """A fit of all profiles of the simulated points at once, with time."""
     found = measure_pattern(scan.cloud, gps_time=scan.cloud["gps_time"], reference=scan.spot)
     stds = {f"std_{name}": value for name, value in _figures_of(found.std).items()}
     return _figures_of(vars(found)) | stds
@@ -203,8 +205,8 @@ def measured(scan):
 def clicked(scan, *, clicks=5):
     """Five distances at the points nearest the spot, their mean and scatter, as in the paper.
 
-    They reach to the next point of the profile, and along the level line and the slope to the next
-    profile, between two of its points.
+    Distances lead to the next point of the profile, and along the level line and the slope to the
+    next profile, interpolated between two of its points.
     """
     found, line = scan_lattice(scan.setup, scan.target), scan.cloud["scan_line"]
     uv = (scan.cloud.points - scan.spot) @ found.axes.T
@@ -215,14 +217,14 @@ def clicked(scan, *, clicks=5):
         point = np.hypot(*ahead.T).min(initial=np.inf)
         rows.append((_across(beside, uv[i], 0), _across(beside, uv[i], 1), point))
     rows = np.array(rows)
-    rows[rows[:, 2] > 1.5 * np.nanmedian(rows[:, 2]), 2] = np.nan  # over a pulse without echo
+    rows[rows[:, 2] > 1.5 * np.nanmedian(rows[:, 2]), 2] = np.nan  # a pulse has no echo
     mean, std = 1000 * np.nanmean(rows, axis=0), 1000 * np.nanstd(rows, axis=0, ddof=1)
     stds = {f"std_{name}": value for name, value in zip(FIGURES[:3], std, strict=True)}
     return dict(zip(FIGURES[:3], mean, strict=True)) | stds
 
 
 def _across(profile, point, axis):
-    """Distance along an axis from a point to a profile, NaN where it ends before."""
+    """Distance along an axis from a point to a profile; NaN beyond the ends of the profile."""
     if not len(profile):
         return np.nan
     places, values = profile[np.argsort(profile[:, 1 - axis])].T[[1 - axis, axis]]
@@ -236,7 +238,7 @@ def _figures(horizontal, vertical, point, angle):
 
 
 def _figures_of(found):
-    """``FIGURES`` of what a lattice or a measurement has by their names."""
+    """``FIGURES`` from the named fields of a lattice or a measurement."""
     names = (f"profile_spacing_{way}_m" for way in ("horizontal", "vertical"))
     return _figures(*(found[name] for name in (*names, "point_spacing_m", "profile_angle_deg")))
 
@@ -250,11 +252,11 @@ METHODS = {
 }
 
 EQUATIONS = tuple(METHODS)[:3]
-"""The methods that do not look at the points."""
+"""The methods that do not use the points."""
 
 
 def score(result, truth):
-    """Return a method's figures, and the size of their errors, such as ``point_error_mm``."""
+    """Return the figures of a method and their absolute errors, such as ``point_error_mm``."""
     errors = {name: abs(result[name] - truth[name]) for name in FIGURES if name in result}
     return result | {name.replace("_", "_error_", 1): value for name, value in errors.items()}
 
@@ -265,10 +267,11 @@ def bench(*, methods=None, seeds=range(5), ranges_m=(4.0, 8.0, 16.0), cases=None
     Parameters
     ----------
     methods : dict, optional
-        Functions of :class:`Scan` that return ``FIGURES``, any of them; by default ``METHODS``.
+        Functions of :class:`Scan` that return some or all of ``FIGURES``; by default ``METHODS``.
     seeds : iterable of int
-        Scans of each wall.
+        Each seed gives a scan of each wall.
     ranges_m : tuple of float
+        Ranges of the walls, metres.
     cases : DataFrame, optional
         Other walls, such as :func:`surfaces`.
     **noise
@@ -296,10 +299,10 @@ def ledger_table(*, table_3, standing, readings, field, table_6):
     table_3 : DataFrame
         With ``predicted_m`` and ``ray_cast_m``.
     standing : DataFrame
-        Differences of the paper's equations from rays of a vehicle that stands, ``FIGURES``, a row
+        Differences of the paper's equations from rays of a standing vehicle: ``FIGURES``, one row
         for each of the 14 walls.
     readings : dict of str to DataFrame
-        Walls of Table 4 (``no``, ``fitted_mm``), by the note that says how they were fitted.
+        Walls of Table 4 (``no``, ``fitted_mm``), by a note on how they were fitted.
     field : Dataset
         Results of the bench on :func:`surfaces`.
     table_6 : DataFrame

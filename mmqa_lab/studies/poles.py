@@ -1,7 +1,8 @@
-"""Study 06, poles: streets whose poles are known, the counts of a detector, tables of rates.
+"""Study 06, poles: streets with known poles, counts of detections, tables of rates.
 
-After chapter 4 of EuroSDR 2013, Road Environment Mapping using Mobile Laser Scanning: its two
-detectors, a learned one, and any other function of a cloud that returns ``x_m`` and ``y_m``.
+The study follows chapter 4 of EuroSDR 2013, Road Environment Mapping using Mobile Laser Scanning.
+It compares its two detectors, a learned detector, and any other function of a cloud that returns
+``x_m`` and ``y_m``.
 """
 
 from dataclasses import replace
@@ -26,7 +27,7 @@ METHODS = {name: partial(poles.detect, method=name) for name in poles.METHODS}
 """The detectors of the package as functions of a cloud."""
 
 SEEDS = range(7341, 7349)
-"""Streets of the study; trees are grown on others."""
+"""Streets of the study; the trees of the learned detector are grown on other streets."""
 
 INFERRED = "found targets over the rate: inferred"
 PRINTED = (
@@ -40,22 +41,23 @@ PRINTED = (
     ("itc", "recall", 15.0, "all", "ITC detection_rate 15 m", 0, 0, "not printed"),
     ("itc", "precision", 15.0, "all", "ITC correct_detections 15 m", 0, 0, "not printed"),
 )
-"""Printed rates: method, quantity, corridor (m), class, cell, the counts behind, their source."""
+"""Printed rates: method, quantity, corridor (m), class, cell, counts k and n, their source."""
 
 
 @lru_cache(maxsize=10)
 def scene(
     *, seed, plan="table-4-1", scanner="roamer", length=100.0, speed=30 / 3.6, both_ways=False
 ):
-    """Return the cloud of a simulated street, and its truth; the last ten are kept.
+    """Return the cloud of a simulated street, and its truth; the last ten are cached.
 
     Parameters
     ----------
     seed : int
+        Seed of the street and of the scan.
     plan, scanner, length, speed
         As for :mod:`mmqa_lab.simulate.streets`, m and m/s.
     both_ways : bool
-        The street is driven there and back, and both clouds are put together.
+        The street is driven in both directions, and both clouds are merged.
 
     Returns
     -------
@@ -83,9 +85,9 @@ def counts(found, truth):
     Parameters
     ----------
     found : DataFrame
-        ``x_m``, ``y_m`` and whatever else :func:`mmqa_lab.poles.score` uses.
+        ``x_m``, ``y_m`` and the optional columns of :func:`mmqa_lab.poles.score`.
     truth : dict
-        Of :func:`scene`.
+        From :func:`scene`.
 
     Returns
     -------
@@ -105,18 +107,19 @@ def counts(found, truth):
 
 
 def rates(results):
-    """Return recall, precision and F1 of each method, all streets together.
+    """Return recall, precision and F1 of each method over all streets.
 
     Parameters
     ----------
     results : xarray.Dataset
-        Of :func:`bench`.
+        Results of :func:`bench`.
 
     Returns
     -------
     DataFrame
         ``method``, ``quantity`` (recall, precision, f1), ``corridor_m``, ``class``, ``k``, ``n``,
-        ``value``, ``low``, ``high`` (Wilson; F1: bootstrap over streets, NaN for one).
+        ``value``, ``low``, ``high``: 95 % intervals (Wilson; for F1 a bootstrap over streets, NaN
+        for a single street).
     """
     rows = []
     for method, streets_of in cell_table(results).groupby("method", sort=False):
@@ -127,7 +130,7 @@ def rates(results):
 
 
 def _pooled(cells, end):
-    """Rates of several streets together."""
+    """Yield the rates of several streets together."""
     cells = cells.dropna(subset=[f"hits_{end}"])
     total = cells.sum(numeric_only=True).astype(int)
 
@@ -147,7 +150,7 @@ def _pooled(cells, end):
 
 
 def f1(counted):
-    """F1 of rows of hits, targets, detections."""
+    """F1 of rows (n, 3) of hits, targets and detections; NaN if all are zero."""
     hits, targets, finds = counted.sum(axis=0)
     return 2 * hits / (targets + finds) if targets + finds else np.nan
 
@@ -160,9 +163,9 @@ def bench(*, methods=None, seeds=SEEDS, **conditions):
     methods : dict, optional
         Functions of a cloud that return a table with ``x_m`` and ``y_m``; by default ``METHODS``.
     seeds : iterable of int
-        One street each.
+        Each seed gives a street.
     **conditions
-        The conditions of :func:`scene`, one value each.
+        Conditions of :func:`scene`, a single value for each.
 
     Returns
     -------
@@ -173,19 +176,19 @@ def bench(*, methods=None, seeds=SEEDS, **conditions):
 
 
 def beside_published(one_way, both_ways):
-    """Return every printed rate beside ours.
+    """Return every printed rate beside the measured rate.
 
     Parameters
     ----------
     one_way, both_ways : DataFrame
-        Of :func:`rates`; the component method is taken from streets driven both ways, as in the
-        report.
+        From :func:`rates`. The component method is taken from streets driven in both directions, as
+        in the report.
 
     Returns
     -------
     DataFrame
         ``method``, ``quantity``, ``corridor_m``, ``class``, ``cell`` and ``table`` of the ledger,
-        ``published`` with the Wilson interval of its counts and where ``n`` comes from,
+        ``published`` with the Wilson interval of its counts and the source of ``n``,
         ``measured`` with its interval.
     """
     keys = ["method", "quantity", "corridor_m", "class"]
@@ -214,9 +217,9 @@ def outcomes(result):
 
 
 def causes(result, cloud, truth):
-    """Return the cause of each false alarm: the label of most points within 0.4 m of its middle.
+    """Return the cause of each false alarm: the commonest label within 0.4 m of its middle.
 
-    A second hit on a pole is a ``duplicate``.
+    A second hit on a pole is a ``duplicate``. Without points the cause is ``nothing``.
     """
     tree, labels = cKDTree(cloud.points), truth["street"].labels[cloud["surface"]]
     found = []
@@ -229,10 +232,10 @@ def causes(result, cloud, truth):
 
 
 def crowded(result, cloud):
-    """Return how many missed targets have other points around the shaft, a ``Rate``.
+    """Return the share of missed targets with other points around the shaft, as a ``Rate``.
 
-    A shaft is crowded where more than 15 % of the points within 0.3 m of its surface, over its
-    clear height, belong to something else: what the mask of the scan-line method refuses.
+    A shaft is crowded if more than 15 % of the points within 0.3 m of its surface, over its clear
+    height, belong to something else. The mask of the scan-line method rejects such shafts.
     """
     tree, surface = cKDTree(cloud.points[:, :2]), np.asarray(cloud["surface"])
     missed, hidden = outcomes(result)["miss"], 0
@@ -244,7 +247,7 @@ def crowded(result, cloud):
     return stats.wilson(int(hidden), len(missed))
 
 
-# Oakland part 2: real streets with labels, without time, trajectory and scan lines
+# Oakland part 2: real streets with labels, but without time, trajectory and scan lines
 
 PARTS = ("ac", "ad", "ae", "ag", "ah", "ai", "aj", "ak", "al", "ao")
 OAKLAND = tuple(f"oakland/part2_{part}.laz" for part in PARTS)
@@ -253,20 +256,24 @@ ASKED = (1103, 1107, 1110, 1111, 1116, 1119, 1302, 1303)
 """Utility pole, lamp support, post, sign, traffic light support, parking meter, trunks."""
 
 UNASKED = (1106, 1109, 1112, 1114, 1115, 1118, 1412)
-"""Pole-like, not asked for: support pole, hydrant, pylon, lamp, lights, column."""
+"""Pole-like classes that are no references: support pole, hydrant, pylon, lamp, lights, column."""
 
 UNKNOWN = (1000, 1001, 9999)
-"""Points whose class the labels leave open: whether a pole stands there is not known."""
+"""Labels of unknown class: such points may or may not belong to a pole."""
 
 
 def oakland(tiles=None):
     """Return the cloud of the first or all tiles, shuffled, and its reference poles.
 
-    Points are grouped by class in the files, so that they are shuffled before anything looks at
-    them. A reference is a connected component in plan (0.35 m) of points labelled as poles with at
-    least 8 points and 1 m of height, placed where its lowest 2 m stand: a board hangs beside its
-    post. Pole-like classes that are not asked for, and components of unknown points that could be a
-    pole, are ignored.
+    Points are grouped by class in the files, so they are shuffled first. A reference is a connected
+    component in plan (0.35 m) of points labelled as poles, with 8 points and 1 m of height at
+    least. Its place is the median of its lowest 2 m, since a board hangs beside its post. Other
+    pole-like classes, and components of unknown points that could be a pole, are ignored.
+
+    Parameters
+    ----------
+    tiles : int, optional
+        Number of tiles; all by default.
 
     Returns
     -------
@@ -285,7 +292,7 @@ def oakland(tiles=None):
 
 
 def _components(whole, labels):
-    """One row for each connected component in plan of the points with these labels."""
+    """One row per connected component in plan of the points with the given labels."""
     points = whole.points[np.isin(whole["label"], labels)]
     pairs = cKDTree(points[:, :2]).query_pairs(0.35, output_type="ndarray")
     frame = pd.DataFrame(points, columns=["x_m", "y_m", "z"])

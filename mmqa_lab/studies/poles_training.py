@@ -1,8 +1,8 @@
 """Training of the learned pole detector, on simulated streets alone.
 
-``python -m mmqa_lab.studies.poles_training`` grows the trees anew and writes ``trees.csv`` in
-``mmqa_lab/poles``: the same bytes each time. Every second example is a yard of bare posts and of
-what looks like one. Each cloud is learned from whole, cut above the ground, and thinned.
+``python -m mmqa_lab.studies.poles_training`` grows the trees again and writes ``trees.csv`` in
+``mmqa_lab/poles``, with the same bytes each time. Every second example is a yard of bare posts and
+of objects that look like posts. Each cloud is used whole, cut off above a height, and thinned.
 """
 
 from dataclasses import replace
@@ -22,14 +22,14 @@ EXAMPLES, FIRST_SEED = 112, 9_500_000
 
 DRIVES = (("roamer", 50), ("push-broom", 60), ("hdl-32e", 24), ("push-broom", 60), ("vq-450", 24))
 DRIVES += (("roamer", 50), ("push-broom", 60), ("dense-profiler", 20))
-"""Scanner and length of street, m, by turns."""
+"""Scanner and length of the street (m), in rotation."""
 
 WEIGHTS = (1.0, 0.5, 0.5)
-"""Of the whole, cut and thinned cloud."""
+"""Weights of the whole, cut and thinned cloud."""
 
 
 def yard(rng, length):
-    """A level place with posts, porches, people in coats, strips of walls and bushes."""
+    """Return a level street with posts, porches, people in coats, strips of walls and bushes."""
     things, rows = [surfaces.ground(size=(400.0, 400.0))], []
     for y in np.cumsum(rng.uniform(1.2, 2.2, int(length / 1.7))):
         side, draw = rng.choice([-1, 1]), rng.uniform
@@ -67,7 +67,7 @@ def yard(rng, length):
 
 
 def _bush(rng, at, least, most, tall):
-    """Foliage that stands on a place."""
+    """Foliage that stands at a place (3,), m."""
     size = np.append(rng.uniform(least, most, 2), rng.uniform(0.3, 1) * tall)
     return streets._crown(at + [0, 0, size[2]], size, rng.uniform(0.3, 5), int(rng.integers(2**31)))
 
@@ -87,7 +87,7 @@ def _beside(rng, at, height, radius):
 
 
 def example(number):
-    """Return three views of an example: points (n, 3) and targets of each."""
+    """Return three views of an example, each with its points (n, 3, metres) and targets."""
     rng = np.random.default_rng([77, number])
     name, length = DRIVES[number // 2 % len(DRIVES)]
     seed = FIRST_SEED + number
@@ -112,7 +112,7 @@ def example(number):
 
 
 def _plan(rng):
-    """A street plan drawn between few and many of everything."""
+    """A random street plan, with few to many objects of each kind."""
     most = {"trees": 25, "signs": 20, "lamps": 12, "others": 20, "cars": 15, "pedestrians": 8}
     most |= {"hedges": 8, "columns": 15, "pipes": 15}
     drawn = {f"{name}_per_100m": rng.uniform(0, high) for name, high in most.items()}
@@ -123,7 +123,7 @@ def _plan(rng):
 
 
 def lessons(numbers):
-    """Return what examples teach: measures, labels and weights."""
+    """Return the training data of examples: measures, labels and weights."""
     parts = []
     for number in tqdm(numbers, unit="example"):
         views = zip(example(number), WEIGHTS, strict=True)
