@@ -1,4 +1,4 @@
-"""Test-field accuracy, EuroSDR 2013, chapter 3: predictions from data sheets, calibrations."""
+"""Test-field accuracy (EuroSDR 2013, chapter 3): predictions from data sheets, calibrations."""
 
 from dataclasses import dataclass, replace
 
@@ -31,42 +31,44 @@ STANDS_FOR = {
     "Streetmapper 360": "streetmapper-360",
     "Optech Lynx": "lynx",
 }
-"""The simulated system of each data set. RIEGL I and II differ in the calibration, of which the
-report prints no amounts, so one system stands for both."""
+"""The simulated system of each data set. RIEGL I and II differ in their calibration. The report
+prints no values of it, so the same system stands for both."""
 
 TOLERANCE = 0.25
-"""How close to print a prediction should be."""
+"""Largest relative difference of a close prediction from the printed value."""
 
 BORESIGHT_DEG = ((0.12, -0.08, 0.20), (-0.10, 0.15, -0.25))
 LEVER_ARM_ERROR_M = ((0.030, -0.040, 0.020), (-0.020, 0.030, -0.030))
-"""Assumed errors of two heads: tenths of a degree and centimetres, as after installation."""
+"""Assumed errors of two heads after installation: tenths of a degree and centimetres."""
 
 GOOD_NAVIGATION = NavigationErrors(
     drift_m=(0.008, 0.008, 0.012), drift_deg=(0.004, 0.004, 0.012), correlation_s=60
 )
-"""Assumed of post-processed positioning with good satellites, for the bench."""
+"""Assumed errors of post-processed positioning with good satellite coverage, for the bench."""
 
 # 3283 points at 0.3 per square metre on 350 m of road (section 3.1.2.3), about the road's axis.
 STRIP_M, STEP_M = 31.3, 4.0
-"""Mean width of the report's reference on the ground; distance of its points here."""
+"""Mean width of the report's ground reference; spacing of the reference points in this study."""
 
 TARGETS_M = 45.0
-"""Targets in plan up to this far from the path are measured."""
+"""Largest distance in plan between a measured target and the path."""
 
 
 def places(street, tested):
-    """Return the places of a section that a system measures, as dense as the report's reference.
+    """Return the places that a system measures, with the density of the report's reference.
 
     Parameters
     ----------
     street : SimulatedField
+        Section of the test field.
     tested : System
-        Its first head counts.
+        Only its first head is used.
 
     Returns
     -------
     dict of str to dict of str to array, shape (n, 3)
-        ``ground`` and ``targets`` by direction; targets 1 m (and poles also 5 m) above their foot.
+        ``ground`` and ``targets`` by direction, metres. Targets are 1 m above their foot, poles
+        also 5 m.
     """
     across = np.arange(-STRIP_M / 2, STRIP_M / 2, STEP_M) + (STRIP_M % STEP_M) / 2
     x, y = np.meshgrid(across, np.arange(STEP_M / 2, street.length_m, STEP_M))
@@ -89,25 +91,28 @@ def places(street, tested):
 def predicted(street, tested, *, ground, targets, draws, seed):
     """Predict the figures of Tables 3-3 and 3-4 for a system, from specifications alone.
 
-    Navigation errors are drawn for each drive and carried to the targets with the mounting's error
-    if it is known; range noise enters heights with the sine of the beam's fall and the 0.7 that a
-    triangulated surface leaves of it, the survey with its own error. No ray is cast.
+    Navigation errors are drawn for each drive and propagated to the targets, with the error of the
+    mounting if it is known. Range noise enters the heights times the sine of the beam's depression
+    angle and times 0.7, the share that remains in a triangulated surface. The survey adds its own
+    error. No ray is cast.
 
     Parameters
     ----------
     street : SimulatedField
+        Section of the test field.
     tested : System
-        Its first head counts.
+        Only its first head is used.
     ground, targets : dict of str to array, shape (n, 3)
-        Reference points on the ground, and places of poles and corners, by direction.
+        Reference points on the ground, and places of poles and corners, by direction, metres.
     draws : int
-        Drives drawn for each direction.
+        Number of drives drawn for each direction.
     seed : int
+        Seed of the draws.
 
     Returns
     -------
     DataFrame
-        One row a direction and draw, shift removed: ``direction``, ``height_std_mm``,
+        One row per direction and draw, mean shift removed: ``direction``, ``height_std_mm``,
         ``plan_mean_mm``, ``plan_std_mm``, ``plan_rmse_mm``.
     """
     rows, rng = [], np.random.default_rng(seed)
@@ -131,7 +136,7 @@ def predicted(street, tested, *, ground, targets, draws, seed):
 
 
 def _looked_at(path, tested, places):
-    """Places with their times and beams in the assumed frame; the sine of the beams' fall."""
+    """Places, times, beams in the assumed frame, and the sine of the beams' depression angle."""
     head = tested.heads[0]
     start, rotation = (value[0] for value in path.at(path.time[:1]))
     speed = np.linalg.norm(np.diff(path.position[[0, -1]], axis=0)) / path.duration_s
@@ -146,13 +151,13 @@ def _looked_at(path, tested, places):
 
 
 def _carried(known, places, time, assumed):
-    """Errors of points (n, 3) that are computed with a reported path."""
+    """Errors (n, 3) of points computed with a reported path, m."""
     told, turned = known.at(time)
     return (told - places) + np.einsum("nij,nj->ni", turned, assumed)
 
 
 def prediction_table(predictions):
-    """Return median and range of 95 % of the drawn drives, by system, direction and figure."""
+    """Return median and 95 % range of the drawn drives, by system, direction and figure."""
     drawn = pd.concat([one.assign(system=name) for name, one in predictions.items()])
     drawn.columns = drawn.columns.str.removesuffix("_mm")
     keys = ["system", "direction"]
@@ -162,13 +167,13 @@ def prediction_table(predictions):
 
 
 def rolled(tested, roll_deg):
-    """Return a system whose one head has a boresight error in roll."""
+    """Return a system whose only head has a boresight error in roll, degrees."""
     head = replace(tested.heads[0], boresight_deg=(float(roll_deg), 0.0, 0.0))
     return replace(tested, heads=(head,))
 
 
 def fitted_system(street, *, ground, targets, draws, seed):
-    """Return ROAMER with the roll that gives the std of heights of ROAMER I CCW in Table 3-3."""
+    """Return ROAMER with the roll that reproduces the height std of ROAMER I CCW in Table 3-3."""
     printed = published_rows().set_index(["figure", "cell"])["published_mm"]
     known = {"ground": {"there": ground["there"]}, "targets": targets, "draws": draws, "seed": seed}
 
@@ -180,7 +185,7 @@ def fitted_system(street, *, ground, targets, draws, seed):
 
 
 def published_rows():
-    """Return Tables 3-3 and 3-4 in one shape.
+    """Return Tables 3-3 and 3-4 as a single long table.
 
     Returns
     -------
@@ -201,20 +206,20 @@ def published_rows():
 
 
 def against_published(*tables):
-    """Return published beside predicted and measured figures, each direction for itself.
+    """Return published, predicted and measured figures side by side, by direction.
 
     Parameters
     ----------
     *tables : DataFrame
-        From :func:`prediction_table`; and ``system``, ``direction``, ``figure``, ``measured_mm`` of
-        simulated clouds.
+        The table of :func:`prediction_table`, and a table of simulated clouds with ``system``,
+        ``direction``, ``figure`` and ``measured_mm``.
 
     Returns
     -------
     DataFrame
-        A row for each printed figure: the columns of :func:`published_rows`, ``simulated``,
-        ``kind`` (predicted, or fitted of heights of ROAMER I), ``predicted_mm``, ``low_mm``,
-        ``high_mm``, ``measured_mm``, and ``close``: within 25 % of print.
+        One row per printed figure: the columns of :func:`published_rows`, ``simulated``, ``kind``
+        (fitted for heights of ROAMER I, else predicted), ``predicted_mm``, ``low_mm``,
+        ``high_mm``, ``measured_mm``, and ``close`` (within 25 % of the printed value).
     """
     rows = published_rows()
     rows["simulated"] = rows["system"].map(STANDS_FOR)
@@ -228,7 +233,7 @@ def against_published(*tables):
 
 
 def columns(compared):
-    """Return the 26 columns of both tables: std of heights, RMSE in plan."""
+    """Return the 26 columns of both tables: height std and RMSE in plan."""
     return compared[compared["figure"].isin(["height_std", "plan_rmse"])].reset_index(drop=True)
 
 
@@ -239,14 +244,15 @@ class TwoDrives:
     Parameters
     ----------
     drives : list of (Cloud, Trajectory)
+        Cloud and path of each drive.
     lever_arms_m : array, shape (2, 3)
-        As assumed.
+        Assumed lever arms, m.
     poles : DataFrame
-        As surveyed.
+        Surveyed poles.
     control : array, shape (n, 3)
-        Surveyed heights of the ground.
+        Surveyed points on the ground, m.
     true_values : array, shape (2, 6)
-        What is to be found, degrees and metres.
+        True boresight (degrees) and correction of the lever arm (m) of both heads.
     """
 
     drives: list
@@ -257,7 +263,7 @@ class TwoDrives:
 
 
 def two_heads(navigation):
-    """Return a system of two heads with its wrong mounting."""
+    """Return a system of two heads with errors of their mounting."""
     base = replace(PRESETS["vq-450"], divergence_mrad=0.0)
     heads = tuple(
         replace(base, lever_arm_m=(0.4 * side, -0.6, 0.3), heading_deg=-45 * side, boresight_deg=b)
@@ -267,7 +273,7 @@ def two_heads(navigation):
 
 
 def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
-    """Return :class:`TwoDrives` of a field; ``navigation`` of the paths is exact or good."""
+    """Return :class:`TwoDrives` of a field, with exact or good ``navigation`` of the paths."""
     tested = two_heads({"exact": NavigationErrors(), "good": GOOD_NAVIGATION}[navigation])
     drives = drive_testfield(street, tested, seed=seed, pulses_per_s=pulses_per_s)
     control = street.ground(spacing_m=2.0, seed=seed)
@@ -276,25 +282,26 @@ def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
 
 
 def score(values, survey):
-    """Return the errors of a mounting, and those of the heights and poles that it gives.
+    """Return the errors of a mounting, and of the heights and poles computed with it.
 
     Parameters
     ----------
     values : array, shape (2, 6)
-        Boresight (degrees) and what is added to the lever arms (m) of both heads.
+        Boresight (degrees) and correction of the lever arm (m) of both heads.
     survey : TwoDrives
+        The data with their true values.
 
     Returns
     -------
     dict of str to float
-        ``angle_deg`` and ``arm_mm``, the largest errors; ``height_std_mm`` of both corrected drives
-        together, ``pole_rmse_mm`` of the poles in each of them, and the number of ``poles``.
+        The largest errors ``angle_deg`` and ``arm_mm``; ``height_std_mm`` of both corrected drives
+        together; ``pole_rmse_mm`` and number of ``poles`` from each drive separately.
     """
     error = np.abs(values - survey.true_values)
     known = {"lever_arms_m": survey.lever_arms_m, "values": values}
     clouds = [corrected(cloud, path, **known).points for cloud, path in survey.drives]
     heights = height_differences(np.concatenate(clouds), survey.control, radius=0.5)
-    # A drive at a time, as in the report: two drives with a wrong mounting show each pole twice.
+    # Each drive separately, as in the report: with a wrong mounting two drives show a pole twice.
     poles = plan_accuracy(pd.concat([plan_differences(one, survey.poles) for one in clouds]))
     return {
         "angle_deg": error[:, :3].max(),
@@ -306,23 +313,23 @@ def score(values, survey):
 
 
 def as_installed(survey):
-    """No calibration: the baseline."""
+    """Return zeros: the baseline without calibration."""
     return np.zeros_like(survey.true_values)
 
 
 def from_planes(survey):
-    """Planes that both drives show."""
+    """Return a calibration from planes that both drives show."""
     return calibrate(survey.drives, lever_arms_m=survey.lever_arms_m).values
 
 
 def full(survey):
-    """Planes, poles, and heights of the ground."""
+    """Return a calibration from planes, poles, and heights of the ground."""
     known = {"poles": survey.poles, "control": survey.control}
     return calibrate(survey.drives, lever_arms_m=survey.lever_arms_m, **known).values
 
 
 METHODS = {"as installed": as_installed, "planes": from_planes, "planes, poles, control": full}
-"""Calibrations: functions of :class:`TwoDrives` that return the mounting."""
+"""Calibrations: functions of :class:`TwoDrives` that return a mounting, shape (2, 6)."""
 
 
 def bench(
@@ -341,12 +348,13 @@ def bench(
     methods : dict, optional
         Functions of :class:`TwoDrives`; by default ``METHODS``.
     seeds : iterable of int
+        Each seed gives a test field.
     length_m, pulses_per_s : float
-        Of the field and of the scans.
+        Length of the field and pulse rate of the scans.
     navigation : tuple of str
         Errors of the paths: exact, good.
     reference_std_m : tuple of float
-        Of surveyed heights, and of poles in each coordinate.
+        Standard deviation of surveyed heights, and of poles in each coordinate, m.
 
     Returns
     -------
