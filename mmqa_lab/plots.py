@@ -1,4 +1,4 @@
-"""Journal figures in matplotlib: widths in millimetres, one style, colour-blind safe colours.
+"""Journal figures in matplotlib: widths in millimetres, one style, colours for all readers.
 
 Only code that draws figures needs this module. It does not change matplotlib's settings
 permanently. Use ``with style():`` for some figures, or matplotlib's

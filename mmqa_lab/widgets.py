@@ -239,10 +239,10 @@ class SelectionTool:
         self._moved(self._selector.verts)
 
     def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
-        """Call a function of this tool, a decorator, now and after every change of the selection.
+        """Call a function with this tool now and after every change of the selection.
 
-        The tool shows the output of the function. With ``button``, the text of a button, the
-        function is called again only when the button is pressed.
+        It can be used as a decorator. The tool shows the output of the function. With ``button``,
+        the text of a button, the function is called again only when the button is pressed.
         """
         if function is None:
             return lambda decorated: self.follow(decorated, button=button)

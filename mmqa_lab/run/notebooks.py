@@ -89,6 +89,6 @@ def execute(notebook, folder, *, results):
         client.execute(env={**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(results)})
     except CellExecutionError as error:
         return f"{error.ename}: {error.evalue}".splitlines()[0]
-    except DeadKernelError:  # also where the run is interrupted
+    except DeadKernelError:  # also if the run is interrupted
         return "the kernel died"
     return ""

@@ -82,7 +82,7 @@ def read_outcome(folder):
 
 
 def write_pages(folder, studies):
-    """Write ``index.html``, ``glossary.html`` and, where a study left a ledger, ``ledger.html``.
+    """Write ``index.html``, ``glossary.html`` and, if a study has a ledger, ``ledger.html``.
 
     Parameters
     ----------
