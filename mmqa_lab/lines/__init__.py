@@ -840,7 +840,7 @@ def _log_density(lines, moved, spread, noise):
 
 
 def _field(lines, members, noise):
-    """Displacement (n, 3) and covariance (n, 3, 3) at all pairs, each predicted from the others.
+    """Displacement (n, 3) and covariance (n, 3, 3) at all pairs, each from the other pairs.
 
     Drift has a standard deviation of 0.25 m and a correlation length of 30 m.
     """

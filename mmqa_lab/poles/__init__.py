@@ -54,7 +54,7 @@ def detect(
     trajectory : array_like, shape (m, 2) or (m, 3), optional
         Metres. Points farther than ``corridor`` from it are left out.
     corridor : float, optional
-        Half width, metres. By default 15 for the component method and 30 for the others.
+        Half width, metres. By default 15 for ``itc`` and 30 for ``learned`` and ``fgi``.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles);
         ``learned`` adds the measures and the contribution of each to the log odds (``adds_...``).

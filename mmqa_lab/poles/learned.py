@@ -104,7 +104,7 @@ SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
 """Half width of the core and of the ring around it, in cells; a ring of 0 is not tested."""
 
 SCATTER_M, WIDEST = (0.25, 0.06), 4
-"""Scatter about the axis (m) on the widest scale and on the others; core of the widest (cells)."""
+"""Scatter about the axis on the widest and on all other scales, m; core of the widest, cells."""
 
 TILE, MARGIN = 600, 10
 

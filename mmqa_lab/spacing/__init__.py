@@ -177,7 +177,7 @@ def quadrant_distances(
     angle : float
         Turns the axes of the quadrants counter-clockwise, degrees.
     of : array_like of bool, shape (n,), optional
-        Measure from these points only; the others are neighbours, and their rows NaN.
+        Measure from these points only. All other points count as neighbours; their rows are NaN.
 
     Returns
     -------

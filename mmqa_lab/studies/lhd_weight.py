@@ -16,7 +16,7 @@ from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
 """Test and model survey of each comparison, in the order of Tables 1 and 2."""
 
-# The numbers of segments and true pairs were given for all rows.
+# The numbers of segments and true pairs were set for all rows.
 FITTED = ("C1-C2", "C1-C3", "C1-TLS", "C2-TLS")
 """Rows whose distances and errors were used to fit the canyon's noise; all others were held out."""
 
