@@ -355,6 +355,7 @@ class SurfaceTool(SelectionTool):
                 rows.append({"cloud": name, "plane": number, **_described(patch, points)})
         self.planes = pd.DataFrame(rows)
         self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
+        self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = _canvas(self._scene)
         self._clouds = ipywidgets.Dropdown(options=list(clouds), layout={"width": "20em"})
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
@@ -448,8 +449,9 @@ def _canvas(figure):
         matplotlib.use(backend)
     canvas = Canvas(figure)
     canvas.header_visible, canvas.toolbar_visible = False, True
-    canvas.toolbar_position = "bottom"
+    canvas.toolbar_position = "right"  # below, it would hide the coordinates of the mouse
     canvas.keep = FigureManager(canvas, 0)  # without its manager the toolbar disappears
+    canvas.toolbar.layout.width = "3em"
     return canvas
 
 
