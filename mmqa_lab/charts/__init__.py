@@ -31,7 +31,7 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-BLACK, GREY, WHITE = 0.0, 0.5, 1.0
+BLACK, WHITE = 0.0, 1.0
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in a grey tone (ITU-R BT.709)."""

@@ -34,9 +34,6 @@ REFERENCE_STD_M = 0.011
 (3D) of the static scans. At most 1.2 cm are random, because Table 3-3 prints that for the best
 system; the 20 mm of the control points (3.1.2.2) must be common to the field."""
 
-PLAN_STD_M = 0.02 / np.sqrt(2)
-"""Of a surveyed coordinate in plan: about 2 cm in both together (section 3.3.2)."""
-
 ORIGIN = (380_000.0, 6_672_000.0, 20.0)
 
 
