@@ -330,14 +330,17 @@ def _read_text(path, name):
         names, first = _words(lines[first]), first + 1
     elif first and len(coordinate_columns(_words(lines[first - 1].lstrip("#/ ")))) == 3:
         names = _words(lines[first - 1].lstrip("#/ "))
-    layout = {"skiprows": first, "sep": separator, "decimal": "," if comma else "."}
+    layout = {"header": None, "comment": "#", "skiprows": first, "decimal": "," if comma else "."}
+    table = _read_csv(path, name, sep=separator, **layout)
+    return _with_names(table, names, f"{name} {path}")
+
+
+def _read_csv(path, name, **layout):
+    """A file as pandas reads it; a file that pandas cannot read gives one sentence."""
     try:
-        table = pd.read_csv(
-            path, header=None, comment="#", skipinitialspace=True, encoding="utf-8-sig", **layout
-        )
+        return pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig", **layout)
     except ValueError as error:  # pandas' own errors and those of decoding are such
         raise ValueError(f"Invalid {name} {path}: {error}. Must be rows of columns.") from error
-    return _with_names(table, names, f"{name} {path}")
 
 
 def _with_names(table, names, what):
@@ -410,13 +413,8 @@ def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) 
     """
     with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
         head, row = file.readline(), file.readline()
-    marks = {}
-    if head.count(";") > head.count(","):
-        marks = {"sep": ";", "decimal": "," if "," in row else "."}
-    try:
-        table = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig", **marks)
-    except ValueError as error:  # pandas' own errors and those of decoding are such
-        raise ValueError(f"Invalid {name} {path}: {error}. Must be rows of columns.") from error
+    marks = {"sep": ";", "decimal": "," if "," in row else "."}
+    table = _read_csv(path, name, **(marks if head.count(";") > head.count(",") else {}))
     check_columns(table, columns, f"{name} {path}")
     return table
 

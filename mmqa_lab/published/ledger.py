@@ -35,7 +35,8 @@ __dir__ = __all__.copy
 KINDS = ("predicted", "measured", "fitted")
 VERDICTS = ("reproduced", "consistent", "differs", "not comparable", "not run")
 NUMBER = ("relation", "printed", "value", "low", "high")
-COLUMNS = ["source", "table", "cell", "value", "low", "high", "kind", "note"]
+CELL = ["source", "table", "cell"]
+COLUMNS = [*CELL, "value", "low", "high", "kind", "note"]
 
 MARKS = {"a": "1", "b": "2", "c": "3"}
 COARSEST_MM = {"h": 40.0, "v": 30.0}
@@ -100,8 +101,16 @@ def entries(rows: pd.DataFrame | list[dict], **same: str) -> pd.DataFrame:
     """
     table = pd.DataFrame(rows).assign(**same).reindex(columns=COLUMNS)
     table["note"] = table["note"].astype(object).fillna("")
+    known = _cells().set_index(CELL).index
+    for place in table.set_index(CELL).index.difference(known, sort=False):
+        raise ValueError(f"Invalid cell {' '.join(place)}. Must be one that cells() lists.")
     for row in table.to_dict("records"):
-        _check_entry(row)
+        check_choice(row["kind"], "kind", KINDS)
+        if row["low"] > row["value"] or row["high"] < row["value"]:
+            raise ValueError(
+                f"Invalid value {row['value']} of {row['cell']!r}. Must be between its own low "
+                f"{row['low']} and high {row['high']}."
+            )
     return table
 
 
@@ -177,11 +186,11 @@ def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.D
     rules = published._strings("reasons").to_dict("records")
     reasons = [_reason(cell, rules) for cell in cells().to_dict("records")]
     ledger = cells().assign(reason=reasons)
-    ledger = ledger.merge(_entries(folder), on=["source", "table", "cell"], how="left")
+    ledger = ledger.merge(_entries(folder), on=CELL, how="left")
     ledger["verdict"] = [_verdict_of_row(row, not_run) for row in ledger.to_dict("records")]
     silent = (ledger["verdict"] == "not comparable") & (ledger["note"].fillna("") == "")
     ledger["note"] = ledger["note"].fillna("").where(~silent, ledger["reason"])
-    ledger["decides"] = ~ledger.duplicated(["source", "table", "cell"])
+    ledger["decides"] = ~ledger.duplicated(CELL)
     return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
 
 
@@ -223,7 +232,7 @@ def _cells():
             row = {"section": section, **row}
             rows += [_cell(row, layout, m, columns[m]) for m in layout["measures"].split()]
     found = pd.DataFrame([row for row in rows if row])
-    return found.drop_duplicates(["source", "table", "cell"], ignore_index=True)
+    return found.drop_duplicates(CELL, ignore_index=True)
 
 
 def _cell(row, layout, measure, column):
@@ -295,46 +304,22 @@ def _meets(printed, low, high):
 
 def _reason(cell, rules):
     """The reason of the first rule whose patterns fit a cell."""
-    keys = ("source", "table", "cell", "role")
+    keys = (*CELL, "role")
     fitting = (rule for rule in rules if all(fnmatchcase(cell[k], rule[k]) for k in keys))
     return next((rule["reason"] for rule in fitting), "")
 
 
 def _entries(folder):
     """All entries below a folder, those that decide first."""
-    files = sorted(Path(folder).glob("*/ledger.csv"))
-    none = pd.DataFrame(columns=[*COLUMNS, "study"])
-    found = pd.concat([_read(file) for file in files] or [none])
+    ours, found = ("value", "low", "high"), [pd.DataFrame(columns=[*COLUMNS, "study"])]
+    empty = {name: ["", "nan", "NaN"] for name in ours}
+    for file in sorted(Path(folder).glob("*/ledger.csv")):
+        read = pd.read_csv(file, keep_default_na=False, na_values=empty)
+        found.append(entries(read).assign(study=file.parent.name))
+    found = pd.concat(found[1:] or found).astype(dict.fromkeys(ours, float))
     found["rank"] = found["kind"].map(KINDS.index)
-    numbers = dict.fromkeys(("value", "low", "high"), float)
-    found = found.astype(numbers).sort_values("rank", kind="stable")
-    return found.rename(columns={"value": "ours", "low": "ours_low", "high": "ours_high"})
-
-
-def _read(file):
-    """One ledger.csv, checked."""
-    empty = {column: ["", "nan", "NaN"] for column in ("value", "low", "high")}
-    found = pd.read_csv(file, keep_default_na=False, na_values=empty)
-    return entries(found).assign(study=file.parent.name)
-
-
-@cache
-def _cell_names():
-    """Source, table and name of every cell."""
-    return set(_cells()[["source", "table", "cell"]].itertuples(index=False, name=None))
-
-
-def _check_entry(row):
-    """Refuse an entry for an unknown cell, of an unknown kind, or outside its own interval."""
-    place = row["source"], row["table"], row["cell"]
-    if place not in _cell_names():
-        raise ValueError(f"Invalid cell {' '.join(place)}. Must be one that cells() lists.")
-    check_choice(row["kind"], "kind", KINDS)
-    if row["low"] > row["value"] or row["high"] < row["value"]:
-        raise ValueError(
-            f"Invalid value {row['value']} of {row['cell']!r}. Must be between its own low "
-            f"{row['low']} and high {row['high']}."
-        )
+    renamed = {"value": "ours", "low": "ours_low", "high": "ours_high"}
+    return found.sort_values("rank", kind="stable").rename(columns=renamed)
 
 
 def _verdict_of_row(row, not_run):
