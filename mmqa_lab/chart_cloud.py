@@ -6,7 +6,6 @@ Every figure has a 95 % confidence interval from the points, see :meth:`CloudQua
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -34,8 +33,8 @@ UPRIGHT = 0.7
 ALIKE = 1.1
 """Ratio of the two largest variances below which the principal axes have a random direction."""
 
-FAR, DENSEST = 3.0, 1e7
-"""Limits for remarks: distance in 90 % quantiles of all distances, and points per m2."""
+FAR = 3.0
+"""Points farther than this many 90 % quantiles of all distances get a remark."""
 
 PAIRS = 5.0
 """Points come in pairs if d2 / d1 is larger. It is 1.7 for random points and 2 on lines."""
@@ -48,9 +47,6 @@ FULL = 1.5
 
 GRID = (np.arange(100) + 0.5) / 100
 """Places along each side of an outline's box. Their number in a strip measures its area."""
-
-OFF_PLANE = 0.05
-"""Largest distance of a vertex from the polygon's plane, as a share of the vertices' spread."""
 
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left margins. They leave half a square metre of the random pattern of a
@@ -76,7 +72,7 @@ class CloudQuality(Shown):
         Required density; NaN if not given.
     remarks : tuple of str
         Warnings about the figures, for example on coordinates that are too coarse, coincident
-        points, random axes, or a polygon off its plane.
+        points or random axes.
     plane : Plane
         The regression plane of the points.
     spacing : Spacing
@@ -358,10 +354,15 @@ def evaluate_cloud(
     resolution = getattr(points, "resolution", np.nan)
     points = check_points(points, minimum=3)
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
-    remarks = []
     if polygon is not None:
-        polygon, inside, remarks, surface = _selected(points, polygon, thickness)
-        points = _found(points, polygon, inside)
+        polygon, inside, surface = _selected(points, polygon, thickness)
+        if inside.sum() < 3:
+            away = np.linalg.norm(points - surface.centre, axis=1).min()
+            raise ValueError(
+                f"Invalid points inside the polygon: {inside.sum()} given. Must be 3 or more. The "
+                f"nearest point of the cloud is {away:.3g} m from its centre."
+            )
+        points = points[inside]
     plane = fit_plane(points)
     if axes is None:
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT else "principal"
@@ -372,7 +373,7 @@ def evaluate_cloud(
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
-    remarks += _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
+    remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
@@ -406,15 +407,8 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
     Raises
     ------
     ValueError
-        If the polygon has fewer than three vertices, crosses itself or has no area, or if the
-        distance of a vertex from the plane of the vertices is larger than 5 % of their spread (the
-        rms distance from their mean).
-
-    Warns
-    -----
-    UserWarning
-        If the distance of a vertex from the plane is larger than a quarter of ``thickness``. Points
-        near this vertex may be missed.
+        If the polygon has fewer than three vertices, crosses itself or has no area, or if a vertex
+        is farther than half of ``thickness`` from the plane of all: points near it would be missed.
 
     Examples
     --------
@@ -423,10 +417,7 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
     [True, False, False]
     """
     points = check_points(points, minimum=0)
-    _, inside, remarks, _ = _selected(points, polygon, thickness)
-    for remark in remarks:
-        warnings.warn(remark, stacklevel=2)
-    return inside
+    return _selected(points, polygon, thickness)[1]
 
 
 def chart_polygon(
@@ -451,7 +442,7 @@ def chart_polygon(
     Raises
     ------
     ValueError
-        If the number of corners is not four, or if the margins leave no area.
+        If there are not four corners, or if the margins are negative or leave no area.
 
     References
     ----------
@@ -463,18 +454,13 @@ def chart_polygon(
     [0.25, 0.0, 0.25]
     """
     corners = check_polygon(corners, name="corners")
-    given = np.asarray(margins, dtype=np.float64)
-    if len(corners) != 4 or given.size not in (1, 4) or (given < 0).any():
-        raise ValueError(
-            f"Invalid margins {margins}. Must be one or four widths >= 0 m, for four corners."
-        )
-    low, right, high, left = np.broadcast_to(given.ravel(), 4)
+    if len(corners) != 4:
+        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    low, right, high, left = np.broadcast_to(np.asarray(margins, dtype=np.float64), 4)
     a, b, c, d = corners
     width, height = np.linalg.norm(b - a), np.linalg.norm(d - a)
-    if left + right >= width or low + high >= height:
-        raise ValueError(
-            f"Invalid margins {margins}. Must leave some of the {width:.3f} m x {height:.3f} m."
-        )
+    if left + right >= width or low + high >= height or np.min(margins) < 0:
+        raise ValueError(f"Invalid margins {margins}. Must be >= 0 m and leave some of the chart.")
     u = np.array([left, width - right, width - right, left])[:, None] / width
     v = np.array([low, low, height - high, height - high])[:, None] / height
     return a + (b - a) * u * (1 - v) + (d - a) * v * (1 - u) + (c - a) * u * v
@@ -503,9 +489,6 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
         ),
         f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
         "hull, which lowers its density, and turn the plane.": far.any(),
-        "More than 10 points/mm2: are the coordinates in degrees, not metres?": (
-            gaps.n > DENSEST * max(hull_m2, 1e-300)
-        ),
         "No point has neighbours in all four quadrants within the search radius: d4 and f are "
         "not measured.": gaps.incomplete_share == 1,
         f"{gaps.coincident} points ({share:.3g} %) share their place with another: they raise the "
@@ -524,65 +507,46 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
 
 def _remark_on_layers(residuals_mm, step_mm):
     """A remark if the distances from the plane have two peaks, so they are not noise alone."""
+    from scipy.signal import find_peaks
+
     low, high = np.quantile(residuals_mm, [0.005, 0.995])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
     if len(residuals_mm) < 100 or not high - low > 4 * width:
         return []
     counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
-    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
-    lower = np.minimum(before, after)
-    k = np.argmax(lower - counts)
-    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+    heights = np.pad(counts, 1)
+    peaks, found = find_peaks(heights, height=0.05 * len(residuals_mm), prominence=0)
+    peaks = peaks[2 * found["prominences"] >= heights[peaks]]
+    if len(peaks) < 2:
         return []
-    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
-    a, b = np.add(peaks, width / 2)
+    a, b = np.sort(edges[peaks[np.argsort(heights[peaks])[-2:]] - 1]) + width / 2
     return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
 def _step(points):
     """The coarsest step, m, of which all coordinates are multiples; NaN without such a step."""
     local = points[:: 1 + len(points) // 1000] - points[0]
-    for step in (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001):
-        places = local / step
-        if len(points) > 10 and np.abs(places - np.round(places)).max() < 1e-4:
-            return step
-    return np.nan
+    steps = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+    places = (local / step for step in steps)
+    fits = [np.abs(place - np.round(place)).max() < 1e-4 for place in places]
+    return max(np.compress(fits, steps), default=np.nan) if len(points) > 10 else np.nan
 
 
 def _selected(points, polygon, thickness):
-    """The vertices of a polygon, the mask of its points, remarks and its plane."""
+    """The vertices of a polygon, the mask of its points, and its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
-    vertices, remarks = check_polygon(polygon), []
+    vertices = check_polygon(polygon)
     plane = fit_plane(vertices)
-    off = np.abs(plane.residuals).max()
-    spread = np.sqrt(np.mean(np.sum((vertices - plane.centre) ** 2, axis=1)))
-    if off > OFF_PLANE * spread:
+    off_mm = 1000 * np.abs(plane.residuals).max()
+    if off_mm > 500 * thickness:
         raise ValueError(
-            f"Invalid polygon: a vertex is {1000 * off:.0f} mm off the plane of all, "
-            f"{100 * off / spread:.0f} % of their spread. Must be at most {100 * OFF_PLANE:.0f} %."
-        )
-    if off > thickness / 4:
-        remarks.append(
-            f"A vertex of the polygon is {1000 * off:.0f} mm off the plane of all. Points farther "
-            f"than {1000 * thickness:.0f} mm from that plane do not count."
+            f"Invalid polygon: a vertex is {off_mm:.0f} mm off the plane of all. Must be at most "
+            f"{500 * thickness:.0f} mm, half of the thickness."
         )
     near = np.abs(plane.distances(points)) <= thickness
     x, y = plane.project(points[near]).T
     near[near] = shapely.contains_xy(_outline(vertices, plane, plane.normal), x, y)
-    return vertices, near, remarks, plane
-
-
-def _found(points, vertices, inside):
-    """The points inside a polygon; the error for fewer than three gives the cloud's extent."""
-    if inside.sum() >= 3:
-        return points[inside]
-    away = np.linalg.norm(points - vertices.mean(axis=0), axis=1).min()
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))
-    raise ValueError(
-        f"Invalid points inside the polygon: {inside.sum()} given. Must be 3 or more. The cloud "
-        f"extends over {extent} m; its nearest point is {away:.3g} m from the polygon's centre."
-    )
+    return vertices, near, plane
 
 
 def _outline(vertices, plane, normal):
