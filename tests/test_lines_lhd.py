@@ -302,9 +302,9 @@ def test_the_table_of_several_sets_is_that_of_each_comparison(scene):
     assert np.linalg.norm(vector.to_numpy(float) - true) < 0.15
 
 
-@pytest.mark.parametrize("move", [(0.5,), (3.0, 1.5), (2.0, 0.5, 0.3)])
+@pytest.mark.parametrize("move", [(0.5,), (3.0, 1.5), (2.0, 1.5, 0.3)])
 def test_an_independent_town_is_matched(move):
-    """Far, turned by 1.5 degrees, with a drift of 0.3 m; gutters 0.4 m beside eaves cost some."""
+    """Far, turned by 1.5 degrees, with a drift of 0.3 m, and with gutters 0.4 m before eaves."""
     f1, errors = [], []
     for seed in range(4):
         test, model, truth, moves = town(seed, *move)
@@ -312,5 +312,5 @@ def test_an_independent_town_is_matched(move):
         f1.append(pairing_scores(match.pairs, truth).f1)
         expected = moves[np.nonzero(match.pairs)[0]].mean(axis=0)
         errors.append(np.linalg.norm(match.displacement.vector - expected))
-    assert np.mean(f1) > 0.85
+    assert np.mean(f1) >= 0.96
     assert max(errors) < 0.1

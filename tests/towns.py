@@ -43,7 +43,7 @@ def _house(rng):
     for a, b in zip(plan, plan[1:] + plan[:1], strict=True):
         edges += [[[*a, 0], [*b, 0]], [[*a, top], [*b, top]], [[*a, 0], [*a, top]]]
         if rng.random() < 0.3:
-            aside = 0.4 * back / np.linalg.norm(back)
+            aside = 0.4 * np.array([b[1] - a[1], a[0] - b[0]]) / np.linalg.norm(b - a)
             edges.append([[*(a + aside), top], [*(b + aside), top]])
     return np.array(edges, float)
 

@@ -693,8 +693,9 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     radius : float
-        Largest displacement sought, m. A larger radius takes time and admits more false hypotheses.
-        It is enlarged if far more lines agree on a displacement beyond it, up to four times as far.
+        Largest displacement sought in the middle of the lines, m. A turn may move the outer lines
+        farther. A larger radius takes time and admits more false hypotheses. It is enlarged if far
+        more lines agree on a displacement beyond it, up to four times as far.
 
     Returns
     -------
@@ -749,11 +750,14 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
 
 
 def _candidates(test, model, radius):
-    """Pairs of nearly parallel lines within the radius of each other."""
+    """Pairs of nearly parallel lines within the radius of each other, farther after a turn."""
     parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
     parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
     gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
-    near = parallel & (parts.perpendicular < radius) & (gap < radius)
+    # a turn about the vertical moves the outer lines farther than their middle
+    centre = midpoints(test).sum(axis=0) / max(len(test), 1)
+    reach = radius + 2 * TURN_RAD * np.linalg.norm(midpoints(test) - centre, axis=1)[:, None]
+    near = parallel & (parts.perpendicular < reach) & (gap < reach)
     return Pairs(test, model, *np.nonzero(near))
 
 
