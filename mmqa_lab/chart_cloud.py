@@ -45,6 +45,13 @@ COARSE_MM = 1e-3
 FULL = 1.5
 """Ratio of a polygon's area to the hull of its points above which a remark is given."""
 
+BENT = 0.5
+"""Share of the variance of the distances, explained by a surface of second degree, above which a
+remark is given."""
+
+SHOWN = 20_000
+"""Most points that are drawn."""
+
 GRID = (np.arange(100) + 0.5) / 100
 """Places along each side of an outline's box. Their number in a strip measures its area."""
 
@@ -74,7 +81,7 @@ class CloudQuality(Shown):
         Warnings about the figures, for example on coordinates that are too coarse, coincident
         points or random axes.
     plane : Plane
-        The regression plane of the points.
+        The regression plane of the points; its axes are those of the quadrants.
     spacing : Spacing
         Spacing of the points in the plane. Coordinates are along the axes from the plane's centre.
     outline : shapely geometry
@@ -215,8 +222,16 @@ class CloudQuality(Shown):
         row |= {name: getattr(self.spacing, name) for name in ("incomplete_share", "coincident")}
         return pd.DataFrame([row | {"axes": self.axes, "remarks": " ".join(self.remarks)}])
 
-    def plot(self) -> Figure:
-        """Draw the points, their distances from the plane, and both histograms.
+    def plot(self, frame: Plane | None = None) -> Figure:
+        """Draw the points and the outline, their distances from the plane, and both histograms.
+
+        At most 20,000 points are drawn; the histograms are of all points.
+
+        Parameters
+        ----------
+        frame : Plane, optional
+            The picture is along the axes of this plane and counts from its centre, by default
+            along the axes of the quadrants.
 
         Returns
         -------
@@ -225,11 +240,17 @@ class CloudQuality(Shown):
         from mmqa_lab import plots
 
         figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
-        residuals_mm = 1000 * self.plane.residuals
-        limit = 3 * self.sigma_mad_mm
-        plots.draw_points(self.xy, ax=axes[0, 0])
+        step, limit = 1 + self.n // SHOWN, 3 * self.sigma_mad_mm
+        ring = shapely.get_coordinates(shapely.boundary(self.outline))
+        xy, ring = (
+            (frame or self.plane).project(self.plane.centre + flat @ self.plane.axes)
+            for flat in (self.xy[::step], ring)
+        )
+        plots.draw_points(xy, ax=axes[0, 0])
+        axes[0, 0].plot(*ring.T, color=plots.COLOURS["vermilion"])
         shades = {"vmin": -limit, "vmax": limit, "cmap": plots.DIVERGING_MAP}
-        dots = plots.draw_points(self.xy, ax=axes[0, 1], c=residuals_mm, **shades)
+        residuals_mm = 1000 * self.plane.residuals[::step]
+        dots = plots.draw_points(xy, ax=axes[0, 1], c=residuals_mm, **shades)
         figure.colorbar(dots, ax=axes[0, 1], label="distance from plane (mm)", shrink=0.85)
         self.draw_histograms(*axes[1])
         return figure
@@ -375,6 +396,7 @@ def evaluate_cloud(
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
     remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
+    remarks += _remark_on_bend(xy, 1000 * plane.residuals, step_mm, scale)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
@@ -382,7 +404,7 @@ def evaluate_cloud(
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
         remarks=tuple(remarks),
-        plane=plane,
+        plane=framed,
         spacing=gaps,
         outline=outline,
     )
@@ -505,6 +527,22 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     return [sentence for sentence, applies in sentences.items() if applies]
 
 
+def _remark_on_bend(xy, residuals_mm, step_mm, scale):
+    """A remark if a surface of second degree explains most of the distances from the plane."""
+    if len(xy) < FEWEST or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
+        return []
+    x, y = (xy / np.abs(xy).max()).T
+    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    rest = residuals_mm - terms @ np.linalg.lstsq(terms, residuals_mm, rcond=None)[0]
+    share = 1 - np.var(rest) / np.var(residuals_mm)
+    if share < BENT:
+        return []
+    return [
+        f"The surface is bent: its form is {100 * share:.0f} % of the variance of the distances. "
+        f"Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
+    ]
+
+
 def _remark_on_layers(residuals_mm, step_mm):
     """A remark if the distances from the plane have two peaks, so they are not noise alone."""
     from scipy.signal import find_peaks
@@ -554,6 +592,6 @@ def _outline(vertices, plane, normal):
     reach = plane.distances(vertices) / (normal @ plane.normal)
     polygon = shapely.Polygon(plane.project(vertices - reach[:, None] * normal))
     if not polygon.is_valid or polygon.area == 0:
-        reason = shapely.is_valid_reason(polygon) if polygon.area else "no area"
+        reason = "crosses itself" if polygon.area else "has no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")
     return polygon

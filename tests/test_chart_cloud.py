@@ -13,7 +13,7 @@ from mmqa_lab.chart_cloud import (
 )
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud
-from mmqa_lab.planes import PAPER_SCALE
+from mmqa_lab.planes import PAPER_SCALE, fit_plane
 
 CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
 
@@ -232,8 +232,12 @@ def test_a_polygon_without_points_says_how_far_the_cloud_is(slope):
 
 
 def test_the_plot_says_the_figures(rng):
-    quality = evaluate_cloud(scan_lines(rng))
-    figure = quality.plot()
+    points = scan_lines(rng)
+    quality = evaluate_cloud(points)
+    frame = fit_plane([[0, 0, 0], [0, 3, 0], [1, 0, 0], [1, 3, 0.0]])
+    figure = quality.plot(frame)
+    places = figure.axes[0].collections[0].get_offsets()
+    assert np.allclose(places, frame.project(points), atol=1e-4)
     said = [text.get_text() for ax in figure.axes if (key := ax.get_legend()) for text in key.texts]
     plt.close(figure)
     assert said[:2] == [f"median d{k} = {quality.d_mm[k - 1]:.1f} mm" for k in (1, 4)]
@@ -253,3 +257,11 @@ def test_two_layers_are_said(rng, apart_m, said):
     points[::2, 2] += apart_m
     remarks = " ".join(evaluate_cloud(points).remarks)
     assert ("two layers" in remarks) == said
+
+
+@pytest.mark.parametrize(("rise_m", "said"), [(0, False), (0.2, True)])
+def test_a_bent_surface_is_said_with_the_noise_about_it(rng, rise_m, said):
+    points = rng.uniform(-1, 1, (4000, 3)) * [2, 1, 0] + [0, 0, 1] * rng.normal(0, 0.01, (4000, 1))
+    points[:, 2] += rise_m * points[:, 1] ** 2
+    remarks = " ".join(evaluate_cloud(points).remarks)
+    assert ("The surface is bent" in remarks and "sigma_MAD is 10." in remarks) == said
