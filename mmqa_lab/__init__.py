@@ -4,7 +4,6 @@ Each room is a module named by a noun of the field. Import the room that you nee
 ``from mmqa_lab import chart_cloud``. A room imports only rooms above it in this list:
 
 - ``_checks``: checks of arguments, each with one sentence
-- ``srgb``: from linear light to the values of image files and back
 - ``cloud``: the container of points and their named columns
 - ``published``: what the five sources print, as data; the ledger of verdicts
 - ``stats``: recall, precision, RMSE, NMAD; confidence intervals, bootstrap

@@ -15,7 +15,7 @@ from scipy import stats
 
 from mmqa_lab import mtf, radiometry
 from mmqa_lab._checks import check_choice, check_columns
-from mmqa_lab.srgb import decode
+from mmqa_lab.charts import decode
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

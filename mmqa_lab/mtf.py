@@ -33,6 +33,9 @@ from mmqa_lab._checks import (
     check_positive,
 )
 from mmqa_lab._results import Shown
+from mmqa_lab.chart_image.placing import ChartMap
+from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
+from mmqa_lab.charts import LinePairs
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,13 +84,9 @@ class EdgeResponse(Shown):
 
     Parameters
     ----------
-    method : str
-        See :func:`fit_edge`.
     mtf50, mtf50_sigma : float
         Frequency at which the MTF is 0.5, and its standard deviation, cycles per pixel. NaN where
         the MTF does not fall to 0.5 below 1 cycle per pixel, or the bins are not filled.
-    mtf10 : float
-        Frequency at which the MTF is 0.1.
     fwhm_px : float
         Full width at half maximum of the line spread function.
     width_px : float
@@ -95,8 +94,6 @@ class EdgeResponse(Shown):
         scale.
     angle_deg : float
         Between the edge and the nearer axis of the image.
-    contrast : float
-        Step of the edge, in the image's unit.
     n : int
         Pixels used.
     frequencies, mtf : array
@@ -115,14 +112,11 @@ class EdgeResponse(Shown):
     (0.7, '')
     """
 
-    method: str
     mtf50: float
     mtf50_sigma: float
-    mtf10: float
     fwhm_px: float
     width_px: float
     angle_deg: float
-    contrast: float
     n: int
     frequencies: np.ndarray
     mtf: np.ndarray
@@ -188,21 +182,16 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     fit = _Sigmoid(distance.ravel(), along.ravel(), image.ravel(), angle, shape)
     fit.check(len(rows))
     seen = _by_bins(fit, block.ravel()) if method == "binned" else _by_sigmoid(fit)
-    mtf50 = seen.pop("mtf50")
     doubts = {
-        "MTF stays above 0.5": not np.isfinite(mtf50),
+        "MTF stays above 0.5": not np.isfinite(seen["mtf50"]),
         f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid": abs(np.degrees(angle))
         < SMALLEST_ANGLE_DEG,
         "no sigmoid of this shape fits": method != "binned" and fit.strange() > 0.02,
         "sharpened": seen["mtf"].max() > 1.05,
     }
     return EdgeResponse(
-        method=method,
-        mtf50=mtf50,
-        mtf10=crossing(FREQUENCIES, seen["mtf"], 0.1),
         width_px=fit.width,
         angle_deg=float(abs(np.degrees(angle))),
-        contrast=fit.contrast,
         n=len(fit.values),
         frequencies=FREQUENCIES,
         remark="; ".join(text for text, true in doubts.items() if true),
@@ -663,9 +652,6 @@ def read_bars(
     >>> bool(found["resolved"].item()), round(found["counted"].item())
     (True, 5)
     """
-    from mmqa_lab.chart_image.reading import Tones, read_pattern
-    from mmqa_lab.charts import LinePairs
-
     image = np.asarray(image, dtype=np.float64)
     contrast = check_positive(bright - dark, "contrast of bright and dark")
     noise = check_positive(noise, "noise") / contrast
@@ -701,8 +687,6 @@ def resolving_power(readings: pd.DataFrame) -> tuple[float, float]:
     >>> resolving_power(ladder)
     (4.0, 3.0)
     """
-    from mmqa_lab.chart_image.reading import resolution
-
     ladder = readings[["period_px", "resolved"]].rename(columns={"period_px": "width_mm"})
     found = resolution(ladder.assign(direction="h"), "h")
     return found.width_mm, found.next_mm
@@ -852,10 +836,11 @@ def _diffraction(x):
 
 def _gauss(x):
     """Transfer of a Gaussian at cycles per standard deviation."""
-    return np.exp(-2 * (np.pi * x) ** 2)
+    return np.exp(-2 * np.pi**2 * x**2)
 
 
-LENS_TRANSFERS = (_gauss, _disc, _diffraction)
+LENS_TRANSFERS = {"gaussian": _gauss, "disc": _disc, "diffraction": _diffraction}
+"""Transfer functions of lenses at frequencies times their width (cycles per pixel, pixels)."""
 
 
 def _lens_mtf(transfer, width, frequencies):
@@ -880,7 +865,8 @@ def _lens_of(frequency, contrast):
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     choices = {"bounds": np.log(SIGMAS_PX), "method": "bounded"}
-    fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in LENS_TRANSFERS}
+    lenses = LENS_TRANSFERS.values()
+    fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in lenses}
     best = min(fits, key=lambda lens: fits[lens].fun)
     return partial(_lens_mtf, best, float(np.exp(fits[best].x)))
 
@@ -953,8 +939,6 @@ def _refined(pixels, place, n, rings):
 
 def _place_of_bars(group):
     """Where the group lies in the image."""
-    from mmqa_lab.chart_image.placing import ChartMap
-
     period, bars = group["period_px"], group["bars"]
     turn = np.radians(group["angle_deg"])
     across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])

@@ -72,8 +72,8 @@ COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azi
 HUBER, SHADOW = 1.5, 6.0
 """Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009), and next to nothing."""
 
-ROUNDS = 50
-"""Largest number of iterations."""
+ROUNDS, RELATIVE_STD = 50, 0.02
+"""Largest number of iterations; standard deviation of an observation, a share of its radiance."""
 
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
 """Weights are computed anew in so many iterations, at first by Huber, and then stay."""
@@ -166,9 +166,9 @@ def relative_exposure(
     >>> relative_exposure(0.02, 8.0)
     0.5
     """
-    values = [check_positive(v, "exposure setting") for v in (time_s, f_number, *reference)]
-    time, number, time0, number0 = values
-    return time / time0 * (number0 / number) ** 2
+    for value in (time_s, f_number, *reference):
+        check_positive(value, "exposure setting")
+    return time_s / reference[0] * (reference[1] / f_number) ** 2
 
 
 def patch_statistics(
@@ -480,7 +480,6 @@ def empirical_line(
     reflectance: ArrayLike,
     *,
     std_dn: ArrayLike | None = None,
-    std: ArrayLike = 0.0,
     anisotropy: ArrayLike = 1.0,
 ) -> EmpiricalLine:
     """Fit reflectance as a line of DN through targets of known reflectance.
@@ -494,8 +493,6 @@ def empirical_line(
     std_dn : float or array_like, shape (n,), optional
         Standard error of each mean DN. Where given, targets weigh by its inverse square, and the
         covariance follows from it; where not, it follows from the residuals (n >= 3).
-    std : float or array_like, shape (n,)
-        Standard deviation of each known reflectance; it counts where ``std_dn`` is given.
     anisotropy : float or array_like, shape (n,)
         Anisotropy factor of each target as the camera saw it: a target that reflects 5 %
         more that way than at nadir has 1.05.
@@ -535,7 +532,7 @@ def empirical_line(
     slope = np.polyfit(dn, known, 1)[0]
     if not slope * np.ptp(dn) > 1e-9:
         raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
-    std = np.ones_like(dn) if std_dn is None else np.hypot(slope * np.asarray(std_dn), std)
+    std = np.ones_like(dn) if std_dn is None else slope * np.asarray(std_dn)
     if (std <= 0).any():
         raise ValueError("Invalid standard errors. Must be > 0 DN.")
     weight = np.broadcast_to(1 / std, dn.shape)
@@ -552,7 +549,6 @@ def ndvi(
     *,
     std_near_infrared: ArrayLike = 0.0,
     std_red: ArrayLike = 0.0,
-    correlation: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return NDVI = (N - R) / (N + R) and its standard deviation.
 
@@ -561,20 +557,12 @@ def ndvi(
     near_infrared, red : array_like
         Reflectances, not DN: the index of DN depends on both bands' gains.
     std_near_infrared, std_red : array_like
-        Their standard deviations.
-    correlation : float
-        Of the errors of the two bands; errors that both share (illumination) have one near 1, and
-        then most of them cancel.
+        Their standard deviations. Errors that both bands share, as of the light, nearly cancel.
 
     Returns
     -------
     ndvi, std : array
-        First-order propagation.
-
-    Raises
-    ------
-    ValueError
-        If the correlation lies outside -1 to 1.
+        First-order propagation of independent errors.
 
     Examples
     --------
@@ -583,11 +571,8 @@ def ndvi(
     (0.8, 0.0127)
     """
     n, r = np.asarray(near_infrared, np.float64), np.asarray(red, np.float64)
-    check_number(correlation, "correlation", low=-1, high=1)
     total = n + r
-    by_n, by_r = 2 * r / total**2 * std_near_infrared, -2 * n / total**2 * std_red
-    variance = by_n**2 + by_r**2 + 2 * correlation * by_n * by_r
-    return (n - r) / total, np.sqrt(variance)
+    return (n - r) / total, 2 * np.hypot(r * std_near_infrared, n * std_red) / total**2
 
 
 def saturation_level(dn):
@@ -604,13 +589,9 @@ class WalthallFit(Shown):
 
     coefficients: np.ndarray
 
-    def reflectance(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
-        """Reflectance factor in a direction."""
-        return walthall_terms(view_zenith, azimuth) @ self.coefficients
-
     def anisotropy(self, view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
         """Anisotropy factor: the reflectance factor over that at nadir."""
-        return self.reflectance(view_zenith, azimuth) / self.reflectance(0.0, 0.0)
+        return walthall_terms(view_zenith, azimuth) @ self.coefficients / self.coefficients[2]
 
 
 def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayLike) -> WalthallFit:
@@ -728,11 +709,12 @@ def adjust_block(
     anisotropy: bool = True,
     radial: tuple[float, float] = (0.0, 0.0),
     haze: tuple[float, float] | None = None,
-    relative_std: float = 0.02,
 ) -> BlockAdjustment:
     """Adjust the radiometry of a block of overlapping images.
 
-    Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse.
+    Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse. The
+    standard deviation of an observation is taken to be 2 % of its radiance; what the misfit shows
+    beyond that widens the intervals.
     Observations that fit badly are weighed down (Huber), and those far off, as in shadow, do not
     count. A prior is a value and a standard deviation: 0 keeps the value, infinity leaves it to the
     images.
@@ -755,8 +737,6 @@ def adjust_block(
     haze : (float, float), optional
         Of each group, in the unit of R; by default free with control and 0 without, where it cannot
         be told from a brighter ground.
-    relative_std : float
-        Standard deviation of an observation, as a share of its radiance.
 
     Returns
     -------
@@ -795,20 +775,19 @@ def adjust_block(
     """
     haze = haze or (0.0, 0.0 if control is None else np.inf)
     block = _Block(observations)
-    check_positive(relative_std, "relative_std")
     priors = ((0.0, np.inf), (0.0, np.inf if anisotropy else 0.0), radial, haze)
     value, std = block.priors(priors, control)
     free, images = std > 0, len(block.images)
     with np.errstate(divide="ignore"):
         prior_weight = std[free] ** -2.0
     estimate = block.start(value, std)
-    # without control only ratios of gains are determined: their sum stays
-    together = sparse.csc_matrix(np.ones((images, images)) * (control is None))
     ties, parameters = len(block.ties), int(free.sum()) - len(block.ties)
+    # without control only ratios of gains are determined: their sum stays
+    gains = sparse.csc_matrix([(np.arange(free.sum()) < images) * float(control is None)])
     for iteration in range(ROUNDS):
         misfit, jacobian = block.linearised(estimate)
         # a share of what is expected: of what is seen, shadows would weigh more
-        noise = relative_std * np.maximum(block.signal - misfit, block.signal / 10)
+        noise = RELATIVE_STD * np.maximum(block.signal - misfit, block.signal / 10)
         scaled, jacobian = misfit / noise, jacobian[:, free]
         if iteration < REWEIGHTINGS:
             size = np.abs(scaled) / _misfit_scale(scaled)
@@ -816,10 +795,7 @@ def adjust_block(
             if iteration >= HUBER_ROUNDS:  # once medians are about right
                 weight = (1 + (size / SHADOW) ** 2) ** -2 / noise**2
         normal = jacobian.T @ sparse.diags(weight) @ jacobian + sparse.diags(prior_weight)
-        if control is None:
-            gauge = together * (normal.diagonal()[:parameters].sum() / images**2)
-            rest = parameters + ties - images
-            normal = normal + sparse.block_diag([gauge, sparse.csc_matrix((rest, rest))])
+        normal = normal + gains.T @ gains * (normal.diagonal()[:parameters].sum() / images**2)
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
         change = _factor(normal).solve(right)
         estimate[free] += change

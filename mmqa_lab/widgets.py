@@ -27,10 +27,10 @@ from mmqa_lab._checks import check_choice, check_points, check_polygon
 from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.chart_image.rules import MARKS, check_marks
+from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
 from mmqa_lab.planes import detect_planes, fit_plane
 from mmqa_lab.spacing import quadrants
-from mmqa_lab.srgb import encode
 from mmqa_lab.views import is_headless
 
 __all__ = ["JuryForm", "SelectionTool", "SurfaceTool", "choice", "explore", "slider"]

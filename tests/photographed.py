@@ -9,8 +9,7 @@ from scipy.optimize import minimize
 from mmqa_lab import io, samples
 from mmqa_lab.chart_image import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern
-from mmqa_lab.charts import LinePairs
-from mmqa_lab.srgb import decode
+from mmqa_lab.charts import LinePairs, decode
 
 PERIOD_PX = 8.83
 """Of the 44 real line pairs, as published with them."""

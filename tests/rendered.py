@@ -7,9 +7,8 @@ from scipy.special import ndtr
 
 from mmqa_lab.chart_image import ChartMap
 from mmqa_lab.chart_image.reading import find_tones, read_pattern
-from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.charts import Bar, Layout, LinePairs, decode
 from mmqa_lab.simulate.cameras import Optics, Sensor, photograph
-from mmqa_lab.srgb import decode
 
 PIXEL_MM = 2.7
 

@@ -40,7 +40,7 @@ def photo_of(pixel_mm, *, heading=0.0, roll=0.7, sigma=0.6, layout=CHART, seed=0
 @pytest.fixture(scope="module")
 def oblique():
     """A view of 45 degrees at 5.4 mm with noise of 5 % of the contrast, and what is read of it."""
-    photo, image = photo_of(5.4, heading=45, noise=0.032, shot_share=0.0)
+    photo, image = photo_of(5.4, heading=45, noise=0.035)
     wrong = photo.chart_map.pixels(CHART.corners()) + [[0.8, -0.5], [-0.7, 0.6], [0.4, 0.9], [0, 1]]
     there = chart_image.locate(
         None, CHART, corners=wrong, camera=photo.chart_map.camera, offset=photo.origin
@@ -148,7 +148,6 @@ def test_width_is_the_finest_with_all_coarser_ones(resolved):
     following = 40.0 - run if run < len(resolved) else np.nan
     assert found.width_mm == pytest.approx(expected, nan_ok=True)
     assert found.next_mm == pytest.approx(following, nan_ok=True)
-    assert found.n == len(resolved)
 
 
 @pytest.mark.real
@@ -218,7 +217,7 @@ def test_an_evaluated_image_has_every_figure(oblique):
     row = quality.to_frame().iloc[0]
     assert row["located_by"] == "corners, aligned"
     assert row["residual_px"] < 0.3
-    assert 0.04 < row["noise_share"] < 0.06  # 5 % were put in
+    assert 0.04 < row["noise_share"] < 0.06  # 5 % of white were put in
     truth = photo.chart_map.pixel_sizes_mm([[500, 500]])[0]
     assert [row["pixel_h_mm"], row["pixel_v_mm"]] == pytest.approx(truth, rel=0.02)
     for direction in "hv":

@@ -18,7 +18,7 @@ ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE = ROOT / "mmqa_lab"
 
 LAYERS = (
-    "__init__ _checks _compiled _results srgb",
+    "__init__ _checks _compiled _results",
     "cloud published",
     "stats spacing planes io",
     "scan_pattern charts samples chart_cloud testfield lines radiometry repeatability",

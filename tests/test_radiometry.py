@@ -199,7 +199,7 @@ def test_a_line_through_zero_is_the_ratio_of_sums():
 def test_block_agrees_with_a_dense_solution(rng):
     table, ground, _ = block(rng, images=4, ties=12, noise=0.002)
     control = pd.DataFrame({"tie": range(6), "reflectance": ground[:6], "std": 0.002})
-    found = adjust_block(table, control=control, **PRIORS, relative_std=0.02)
+    found = adjust_block(table, control=control, **PRIORS)
     v, a = np.radians(table["view_zenith_deg"]), np.radians(table["azimuth_deg"])
     sun = np.cos(np.radians(table["sun_zenith_deg"]))
 

@@ -38,9 +38,8 @@ from mmqa_lab.chart_image.rules import (
     quality_index,
     text_crops,
 )
-from mmqa_lab.charts import Layout
+from mmqa_lab.charts import GAMMAS, Layout, decode
 from mmqa_lab.io import read_image
-from mmqa_lab.srgb import GAMMAS, decode
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,8 +94,8 @@ class ImageQuality(Shown):
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
     >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
     >>> quality = evaluate_image(image, layout, chart_map, aligned=False)
-    >>> quality.resolution("h").n, quality.to_frame()["pixel_v_mm"].round(3).item()
-    (10, 4.0)
+    >>> quality.resolution("h").width_mm, quality.to_frame()["pixel_v_mm"].round(3).item()
+    (10.0, 4.0)
     """
 
     chart_map: ChartMap
@@ -135,8 +134,6 @@ class ImageQuality(Shown):
             size, sigma = self.pixel_size(direction)
             found = self.resolution(direction)
             row[f"pixel_{direction}_mm"], row[f"pixel_{direction}_sigma_mm"] = size, sigma
-            bars = self.sizes[self.sizes["direction"] == direction]
-            row[f"pixel_{direction}_std_px"] = bars["repeats_std_px"].max() if len(bars) else np.nan
             row[f"w_{direction}_mm"] = found.width_mm
             row[f"w_{direction}_next_mm"] = found.next_mm
         row["noise_share"] = self.tones.noise

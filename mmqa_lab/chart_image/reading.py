@@ -197,8 +197,6 @@ class Resolution(Shown):
     next_mm : float
         The next finer pattern, which is not: the limit lies in (next, w]. NaN at the end of the
         ladder.
-    n : int
-        Patterns that are not hidden.
 
     Examples
     --------
@@ -206,13 +204,12 @@ class Resolution(Shown):
     >>> rows = [("h", 20, True, 0.9, 8.0), ("h", 10, True, 0.5, 4.0), ("h", 5, False, 0.0, 2.0)]
     >>> names = ["direction", "width_mm", "resolved", "contrast", "width_px"]
     >>> found = resolution(pd.DataFrame(rows, columns=names), "h")
-    >>> found.width_mm, found.next_mm, found.n
-    (10.0, 5.0, 3)
+    >>> found.width_mm, found.next_mm
+    (10.0, 5.0)
     """
 
     width_mm: float
     next_mm: float
-    n: int
 
 
 def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFrame:
@@ -337,7 +334,6 @@ def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     return Resolution(
         width_mm=float(widths[good - 1]) if good else np.nan,
         next_mm=float(widths[good]) if good < len(widths) else np.nan,
-        n=len(widths),
     )
 
 

@@ -4,7 +4,8 @@ One :class:`Layout` is drawn to PDF and SVG, turned into the reflectance that si
 photograph, and tells the evaluation where everything lies. The origin is the lower left corner, x
 to the right, y up. Tones are relative reflectances, 0 black, 1 white. Print files give them by the
 curve of sRGB and show letters as outlines, so that no font is missing. Here are the two charts of
-Pfeifer et al. 2021, 1 m x 1 m, from one description.
+Pfeifer et al. 2021, 1 m x 1 m, from one description; :func:`encode` and :func:`decode` lead from
+linear light to the values of image files and back.
 """
 
 from __future__ import annotations
@@ -20,14 +21,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.srgb import encode
 
 if TYPE_CHECKING:
     from matplotlib.path import Path as Outline
 
 __all__ = [
     *("Bar", "Layout", "LinePairs", "Marker", "Text"),
-    *("imaging_chart", "layout_of", "point_chart", "reflectance"),
+    *("decode", "encode", "imaging_chart", "layout_of", "point_chart", "reflectance"),
 ]
 __dir__ = __all__.copy
 
@@ -37,6 +37,11 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in a grey tone (ITU-R BT.709)."""
 
 POINTS_PER_MM = 72 / 25.4
+
+GAMMAS = ("srgb", "linear")
+
+KNEE = 0.0031308
+"""Linear light below which the curve of sRGB is a straight line."""
 
 SIDE_MM, CELLS, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
 """Point chart: side (mm), cells along it, white border and plain squares (mm)."""
@@ -578,6 +583,39 @@ def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndar
     if colour:
         return np.stack([_painted(layout, (rows, columns), cell, w) for w in np.eye(3)], axis=2)
     return _painted(layout, (rows, columns), cell, LUMINANCE)
+
+
+def encode(values, gamma):
+    """Return values 0..1 of linear light as the file's: unchanged, or by the curve of sRGB.
+
+    References
+    ----------
+    IEC 61966-2-1:1999, section 5.2.
+
+    Examples
+    --------
+    >>> encode(np.array([0.0, 0.18, 1.0]), "srgb").round(2).tolist()
+    [0.0, 0.46, 1.0]
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    values = np.clip(values, 0, 1)
+    curve = 1.055 * np.maximum(values, KNEE) ** (1 / 2.4) - 0.055
+    return np.where(values <= KNEE, 12.92 * values, curve).astype(values.dtype)
+
+
+def decode(values, gamma):
+    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
+
+    Examples
+    --------
+    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
+    True
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    curve = ((np.maximum(values, 12.92 * KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 12.92 * KNEE, values / 12.92, curve).astype(values.dtype)
 
 
 def _painted(layout, shape, cell, weights):

@@ -19,13 +19,13 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
-from mmqa_lab.charts import reflectance
-from mmqa_lab.srgb import GAMMAS, encode
+from mmqa_lab.charts import GAMMAS, encode, reflectance
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
-FINE, SURROUND = 6, 0.4
-"""Samples along each side of a pixel; tone around a chart."""
+FINE, SURROUND, SHOT_SHARE = 6, 0.4, 0.5
+"""Samples along each side of a pixel; tone around a chart; share of the noise's variance at full
+scale that is proportional to the signal."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +60,14 @@ class Sensor:
     black, white : float
         Signal of black and white print, as shares of full scale.
     noise : float
-        Standard deviation at full scale, share of full scale.
-    shot_share : float
-        Share of the variance there that is proportional to the signal; the rest is constant.
+        Standard deviation at full scale, share of full scale. Half of the variance there is
+        proportional to the signal; the rest is constant.
     bayer : bool
         One colour per pixel, interpolated by OpenCV's edge-aware method. Without, the sensor sees
         the luminance of colours.
     gamma : {"linear", "srgb"}
     bits : int or None
-        8 or 16, None for unrounded values.
+        8, None for unrounded values.
     jpeg_quality : int or None
         1 to 100, OpenCV's encoder; None for no compression.
     """
@@ -76,7 +75,6 @@ class Sensor:
     black: float = 0.06
     white: float = 0.7
     noise: float = 0.01
-    shot_share: float = 0.5
     bayer: bool = False
     gamma: str = "linear"
     bits: int | None = None
@@ -85,7 +83,7 @@ class Sensor:
     def __post_init__(self):
         check_number(self.white, "white", low=self.black, high=1)
         check_choice(self.gamma, "gamma", GAMMAS)
-        check_choice(self.bits, "bits", (8, 16, None) if self.jpeg_quality is None else (8,))
+        check_choice(self.bits, "bits", (8, None) if self.jpeg_quality is None else (8,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +276,7 @@ def _disc(radius):
 
 def _recorded(signal, sensor, rng):
     """Noise, colour filter, gamma, rounding and compression, in this order."""
-    shot = sensor.shot_share * np.clip(signal, 0, None) + 1 - sensor.shot_share
+    shot = SHOT_SHARE * np.clip(signal, 0, None) + 1 - SHOT_SHARE
     values = signal + sensor.noise * np.sqrt(shot) * rng.standard_normal(signal.shape)
     values = values.astype(np.float32)
     if sensor.bayer:
@@ -286,9 +284,7 @@ def _recorded(signal, sensor, rng):
     values = encode(values, sensor.gamma)
     if sensor.bits is None:
         return values
-    full = 2**sensor.bits - 1
-    rounded = np.clip(np.round(values * full), 0, full)
-    values = rounded.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    values = np.clip(np.round(255 * values), 0, 255).astype(np.uint8)
     if sensor.jpeg_quality is None:
         return values
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(sensor.jpeg_quality)]

@@ -206,8 +206,6 @@ def scan(scene, scanner, trajectory, *, seed, measured=None, between=None):
     (1790, 9)
     """
     heads = [scanner] if isinstance(scanner, Scanner) else list(scanner)
-    if not heads or not all(isinstance(head, Scanner) for head in heads):
-        raise TypeError(f"Invalid scanner {scanner!r}. Must be a scanner or a list of them.")
     known = trajectory if measured is None else measured
     if known.time[0] > trajectory.time[0] or known.time[-1] < trajectory.time[-1]:
         raise ValueError(

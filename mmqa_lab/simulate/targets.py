@@ -18,9 +18,9 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
-from scipy.special import j1
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab.mtf import LENS_TRANSFERS
 
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
@@ -53,21 +53,12 @@ class PointSpread:
 
     def __post_init__(self):
         check_positive(self.sigma_px, "sigma_px", unit="px")
-        check_choice(self.lens, "lens", ("gaussian", "disc", "diffraction"))
+        check_choice(self.lens, "lens", tuple(LENS_TRANSFERS))
 
     def mtf(self, fx, fy):
         """Transfer function of lens and pixel at frequencies in cycles per pixel."""
-        return self._optics(np.hypot(fx, fy) * self.sigma_px) * np.sinc(fx) * np.sinc(fy)
-
-    def _optics(self, x):
-        """Transfer function of the lens alone, at frequencies over one over its width."""
-        if self.lens == "disc":
-            turn = 2 * np.pi * np.maximum(x, 1e-9)
-            return 2 * j1(turn) / turn
-        if self.lens == "diffraction":
-            x = np.minimum(x, 1)
-            return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-        return np.exp(-2 * np.pi**2 * x**2)
+        optics = LENS_TRANSFERS[self.lens](np.hypot(fx, fy) * self.sigma_px)
+        return optics * np.sinc(fx) * np.sinc(fy)
 
     def mtf_mean(self, f):
         """Transfer function averaged over all directions."""

@@ -226,8 +226,7 @@ def _houses(length, rng):
 def _cars(length):
     """Cars parked at the curbs, where the survey found free ground."""
     for sign, y in ((1, 10.0), (-1, 32.0), (1, 0.7 * length)):
-        base = (sign * (ROAD_HALF_M - 1.1), y, 0.0)
-        yield box(base, (1.8, 4.5, 1.5), label="car", reflectance=0.4)
+        yield box((sign * (ROAD_HALF_M - 1.1), y, 0.0), (1.8, 4.5, 1.5))
 
 
 def _poles(length, rng):

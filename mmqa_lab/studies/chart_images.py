@@ -8,10 +8,9 @@ import numpy as np
 from mmqa_lab import chart_image, charts, published
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.chart_image import reading
-from mmqa_lab.charts import Bar, Layout, LinePairs
+from mmqa_lab.charts import Bar, Layout, LinePairs, decode
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
-from mmqa_lab.srgb import decode
 
 ROW = ["system", "distance_m", "view"]
 """Columns that name a row of Table 1."""
