@@ -512,6 +512,8 @@ class Patch:
         neighbouring plane.
     index : array of int, shape (n,)
         Rows of the cloud within the tolerance, nearest to this plane.
+    clear : array of int, shape (m,)
+        Those of them whose foot on the plane is clear of all other planes.
     moments : array, shape (2,)
         Sums of the squared coordinates of the fitted points along the plane's axes, square metres.
     sigma : float
@@ -520,6 +522,7 @@ class Patch:
 
     plane: Plane
     index: np.ndarray
+    clear: np.ndarray
     moments: np.ndarray
     sigma: float
 
@@ -655,7 +658,7 @@ def _patches(points, owner, clear, tolerance, minimum):
             plane = fit_plane(points[core])
         moments = (plane.project(points[core]) ** 2).sum(axis=0)
         sigma = TRIMMED * np.sqrt((plane.residuals**2).sum() / max(len(core) - 3, 1))
-        patches.append(Patch(plane, index, moments, float(sigma)))
+        patches.append(Patch(plane, index, fitted, moments, float(sigma)))
     return sorted(patches, key=len, reverse=True)
 
 

@@ -17,8 +17,9 @@ from towns import town
 from mmqa_lab import lines
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
-DENSITIES = {300: True, 60: False, 10: False}
-"""Points per square metre, and whether walls have windows."""
+DENSITIES = {(300, True): 1, (60, False): 1, (10, False): 3}
+"""Points per square metre, whether walls have windows, and how many times as many streets, since
+thin clouds show few edges."""
 
 MOVES = (0.5, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 1.5, 0.0), (2.0, 1.5, 0.3)
 
@@ -57,8 +58,11 @@ def main():
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--length", type=float, default=30.0)
     options = parser.parse_args()
-    seeds, kinds = range(options.seeds), DENSITIES.items()
-    rows = [edges(*kind, seed, options.length) for kind in kinds for seed in seeds]
+    rows = [
+        edges(*kind, seed, options.length)
+        for kind, times in DENSITIES.items()
+        for seed in range(times * options.seeds)
+    ]
     for move in MOVES:
         for seed in range(5 * options.seeds):
             test, model, truth, moves = town(seed, *move)
