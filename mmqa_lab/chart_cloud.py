@@ -49,7 +49,7 @@ BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
 remark is given."""
 
-SHOWN = 20_000
+SHOWN = 10_000
 """Most points that are drawn."""
 
 GRID = (np.arange(100) + 0.5) / 100
@@ -225,7 +225,7 @@ class CloudQuality(Shown):
     def plot(self, frame: Plane | None = None) -> Figure:
         """Draw the points and the outline, their distances from the plane, and both histograms.
 
-        At most 20,000 points are drawn; the histograms are of all points.
+        At most 10,000 points are drawn; the histograms are of all points.
 
         Parameters
         ----------

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 import pandas as pd
 import shapely
 from IPython.display import HTML, Image, Markdown, display
+from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.widgets import PolygonSelector
 from numpy.typing import ArrayLike
@@ -30,7 +32,7 @@ from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
 from mmqa_lab.planes import detect_planes, fit_plane
-from mmqa_lab.spacing import quadrants
+from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.views import is_headless
 
 __all__ = ["JuryForm", "SelectionTool", "SurfaceTool", "choice", "explore", "slider"]
@@ -41,6 +43,14 @@ MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 WIDEST_PX, LARGEST_ZOOM = 800, 12
 """Largest width and zoom of a crop on the screen. The zoom is a whole number, so no pixel is
 interpolated."""
+
+PLACES = (
+    (0.07, 0.11, 0.45, 0.8),
+    (0.535, 0.11, 0.012, 0.8),
+    (0.69, 0.13, 0.29, 0.24),
+    (0.69, 0.62, 0.29, 0.24),
+)
+"""Places of the map, its colour scale and two histograms, as shares of the figure."""
 
 SHOWN = 10_000
 """Most points that are drawn. All points are evaluated."""
@@ -189,6 +199,8 @@ class SelectionTool:
     ----------
     vertices : array, shape (m, 3)
         The current polygon, m.
+    frame : Plane
+        The plane along whose axes, and from whose centre, the picture is drawn.
     quality : CloudQuality or None
         The quality of the selected points; None if they cannot be evaluated.
 
@@ -209,33 +221,35 @@ class SelectionTool:
         self.choices, self.quality, self._followers = choices, None, []
         self.text = ipywidgets.HTML()
         self.figure = Figure(figsize=(8.4, 4.3), dpi=100, layout="none")
-        places = ((0.07, 0.11, 0.52, 0.8), (0.69, 0.62, 0.29, 0.24), (0.69, 0.13, 0.29, 0.24))
-        self._panels = [self.figure.add_axes(place) for place in places]
-        self._panels[0].set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
-        self._dots = self._panels[0].plot([], [], ".", ms=2, color=plots.COLOURS["blue"])[0]
+        self._map, scale, *self._panels = map(self.figure.add_axes, PLACES)
+        self._map.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+        self._dots = self._map.scatter([], [], s=3, lw=0, c=[], cmap=plots.DIVERGING_MAP)
+        self.figure.colorbar(self._dots, cax=scale, label="distance from plane (mm)")
         self.canvas = _canvas(self.figure)
-        look = {"color": plots.COLOURS["vermilion"], "linewidth": 1.5}
-        self._selector = PolygonSelector(self._panels[0], self._moved, props=look)
+        look = {"color": plots.COLOURS["green"], "linewidth": 2}
+        self._selector = PolygonSelector(self._map, self._moved, props=look)
         self.show(points, polygon)
         self.box = None if is_headless() else ipywidgets.VBox([*self._shown(), self.text])
 
     def show(self, points: ArrayLike, polygon: ArrayLike | None = None) -> None:
         """Show other points, shape (n, 3), m, and a polygon, shape (m, 3), m."""
         self.points = check_points(points, minimum=3)
-        plane = fit_plane(self.points, robust=True)
-        flat = abs(plane.normal[2]) > np.cos(np.radians(45))
-        self._centre, self._axes = plane.centre, plane.axes if flat else plane.horizontal_axes()
-        xy = self._to_plane(self.points)
-        self._dots.set_data(*xy[:: 1 + len(xy) // SHOWN].T)
+        self._drawn = self.points[:: 1 + len(self.points) // SHOWN]
+        plane = fit_plane(self._drawn, robust=True)
+        if abs(plane.normal[2]) < np.cos(np.radians(45)):
+            plane = replace(plane, axes=plane.horizontal_axes())
+        self.frame = plane
+        self._dots.set_offsets(plane.project(self._drawn))
+        xy = plane.project(self.points)
         low, high = xy.min(axis=0), xy.max(axis=0)
         margin = 0.05 * (high - low).max()
         limits = np.column_stack([low - margin, high + margin])
-        self._panels[0].set(xlim=limits[0], ylim=limits[1])
+        self._map.set(xlim=limits[0], ylim=limits[1])
         self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
 
     def select(self, polygon: ArrayLike) -> None:
         """Move the polygon, shape (m, 3), m, and evaluate the selected points."""
-        self._selector.verts = self._to_plane(check_polygon(polygon)).tolist()
+        self._selector.verts = self.frame.project(check_polygon(polygon)).tolist()
         self._moved(self._selector.verts)
 
     def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
@@ -278,23 +292,21 @@ class SelectionTool:
         """The parts above the line of text."""
         return [self.canvas]
 
-    def _to_plane(self, points):
-        """Coordinates in the plane, shape (n, 2), m."""
-        return (np.asarray(points, dtype=np.float64) - self._centre) @ self._axes.T
-
     def _to_space(self, xy):
-        """Coordinates in space of points in the plane, shape (n, 3), m."""
-        return self._centre + np.asarray(xy, dtype=np.float64) @ self._axes
+        """Coordinates in space of points in the picture, shape (n, 3), m."""
+        return self.frame.centre + np.asarray(xy) @ self.frame.axes
 
     def _moved(self, vertices):
         """Evaluate and draw the selection again after a change of the polygon."""
         self.vertices = self._to_space(vertices)
+        for panel in self._panels:
+            panel.clear()
         try:
             self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
             self.text.value = f"<b>{_summary(self.quality)}</b>"
-            for panel in self._panels[1:]:
-                panel.clear()
-            self.quality.draw_histograms(*self._panels[:0:-1])
+            self.quality.draw_histograms(*self._panels)
+            off_mm = 1000 * self.quality.plane.distances(self._drawn)
+            self._dots.set(array=off_mm, clim=np.multiply([-3, 3], self.quality.sigma_mad_mm))
         except ValueError as error:
             self.quality, self.text.value = None, f"<b>{error}</b>"
         self.figure.canvas.draw_idle()
@@ -380,10 +392,10 @@ class SurfaceTool(SelectionTool):
             self.name = self._clouds.value = cloud
             self._draw_scene()
         self.number, self.patch = plane, self._patches[cloud][plane]
-        colours = np.array([TINTS[k % len(TINTS)] for k in self._owner], dtype=object)
-        colours[self._owner < 0] = "#DDDDDD"
-        colours[self._owner == plane] = plots.COLOURS["vermilion"]
-        self._scene_dots.set_facecolor(list(colours))
+        palette = to_rgba_array([*TINTS, "#DDDDDD", plots.COLOURS["vermilion"]])
+        place = np.where(self._owner < 0, -2, self._owner % len(TINTS))
+        place[self._owner == plane] = -1
+        self._scene_dots.set_facecolor(palette[place])
         self._scene.canvas.draw_idle()
 
     def _draw_scene(self):
@@ -478,8 +490,10 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
     """
     xy = np.asarray(xy, dtype=np.float64)
     low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
-    reach = 3 * quadrants(xy, radius=extent.max() / 4).d[-1]
-    edge = extent.max() / 10 if np.isnan(reach) else max(extent.max() / 60, reach)
+    some = np.arange(len(xy)) % (1 + len(xy) // SHOWN) == 0
+    away = quadrant_distances(xy, radius=extent.max() / 4, of=some)[:, -1]
+    away = away[~np.isnan(away)]
+    edge = max(extent.max() / 60, 3 * np.median(away)) if len(away) else extent.max() / 10
     cells = np.clip(((xy - low) / edge).astype(int), 0, np.maximum(0, (extent / edge).astype(int)))
     filled = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     filled[tuple(cells.T)] = True

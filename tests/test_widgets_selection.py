@@ -49,7 +49,7 @@ def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
     pressed = []
     tool.follow(button="Write")(lambda tool: pressed.append(tool.quality.n))
     before, text = np.asarray(tool.canvas.buffer_rgba()).copy(), tool.text.value
-    ax, corner = tool._panels[0], tool._selector.verts[2]
+    ax, corner = tool._map, tool._selector.verts[2]
     x, y = ax.transData.transform(corner)
     for name, place in (
         ("motion_notify_event", (x, y)),
