@@ -184,8 +184,8 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
         Findings and remarks.
     tables : dict of str to DataFrame, optional
         Tables by heading.
-    figures : dict of str to matplotlib Figure, optional
-        Figures by caption.
+    figures : dict of str to path, optional
+        Figures as PNG by caption.
     files : sequence of path
         The files that were read.
 
@@ -197,11 +197,10 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
     >>> "<h2>Figures</h2>" in page.read_text()
     True
     """
-    pictures = {}
-    for caption, figure in (figures or {}).items():
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=200)
-        pictures[caption] = base64.b64encode(stream.getvalue()).decode()
+    pictures = {
+        caption: base64.b64encode(Path(file).read_bytes()).decode()
+        for caption, file in (figures or {}).items()
+    }
     rows = {
         heading: table.to_html(index=False, border=0, na_rep="", float_format=four_digits)
         for heading, table in (tables or {}).items()

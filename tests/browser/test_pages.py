@@ -35,7 +35,7 @@ def write_study(study, folder):
     figure, ax = plt.subplots(figsize=(3.3, 2.4))
     ax.plot([1, 2])
     run.save_figure(figure, "seen", seen="A line.")
-    tables, figures = {"F": pd.DataFrame({"f": [2.0]})}, {"A line": figure}
+    tables, figures = {"F": pd.DataFrame({"f": [2.0]})}, {"A line": run.folder / "seen.png"}
     pages.write_report(folder / "report.html", title="Report", tables=tables, figures=figures)
     plt.close(figure)
     run.save_answer("f is 2 on a lattice that is stretched by 2. " * 5, figure="seen")
