@@ -199,7 +199,7 @@ def displaced(seed, comparison, matched, turn_deg):
     moves = scene.displacements(*names) + places @ (rotation.T - np.eye(3)) + shift
     test = test @ rotation.T + shift
     if matched:
-        found = lines.match_displaced(test, model).displacement
+        found = lines.match_displaced(test, model)
     else:
         found = lines.fit_displacement(test, model, pairs)
     known = found.n > 2 and np.isfinite(found.vector).all()
@@ -247,8 +247,7 @@ def edge_of_walls(seed, angle_deg, density, noise):
     for k, height in enumerate((0.0, 3.0)):
         end = int(np.abs(ends[:, 2] - height).argmin())
         figures[f"across: {k}"] = ellipsoid(ends[end, :2], covariance[end, :2, :2])
-        sigma = found.sigma_along[0, end]
-        figures[f"along: {k}"] = around(ends[end, 2], sigma, height)
+        figures[f"along: {k}"] = around(ends[end, 2], covariance[end, 2, 2] ** 0.5, height)
     return figures
 
 

@@ -48,8 +48,6 @@ def test_a_room_has_three_planes_and_three_edges(rng):
     # the ends lie where both planes have points: within some spacings of 0.1 m
     np.testing.assert_allclose(ends, TRUE_ROOM, atol=0.15)
     np.testing.assert_allclose(edges.angle, 90, atol=0.3)
-    frame = edges.to_frame()
-    assert frame["length_m"].tolist() == lines.lengths(edges.segments).tolist()
 
 
 def test_turned_and_far_from_the_origin(rng):
@@ -95,7 +93,7 @@ def test_no_planes_in_a_tree(rng):
     assert detect_planes(rng.normal(0, 1.5, (4000, 3))) == []
     assert detect_planes(np.empty((0, 3))) == []
     empty = extract_edges(rng.normal(0, 1.5, (4000, 3)))
-    assert (len(empty), len(empty.to_frame()), empty.sigma.shape) == (0, 0, (0, 2))
+    assert (len(empty), empty.segments.shape) == (0, (0, 2, 3))
 
 
 def test_canyon_points_lie_on_their_displaced_faces():
@@ -169,7 +167,7 @@ def test_stated_uncertainty_covers_the_errors(density, noise):
             )
             length = TRUE_ROOM[axis, 1, axis]
             from_origin = np.abs(edges.segments[order[axis], :, axis]).argsort()
-            sigma = edges.sigma_along[order[axis]][from_origin]
+            sigma = np.sqrt(edges.covariance[order[axis], from_origin, axis, axis])
             along += list(np.abs(ends[axis, :, axis] - [0, length]) / sigma)
     # 75 edges: two standard errors are 5 %
     assert 0.88 <= np.mean(np.array(across) < 5.99) <= 1.0

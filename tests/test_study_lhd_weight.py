@@ -124,7 +124,7 @@ def test_extracted_edges_of_a_canyon_lie_on_the_true_ones():
     true = canyon_edges(street)
     found = lines.match_displaced(lines.extract_edges(cloud).segments, true)
     assert found.pairs.any(axis=0).sum() > 0.4 * len(true)  # setbacks under 1.2 m hide the others
-    assert np.abs(found.displacement.vector).max() < 0.002
+    assert np.abs(found.vector).max() < 0.002
 
 
 def test_canyon_refuses_negative_noise():

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._results import Shown
-from mmqa_lab.planes import CELLS_PER_SIZE, Grid, across, detect_planes, usual_size
+from mmqa_lab.planes import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
 LEAST_DEG = 20.0
 """Least angle between two planes with an edge."""
@@ -27,7 +25,7 @@ shorter of two rows then exceeds it in 5 % of all cases."""
 
 
 @dataclass(frozen=True, eq=False)
-class Edges(Shown):
+class Edges:
     """Edges of a cloud and their uncertainty.
 
     Parameters
@@ -50,34 +48,6 @@ class Edges(Shown):
 
     def __len__(self):
         return len(self.segments)
-
-    @property
-    def _directions(self):
-        ways = self.segments[:, 1] - self.segments[:, 0]
-        return ways / np.linalg.norm(ways, axis=1, keepdims=True)
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """Standard deviation across the edge in its worst direction at each end, (n, 2), m."""
-        frame = across(self._directions)[:, None]
-        return np.sqrt(np.linalg.eigvalsh(frame @ self.covariance @ frame.swapaxes(2, 3))[..., -1])
-
-    @property
-    def sigma_along(self) -> np.ndarray:
-        """Standard deviation of each end along the edge, (n, 2), m."""
-        axes = self._directions
-        return np.sqrt(np.einsum("nd,nkde,ne->nk", axes, self.covariance, axes))
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return one row per edge: ends, length, angle, support, standard deviations."""
-        ends = [f"{axis}{end}_m" for end in (1, 2) for axis in "xyz"]
-        frame = pd.DataFrame(self.segments.reshape(-1, 6), columns=ends)
-        frame["length_m"] = np.linalg.norm(self.segments[:, 1] - self.segments[:, 0], axis=1)
-        frame["angle_deg"] = self.angle
-        frame[["n_first", "n_second"]] = self.support
-        frame[["sigma_first_mm", "sigma_second_mm"]] = 1000 * self.sigma
-        frame[["sigma_along_first_mm", "sigma_along_second_mm"]] = 1000 * self.sigma_along
-        return frame
 
 
 def extract_edges(

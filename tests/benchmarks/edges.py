@@ -44,9 +44,9 @@ def displaced(scene, test, model, truth, moves):
     """
     began = time.process_time()
     match = lines.match_displaced(test, model)
-    used, found = time.process_time() - began, match.displacement
-    error = found.vector - moves[np.nonzero(match.pairs)[0]].mean(axis=0)
-    square = error @ np.linalg.pinv(np.nan_to_num(found.covariance)) @ error
+    used = time.process_time() - began
+    error = match.vector - moves[np.nonzero(match.pairs)[0]].mean(axis=0)
+    square = error @ np.linalg.pinv(np.nan_to_num(match.covariance)) @ error
     inside = np.nan if np.isnan(square) else float(square < chi2.ppf(0.95, 3))
     f1 = np.nan_to_num(lines.pairing_scores(match.pairs, truth).f1)
     return {"scene": scene, "f1": f1, "covered": inside, "s": used}
