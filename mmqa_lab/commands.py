@@ -645,7 +645,7 @@ def calibrate(
 def chart(
     *,
     out: Path,
-    chart: Literal["grey", "black", "revised", "points"] = "grey",
+    chart: Literal["grey", "revised", "points"] = "grey",
     seed: int = 0,
 ):
     """Write a test chart to print, 1 m x 1 m at true size, as PDF or SVG.
@@ -659,7 +659,7 @@ def chart(
     out
         Write the chart into this file: .pdf or .svg.
     chart
-        The chart: grey, black and revised are imaging charts, points is the point chart.
+        The chart: grey and revised are imaging charts, points is the point chart.
     seed
         Seed of the point chart's random cells.
     """
@@ -683,7 +683,7 @@ def image(
     images: list[Path],
     /,
     *,
-    chart: Literal["grey", "black", "revised"] = "grey",
+    chart: Literal["grey", "revised"] = "grey",
     corners: str | None = None,
     panorama: bool = False,
     linear: bool = False,

@@ -187,7 +187,7 @@ FUNCTIONS = [
     (lambda: DRIVE.at([11]), "Must be between 0.0 and 10.0 s"),
     (lambda: cameras.chart_view(CAMERA, distance=5, layout=CHART, heading_deg=90), "Invalid head"),
     (lambda: cameras.Sensor(jpeg_quality=90), "Invalid bits"),
-    (lambda: charts.imaging_chart("red"), "Must be one of grey, black, revised"),
+    (lambda: charts.imaging_chart("red"), "Must be one of grey, revised"),
     (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 5, 5, 9, 1),)), "Must lie within"),
     (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 1, 1, 1, 1),) * 2), "Must be distinct"),
     (lambda: charts.Layout("a", 9, 9, (charts.Bar("a", 1, 1, 1, 1, 2),)), "between 0 and 1"),

@@ -96,5 +96,5 @@ def test_photographs_without_a_chart_get_a_sentence(file):
     box = [[0, rows - 1], [columns - 1, rows - 1], [columns - 1, 0], [0, 0]]
     with pytest.raises(ValueError, match="coded targets"):
         chart_image.evaluate_file(file, CHART)
-    with pytest.raises(ValueError, match=r"is the chart there|Must be given to"):
+    with pytest.raises(ValueError, match="is the chart there"):
         chart_image.evaluate_file(file, CHART, corners=box)

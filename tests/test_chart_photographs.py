@@ -92,15 +92,6 @@ def test_a_display_curve_taken_for_light_is_doubted():
         assert "is gamma right?" in doubtful.to_frame()["remark"].item()
 
 
-def test_a_second_chart_is_said():
-    shots = [shoot(CHART, 8.0, seed=seed, margin=0.3) for seed in (0, 1)]
-    images = [grey(shot.image) for shot in shots]
-    rows = min(len(image) for image in images)
-    both = np.hstack([image[:rows] for image in images])
-    assert "another chart" in chart_image.locate(both, CHART).remark
-    assert chart_image.locate(images[0], CHART).remark == ""
-
-
 def test_texts_of_a_turned_photograph_are_upright():
     shot = shoot(CHART, 4.0, seed=1)
     image, corners = shot.linear, shot.pixels(CHART.corners())

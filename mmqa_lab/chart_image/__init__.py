@@ -163,7 +163,6 @@ class ImageQuality(Shown):
         doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (
             abs(tone - 0.5) > 0.12
         )
-        doubts[self.chart_map.remark] = bool(self.chart_map.remark)
         return [text for text, true in doubts.items() if true]
 
     def plot(self, *, ax: Axes) -> Axes:

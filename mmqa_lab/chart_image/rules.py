@@ -234,8 +234,14 @@ def choose_images(
     5.4
     """
     distance = check_positive(distance, "distance", unit="m")
-    middle, right, normal = board_frame(corners)
-    away = _places(stations) - middle
+    check_columns(stations, PLACE, "stations")
+    if len(stations) < 2:
+        raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
+    corners = four_corners(corners, columns=3)
+    right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
+    right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
+    normal = np.cross(right, up)
+    away = stations[PLACE].to_numpy(dtype=float) - corners.mean(axis=0)
     view = _view(right, normal, away)
     seen = pd.DataFrame(
         {
@@ -340,22 +346,6 @@ def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.nda
     """
     # lower-case letters are three quarters as high as capitals in the chart's font
     return 0.75 * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
-
-
-def board_frame(corners):
-    """Return the middle of a board, its level direction to the right and its outward normal."""
-    corners = four_corners(corners, columns=3)
-    right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
-    right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
-    return corners.mean(axis=0), right, np.cross(right, up)
-
-
-def _places(stations):
-    """Eastings, northings and heights of two or more stations."""
-    check_columns(stations, PLACE, "stations")
-    if len(stations) < 2:
-        raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
-    return stations[PLACE].to_numpy(dtype=float)
 
 
 def _view(right, normal, places):
