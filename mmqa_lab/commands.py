@@ -718,7 +718,7 @@ def image(
     _figure_file(out)
     choices = {
         "corners": None if corners is None else _corners(corners),
-        "camera": "panorama" if panorama else "plain",
+        "panorama": panorama,
         "gamma": "linear" if linear else "srgb",
     }
     rows, layout = [], charts.imaging_chart(chart)

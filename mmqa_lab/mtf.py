@@ -345,14 +345,9 @@ def _whole_step(places, profile, half):
 
 def _fwhm(places, lsf):
     """Full width at half maximum, between straight lines."""
-    half, top = lsf.max() / 2, int(lsf.argmax())
-    right = top + int(np.argmax(lsf[top:] < half))
-    left = top - int(np.argmax(lsf[top::-1] < half))
-    ends = [
-        places[a] + (lsf[a] - half) / (lsf[a] - lsf[b]) * (places[b] - places[a])
-        for a, b in ((left + 1, left), (right - 1, right))
-    ]
-    return float(ends[1] - ends[0])
+    top = int(lsf.argmax())
+    left, right = (crossing(places[top::way], lsf[top::way], lsf[top] / 2) for way in (-1, 1))
+    return right - left
 
 
 def spread_edge(distance, sigma, angle):
@@ -383,7 +378,7 @@ def spread_edge(distance, sigma, angle):
 
 
 def crossing(frequencies, mtf, level):
-    """Return the first frequency at which an MTF falls below a level, NaN where it does not."""
+    """Return the first frequency (or place) at which values fall below a level; NaN without one."""
     below = mtf < level
     if not below.any() or below[0]:
         return np.nan
@@ -468,18 +463,16 @@ class StarMtf(Shown):
     tilt_deg: float = 0.0
 
     def at(self, share: float) -> float:
-        """Frequency at which the contrast first falls to a share; NaN where it does not."""
+        """Frequency at which the contrast first falls to a share; NaN where it does not.
+
+        That of a tenth, ``at(0.1)``, is the limiting resolution.
+        """
         return self._falls_to(share)[0]
 
     @property
     def mtf50(self) -> float:
         """Frequency of half the contrast."""
         return self.at(0.5)
-
-    @property
-    def mtf10(self) -> float:
-        """Frequency of a tenth of the contrast, the limiting resolution."""
-        return self.at(0.1)
 
     @property
     def mtf50_sigma(self) -> float:
@@ -843,7 +836,7 @@ LENS_TRANSFERS = {"gaussian": _gauss, "disc": _disc, "diffraction": _diffraction
 """Transfer functions of lenses at frequencies times their width (cycles per pixel, pixels)."""
 
 
-def _lens_mtf(transfer, width, frequencies):
+def lens_mtf(transfer, width, frequencies):
     """Return the transfer function of a lens and a square pixel, the mean of all directions."""
     turn = np.radians(np.arange(2.5, 45, 5))[:, None]
     f = np.ravel(frequencies)
@@ -861,14 +854,14 @@ def _lens_of(frequency, contrast):
 
     def misfit(log_width, transfer):
         """Sum of squares that the best scale leaves."""
-        model = np.abs(_lens_mtf(transfer, np.exp(log_width), f))
+        model = np.abs(lens_mtf(transfer, np.exp(log_width), f))
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     choices = {"bounds": np.log(SIGMAS_PX), "method": "bounded"}
     lenses = LENS_TRANSFERS.values()
     fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in lenses}
     best = min(fits, key=lambda lens: fits[lens].fun)
-    return partial(_lens_mtf, best, float(np.exp(fits[best].x)))
+    return partial(lens_mtf, best, float(np.exp(fits[best].x)))
 
 
 def _plain_share(lens, borders):

@@ -31,8 +31,8 @@ def test_targets_and_corners_find_the_same_chart(panorama):
     file, view = panorama
     corners = view.pixels(CHART.corners())
     ways = (
-        {"camera": "panorama"},
-        {"camera": "panorama", "corners": corners + 0.6},
+        {"panorama": True},
+        {"panorama": True, "corners": corners + 0.6},
     )
     rows = []
     for way in ways:
@@ -50,7 +50,7 @@ def test_targets_and_corners_find_the_same_chart(panorama):
 def test_windows_are_the_same_pixels_at_the_same_places(panorama):
     file, view = panorama
     corners = view.pixels(CHART.corners())
-    quality = chart_image.evaluate_file(file, CHART, camera="panorama", corners=corners)
+    quality = chart_image.evaluate_file(file, CHART, panorama=True, corners=corners)
     (column, row), (rows, columns) = quality.origin, quality.image.shape
     expected = io.read_image(file)[row : row + rows, column : column + columns] / 255
     assert quality.image == pytest.approx(charts.decode(expected, "srgb"), abs=1e-6)
@@ -69,7 +69,7 @@ def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
     with pytest.raises(ValueError, match=f"Must lie within {right - 60} x 2000 pixels"):
         chart_image.evaluate_file(part, CHART, corners=view.pixels(CHART.corners()))
     with pytest.raises(ValueError, match="Must be 2 : 1"):
-        chart_image.evaluate_file(part, CHART, camera="panorama")
+        chart_image.evaluate_file(part, CHART, panorama=True)
 
 
 def photographs():

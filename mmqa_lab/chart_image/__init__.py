@@ -26,7 +26,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image import reading
 from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera, align, locate
@@ -38,7 +37,7 @@ from mmqa_lab.chart_image.rules import (
     quality_index,
     text_crops,
 )
-from mmqa_lab.charts import GAMMAS, Layout, decode
+from mmqa_lab.charts import Layout, decode
 from mmqa_lab.io import read_image
 
 if TYPE_CHECKING:
@@ -93,8 +92,8 @@ class ImageQuality(Shown):
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
     >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> quality = evaluate_image(image, layout, chart_map, aligned=False)
-    >>> quality.resolution("h").width_mm, quality.to_frame()["pixel_v_mm"].round(3).item()
+    >>> quality = evaluate_image(image, layout, chart_map)
+    >>> quality.resolution("h").width_mm, quality.to_frame()["pixel_v_mm"].round(2).item()
     (10.0, 4.0)
     """
 
@@ -193,9 +192,7 @@ class ImageQuality(Shown):
         return ax
 
 
-def evaluate_image(
-    image: ArrayLike, layout: Layout, chart_map: ChartMap, *, aligned: bool = True
-) -> ImageQuality:
+def evaluate_image(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> ImageQuality:
     """Measure pixel size and resolved line pairs in one image of a chart.
 
     Parameters
@@ -204,9 +201,7 @@ def evaluate_image(
         Linear light, full scale 1.
     layout : Layout
     chart_map : ChartMap
-        Where the chart is in this image, to a few pixels.
-    aligned : bool
-        Improve the map by the whole printed chart first.
+        Where the chart is in this image, to a few pixels; the whole print improves it.
 
     Returns
     -------
@@ -228,12 +223,11 @@ def evaluate_image(
     >>> layout = imaging_chart()
     >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
     >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> quality = evaluate_image(image, layout, chart_map, aligned=False)
-    >>> quality.to_frame()[["pixel_h_mm", "pixel_v_mm"]].round(3).to_numpy().tolist()
+    >>> quality = evaluate_image(image, layout, chart_map)
+    >>> quality.to_frame()[["pixel_h_mm", "pixel_v_mm"]].round(2).to_numpy().tolist()
     [[4.0, 4.0]]
     """
-    if aligned:
-        chart_map = align(image, layout, chart_map)
+    chart_map = align(image, layout, chart_map)
     tones = reading.find_tones(image, layout, chart_map)
     tables = [read(tones, layout, chart_map) for read in (reading.pixel_sizes, read_pairs)]
     return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
@@ -244,7 +238,7 @@ def evaluate_file(
     layout: Layout,
     *,
     corners: ArrayLike | None = None,
-    camera: str = "plain",
+    panorama: bool = False,
     gamma: str = "srgb",
 ) -> ImageQuality:
     """Evaluate a chart in an image file.
@@ -256,8 +250,8 @@ def evaluate_file(
     corners : array_like, shape (4, 2), optional
         Column and row of the chart's corners from the lower left counterclockwise; without them
         the chart is looked for by its coded targets and long bars.
-    camera : {"plain", "panorama"}
-        Whether straight lines stay straight, or the image is a whole equirectangular panorama.
+    panorama : bool
+        The image is a whole equirectangular panorama; in others straight lines stay straight.
     gamma : {"srgb", "linear"}
 
     Returns
@@ -285,14 +279,11 @@ def evaluate_file(
     [4.0]
     """
     grey = read_image(path)
-    check_choice(gamma, "gamma", GAMMAS)
-    bends = None
-    if check_choice(camera, "camera", ("plain", "panorama")) == "panorama":
-        rows, columns = grey.shape
-        if columns != 2 * rows:
-            raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
-        bends = PanoramaCamera(columns)
-    chart_map = locate(grey, layout, corners=corners, camera=bends)
+    rows, columns = grey.shape
+    if panorama and columns != 2 * rows:
+        raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
+    camera = PanoramaCamera(columns) if panorama else None
+    chart_map = locate(grey, layout, corners=corners, camera=camera)
     origin, last = _window(chart_map, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)
     values = decode(part / np.iinfo(grey.dtype).max, gamma)

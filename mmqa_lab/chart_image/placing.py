@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab._checks import check_count, check_image, check_points, check_positive
+from mmqa_lab._checks import check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
 ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
@@ -59,11 +59,6 @@ class PanoramaCamera:
     width : int
         Pixels of the whole turn.
 
-    Raises
-    ------
-    ValueError
-        If the width is below four.
-
     Examples
     --------
     >>> round(PanoramaCamera.of_megapixels(30).pixel_size_mm(10), 2)
@@ -71,9 +66,6 @@ class PanoramaCamera:
     """
 
     width: int
-
-    def __post_init__(self):
-        check_count(self.width, "width", low=4)
 
     @classmethod
     def of_megapixels(cls, megapixels: float) -> PanoramaCamera:
@@ -173,8 +165,6 @@ class ChartMap:
         """
         xy = check_points(xy, name="chart points", columns=2, minimum=4)
         pixels = check_points(pixels, name="pixels", columns=2, minimum=4)
-        if len(xy) != len(pixels):
-            raise ValueError(f"Invalid pixels: {len(pixels)} given. Must be {len(xy)}.")
         turn, flat = np.eye(3), pixels + offset
         if camera is not None:
             # rays become points of the plane across their mean direction
@@ -523,8 +513,8 @@ def _streaks(grey):
     """Both ends of the long dark streaks in an image, shape (n, 2, 2), the longest first."""
     # bars are narrower than 13 px and darker than 72 % of what is around them
     around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((13, 13), np.uint8))
-    dark = grey < 0.72 * around
-    outlines, _ = cv2.findContours(np.uint8(dark), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    dark = np.uint8(grey < 0.72 * around)
+    outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     found = []
     for outline in outlines:
         box = cv2.boundingRect(outline)

@@ -413,7 +413,9 @@ def pixel_sizes(tones, layout, chart_map):
     >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
     [800.0, 200.0, 4.0]
     """
-    table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in _long_bars(layout)])
+    bars = layout.of_kind(Bar)
+    bars = [bar for bar in bars if not 0.2 < bar.width / bar.height < 5]
+    table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in bars])
     # ends of all bars tell how far the map is off
     both = np.sqrt(2 * (table["offset_px"] ** 2).mean())
     table["length_sigma_px"] = table["length_px"] * 0 + both
@@ -575,24 +577,17 @@ def _refusal(width_px, phase, bars, repeats, share):
     return ""
 
 
-def _long_bars(layout):
-    """The bars that the pixel size comes from."""
-    for bar in layout.of_kind(Bar):
-        if max(bar.width, bar.height) >= 5 * min(bar.width, bar.height):
-            yield bar
-
-
 def _measured(tones, bar, chart_map):
     """Length of a bar in the image, and how its ends were seen: a row of the table."""
     axis = 0 if bar.width > bar.height else 1
-    low, size = np.array([bar.x, bar.y]), np.array([bar.width, bar.height])
-    ends = np.array([low, low + size], dtype=float)
-    ends[:, 1 - axis] = low[1 - axis] + size[1 - axis] / 2
+    ends = bar.corners()[[0, 2]]
+    size = ends[1] - ends[0]
+    ends[:, 1 - axis] = ends[:, 1 - axis].mean()
     row = {"name": bar.name, "direction": "hv"[axis], "length_mm": float(size[axis]), "n": 0}
     row |= {"length_px": np.nan, "repeats_std_px": np.nan, "offset_px": np.nan}
     across_px = size[1 - axis] / chart_map.pixel_sizes_mm(ends)[:, 1 - axis].max()
-    lanes = (np.arange(max(int(across_px) - 1, 1)) + 0.5) / max(int(across_px) - 1, 1) - 0.5
-    lanes = lanes * (1 - 1 / across_px) * size[1 - axis]
+    count = max(int(across_px) - 1, 1)
+    lanes = ((np.arange(count) + 0.5) / count - 0.5) * (1 - 1 / across_px) * size[1 - axis]
     low_end, high_end = (
         _crossings(tones, chart_map, end, axis, sign, lanes)
         for end, sign in zip(ends, (-1, 1), strict=True)
@@ -600,13 +595,10 @@ def _measured(tones, bar, chart_map):
     if min(np.isfinite(end).mean() for end in (low_end, high_end)) < 0.6:
         return row
     repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
-    row["n"], row["length_px"] = (
-        len(repeats),
-        np.linalg.norm(np.diff(chart_map.pixels(ends), axis=0)),
-    )
+    row["n"], row["length_px"] = len(repeats), np.linalg.norm(np.subtract(*chart_map.pixels(ends)))
     offsets = np.nanmean([low_end, high_end], axis=1)
     row["offset_px"] = float(np.sqrt((offsets**2).mean()))
-    row["repeats_std_px"] = float(repeats.std(ddof=1)) if len(repeats) > 1 else np.nan
+    row["repeats_std_px"] = pd.Series(repeats).std()
     return row
 
 

@@ -11,7 +11,6 @@ linear light to the values of image files and back.
 from __future__ import annotations
 
 import csv
-import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from io import BytesIO, StringIO
@@ -269,7 +268,7 @@ class Text(_Element):
     Raises
     ------
     ValueError
-        If the font is unknown or lacks a letter, once the text is drawn or measured.
+        If the font lacks a letter, once the text is drawn or measured.
 
     Examples
     --------
@@ -655,9 +654,7 @@ def _letters(text, font):
     from matplotlib.path import Path as Outline
     from matplotlib.textpath import TextPath
 
-    file = os.path.join(get_data_path(), "fonts", "ttf", f"{font}.ttf")
-    if not os.path.isfile(file):
-        raise ValueError(f"Invalid font {font!r}. Must be one of matplotlib's, like DejaVuSans.")
+    file = Path(get_data_path(), "fonts", "ttf", f"{font}.ttf")
     missing = [letter for letter in text if not get_font(file).get_char_index(ord(letter))]
     if missing:
         raise ValueError(f"Invalid text {text!r}. Must do without {missing[0]!r}: not in the font.")

@@ -53,11 +53,6 @@ class MatchingCamera:
         Share of that variance which neighbours have in common.
     correlation_px : float
         Distance in the image over which they have it (standard deviation of a Gaussian kernel).
-
-    Raises
-    ------
-    ValueError
-        If the hard core or the share is out of its range.
     """
 
     focal_px: float
@@ -69,10 +64,6 @@ class MatchingCamera:
     floor_m: float
     correlation_px: float
     correlated_share: float = 0.7
-
-    def __post_init__(self):
-        check_number(self.hard_core, "hard_core", low=0, high=0.56)
-        check_number(self.correlated_share, "correlated_share", low=0, high=1)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.mtf import LENS_TRANSFERS
+from mmqa_lab.mtf import LENS_TRANSFERS, lens_mtf
 
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
@@ -62,9 +62,7 @@ class PointSpread:
 
     def mtf_mean(self, f):
         """Transfer function averaged over all directions."""
-        turn = np.radians(np.arange(0, 180, 1.0))
-        f = np.asarray(f, dtype=np.float64)[..., None]
-        return np.abs(self.mtf(f * np.cos(turn), f * np.sin(turn))).mean(axis=-1)
+        return np.abs(lens_mtf(LENS_TRANSFERS[self.lens], self.sigma_px, f))
 
     def mtf50(self, angle_deg):
         """Frequency at which the contrast across an edge is halved."""

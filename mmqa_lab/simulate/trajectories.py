@@ -52,24 +52,19 @@ class Trajectory:
 
     def __post_init__(self):
         position = check_points(self.position, name="positions", minimum=2)
-        time = np.asarray(self.time, dtype=np.float64)
-        if time.shape != (len(position),) or not np.isfinite(time).all():
-            raise ValueError(
-                f"Invalid time of shape {time.shape}. Must be {len(position)} finite seconds."
-            )
-        step = np.diff(time)
-        if not (step > 0).all():
-            row = int(np.argmax(step <= 0)) + 1
-            raise ValueError(f"Invalid time {time[row]} in row {row}. Must be later than before.")
-        object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
-        for name in ("roll", "pitch", "heading"):
-            angles = np.asarray(getattr(self, name), dtype=np.float64)
-            if angles.shape not in ((), time.shape) or not np.isfinite(angles).all():
+        for name in ("time", "roll", "pitch", "heading"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if values.shape not in ((), (len(position),)) or not np.isfinite(values).all():
                 raise ValueError(
-                    f"Invalid {name} of shape {angles.shape}. Must be {len(time)} finite degrees."
+                    f"Invalid {name} of shape {values.shape}. Must be {len(position)} numbers."
                 )
-            object.__setattr__(self, name, np.broadcast_to(angles, time.shape))
+            object.__setattr__(self, name, np.broadcast_to(values, len(position)))
+        if not (np.diff(self.time) > 0).all():
+            row = int(np.argmax(np.diff(self.time) <= 0)) + 1
+            raise ValueError(
+                f"Invalid time {self.time[row]} in row {row}. Must be later than before."
+            )
 
     @classmethod
     def from_table(cls, table):
