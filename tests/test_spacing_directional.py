@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mmqa_lab.simulate.point_patterns import point_pattern
 from mmqa_lab.spacing import directional, line_strips, quadrants, turned_f
-from mmqa_lab.studies.anisotropy import clark_evans, pair_contrast, structure_tensor
+from mmqa_lab.studies.anisotropy import pair_contrast, structure_tensor
 
 
 def pattern(kind, seed=1, **choices):
@@ -132,14 +132,6 @@ def test_pair_contrast_of_one_line_and_of_none():
     assert pair_contrast(pattern("scan_lines", ratio=10, noise=1e-5)) > 0.99
     assert abs(pair_contrast(pattern("poisson", size=1))) < 0.05
     assert np.isnan(pair_contrast(np.array([[0, 0], [3, 1]])))
-
-
-def test_clark_evans_published_extremes():
-    """2.1491 on a hexagonal lattice and 1 at random (Clark and Evans 1954, p. 447)."""
-    assert clark_evans(pattern("hexagonal", size=3)) == pytest.approx(2.1491, rel=0.01)
-    random = [clark_evans(pattern("poisson", s, size=1)) for s in range(20)]
-    assert abs(np.mean(random) - 1) < 3 * np.std(random, ddof=1) / np.sqrt(20)
-    assert clark_evans(pattern("clusters", size=1)) < 0.85
 
 
 @pytest.mark.parametrize("degrees", [0, 20, 77])

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 from conftest import spoiled
 
 from mmqa_lab.simulate.point_patterns import point_pattern
@@ -32,14 +31,6 @@ def test_every_measure_gives_a_number():
     assert truth == {"ratio": 1.0}
     for name, method in study.METHODS.items():
         assert np.isfinite(method(xy)), name
-    hexagons = point_pattern("hexagonal", density=1000, size=1.0, seed=1)
-    assert study.clark_evans(hexagons) == pytest.approx(2.149, rel=0.02)
-
-
-def test_closed_forms_of_four_patterns():
-    forms = study.closed_forms(stretches=(8,), repeats=5)
-    assert forms["pattern"].nunique() == 4
-    assert (forms["z"].abs() < 4).all()
 
 
 def test_the_road_patch_has_two_heads_and_their_union():

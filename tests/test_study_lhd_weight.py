@@ -112,12 +112,6 @@ def test_bench_takes_a_method_of_ones_own():
     assert results["f1"].sel({"method": "none"}).max() == 0
 
 
-def test_otsu_splits_two_clusters(rng):
-    near, far = rng.lognormal(-1, 0.3, 40), rng.lognormal(2, 0.4, 25)
-    assert near.max() <= study.otsu_threshold(np.concatenate([near, far])) < far.min()
-    assert np.isnan(study.otsu_threshold(np.empty(0)))
-
-
 def test_extracted_edges_of_a_canyon_lie_on_the_true_ones():
     street = canyon(1)
     cloud = canyon_cloud(street, "TLS", density=12, noise=0.01, seed=1)

@@ -62,25 +62,16 @@ def make(system, distance_m, *, seed):
     return cloud, {"density_per_m2": len(cloud), "precision_mm": 1000 * across.std()}
 
 
-def read(
-    cloud,
-    *,
-    density="hull",
-    axes="principal",
-    spread="sigma_mad",
-    scale=PAPER_SCALE,
-    margins=CHART_MARGINS_M,
-):
+def read(cloud, *, density="hull", spread="sigma_mad", scale=PAPER_SCALE, margins=CHART_MARGINS_M):
     """Read the figures of Table 2 from a chart, by default by Appendix A of the paper.
 
     The density is the points per area of the ``"hull"`` or of the ``"polygon"``. The spread is
-    ``"sigma_mad"`` or ``"std"``. For axes and scale see
-    :func:`mmqa_lab.chart_cloud.evaluate_cloud`, for margins
-    :func:`mmqa_lab.chart_cloud.chart_polygon`. The returned dict has the keys of ``FIGURES``.
+    ``"sigma_mad"`` or ``"std"``. For the scale see :func:`mmqa_lab.chart_cloud.evaluate_cloud`, for
+    margins :func:`mmqa_lab.chart_cloud.chart_polygon`. The dict has the keys of ``FIGURES``.
     """
     corners = chart_corners((0, 0, 0), heading=systems.FACING_THE_ROAD)
     polygon = chart_polygon(corners, margins=margins)
-    quality = evaluate_cloud(cloud, polygon=polygon, thickness=0.2, axes=axes, scale=scale)
+    quality = evaluate_cloud(cloud, polygon=polygon, thickness=0.2, axes="principal", scale=scale)
     return {
         "density_per_m2": getattr(quality, f"density_{density}_per_m2"),
         "precision_mm": getattr(quality, f"{spread}_mm"),
@@ -94,10 +85,9 @@ METHODS = {
     "Appendix A": read,
     "section 3.3": partial(read, density="polygon", scale=CONSISTENT_SCALE),
     "std": partial(read, spread="std"),
-    "horizontal axes": partial(read, axes="horizontal"),
     "whole chart": partial(read, margins=0.0),
 }
-"""Readings of the same chart. They differ in area, axes, estimator or selection. Section 3.3 prints
+"""Readings of the same chart. They differ in area, estimator or selection. Section 3.3 prints
 no factor of sigma_MAD; its reading here has the consistent factor."""
 
 

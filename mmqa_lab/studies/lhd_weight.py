@@ -142,25 +142,6 @@ def score_vector(result, truth):
     return figures
 
 
-def otsu_threshold(nearest):
-    """Return the distance at which logarithms split with the largest variance between classes.
-
-    Otsu 1979, doi:10.1109/TSMC.1979.4310076, applied to the sample instead of a histogram.
-
-    Examples
-    --------
-    >>> otsu_threshold([0.1, 0.2, 0.15, 0.18, 5.0, 6.0, 7.0])
-    0.2
-    """
-    nearest = np.sort(nearest)
-    if len(nearest) < 2:
-        return nearest.max(initial=np.nan)
-    logs = np.log(np.maximum(nearest, 1e-6))
-    below, count = np.cumsum(logs)[:-1], np.arange(1, len(logs))
-    between = (logs.mean() * count - below) ** 2 / (count * (len(logs) - count))
-    return float(nearest[np.argmax(between)])
-
-
 def _by_peak(**choices):
     """The published method with another reading of its threshold."""
     return partial(measured, threshold=partial(lines.peak_threshold, **choices))
@@ -174,7 +155,6 @@ METHODS = {
     "first differences": _by_peak(order=1),
     "sensitivity 0.1 m": partial(measured, sensitivity=0.1),
     "sensitivity 2 m": partial(measured, sensitivity=2.0),
-    "Otsu's threshold": partial(measured, threshold=otsu_threshold),
     "shorter line turned": partial(measured, rotate="shorter"),
     "any overlap": partial(measured, within="overlap"),
     "all targets": partial(measured, norm="all"),
