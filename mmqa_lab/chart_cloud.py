@@ -247,7 +247,7 @@ class CloudQuality(Shown):
             for flat in (self.xy[::step], ring)
         )
         plots.draw_points(xy, ax=axes[0, 0])
-        axes[0, 0].plot(*ring.T, color=plots.COLOURS["vermilion"])
+        axes[0, 0].plot(*ring.T, color=plots.COLOURS["green"])
         shades = {"vmin": -limit, "vmax": limit, "cmap": plots.DIVERGING_MAP}
         residuals_mm = 1000 * self.plane.residuals[::step]
         dots = plots.draw_points(xy, ax=axes[0, 1], c=residuals_mm, **shades)

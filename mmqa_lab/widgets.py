@@ -245,6 +245,7 @@ class SelectionTool:
         margin = 0.05 * (high - low).max()
         limits = np.column_stack([low - margin, high + margin])
         self._map.set(xlim=limits[0], ylim=limits[1])
+        _forget_zoom(self.figure)
         self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
 
     def select(self, polygon: ArrayLike) -> None:
@@ -416,6 +417,7 @@ class SurfaceTool(SelectionTool):
         names = [f"{name}{less} (m)" for name, less in zip(AXES, taken, strict=True)]
         ax.set(xlabel=names[across], ylabel=names[up])
         ax.ticklabel_format(useOffset=False)
+        _forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         self._list.children = [self._button(row) for row in rows.to_dict("records")]
 
@@ -445,6 +447,12 @@ def _described(patch, points):
         "std_mm": 1000 * patch.sigma,
         **{f"{AXES[k]}_m": patch.plane.centre[k] for k in range(3)},
     }
+
+
+def _forget_zoom(figure):
+    """Let the button home of a canvas return to the present view."""
+    if figure.canvas.toolbar is not None:
+        figure.canvas.toolbar.update()
 
 
 def _canvas(figure):
