@@ -15,12 +15,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
@@ -59,7 +57,7 @@ class Plane(Shown):
     Examples
     --------
     >>> plane = fit_plane([[0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1.0]])
-    >>> plane.normal.tolist(), plane.distances([[1, 1, 3]]).tolist(), plane.rms
+    >>> plane.normal.tolist(), plane.distances([[1, 1, 3]]).tolist(), plane.std
     ([0.0, 0.0, 1.0], [2.0], 0.0)
     """
 
@@ -68,18 +66,13 @@ class Plane(Shown):
     axes: np.ndarray
     residuals: np.ndarray
 
-    _metres = ("centre", "rms", "std")
-    _derived = ("n", "rms", "std")
+    _metres = ("centre", "std")
+    _derived = ("n", "std")
 
     @property
     def n(self) -> int:
         """Number of points."""
         return len(self.residuals)
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the residuals, m."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
 
     @property
     def std(self) -> float:
@@ -148,7 +141,7 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     Examples
     --------
     >>> plane = fit_plane([[0, 0, 1], [2, 0, 1], [2, 1, 1], [0, 1, 1]])
-    >>> plane.normal.tolist(), plane.rms
+    >>> plane.normal.tolist(), plane.std
     ([0.0, 0.0, 1.0], 0.0)
     """
     points = check_points(points, minimum=3)
@@ -192,7 +185,7 @@ def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Line(Shown):
+class Line:
     """A fitted straight line in plan and the points' distances from it.
 
     Parameters
@@ -205,8 +198,6 @@ class Line(Shown):
 
     centre: np.ndarray
     direction: np.ndarray
-
-    _metres = ("centre",)
 
     def distances(self, points: ArrayLike) -> np.ndarray:
         """Signed orthogonal distances of points (n, 2), shape (n,), m, positive to the left."""
@@ -344,14 +335,6 @@ class Circle(Shown):
     def std(self) -> float:
         """Standard deviation of a coordinate of the centre, mean of all directions, m."""
         return float(np.sqrt(np.trace(self.covariance) / 2))
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return one row; the ends of the 95 % intervals are 1.96 standard deviations away."""
-        frame = super().to_frame()
-        half = 1.96 * np.sqrt(np.diag(self.covariance))
-        for axis, middle, reach in zip("xy", self.centre, half, strict=True):
-            frame[f"{axis}_low_m"], frame[f"{axis}_high_m"] = middle - reach, middle + reach
-        return frame
 
 
 def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
@@ -599,10 +582,9 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
     grid = Grid(points, size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
     if in_cell < 1:  # surfaces are not connected
+        least = size / np.sqrt(in_cell)
         warnings.warn(
-            f"About {in_cell / grid.edge**2:.2g} points per square metre are too few for planes of "
-            f"{size:g} m: some will be missed. "
-            f"Must have a size of {size / np.sqrt(in_cell):.2g} m or more.",
+            f"Too few points for planes of {size:g} m. Must have a size of {least:.2g} m or more.",
             stacklevel=2,
         )
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))
@@ -678,16 +660,10 @@ class Grid:
         self.size = np.diff(self.start)
         n = len(self.size)
         self.cell = np.repeat(np.arange(n), self.size)
-        shape = self.places.max(axis=0) + 3
-        keys = np.ravel_multi_index((self.places + 1).T, shape)
-        pairs = []
-        for step in product((-1, 0, 1), repeat=3):
-            wanted = keys + np.dot(step, [shape[1] * shape[2], shape[2], 1])
-            at = np.minimum(np.searchsorted(keys, wanted), n - 1)
-            here = np.flatnonzero(keys[at] == wanted)
-            pairs.append(np.stack([here, at[here]]))
-        pairs = np.concatenate(pairs, axis=1).astype(np.int32)
-        self.near = csr_array(coo_array((np.ones(pairs.shape[1], bool), pairs), shape=(n, n)))
+        pairs = cKDTree(self.places).query_pairs(1, p=np.inf, output_type="ndarray").T
+        pairs = np.concatenate([pairs, pairs[::-1], np.tile(np.arange(n), (2, 1))], axis=1)
+        ones = np.ones(pairs.shape[1], dtype=bool)
+        self.near = csr_array((ones, pairs.astype(np.int32)), shape=(n, n))
 
     def rows(self, cells):
         """Rows of the points in some cells, and the index at which each cell begins."""
