@@ -144,8 +144,8 @@ class Spacing(Shown):
         top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
         bins = np.linspace(0, 1.1 * top, 56)
         for values, name, middle, colour in (
-            (nearest, "d1", 1000 * self.d[0], "blue"),
-            (farthest, "d4", 1000 * self.d[-1], "orange"),
+            (nearest, "$d_1$", 1000 * self.d[0], "blue"),
+            (farthest, "$d_4$", 1000 * self.d[-1], "orange"),
         ):
             filled = {"color": COLOURS[colour], "alpha": 0.6, "histtype": "stepfilled"}
             ax.hist(values[np.isfinite(values)], bins=bins, **filled)
