@@ -16,38 +16,33 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cloudpickle
 import numpy as np
 import pandas as pd
+import xarray as xr
+from matplotlib.figure import Figure
 from scipy import stats
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from mmqa_lab import plots
 from mmqa_lab._checks import check_choice
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-__all__ = (
-    *("Comparison", "cell_table", "compare", "failures", "figure_names"),
-    *("grid", "plot", "plot_tables", "rank", "run", "summary"),
-)
 
 LONGEST_REASON = 300
 """Most characters of a reason."""
 
 UNITS = {
-    "_per_m2": "1/m2", "_per_m": "1/m", "_per_mm": "1/mm", "_m_per_s": "m/s", "_m_s": "m/s",
-    "_m2": "m2", "_m": "m", "_cm": "cm", "_mm": "mm", "_deg": "deg", "_mrad": "mrad",
-    "_per_px": "1/px", "_px": "px", "_percent": "%", "_share": "1", "_s": "s", "_ms": "ms",
+    "_per_m2": "1/m²", "_per_m": "1/m", "_per_mm": "1/mm", "_m_per_s": "m/s", "_m_s": "m/s",
+    "_m2": "m²", "_m": "m", "_cm": "cm", "_mm": "mm", "_deg": "deg", "_mrad": "mrad",
+    "_per_px": "1/px", "_px": "px", "_percent": "%", "_s": "s", "_ms": "ms",
     "_hz": "Hz", "_kmh": "km/h",
 }  # fmt: skip
 """Endings of names and their units. The longest ending that fits counts."""
 
 RESERVED = ("method", "case", "seed", "failure", "truth")
-"""Names of the Dataset. No parameter or figure may have such a name or begin with ``truth_``."""
+"""Names of the Dataset. No figure may have such a name or begin with ``truth_``."""
 
 RESAMPLES = 200
 """Bootstrap samples of the cases, for the intervals of ranks."""
@@ -126,8 +121,8 @@ def run(
     Raises
     ------
     ValueError
-        If cases, methods or seeds are missing, if a seed occurs twice, if the cases differ in
-        their parameters, or if a parameter has a name that the Dataset needs.
+        If cases, methods or seeds are missing, if a seed occurs twice, or if the cases differ in
+        their parameters.
 
     Notes
     -----
@@ -190,7 +185,8 @@ class Comparison:
 
     def run(self, *, executor: Executor | None = None) -> xr.Dataset:
         """Return the results of all methods on all cases; see :func:`run`."""
-        cases, seeds = _listed(self.cases, self.seeds)
+        seeds, cases = list(self.seeds), self.cases
+        cases = cases.to_dict("records") if isinstance(cases, pd.DataFrame) else list(cases)
         _refuse_unusable(cases, self.methods, seeds)
         study = replace(self, cases=cases)
         jobs = list(itertools.product(range(len(cases)), seeds))
@@ -204,15 +200,17 @@ class Comparison:
         return results
 
 
-def _measured(study, case, seed):
+def _measured(study, number, seed):
     """The records of one case by method; the record of the truth has an empty name."""
+    case = study.cases[number]
     with threadpool_limits(limits=1):
         try:
             made = study.make(**case, seed=seed)
         except study.costs_cells as error:
-            return dict.fromkeys(("", *study.methods), _failed(error, "make: "))
+            failed = {"failure": _reason(error)}
+            return {"": {}} | dict.fromkeys(study.methods, failed)
         data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
-        records = {"": _truth_record(truth)}
+        records = {"": _truths(truth)}
         for name, method in study.methods.items():
             records[name] = _record(study, method, data, truth, {*RESERVED, *case})
         return records
@@ -220,13 +218,11 @@ def _measured(study, case, seed):
 
 def _record(study, method, data, truth, reserved):
     """The numbers that a method returns, and a sentence on invalid values."""
-    stage = ""
     try:
         result = method(copy.deepcopy(data))  # a method may change its copy
-        stage = "score: "
         result = result if study.score is None else study.score(result, truth)
     except study.costs_cells as error:
-        return _failed(error, stage)
+        return {"failure": _reason(error)}
     named = result if isinstance(result, Mapping) else {"value": result}
     figures, wrong = {}, [] if named else ["the dict is empty"]
     for name, value in named.items():
@@ -236,7 +232,7 @@ def _record(study, method, data, truth, reserved):
         figures[str(name)], reason = _number(value)
         wrong += [f"{name} {reason}"] if reason else []
     failure = f"{'; '.join(wrong)}. Must be finite numbers." if wrong else ""
-    return {"figures": figures, "failure": failure[:LONGEST_REASON]}
+    return figures | {"failure": failure[:LONGEST_REASON]}
 
 
 def _number(value):
@@ -248,50 +244,40 @@ def _number(value):
     return (float(value), "") if np.isfinite(value) else (np.nan, f"is {value}")
 
 
-def _truth_record(truth):
+def _truths(truth):
     """The numbers of a truth; other parts of the truth are only for the score."""
     figures = {}
     for name, value in (truth if isinstance(truth, Mapping) else {"": truth}).items():
         number, wrong = _number(value)
         if wrong in ("", "is nan"):
             figures[f"truth_{name}" if name else "truth"] = number
-    return {"figures": figures, "failure": ""}
+    return figures
 
 
-def _failed(error, where=""):
-    """The record of a cell that raised, with the line of the user's function."""
+def _reason(error):
+    """The sentence on a cell that raised, with the line of the user's function."""
     frames = traceback.extract_tb(error.__traceback__)[1:]
     own = [frame for frame in frames if frame.filename == frames[0].filename]
     line = ""
     if own and not Path(own[-1].filename).is_relative_to(Path(__file__).parent):
         line = f" (line {own[-1].lineno} of {own[-1].name})"
-    sentence = " ".join(f"{where}{type(error).__name__}: {error}".split())
-    return {"figures": {}, "failure": sentence[:LONGEST_REASON] + line}
+    sentence = " ".join(f"{type(error).__name__}: {error}".split())
+    return sentence[:LONGEST_REASON] + line
 
 
 def _computed(study, jobs, executor):
     """Yield each job with its records, in the order of completion."""
     if executor is None:
-        yield from ((job, _measured(study, study.cases[job[0]], job[1])) for job in jobs)
+        yield from ((job, _measured(study, *job)) for job in jobs)
         return
-    import cloudpickle
-
     kit = cloudpickle.dumps(study)
     futures = {executor.submit(_unpacked, kit, job): job for job in jobs}
-    for future in as_completed(futures):
-        try:
-            records = future.result()
-        except Exception as error:  # the process died, perhaps without memory
-            records = dict.fromkeys(("", *study.methods), _failed(error.with_traceback(None)))
-        yield futures[future], records
+    yield from ((futures[future], future.result()) for future in as_completed(futures))
 
 
 def _unpacked(kit, job):
     """Measure a job in a worker."""
-    import cloudpickle
-
-    study = cloudpickle.loads(kit)
-    return _measured(study, study.cases[job[0]], job[1])
+    return _measured(cloudpickle.loads(kit), *job)
 
 
 def _several(value):
@@ -299,12 +285,6 @@ def _several(value):
     if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         return [value]
     return list(value)
-
-
-def _listed(cases, seeds):
-    """Cases as dicts, and seeds as a list."""
-    rows = cases.to_dict("records") if isinstance(cases, pd.DataFrame) else cases
-    return [dict(row) for row in rows], _several(seeds)
 
 
 def _refuse_unusable(cases, methods, seeds):
@@ -317,26 +297,17 @@ def _refuse_unusable(cases, methods, seeds):
     for case in cases:
         if set(case) != set(cases[0]):
             raise ValueError(f"Invalid case {case}. Must have {', '.join(cases[0])}.")
-    taken = [name for name in cases[0] if name in RESERVED or name.startswith("truth_")]
-    if taken:
-        raise ValueError(f"Invalid parameter {taken[0]!r}. Must not be a name of the results.")
 
 
 def _dataset(cases, methods, seeds, records):
     """The Dataset of the records of all cells, in the order of cases, methods and seeds."""
     columns = {name: _labels([case[name] for case in cases]) for name in cases[0]}
     codes, labels = _axes(columns, len(cases))
-    expected = {
-        method: {name for found in records.values() for name in found[method]["figures"]}
-        for method in methods
-    }
     truths, rows = [], []
     for (number, seed), found in records.items():
         place = {name: code[number] for name, code in codes.items()} | {"seed": seeds.index(seed)}
-        truths.append(place | found[""]["figures"])
-        for row, method in enumerate(methods):
-            failure = {"failure": _reason(found[method], expected[method])}
-            rows.append({"method": row, **place, **found[method]["figures"], **failure})
+        truths.append(place | found[""])
+        rows += [{"method": row, **place, **found[one]} for row, one in enumerate(methods)]
     dims = [*codes, "seed"]
     results = pd.DataFrame(rows).set_index(["method", *dims]).to_xarray()
     results = results.merge(pd.DataFrame(truths).set_index(dims).to_xarray())
@@ -348,14 +319,6 @@ def _dataset(cases, methods, seeds, records):
         if split_unit(name)[1]:
             results[name].attrs["units"] = split_unit(name)[1]
     return results
-
-
-def _reason(record, expected):
-    """The reason why a cell lacks figures, also figures that the method gave in other cells."""
-    absent = sorted(expected - set(record["figures"]))
-    if record["failure"] or not absent:
-        return record["failure"]
-    return f"gave no {', '.join(absent)}. Must give the same figures in every case."
 
 
 def _axes(columns, count):
@@ -386,6 +349,12 @@ def split_unit(name):
     return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
 
 
+def heading(name):
+    """Return a name in words with its unit in brackets, for a column or an axis."""
+    plain, unit = split_unit(name)
+    return plain.replace("_", " ") + (f" ({unit})" if unit else "")
+
+
 def failures(results: xr.Dataset) -> pd.DataFrame:
     """Return the reasons of cells without a value, with their counts.
 
@@ -398,8 +367,7 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     -------
     DataFrame
         ``method``, ``reason``, ``count`` (cells) and ``first_case`` (its parameters and seed). The
-        most frequent reason of each method comes first. The table is empty if every cell has a
-        value.
+        table is empty if every cell has a value.
 
     Examples
     --------
@@ -411,15 +379,12 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     >>> failures(results).values.tolist()
     [['mine', 'ArithmeticError: no signal (line 2 of upset)', 2, 'n=3, seed=4']]
     """
-    cells = cell_table(results)
-    case = [name for name in (*_parameters(results), "seed") if name in cells]
+    failed = cell_table(results).query("failure != ''")
+    case = [name for name in (*_parameters(results), "seed") if name in failed]
     rows = []
-    for _, part in cells.groupby("method", sort=False):
-        failed = part[part["failure"] != ""]
-        for reason, count in failed["failure"].value_counts().items():
-            first = failed[failed["failure"] == reason].iloc[0]
-            place = ", ".join(f"{name}={first[name]}" for name in case)
-            rows.append((first["method"], reason, count, place))
+    for (method, reason), part in failed.groupby(["method", "failure"], sort=False):
+        first = ", ".join(f"{name}={part[name].iloc[0]}" for name in case)
+        rows.append((method, reason, len(part), first))
     return pd.DataFrame(rows, columns=["method", "reason", "count", "first_case"])
 
 
@@ -549,8 +514,6 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
     -------
     matplotlib.figure.Figure
     """
-    from mmqa_lab import plots
-
     methods = next(iter(tables.values()))["method"].tolist()
     size = {"width": "double", "height_mm": 22 + 5.5 * len(methods)}
     figure, axes = plots.subplots(1, len(tables), sharey=True, squeeze=False, **size)
@@ -559,9 +522,7 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
             colour = plots.COLOURS["vermilion" if method in own else "blue"]
             ax.hlines(place, low, high, color=colour, lw=1.5)
             ax.plot(mean, place, "D" if method in own else "o", ms=4, color=colour, mfc="white")
-        plain, unit = split_unit(name)
-        label = plain.replace("_", " ")
-        ax.set_xlabel(f"{label} ({unit})" if unit not in ("", "1") else label)
+        ax.set_xlabel(heading(name))
     axes[0][0].set_yticks(range(len(methods)), methods)
     axes[0][0].set_ylim(len(methods) - 0.5, -0.5)
     return figure
@@ -701,13 +662,8 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
 
 def _spearman(rows, true):
     """Spearman's correlation of each row with the truth, over the finite cells."""
-    found = np.full(len(rows), np.nan)
-    for k, values in enumerate(rows):
-        there = np.isfinite(values) & np.isfinite(true)
-        if there.any() and np.ptp(values[there]) > 0 and np.ptp(true[there]) > 0:
-            ranks = stats.rankdata([values[there], true[there]], axis=1)
-            found[k] = np.corrcoef(ranks)[0, 1]
-    return found
+    with warnings.catch_warnings(action="ignore"):  # a constant row has none
+        return pd.DataFrame(rows.T).corrwith(pd.Series(true), method="spearman").to_numpy()
 
 
 def _percentiles(drawn):

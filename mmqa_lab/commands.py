@@ -966,24 +966,23 @@ def studies(
     out
         Write the results into this folder instead.
     """
-    from mmqa_lab.run import notebooks, pages
+    from mmqa_lab.run import notebooks, pages, verdict
     from mmqa_lab.run import store as storing
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
-    wanted = chosen(names or [])
+    wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]
     print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
-    outcomes = []
-    for study, outcome in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
-        outcomes.append(outcome)
-        print(f"{study.notebook:<24} {outcome.seconds:6.1f} s  {outcome.verdict}", flush=True)
+    failed = False
+    for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
+        untrue = not quick and any(not check["passed"] for check in record["checks"])
+        failed = failed or bool(record["failure"]) or untrue
+        print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
         pages.write_pages(folder, STUDIES)
     if store:
         storing.store(notebooks_folder(), folder, wanted)
-        for tool in TOOLS if not names else ():
-            storing.store_tool(tool, folder)
-    return 0 if all(one.ok and (one.quick or one.true) for one in outcomes) else 1
+    return int(failed)
 
 
 def _fitting_workers():
@@ -997,7 +996,7 @@ def _fitting_workers():
 
 
 def _run_studies(run_study, studies, folder, quick, workers):
-    """Run each study in a process, so many at a time; yield it with its outcome as it ends."""
+    """Run each study in a process, so many at a time; yield it with its record as it ends."""
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import get_context
 

@@ -64,7 +64,7 @@ def watch(file):
 
     Figures are saved as PNG alone: other tests save in all forms.
     """
-    run.FORMATS = ("png",)
+    run.FORMATS = {"png": {}}
     save_figure, explore = Run.save_figure, widgets.explore
     found, seen = {}, []
 

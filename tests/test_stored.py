@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 
 import nbformat
 import numpy as np
@@ -10,13 +9,14 @@ import pytest
 from PIL import Image
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run.notebooks import write_outcome
-from mmqa_lab.run.pages import Outcome
-from mmqa_lab.run.store import LARGEST_BYTES, code_hash, store, store_tool
-from mmqa_lab.studies import STUDIES, notebooks_folder
+from mmqa_lab.run import write_record
+from mmqa_lab.run.store import code_hash, store
+from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
+
+LARGEST_BYTES = 1_000_000
 
 
-@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+@pytest.mark.parametrize("study", [*STUDIES, *TOOLS], ids=lambda study: study.stem)
 def test_stored_outputs_are_of_this_code(study):
     notebook = nbformat.read(study.path, as_version=4)
     outputs = [one for cell in notebook.cells for one in cell.get("outputs", [])]
@@ -27,7 +27,7 @@ def test_stored_outputs_are_of_this_code(study):
     assert not any(one.get("name") == "stderr" or one.output_type == "error" for one in outputs)
     assert not any("widget" in kind for one in outputs for kind in one.get("data", {}))
     thumbnail = notebooks_folder() / "thumbnails" / f"{study.notebook}.png"
-    assert thumbnail.stat().st_size <= 40_000
+    assert study in TOOLS or thumbnail.stat().st_size <= 40_000
 
 
 def test_a_quick_run_is_not_stored(tmp_path):
@@ -57,7 +57,6 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     content, coded = picture(1500)
     outputs = [
         nbformat.v4.new_output("stream", name="stderr", text="a warning"),
-        nbformat.v4.new_output("display_data", {"application/vnd.jupyter.widget-view+json": {}}),
         nbformat.v4.new_output("display_data", {"image/png": coded, "text/plain": "Figure"}),
     ]
     cells = [nbformat.v4.new_code_cell("draw()")]
@@ -66,8 +65,7 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
     answer = {"sentence": "Yes, by 3 mm.", "figure": "key"}
-    write_atomically(results / "run.json", json.dumps({"answer": answer}))
-    write_outcome(Outcome("ran", False, failure=""), results)
+    write_record(results, {"quick": False, "failure": "", "answer": answer})
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
     (shown,) = stored.cells[0].outputs
@@ -80,15 +78,3 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])
-
-
-def test_a_tool_is_stored_with_what_it_shows_first(tmp_path):
-    tool = Ran(tmp_path)
-    cells = [nbformat.v4.new_code_cell("import os\nprint(os.environ['MMQA_RESULTS'])")]
-    nbformat.write(nbformat.v4.new_notebook(cells=cells), tool.path)
-    store_tool(tool, tmp_path / "here")
-    (cell,) = nbformat.read(tool.path, as_version=4).cells
-    assert cell.outputs[0]["text"] == "results\n"  # no folder of this machine
-    write_atomically(tool.path, tool.path.read_text().replace("import os", "import oz"))
-    with pytest.raises(ValueError, match="Invalid notebook 99_ran: ModuleNotFoundError"):
-        store_tool(tool, tmp_path)

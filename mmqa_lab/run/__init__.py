@@ -3,46 +3,36 @@
 from __future__ import annotations
 
 import ast
+import functools
+import itertools
 import json
 import os
 import platform
 import re
-import subprocess
-import time
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import matplotlib as mpl
-import numpy as np
 import pandas as pd
 from IPython import get_ipython
+from matplotlib.figure import Figure
 
-from mmqa_lab import __version__, plots, samples
+from mmqa_lab import __version__
 from mmqa_lab._figures import finish_figure, say_kind
-from mmqa_lab.bench import split_unit
+from mmqa_lab.bench import heading
 from mmqa_lab.io import write_atomically
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Run", "results_folder"]
 __dir__ = __all__.copy
 
-FORMATS = ("pdf", "svg", "png")
+FORMATS = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+"""Formats of figures, with what is left out so that equal runs give equal bytes."""
+
 RECORD = "run.json"
-
-LICENCE = "CC BY 4.0"
-"""Licence of the figures."""
-
-SAVING = ("pdf.fonttype", "ps.fonttype", "svg.fonttype", "svg.hashsalt", "savefig.dpi")
-"""Settings of the house style that matter when a figure is saved."""
+UNFINISHED = "stopped before its end"
 
 LONGEST_LATEX = 60
 """Most rows of a table that is also written for LaTeX."""
-
-LATEX = {"<=": "$\\leq$", ">=": "$\\geq$", "<": "$<$", ">": "$>$", "m2)": "m$^2$)"}
-"""Texts and how LaTeX prints them."""
 
 KINDS = ("published", "predicted", "fitted", "measured")
 """Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
@@ -101,28 +91,17 @@ class Run:
 
     def __init__(self, stem: str, *, parameters: dict[str, Any]):
         self.folder = results_folder() / stem
-        self._began = time.time()
         self._values, self._kinds, self._checks = {}, {}, {}
         notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"))
         names = parameter_names(notebooks[0]) if notebooks else []
-        self._record = {
+        self._record = new_record(self.folder) | {
             "study": stem,
-            "finished": False,
-            "answer": {"sentence": "", "figure": ""},
             "parameters": {name: parameters.get(name) for name in names},
-            "seconds": 0.0,
-            "checks": 0,
-            "checks_passed": 0,
-            "files": [],
-            "figures": {},
-            **_environment(),
-            "samples": {sample.name: sample.sha256 for sample in samples.SAMPLES},
+            "version": __version__,
+            "python": platform.python_version(),
+            "versions": {one.name: one.version for one in metadata.distributions()},
         }
-        self._made = f"mmqa_lab {self._record['version']} {self._record['commit']}".strip()
-        files = read_record(self.folder).get("files", [])
-        for left in [*self.folder.glob(".*"), *map(self.folder.joinpath, files)]:
-            left.unlink(missing_ok=True)  # of an earlier run, or of a killed run
-        self._write_record()
+        write_record(self.folder, self._record)
         if get_ipython() is not None:
             pd.set_option("display.max_colwidth", None, "display.float_format", four_digits)
 
@@ -150,7 +129,9 @@ class Run:
         self._remove(name)
         self._write(f"{name}.csv", frame)
         if len(frame) <= LONGEST_LATEX:
-            self._write(f"{name}.tex", _latex(frame))
+            shown = frame.set_axis([heading(str(name)) for name in frame], axis=1)
+            style = {"index": False, "escape": True, "na_rep": "--", "float_format": four_digits}
+            self._write(f"{name}.tex", shown.to_latex(**style))
 
     def save_figure(
         self,
@@ -175,27 +156,13 @@ class Run:
         known = "" if data is None else _kind_of(data)
         say_kind(figure, kind or known or self._kinds.get(name, ""))
         finish_figure(figure)
-        subject = {"CreationDate": None, "Subject": self._record["study"], "Creator": self._made}
-        details = {
-            "pdf": {"Title": name, **subject},
-            "svg": {"Date": None, "Title": name, "Description": self._made},
-            "png": {"Title": name, "Software": self._made},
-        }
-        self._record["figures"][name] = {
-            "seen": seen or _described(figure),
-            "width_mm": round(25.4 * figure.get_figwidth(), 1),
-        }
-        with mpl.rc_context({key: plots.STYLE[key] for key in SAVING}):
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
-            for form in FORMATS:
-                self._write(
-                    f"{name}.{form}",
-                    lambda path, form=form: figure.savefig(path, metadata=details[form]),
-                )
-        captions = {name: one["seen"] for name, one in self._record["figures"].items()}
-        rows = pd.DataFrame(captions.items(), columns=["figure", "caption"])
-        self._write("captions.csv", rows.assign(licence=LICENCE))
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
+        for form, details in FORMATS.items():
+            self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
+        self._record["figures"][name] = seen or _described(figure)
+        rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
+        self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
         if data is not None:
             self._write(f"{name}.csv", data)
 
@@ -212,7 +179,7 @@ class Run:
         """
         spaced = re.sub(r"(?<=\d)%", " %", sentence)
         self._record["answer"] = {"sentence": spaced, "figure": figure}
-        self._write_record()
+        write_record(self.folder, self._record)
 
     def check(self, statement: str, passed: bool, obtained: str, reason: str) -> None:
         """Print and record whether a statement holds for this run; a failed check stops nothing.
@@ -231,10 +198,8 @@ class Run:
         print(f"check: {'yes' if passed else 'NO'}. {statement} Here {obtained} ({reason}).")
         row = {"statement": statement, "passed": bool(passed), "obtained": obtained}
         self._checks[statement] = row | {"reason": reason}
-        frame = pd.DataFrame(list(self._checks.values()))
-        self._record["checks"] = len(frame)
-        self._record["checks_passed"] = int(frame["passed"].sum())
-        self._write("checks.csv", frame)
+        self._record["checks"] = list(self._checks.values())
+        self._write("checks.csv", pd.DataFrame(self._record["checks"]))
 
     def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write the study's values beside printed results as ``ledger.csv``.
@@ -248,8 +213,8 @@ class Run:
 
     def finish(self) -> None:
         """Mark the run as complete in its record."""
-        self._record["finished"] = True
-        self._write_record()
+        self._record["failure"] = ""
+        write_record(self.folder, self._record)
 
     def _remove(self, name):
         """Remove the table that an earlier cell wrote under a name."""
@@ -262,13 +227,7 @@ class Run:
         write_atomically(self.folder / name, write)
         if name not in self._record["files"]:
             self._record["files"].append(name)
-        self._write_record()
-
-    def _write_record(self):
-        """Write the run record."""
-        self._record["seconds"] = round(time.time() - self._began, 1)
-        text = json.dumps(self._record, indent=1, default=str)
-        write_atomically(self.folder / RECORD, text)
+        write_record(self.folder, self._record)
 
 
 def _macro(name, value, unit, kind):
@@ -278,10 +237,31 @@ def _macro(name, value, unit, kind):
     return f"\\newcommand{{\\mmqa{camel}}}{{{four_digits(value)}}} % {unit}, {kind}"
 
 
+def new_record(folder):
+    """Remove the files of an earlier or a killed run; return the record of a run that begins."""
+    before = read_record(folder)
+    for left in [*folder.glob(".*.*"), *map(folder.joinpath, before.get("files", []))]:
+        left.unlink(missing_ok=True)
+    answer = {"sentence": "", "figure": ""}
+    record = {"quick": before.get("quick", False), "failure": UNFINISHED, "seconds": 0.0}
+    return record | {"answer": answer, "checks": [], "files": [], "figures": {}}
+
+
 def read_record(folder):
     """Return the run record in a study's folder; an empty dict without a record."""
     file = Path(folder) / RECORD
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def write_record(folder, record):
+    """Write the run record into a study's folder."""
+    write_atomically(Path(folder) / RECORD, json.dumps(record, indent=1, default=str))
+
+
+def verdict(record):
+    """Return the reason of a failure, or the count of the checks that passed."""
+    passed = sum(check["passed"] for check in record["checks"])
+    return record["failure"] or f"{passed} of {len(record['checks'])} checks passed"
 
 
 def parameter_names(notebook):
@@ -295,11 +275,6 @@ def parameter_names(notebook):
     -------
     list of str
 
-    Raises
-    ------
-    ValueError
-        If no cell has the tag.
-
     Examples
     --------
     >>> from mmqa_lab.studies import chosen
@@ -307,70 +282,16 @@ def parameter_names(notebook):
     ['ranges_m', 'seeds']
     """
     cells = json.loads(Path(notebook).read_text(encoding="utf-8"))["cells"]
-    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
-    if not tagged:
-        raise ValueError(f"Invalid notebook {notebook}. Must have a cell tagged parameters.")
-    nodes = ast.walk(ast.parse("".join(tagged[0]["source"])))
+    tagged = [cell["source"] for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+    nodes = ast.walk(ast.parse("".join(itertools.chain(*tagged))))
     return [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
 
 
-def _environment():
-    """Versions of the package, of Python and of the required libraries; commit and platform."""
-    asked = metadata.requires("mmqa_lab") or []
-    names = {re.match(r"[\w.-]+", line)[0].lower() for line in asked if "extra ==" not in line}
-    installed = {one.name.lower(): one.version for one in metadata.distributions()}
-    return {
-        "version": __version__,
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "versions": {name: installed[name] for name in sorted(names & set(installed))},
-    }
-
-
-def _commit():
-    """The commit of the package's checkout, ``-dirty`` if files differ; empty if installed."""
-    command = ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    here = Path(__file__).parents[2]
-    if not (here / "pyproject.toml").is_file():  # installed, perhaps in another project
-        return ""
-    try:
-        return subprocess.run(command, cwd=here, capture_output=True, text=True).stdout.strip()
-    except OSError:
-        return ""
-
-
 def _described(figure):
-    """The titles and labels of a figure's axes."""
-    shown = []
-    for ax in figure.axes:
-        over = " over ".join(filter(None, [ax.get_ylabel(), ax.get_xlabel()]))
-        shown.append(": ".join(filter(None, [ax.get_title().replace("\n", " "), over])))
-    text = "; ".join(filter(None, dict.fromkeys(shown)))
-    return re.sub(r"\\mathrm|[$\\{}]", "", text)  # without the marks of LaTeX
-
-
-def _latex(frame):
-    """A table for LaTeX with booktabs rules, units in the headings and escaped texts."""
-    names = ["_".join(filter(None, map(str, np.atleast_1d(name)))) for name in frame.columns]
-    shown = frame.set_axis([_heading(name) for name in names], axis=1)
-    text = shown.to_latex(index=False, escape=True, na_rep="--", float_format=_typeset)
-    for plain, typeset in LATEX.items():
-        text = text.replace(plain, typeset)
-    return text
-
-
-def _heading(name):
-    """A column's name in words, and its unit in brackets; shares have none."""
-    plain, unit = split_unit(name)
-    shown = name if unit in ("", "1") else f"{plain} ({unit})"
-    return shown.replace("_", " ")
-
-
-def _typeset(number):
-    """A number for LaTeX; an exponent becomes a power of ten."""
-    digits, _, power = four_digits(number).partition("e")
-    return f"${digits} \\times 10^{{{int(power)}}}$" if power else digits
+    """The titles and labels of a figure's axes, without the marks of LaTeX."""
+    labels = [(ax.get_title(), ax.get_ylabel(), ax.get_xlabel()) for ax in figure.axes]
+    shown = dict.fromkeys(", ".join(filter(None, texts)) for texts in labels)
+    return re.sub(r"\\mathrm|[$\\{}]", "", "; ".join(filter(None, shown)))
 
 
 def four_digits(number):

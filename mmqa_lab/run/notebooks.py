@@ -1,16 +1,17 @@
 """Run notebooks without a screen, each in its own kernel."""
 
-import json
 import os
 import time
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import nbformat
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run import read_record
-from mmqa_lab.run.pages import OUTCOME, Outcome, notebook_page
+from mmqa_lab.run import new_record, read_record, write_record
+from mmqa_lab.run.pages import notebook_page
+
+WIDGET = "application/vnd.jupyter.widget-view+json"
+"""Type of an output that needs a running kernel."""
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -35,33 +36,31 @@ def run_study(study, folder, *, quick=False):
 
     Returns
     -------
-    Outcome
-        Also written to ``outcome.json`` in the folder of the results.
+    dict
+        The run record: ``quick``, ``seconds``, ``failure`` (in one line, empty if every cell ran),
+        ``answer``, ``checks``, ``files`` and more, also in ``run.json``.
     """
     target = Path(folder).resolve() / study.stem
-    outcome = Outcome(study.stem, quick)
-    for summary in ("checks.csv", "ledger.csv", f"{study.stem}.html"):  # of an earlier run
-        (target / summary).unlink(missing_ok=True)
-    write_outcome(outcome, target)
+    write_record(target, new_record(target) | {"quick": quick})
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
     began = time.monotonic()
     failure = execute(notebook, study.path.parent, results=target.parent)
-    seconds, record = round(time.monotonic() - began, 1), read_record(target)
-    write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
-    seen = record.get("figures", {})
-    page = notebook_page(notebook, study.title, figures=seen, failure=failure, quick=quick)
-    write_atomically(target / f"{study.stem}.html", page)
-    counts = {"checks": record.get("checks", 0), "passed": record.get("checks_passed", 0)}
-    outcome = replace(outcome, seconds=seconds, failure=failure, **counts)
-    write_outcome(outcome, target)
-    return outcome
-
-
-def write_outcome(outcome, folder):
-    """Write the outcome of a run to the folder of its results."""
-    write_atomically(folder / OUTCOME, json.dumps(asdict(outcome), indent=1))
+    seconds = round(time.monotonic() - began, 1)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            cell.outputs = [one for one in cell.outputs if WIDGET not in one.get("data", ())]
+    above = ["[All studies](../index.html)"]
+    above += ["**Quick run: small parameters, for a first look.**"] if quick else []
+    above += [f"**Stopped: `{failure}`. No cell below that one was run.**"] if failure else []
+    record = read_record(target) | {"seconds": seconds, "failure": failure}
+    texts = (nbformat.writes(notebook), notebook_page(notebook, study.title, above=above))
+    for ending, text in zip(("ipynb", "html"), texts, strict=True):
+        write_atomically(target / f"{study.stem}.{ending}", text)
+        record["files"].append(f"{study.stem}.{ending}")
+    write_record(target, record)
+    return record
 
 
 def inject(notebook, parameters):
@@ -89,6 +88,6 @@ def execute(notebook, folder, *, results):
         client.execute(env={**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(results)})
     except CellExecutionError as error:
         return f"{error.ename}: {error.evalue}".splitlines()[0]
-    except DeadKernelError:  # also if the run is interrupted
-        return "the kernel died"
+    except DeadKernelError as error:  # also if the run is interrupted
+        return str(error)
     return ""

@@ -11,8 +11,8 @@ below the cells that it needs. The teacher gets the solutions and a table of ans
 import ast
 import base64
 import contextlib
-import io
 import json
+import numbers
 import re
 import tempfile
 import textwrap
@@ -22,6 +22,7 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pandas as pd
+from nbconvert.preprocessors import ClearOutputPreprocessor
 
 from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
@@ -46,8 +47,6 @@ NUMBERS = range(1, 31)
 FEW = 6
 """Most numbers of an answer in the table of answers."""
 
-PYTHON = {"name": "python", "pygments_lexer": "ipython3"}
-
 
 def student_cell(source):
     """Return the student's version of an answer's cell: names without values, and the check.
@@ -71,21 +70,26 @@ def student_cell(source):
     --------
     >>> print(student_cell("# 1: by symmetry\\narea_m2 = 4\\n# check\\nassert area_m2 == 4")[:70])
     # 1: your work
-    area_m2 = ...  # m2
+    area_m2 = ...  # m²
     <BLANKLINE>
     from mmqa_lab.run.students import
     """
-    work, _, check = source.partition(f"\n{CHECK}\n")
-    read = set(_names(ast.parse(check), ast.Load)) - set(_names(ast.parse(check), ast.Store))
-    answers = [name for name in dict.fromkeys(_names(ast.parse(work), ast.Store)) if name in read]
+    work, answers, check = _parts(source)
     if not answers:
         raise ValueError(f"Invalid answer {source.splitlines()[0]!r}. Must be checked.")
     kept = [line for line in work.splitlines() if line.startswith((ASKED, "import ", "from "))]
-    given = [f"# {_number(source)}: your work", *kept, *map(_blank, answers)]
-    needed = [NUMBER, *answers] if NUMBER in read else answers
+    blanks = [f"{name} = ...  # {split_unit(name)[1]}".rstrip(" #") for name in answers]
+    needed = [NUMBER, *answers] if NUMBER in _names(check, ast.Load) else answers
     sealed = _sealed([_number(source), needed, "\n".join([*kept, check])])
-    check = ["from mmqa_lab.run.students import check_answer", "", f"check_answer({sealed})"]
-    return "\n".join([*given, "", *check])
+    call = f"from mmqa_lab.run.students import check_answer\n\ncheck_answer({sealed})"
+    return "\n".join([f"# {_number(source)}: your work", *kept, *blanks, "", call])
+
+
+def _parts(source):
+    """The work of an answer's cell, the names that the check reads of it, and the check."""
+    work, _, check = source.partition(f"\n{CHECK}\n")
+    read = set(_names(check, ast.Load)) - set(_names(check, ast.Store))
+    return work, [name for name in dict.fromkeys(_names(work, ast.Store)) if name in read], check
 
 
 def _number(source):
@@ -126,8 +130,8 @@ def check_answer(sealed, scope):
         usual = f"not right yet. Check the formula, and the unit of {listed}."
         raise NotRight(f"{number}: {str(error) or usual}") from None
     except Exception as error:  # the work may have any type
-        what = f"{type(error).__name__}: {error}"
-        raise NotRight(f"{number}: the check cannot be worked out with this: {what}.") from None
+        what = f"the check cannot be worked out with this: {type(error).__name__}: {error}."
+        raise NotRight(f"{number}: {what}") from None
     print(f"{number}: right.")
 
 
@@ -138,43 +142,33 @@ def _sealed(task):
     return f"\n{lines},\n    globals(),\n"
 
 
-def _blank(name):
-    """The line in which a student sets a name, with the unit from the end of the name."""
-    unit = split_unit(name)[1]
-    return f"{name} = ...  # {unit}" if unit else f"{name} = ..."
-
-
 def _exercise(source):
-    """Yield the student's two cells of an answer, work and check, in nbgrader's form."""
+    """The student's two cells of an answer, work and check, in nbgrader's form."""
+    cells = []
     for part, text in zip(("work", "check"), student_cell(source).split("\n\n", 1), strict=True):
-        grading = {
-            "grade_id": f"exercise-{_number(source)}-{part}",
-            "schema_version": 3,
-            "task": False,
-        }
-        grading |= {"solution": part == "work", "grade": part == "check"}
-        grading |= {"locked": part == "check"} | ({"points": 1} if part == "check" else {})
-        cell = nbformat.v4.new_code_cell(text, metadata={"nbgrader": grading})
-        cell.metadata["tags"] = ["exercise"] if part == "work" else ["check", "raises-exception"]
-        yield cell
+        cell = nbformat.v4.new_code_cell(text)
+        checks = part == "check"
+        cell.metadata["tags"] = ["check", "raises-exception"] if checks else ["exercise"]
+        named = {"grade_id": f"exercise-{_number(source)}-{part}", "schema_version": 3}
+        graded = {"grade": checks, "locked": checks, "points": int(checks)}
+        cell.metadata["nbgrader"] = named | graded | {"solution": not checks, "task": False}
+        cells.append(cell)
+    return cells
 
 
 def _student_notebook(notebook, checks):
-    """A copy of a notebook without answers, outputs and the teacher's cells."""
-    cells = []
-    for cell in notebook.cells:
-        tags = _tags(cell)
-        if "solution" in tags:
-            cells += list(_exercise(cell.source))[: 2 if checks else 1]
-        elif NUMBER in tags:
-            blank = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
-            cells.append(nbformat.v4.new_code_cell(blank, metadata=cell.metadata))
-        elif cell.cell_type == "code":
-            cells.append(nbformat.from_dict({**cell, "outputs": [], "execution_count": None}))
-        elif "lesson" not in tags:
-            text = SET_HERE.sub("set it in the next cell", cell.source)
-            cells.append(nbformat.from_dict({**cell, "source": text}))
-    return nbformat.from_dict({**notebook, "cells": cells})
+    """A notebook without answers, outputs and the teacher's cells."""
+    copy, _ = ClearOutputPreprocessor().preprocess(notebook, {})
+    cells, copy.cells = copy.cells, []
+    for cell in cells:
+        if NUMBER in _tags(cell):
+            cell.source = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
+        cell.source = SET_HERE.sub("set it in the next cell", cell.source)
+        if "solution" in _tags(cell):
+            copy.cells += _exercise(cell.source)[: 2 if checks else 1]
+        elif "lesson" not in _tags(cell):
+            copy.cells.append(cell)
+    return copy
 
 
 def write_student_notebooks(studies, folder, *, quick=False, checks=True):
@@ -239,25 +233,20 @@ def write_solutions(studies, folder, *, quick=False):
     """
     written = []
     for study in studies:
-        cells = nbformat.read(study.path, as_version=4).cells
-        texts = [k for k, cell in enumerate(cells) if cell.cell_type == "markdown"]
-        tagged = [k for k, cell in enumerate(cells) if "solution" in _tags(cell)]
-        above = dict.fromkeys(max(place for place in texts if place < k) for k in tagged)
-        tasks = ["## " + cells[k].source.rpartition("## ")[2] for k in above]
-        exercises = [nbformat.v4.new_markdown_cell(task) for task in tasks]
-        answers = [
-            nbformat.v4.new_code_cell(cells[k].source.split(f"\n{CHECK}")[0]) for k in tagged
-        ]
-        answers.append(nbformat.v4.new_markdown_cell("## Answers by number"))
-        shown = {"text/html": answer_table(study, quick=quick).to_html(index=False, na_rep="")}
-        output = nbformat.v4.new_output("display_data", data=shown)
-        answers.append(nbformat.v4.new_code_cell("", outputs=[output]))
-        lesson = [cell for cell in cells if "lesson" in _tags(cell)]
-        chosen = [cells[0], *exercises, *answers, *lesson]
-        book = nbformat.v4.new_notebook(cells=chosen, metadata={"language_info": PYTHON})
-        page = notebook_page(book, f"{study.title}: solutions", figures={}, alone=True)
+        notebook = nbformat.read(study.path, as_version=4)
+        shown, task = [notebook.cells[0]], ""
+        for cell in notebook.cells:
+            if cell.cell_type == "markdown":
+                task = "## " + cell.source.rpartition("## ")[2]
+            if "solution" in _tags(cell):
+                work = nbformat.v4.new_code_cell(_parts(cell.source)[0])
+                shown += [nbformat.v4.new_markdown_cell(task), work]
+        table = answer_table(study, quick=quick).to_html(index=False, na_rep="")
+        shown.append(nbformat.v4.new_markdown_cell(f"## Answers by number\n\n{table}"))
+        shown += [cell for cell in notebook.cells if "lesson" in _tags(cell)]
+        notebook.cells = shown
         written.append(Path(folder) / f"{study.notebook}_solutions.html")
-        write_atomically(written[-1], page)
+        write_atomically(written[-1], notebook_page(notebook, f"{study.title}: solutions"))
     return written
 
 
@@ -285,12 +274,9 @@ def answer_table(study, *, quick=False):
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
-    tasks = {}
-    for source in [cell.source for cell in notebook.cells if "solution" in _tags(cell)]:
-        work = ast.parse(source.split(f"\n{CHECK}")[0])
-        if NUMBER in _names(work, ast.Load):
-            blanks = re.findall(r"^(\w+) = \.\.\.", student_cell(source), re.MULTILINE)
-            tasks[_number(source)] = ast.unparse(work), blanks
+    sources = [cell.source for cell in notebook.cells if "solution" in _tags(cell)]
+    parts = {_number(source): _parts(source)[:2] for source in sources}
+    tasks = {task: part for task, part in parts.items() if NUMBER in _names(part[0], ast.Load)}
     call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
     tail = nbformat.v4.new_code_cell(call)
     notebook.cells = [cell for cell in notebook.cells if "solution" not in _tags(cell)] + [tail]
@@ -321,7 +307,7 @@ def work_out(tasks, scope):
     for task, (code, names) in tasks.items():
         for number, row in rows.items():
             scope[NUMBER] = number
-            with contextlib.redirect_stdout(io.StringIO()):
+            with contextlib.redirect_stdout(None):
                 exec(code, scope)
             row |= {f"{task}: {name}": _short(scope[name]) for name in names}
             if not any(row[f"{task}: {name}"] for name in names):
@@ -331,13 +317,10 @@ def work_out(tasks, scope):
 
 def _short(answer):
     """A number or a few numbers as text; None for other answers."""
-    try:
-        values = np.atleast_1d(np.asarray(answer))
-    except ValueError:  # a list of unlike items
+    values = np.ravel(np.asarray(answer, dtype=object))
+    if len(values) > FEW or not all(isinstance(one, numbers.Real | np.bool_) for one in values):
         return None
-    if values.ndim > 1 or len(values) > FEW or values.dtype.kind not in "fiub":
-        return None
-    return ", ".join(f"{value:.4g}" for value in values.astype(float))
+    return ", ".join(f"{float(value):.4g}" for value in values)
 
 
 def _tags(cell):
@@ -345,7 +328,8 @@ def _tags(cell):
     return cell.metadata.get("tags", [])
 
 
-def _names(node, context):
+def _names(code, context):
     """Names that code reads or sets, in the order of the code."""
-    found = [n for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, context)]
-    return [n.id for n in sorted(found, key=lambda n: (n.lineno, n.col_offset))]
+    found = [one for one in ast.walk(ast.parse(code)) if isinstance(one, ast.Name)]
+    found = [one for one in found if isinstance(one.ctx, context)]
+    return [one.id for one in sorted(found, key=lambda one: (one.lineno, one.col_offset))]

@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.published.ledger import entries
-from mmqa_lab.run import Run, notebooks, pages
-from mmqa_lab.run.students import PYTHON
+from mmqa_lab.run import Run, pages
 from mmqa_lab.studies import STUDIES
 
 CODE = "import pandas as pd\npd.DataFrame({'a': [x for x in range(3) if x in (1, 2)]})  # why"
@@ -48,12 +47,8 @@ def write_study(study, folder):
     output = nbformat.v4.new_output("display_data", data=table)
     text = nbformat.v4.new_markdown_cell("# Title\n\nWhere $d_0 = \\sqrt{1/\\rho_0}$.\n\n## Part")
     cells = [text, nbformat.v4.new_code_cell(CODE, outputs=[output])]
-    notebook = nbformat.v4.new_notebook(cells=cells, metadata={"language_info": PYTHON})
-    page = pages.notebook_page(notebook, study.title, figures={})
-    (folder / f"{study.stem}.html").write_text(page, encoding="utf-8")
-    notebooks.write_outcome(
-        pages.Outcome(study.stem, False, failure="", checks=2, passed=1), folder
-    )
+    page = pages.notebook_page(nbformat.v4.new_notebook(cells=cells), study.title)
+    (folder / "seen.html").write_text(page, encoding="utf-8")
 
 
 @pytest.fixture
