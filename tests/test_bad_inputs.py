@@ -175,7 +175,7 @@ FUNCTIONS = [
     (lambda: lines.lhd(EDGE, EDGE + 651_000), "one coordinate"),
     (lambda: lines.lhd(EDGE, EDGE, pairs=[[1]]), "Invalid pairs of type int64"),
     (lambda: lines.compare({"a": EDGE}), "two or more"),
-    (lambda: lines.compare({"a": EDGE, "b": []}), "empty b"),
+    (lambda: lines.compare({"a": EDGE, "b": []}), "'b': 0"),
     (lambda: simulate.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)), "Must not be parallel"),
     (lambda: simulate.wall((0, 0, 0), (3, 0, 0), 2, openings=[(1, 1, 3, 0.5)]), "Must lie with"),
     (lambda: simulate.Scene([]), "Invalid surfaces: none"),

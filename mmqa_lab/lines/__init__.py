@@ -872,6 +872,7 @@ class Directed:
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
         return float(self.length @ self.parts.perpendicular / self.total) if self.n else np.nan
 
+    @np.errstate(invalid="ignore")  # a draw may have no pair of a kind
     def bootstrap(self, statistic, rng):
         """A statistic of the pairs' weights (r, k) -> (r, ...), and its 95 % interval.
 
@@ -895,13 +896,14 @@ class LHD(Shown):
     ----------
     weight : float
         W.
-    matcher, asked : str
-        The matcher that made the pairs, and the matcher asked for. They differ if ``displaced``
-        found too few pairs.
+    matcher : str
+        The matcher that made the pairs.
     test_model, model_test : Directed
         Both directions.
     test, model : array, shapes (p, 2, 3) and (q, 2, 3)
         The sets, m.
+    remarks : list of str
+        Reasons to doubt the value.
 
     Examples
     --------
@@ -915,11 +917,11 @@ class LHD(Shown):
 
     weight: float
     matcher: str
-    asked: str
     test_model: Directed
     model_test: Directed
     test: np.ndarray
     model: np.ndarray
+    remarks: list[str]
 
     @cached_property
     def displacement(self) -> Displacement:
@@ -929,35 +931,33 @@ class LHD(Shown):
     @property
     def value(self) -> float:
         """The larger of both directed distances, m (equation 2); NaN without pairs."""
-        return float(
-            np.fmax(*(side.olhd(self.weight) for side in (self.test_model, self.model_test)))
-        )
+        return self._larger.olhd(self.weight)
 
     @property
     def perpendicular_only(self) -> float:
         """The larger directed mean of the perpendicular distances alone, m."""
-        both = self.test_model.perpendicular_only, self.model_test.perpendicular_only
-        return float(np.fmax(*both))
+        return float(
+            np.fmax(self.test_model.perpendicular_only, self.model_test.perpendicular_only)
+        )
 
     @property
     def _larger(self):
-        """The direction whose distance is the value."""
-        return max((self.test_model, self.model_test), key=lambda side: side.olhd(self.weight))
+        """The direction whose distance is the value; a direction without pairs has none."""
+        sides = self.test_model, self.model_test
+        return max(sides, key=lambda side: np.nan_to_num(side.olhd(self.weight), nan=-1))
 
     def interval(self, *, seed: int = 0) -> tuple[float, float]:
         """95 % confidence interval of the value for fixed pairs and threshold: (low, high), m.
 
         By bootstrap of the source segments. It covers the choice of the segments, not errors of the
-        pairs. NaN if a direction has fewer than two sources.
+        pairs. NaN with fewer than two sources.
         """
         rng, side = np.random.default_rng(seed), self._larger
-        if min(self.test_model.n, self.model_test.n) < 2:
-            return np.nan, np.nan
         distances = side.parts.distance(self.weight)
         # each draw is divided by its own sum of weights, for both norms
         _, ends = side.bootstrap(lambda weights: weights @ distances / weights.sum(axis=1), rng)
         low, high = ends * side.length.sum() / side.total
-        return max(float(low), 0.0), float(high)
+        return float(np.maximum(low, 0)), float(high)
 
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
         """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
@@ -973,14 +973,14 @@ class LHD(Shown):
         """
         truth = match_displaced(self.test, self.model).pairs if truth is None else truth
         side, truth = self._larger, np.asarray(truth)
-        turned = side is not self.test_model
-        cells = np.nonzero(side.pairs.T)[::-1] if turned else np.nonzero(side.pairs)
-        pairs = Pairs(*_from_common_origin(self.test, self.model), *cells)
-        right = truth[pairs.rows, pairs.columns]
+        rows, columns = np.nonzero(side.pairs)
+        if side is self.model_test:  # in the order of its parts
+            columns, rows = np.nonzero(side.pairs.T)
+        pairs = Pairs(*_from_common_origin(self.test, self.model), rows, columns)
+        right = truth[rows, columns]
         moved = fit_displacement(self.test, self.model, side.pairs & truth)
-        names = ["value_m", "low_m", "high_m"]
         if not np.isfinite(moved.vector).all():
-            return pd.DataFrame({"part": PARTS} | dict.fromkeys(names, np.nan))
+            return _table_of_parts(np.full((3, len(PARTS)), np.nan))
         rng, parts = np.random.default_rng(0), side.parts
         across = np.einsum("nkd,nd->nk", pairs.frame, moved.at(pairs.place))
         squares = parts.perpendicular**2, self.weight * parts.angle**2, parts.parallel**2
@@ -996,10 +996,8 @@ class LHD(Shown):
             steps = [*(sums / own.sum(axis=1)), weights @ levels[-1] / weights.sum(axis=1)]
             return np.column_stack([steps[0], np.diff(steps, axis=0).T, steps[-1]])
 
-        with np.errstate(invalid="ignore"):  # a draw may have no correct pair
-            value, ends = side.bootstrap(means, rng)
-        table = pd.DataFrame(np.column_stack([value, *ends]), columns=names)
-        return table.assign(part=PARTS)[["part", *names]]
+        value, ends = side.bootstrap(means, rng)
+        return _table_of_parts([value, *ends])
 
     def kinds(self) -> pd.Series:
         """Return the number of groups of each kind of correspondence (section 2.3), Series of int.
@@ -1038,6 +1036,12 @@ class LHD(Shown):
                 "coverage": [side.coverage for side in both],
             }
         )
+
+
+def _table_of_parts(values):
+    """Table of the parts of a distance and their intervals (3, parts)."""
+    columns = dict(zip(("value_m", "low_m", "high_m"), values, strict=True))
+    return pd.DataFrame({"part": PARTS} | columns)
 
 
 def hausdorff(test: ArrayLike, model: ArrayLike, **choices) -> float:
@@ -1165,26 +1169,23 @@ def lhd(
     threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
     settings = {"weight": weight, "rotate": rotate, "within": within, "norm": norm}
     one_way = partial(_one_way, threshold=threshold, **settings)
-
-    def both_ways(matcher, pairs=None):
-        """Both directions, by a matcher or with known pairs."""
-        given = (None, None) if pairs is None else (pairs, pairs.T)
-        there = one_way(test, model, matcher=matcher, pairs=given[0])
-        back = one_way(model, test, matcher=matcher, pairs=given[1])
-        return there, replace(back, pairs=back.pairs.T)
-
-    used = asked = matcher if pairs is None else "given"
-    if asked == "given":
+    asked = matcher
+    if pairs is not None:
         pairs = _check_pairs(pairs, (len(test), len(model)))
-    elif asked == "displaced":
-        pairs, fragments = match_displaced(test, model, radius=radius).pairs, both_ways("fragments")
+    elif matcher == "displaced":
+        pairs = match_displaced(test, model, radius=radius).pairs
         # too few pairs: less than three fifths of those found by fragments
-        used = asked if pairs.sum() >= 0.6 * fragments[0].n else "fragments"
-    sides = fragments if used != asked else both_ways(used, pairs)
-    result = LHD(weight, used, asked, *sides, test, model)
-    for doubt in doubts(result):
-        warnings.warn(doubt, stacklevel=2)
-    return result
+        if pairs.sum() < 0.6 * one_way(test, model, matcher="fragments", pairs=None).n:
+            pairs, matcher = None, "fragments"
+    there = one_way(test, model, matcher=matcher, pairs=pairs)
+    back = one_way(model, test, matcher=matcher, pairs=None if pairs is None else pairs.T)
+    back = replace(back, pairs=back.pairs.T)
+    remarks = _doubts(test, model, there, back)
+    if matcher != asked:
+        remarks.append(f"Too few pairs agree on a displacement. Matcher {matcher!r} is used.")
+    for remark in remarks:
+        warnings.warn(remark, stacklevel=2)
+    return LHD(weight, matcher, there, back, test, model, remarks)
 
 
 def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, within, norm):
@@ -1215,13 +1216,13 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
     )
 
 
-def doubts(result: LHD) -> list[str]:
-    """Return the reasons to doubt a distance, each as a sentence."""
-    empty = [name for name in ("test", "model") if not len(getattr(result, name))]
+def _doubts(test, model, there, back):
+    """Reasons to doubt a distance, each as a sentence."""
+    empty = [name for name, ends in (("test", test), ("model", model)) if not len(ends)]
     if empty:
         return [f"No {' and no '.join(empty)} segments, so there is nothing to measure."]
-    sentences, sides = [], (result.test_model, result.model_test)
-    for name, side in zip(("test to model", "model to test"), sides, strict=True):
+    sentences = []
+    for name, side in (("test to model", there), ("model to test", back)):
         if side.threshold.fallback:
             sentences.append(
                 f"No jump in the nearest distances from {name}. "
@@ -1229,10 +1230,6 @@ def doubts(result: LHD) -> list[str]:
             )
         if side.n < 5:
             sentences.append(f"Only {side.n} pairs from {name}. The value may be due to chance.")
-    if result.matcher != result.asked:
-        sentences.append(
-            f"Too few pairs agree on a displacement. Matcher {result.matcher!r} is used."
-        )
     return sentences
 
 
@@ -1282,21 +1279,17 @@ def compare(
     ['C1 to C3', 'C3 to C1', 'C1 to TLS']
     """
     sets = {name: check_segments(segments, name) for name, segments in sets.items()}
-    empty = [name for name, segments in sets.items() if not len(segments)]
-    if len(sets) < 2 or empty:
-        raise ValueError(
-            f"Invalid sets {', '.join(sets)}: {len(sets)}, empty {', '.join(empty) or 'none'}. "
-            "Must be two or more sets with segments."
-        )
+    numbers = {name: len(segments) for name, segments in sets.items()}
+    if len(sets) < 2 or not all(numbers.values()):
+        raise ValueError(f"Invalid sets {numbers}. Must be two or more sets with segments.")
     check_choice(reference, "reference", (None, *sets))
     courses = [name for name in sets if name != reference]
     pairs = [*combinations(courses, 2)]
     pairs += [(name, reference) for name in courses if reference is not None]
     tables = []
-    for pair in pairs:
-        table = _compared(pair, *(sets[name] for name in pair), radius, choices)
-        table.insert(0, "kind", "absolute" if reference in pair else "repeatability")
-        table.insert(1, "comparison", "-".join(pair))
+    for names in pairs:
+        table = _compared(names, *(sets[name] for name in names), radius, choices)
+        table.insert(0, "kind", "absolute" if reference in names else "repeatability")
         tables.append(table)
     return pd.concat(tables, ignore_index=True)
 
@@ -1305,14 +1298,18 @@ def _compared(names, test, model, radius, choices):
     """The two rows of a comparison."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         found = lhd(test, model, radius=radius, **choices)
-        moved = match_displaced(test, model, radius=radius)
-    table, sentences = found.to_frame(), doubts(found)
+    moved, table, remarks = (
+        match_displaced(test, model, radius=radius),
+        found.to_frame(),
+        found.remarks,
+    )
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
+    table.insert(0, "comparison", "-".join(names))
     table["lhd_low_m"], table["lhd_high_m"] = found.interval()
     for k, axis in enumerate("xyz"):
         table[f"displacement_{axis}_m"] = moved.vector[k]
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
     table["displaced_pairs"] = moved.n
     if not np.isfinite(moved.vector).all():
-        sentences.append("No displacement: too few lines agree, or all of them are parallel.")
-    return table.assign(remarks=" ".join(sentences))
+        remarks = [*remarks, "No displacement: too few lines agree, or all of them are parallel."]
+    return table.assign(remarks=" ".join(remarks))
