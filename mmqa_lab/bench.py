@@ -30,25 +30,25 @@ from tqdm import tqdm
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice
 
+# Most characters of a reason.
 LONGEST_REASON = 300
-"""Most characters of a reason."""
 
+# Endings of names and their units. The longest ending that fits counts.
 UNITS = {
     "_per_m2": "1/m²", "_per_m": "1/m", "_per_mm": "1/mm", "_m_per_s": "m/s", "_m_s": "m/s",
     "_m2": "m²", "_m": "m", "_cm": "cm", "_mm": "mm", "_deg": "deg", "_mrad": "mrad",
     "_per_px": "1/px", "_px": "px", "_percent": "%", "_s": "s", "_ms": "ms",
     "_hz": "Hz", "_kmh": "km/h",
 }  # fmt: skip
-"""Endings of names and their units. The longest ending that fits counts."""
 
+# Names of the Dataset. No figure may have such a name or begin with ``truth_``.
 RESERVED = ("method", "case", "seed", "failure", "truth")
-"""Names of the Dataset. No figure may have such a name or begin with ``truth_``."""
 
+# Bootstrap samples of the cases, for the intervals of ranks.
 RESAMPLES = 200
-"""Bootstrap samples of the cases, for the intervals of ranks."""
 
+# Exceptions that a method may raise. They cost only the cells of that method.
 BROKEN = (Exception, SystemExit)
-"""Exceptions that a method may raise. They cost only the cells of that method."""
 
 
 def grid(**axes: Any) -> list[dict[str, Any]]:

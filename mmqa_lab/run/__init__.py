@@ -22,44 +22,24 @@ from mmqa_lab._figures import finish_figure, say_kind
 from mmqa_lab.bench import heading
 from mmqa_lab.io import write_atomically
 
-__all__ = ["Run", "results_folder"]
+__all__ = ["Run"]
 __dir__ = __all__.copy
 
+# Formats of figures, with what is left out so that equal runs give equal bytes.
 FORMATS = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
-"""Formats of figures, with what is left out so that equal runs give equal bytes."""
 
 RECORD = "run.json"
 UNFINISHED = "stopped before its end"
 
+# Most rows of a table that is also written for LaTeX.
 LONGEST_LATEX = 60
-"""Most rows of a table that is also written for LaTeX."""
 
+# Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
+# specifications alone. Fitted numbers follow from parameters that were chosen to come close to
+# published ones. Measured numbers come from a real or simulated cloud or image.
 KINDS = ("published", "predicted", "fitted", "measured")
-"""Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
-specifications alone. Fitted numbers follow from parameters that were chosen to come close to
-published ones. Measured numbers come from a real or simulated cloud or image."""
 
 DIGITS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-
-
-def results_folder() -> Path:
-    """Return the results folder of notebooks: ``MMQA_RESULTS``, or a folder beside the notebook.
-
-    A notebook that is run by hand writes to ``results/by_hand`` in its own folder. It therefore
-    replaces neither the results of ``mmqa studies`` nor the results of another user.
-
-    Returns
-    -------
-    Path
-
-    Examples
-    --------
-    >>> from unittest.mock import patch
-    >>> with patch.dict(os.environ, MMQA_RESULTS="elsewhere"):
-    ...     results_folder().name
-    'elsewhere'
-    """
-    return Path(os.environ.get("MMQA_RESULTS", Path.cwd() / "results" / "by_hand"))
 
 
 class Run:
@@ -71,7 +51,9 @@ class Run:
     Parameters
     ----------
     stem : str
-        The study's stem; results go to ``<results_folder()>/<stem>/``.
+        The study's stem; results go to ``<stem>/`` in the folder that ``MMQA_RESULTS`` names. A
+        notebook that is run by hand writes to ``results/by_hand/<stem>/`` beside it. It therefore
+        replaces neither the results of ``mmqa studies`` nor the results of another user.
     parameters : dict
         The notebook's ``globals()``. The record keeps the parameters of the notebook
         ``*<stem>*.ipynb`` in the working folder: the names that its cell tagged ``parameters``
@@ -90,7 +72,7 @@ class Run:
     """
 
     def __init__(self, stem: str, *, parameters: dict[str, Any]):
-        self.folder = results_folder() / stem
+        self.folder = Path(os.environ.get("MMQA_RESULTS", Path.cwd() / "results/by_hand")) / stem
         self._values, self._kinds, self._checks = {}, {}, {}
         notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"))
         names = parameter_names(notebooks[0]) if notebooks else []

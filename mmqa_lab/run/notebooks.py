@@ -5,13 +5,15 @@ import time
 from pathlib import Path
 
 import nbformat
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError, DeadKernelError
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import new_record, read_record, write_record
 from mmqa_lab.run.pages import notebook_page
 
+# Type of an output that needs a running kernel.
 WIDGET = "application/vnd.jupyter.widget-view+json"
-"""Type of an output that needs a running kernel."""
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -74,9 +76,6 @@ def inject(notebook, parameters):
 
 def execute(notebook, folder, *, results):
     """Execute a notebook in place; return its failure in one line, or an empty text."""
-    from nbclient import NotebookClient
-    from nbclient.exceptions import CellExecutionError, DeadKernelError
-
     client = NotebookClient(
         notebook,
         kernel_name="python3",

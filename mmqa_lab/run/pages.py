@@ -5,33 +5,35 @@ A page is one file with relative links and needs no network. The texts around th
 """
 
 import base64
-import copy
 import hashlib
 import re
 from pathlib import Path
 
 import nbformat
 import pandas as pd
+from jinja2 import Environment, FileSystemLoader
 from latex2mathml.converter import convert
+from nbconvert import HTMLExporter
 
 from mmqa_lab import __version__
 from mmqa_lab.io import write_atomically
+from mmqa_lab.published import ledger
 from mmqa_lab.run import four_digits, read_record, verdict
 from mmqa_lab.studies import notebooks_folder
 
 TEMPLATES = Path(__file__).parent / "templates"
 
+# A formula on a line of its own, or within a text.
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
-"""A formula on a line of its own, or within a text."""
 
 SCRIPT = re.compile(r"<script.*?</script>", re.DOTALL)
 WRAPPED = "<style>.highlight pre { white-space: pre-wrap !important }</style>"
 
+# File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`.
 ANSWERS = "answers.csv"
-"""File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`."""
 
+# Columns of the ledger page.
 LEDGER = ["source", "table", "cell", "role", "printed", "ours", "kind", "study", "note"]
-"""Columns of the ledger page."""
 
 
 def write_pages(folder, studies):
@@ -58,8 +60,6 @@ def write_pages(folder, studies):
 
 def _write_ledger(folder, studies, quick):
     """Write the page of the ledger, if a study left one; return its counts of verdicts."""
-    from mmqa_lab.published import ledger
-
     missing = [one for one in studies if not (folder / one.stem / "ledger.csv").is_file()]
     if len(missing) == len(studies):
         return ""
@@ -77,7 +77,7 @@ def _write_ledger(folder, studies, quick):
 
 
 def notebook_page(notebook, title, *, above=()):
-    """Return an executed notebook as a page.
+    """Return an executed notebook as a page; the notebook's own texts change.
 
     Parameters
     ----------
@@ -86,9 +86,6 @@ def notebook_page(notebook, title, *, above=()):
     above : sequence of str
         Paragraphs in Markdown above the notebook.
     """
-    from nbconvert import HTMLExporter
-
-    notebook = copy.deepcopy(notebook)
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
             cell.source = FORMULA.sub(_mathml, cell.source)
@@ -141,9 +138,6 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
 
 def filled(name, **values):
     """Return the text of a template in ``templates/`` with values filled in."""
-    from jinja2 import Environment, FileSystemLoader
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    choices = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=FileSystemLoader(TEMPLATES), **choices)
     return environment.get_template(name).render(**values)

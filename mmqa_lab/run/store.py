@@ -15,16 +15,17 @@ from PIL import Image
 
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
+from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import read_record
 from mmqa_lab.run.notebooks import run_study
 from mmqa_lab.run.pages import ANSWERS
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder, results_folder
 
+# Widths of stored figures, which is 178 mm at 100 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 700, 280
-"""Widths of stored figures, which is 178 mm at 100 dpi, and of thumbnails."""
 
+# The first figure of the README, in the folder of results.
 KEY_FIGURE = "anisotropy/patterns.png"
-"""The first figure of the README, in the folder of results."""
 
 
 def store(notebooks, folder, studies):
@@ -44,8 +45,6 @@ def store(notebooks, folder, studies):
     ValueError
         If a study has no complete full run, or if its notebook changed after the run.
     """
-    from mmqa_lab.published.ledger import collect, summary
-
     folder, notebooks = Path(folder).resolve(), Path(notebooks)
     kept = notebooks / ANSWERS
     answers = dict(pd.read_csv(kept).to_numpy()) if kept.is_file() else {}

@@ -29,23 +29,23 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
+# Begins the line of an answer that states names, types and units. Students see this line.
 ASKED = "# asked for: "
-"""Begins the line of an answer that states names, types and units. Students see this line."""
 
+# The line of an answer that separates the work from its test.
 CHECK = "# check"
-"""The line of an answer that separates the work from its test."""
 
+# Tag of the cell for the student's number in the class, and name of the number.
 NUMBER = "number"
-"""Tag of the cell for the student's number in the class, and name of the number."""
 
+# The notebook's words on the number, replaced in copies, where the student sets it.
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
-"""The notebook's words on the number, replaced in copies, where the student sets it."""
 
+# The numbers of a class in the table of answers.
 NUMBERS = range(1, 31)
-"""The numbers of a class in the table of answers."""
 
+# Most numbers of an answer in the table of answers.
 FEW = 6
-"""Most numbers of an answer in the table of answers."""
 
 
 def student_cell(source):
@@ -74,27 +74,25 @@ def student_cell(source):
     <BLANKLINE>
     from mmqa_lab.run.students import
     """
-    work, answers, check = _parts(source)
+    number, work, answers, check = _parts(source)
     if not answers:
         raise ValueError(f"Invalid answer {source.splitlines()[0]!r}. Must be checked.")
     kept = [line for line in work.splitlines() if line.startswith((ASKED, "import ", "from "))]
     blanks = [f"{name} = ...  # {split_unit(name)[1]}".rstrip(" #") for name in answers]
     needed = [NUMBER, *answers] if NUMBER in _names(check, ast.Load) else answers
-    sealed = _sealed([_number(source), needed, "\n".join([*kept, check])])
-    call = f"from mmqa_lab.run.students import check_answer\n\ncheck_answer({sealed})"
-    return "\n".join([f"# {_number(source)}: your work", *kept, *blanks, "", call])
+    task = json.dumps([number, needed, "\n".join([*kept, check])]).encode()
+    sealed = textwrap.fill(base64.b64encode(zlib.compress(task, 9)).decode(), 80)
+    call = f'check_answer(\n    """\n{sealed}\n""",\n    globals(),\n)'
+    call = f"from mmqa_lab.run.students import check_answer\n\n{call}"
+    return "\n".join([f"# {number}: your work", *kept, *blanks, "", call])
 
 
 def _parts(source):
-    """The work of an answer's cell, the names that the check reads of it, and the check."""
+    """The number and the work of an answer, the names that the check reads of it, and the check."""
     work, _, check = source.partition(f"\n{CHECK}\n")
     read = set(_names(check, ast.Load)) - set(_names(check, ast.Store))
-    return work, [name for name in dict.fromkeys(_names(work, ast.Store)) if name in read], check
-
-
-def _number(source):
-    """The exercise's number, from the first line of its answer."""
-    return source.split(":")[0].lstrip("# ")
+    answers = [name for name in dict.fromkeys(_names(work, ast.Store)) if name in read]
+    return source.split(":")[0].lstrip("# "), work, answers, check
 
 
 class NotRight(AssertionError):
@@ -135,13 +133,6 @@ def check_answer(sealed, scope):
     print(f"{number}: right.")
 
 
-def _sealed(task):
-    """The arguments of ``check_answer``: the compressed check and the scope."""
-    text = base64.b64encode(zlib.compress(json.dumps(task).encode(), 9)).decode()
-    lines = "\n".join(f'    "{part}"' for part in textwrap.wrap(text, 80))
-    return f"\n{lines},\n    globals(),\n"
-
-
 def _exercise(source):
     """The student's two cells of an answer, work and check, in nbgrader's form."""
     cells = []
@@ -149,7 +140,7 @@ def _exercise(source):
         cell = nbformat.v4.new_code_cell(text)
         checks = part == "check"
         cell.metadata["tags"] = ["check", "raises-exception"] if checks else ["exercise"]
-        named = {"grade_id": f"exercise-{_number(source)}-{part}", "schema_version": 3}
+        named = {"grade_id": f"exercise-{_parts(source)[0]}-{part}", "schema_version": 3}
         graded = {"grade": checks, "locked": checks, "points": int(checks)}
         cell.metadata["nbgrader"] = named | graded | {"solution": not checks, "task": False}
         cells.append(cell)
@@ -234,13 +225,13 @@ def write_solutions(studies, folder, *, quick=False):
     written = []
     for study in studies:
         notebook = nbformat.read(study.path, as_version=4)
-        shown, task = [notebook.cells[0]], ""
+        shown, task = [notebook.cells[0]], []
         for cell in notebook.cells:
             if cell.cell_type == "markdown":
-                task = "## " + cell.source.rpartition("## ")[2]
-            if "solution" in _tags(cell):
-                work = nbformat.v4.new_code_cell(_parts(cell.source)[0])
-                shown += [nbformat.v4.new_markdown_cell(task), work]
+                task = [nbformat.v4.new_markdown_cell("## " + cell.source.rpartition("## ")[2])]
+            elif "solution" in _tags(cell):
+                shown += [*task, nbformat.v4.new_code_cell(_parts(cell.source)[1])]
+                task = []
         table = answer_table(study, quick=quick).to_html(index=False, na_rep="")
         shown.append(nbformat.v4.new_markdown_cell(f"## Answers by number\n\n{table}"))
         shown += [cell for cell in notebook.cells if "lesson" in _tags(cell)]
@@ -274,9 +265,9 @@ def answer_table(study, *, quick=False):
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
-    sources = [cell.source for cell in notebook.cells if "solution" in _tags(cell)]
-    parts = {_number(source): _parts(source)[:2] for source in sources}
-    tasks = {task: part for task, part in parts.items() if NUMBER in _names(part[0], ast.Load)}
+    parts = [_parts(cell.source) for cell in notebook.cells if "solution" in _tags(cell)]
+    parts = [part for part in parts if NUMBER in _names(part[1], ast.Load)]
+    tasks = {number: (work, answers) for number, work, answers, _ in parts}
     call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
     tail = nbformat.v4.new_code_cell(call)
     notebook.cells = [cell for cell in notebook.cells if "solution" not in _tags(cell)] + [tail]
