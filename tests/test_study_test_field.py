@@ -1,5 +1,7 @@
 """The test-field study: prediction, fit, published tables, ledger, bench, and checks that fail."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -35,16 +37,12 @@ def test_prediction_without_errors_is_the_survey_and_range_noise(street, known):
     assert found["plan_rmse_mm"].mean() == pytest.approx(20, rel=0.15)
 
 
-def test_prediction_of_a_wrong_roll_is_its_lever_and_the_fit_finds_it(street, known):
-    found = study.predicted(street, study.rolled(EXACT, 0.2), **known, draws=3)
+def test_prediction_of_a_wrong_roll_is_its_lever(street, known):
+    head = replace(EXACT.heads[0], boresight_deg=(0.2, 0, 0))
+    found = study.predicted(street, System("rolled", (head,)), **known, draws=3)
     across = known["ground"]["there"][:, 0].std()
     expected = 1000 * np.hypot(np.radians(0.2) * across, REFERENCE_STD_M)
     assert found["height_std_mm"].mean() == pytest.approx(expected, rel=0.02)
-    fitted = study.fitted_system(street, **known, draws=10)
-    assert fitted.heads[0].boresight_deg[0] > 0.05
-    there = {"ground": {"there": known["ground"]["there"]}, "targets": known["targets"], "seed": 1}
-    found = study.predicted(street, fitted, **there, draws=10)
-    assert found["height_std_mm"].median() == pytest.approx(39, abs=0.5)  # Table 3-3
 
 
 def test_places_are_those_in_view(street):

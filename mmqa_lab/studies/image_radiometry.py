@@ -3,7 +3,8 @@
 The images of the report (EuroSDR 2013, image radiometry) are airborne and not published.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ import pandas as pd
 from mmqa_lab import radiometry
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import table
-from mmqa_lab.simulate.targets import ATMOSPHERES, Atmosphere, expose
+from mmqa_lab.simulate.targets import ATMOSPHERES, expose
 
 SOURCE = "eurosdr2013_radiometry"
 
@@ -72,25 +73,6 @@ def calibrated(targets):
     return radiometry.fit_sensor(targets["radiance"], targets["mean_dn"], **choices)
 
 
-@dataclass(frozen=True, eq=False)
-class Field:
-    """The data of a field that a method may use.
-
-    ``references`` has ``mean_dn``, ``std_error_dn``, ``reflectance`` and ``anisotropy``.
-    ``surfaces`` has ``mean_dn`` and ``std_error_dn``. ``darkest_dn`` is the DN of water. ``sensor``
-    is a fitted sensor. ``exposure`` is the relative exposure of the image. ``air`` is the true mean
-    state of the air, as from a perfect model. ``standard_air`` is the air of a clear day.
-    """
-
-    references: pd.DataFrame
-    surfaces: pd.DataFrame
-    darkest_dn: float
-    sensor: object
-    exposure: float
-    air: Atmosphere
-    standard_air: Atmosphere
-
-
 def surfaces_of(band):
     """Return surfaces by class with ``reference``; the tarps of Hyytiälä as printed for green."""
     tarps = table(SOURCE, "reference_targets").query("campaign == 'Hyytiälä'")["reflectance"]
@@ -107,7 +89,27 @@ def air_of(name, band):
 
 
 def field(air, band, reference_std, seed):
-    """Return a field with the targets of Sjökulla as references, and the true surfaces."""
+    """Return a field with the targets of Sjökulla as references, and the true surfaces.
+
+    Parameters
+    ----------
+    air, band : str
+        Names in ``ATMOSPHERES`` and ``BANDS``.
+    reference_std : float
+        Standard deviation of the known reflectances of the references, as a share.
+    seed : int
+        Seed of the field.
+
+    Returns
+    -------
+    field : SimpleNamespace
+        ``references`` (``mean_dn``, ``std_error_dn``, ``reflectance``, ``anisotropy``),
+        ``surfaces`` (``mean_dn``, ``std_error_dn``), ``darkest_dn`` (of water), ``sensor``
+        (fitted), ``exposure`` (relative, of the image), ``air`` (its true mean state, as from a
+        perfect model) and ``standard_air`` (of a clear day).
+    surfaces : DataFrame
+        ``target_class`` and true reflectance, ``reference``.
+    """
     key = [seed, list(ATMOSPHERES).index(air), list(BANDS).index(band)]
     rng, mean = np.random.default_rng([*key, 5]), air_of(air, band)
     targets = table(SOURCE, "reference_targets").query("campaign == 'Sjökulla'")
@@ -123,8 +125,10 @@ def field(air, band, reference_std, seed):
     references = measured(true * ANISOTROPY, 1).assign(reflectance=known, anisotropy=ANISOTROPY)
     seen = measured(np.append(surfaces["reference"], WATER), 2)
     sensor = calibrated(wedge_targets(0.0, seed, SETTINGS[:3])[0])
-    dark, clean = float(seen["mean_dn"].iloc[-1]), air_of("clean", band)
-    return Field(references, seen[:-1], dark, sensor, exposure, mean, clean), surfaces
+    airs = {"air": mean, "standard_air": air_of("clean", band)}
+    of_image = {"darkest_dn": float(seen["mean_dn"].iloc[-1]), "exposure": exposure}
+    known = airs | of_image | {"references": references, "sensor": sensor}
+    return SimpleNamespace(surfaces=seen[:-1], **known), surfaces
 
 
 def line(field, anisotropy=True):
@@ -167,7 +171,7 @@ METHODS = {
     "equation 4": equation_4,
     "dark pixel": dark_pixel,
 }
-"""Methods: functions of a :class:`Field` that return the reflectances of its surfaces."""
+"""Methods: functions of a :func:`field` that return the reflectances of its surfaces."""
 
 
 def class_errors(found, surfaces):
@@ -183,7 +187,7 @@ def bench(methods=None, airs=("clean", "hazy"), reference_stds=(0, 0.03), seeds=
     Parameters
     ----------
     methods : dict, optional
-        Functions of a :class:`Field`; by default ``METHODS``.
+        Functions of a :func:`field`; by default ``METHODS``.
     airs : sequence of str
         Names of ``ATMOSPHERES``.
     reference_stds : sequence of float

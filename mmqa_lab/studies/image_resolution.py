@@ -45,11 +45,8 @@ def spread_of(lens, mtf50):
     >>> round(spread_of("gaussian", 0.25).sigma_px, 2)
     0.69
     """
-
-    def excess(width):
-        return PointSpread(width, lens=lens).mtf50(0) - mtf50
-
-    return PointSpread(brentq(excess, 0.05, 6), lens=lens)
+    width = brentq(lambda width: PointSpread(width, lens=lens).mtf50(0) - mtf50, 0.05, 6)
+    return PointSpread(width, lens=lens)
 
 
 def edge_patch(lens, mtf50, noise, seed):

@@ -193,18 +193,15 @@ def beside_published(one_way, both_ways):
     """
     keys = ["method", "quantity", "corridor_m", "class"]
     rows = pd.DataFrame(PRINTED, columns=[*keys, "cell", "k", "n", "published_n"])
-    printed = [stats.wilson(k, n) for k, n in zip(rows["k"], rows["n"], strict=True)]
+    printed = [stats.wilson(k, n) for k, n in zip(rows.pop("k"), rows.pop("n"), strict=True)]
     rows["published_low"] = [rate.low for rate in printed]
     rows["published_high"] = [rate.high for rate in printed]
     cells = ledger.cells().query("source == 'eurosdr2013_mls'")[["table", "cell", "value"]]
     rows = rows.merge(cells, on="cell")
-    rows["published"] = rows["value"] / 100
+    rows["published"] = rows.pop("value") / 100
     ours = pd.concat([one_way.query("method == 'fgi'"), both_ways.query("method == 'itc'")])
     names = {"value": "measured", "low": "measured_low", "high": "measured_high"}
-    shown = [*keys, "table", "cell", "published", "published_low", "published_high", "published_n"]
-    shown += ["measured", "measured_low", "measured_high"]
-    ours = ours.drop(columns=["k", "n"]).rename(columns=names)
-    return rows.merge(ours, on=keys)[shown]
+    return rows.merge(ours[[*keys, *names]].rename(columns=names), on=keys)
 
 
 def outcomes(result):
@@ -212,23 +209,7 @@ def outcomes(result):
     made, targets = result.detections, result.targets
     found = {"hit": made[made["outcome"] == "hit"]}
     found["miss"] = targets[targets["target"] & ~targets["found"]]
-    found["false alarm"] = made[made["outcome"].isin(["false", "duplicate"])]
-    return found
-
-
-def causes(result, cloud, truth):
-    """Return the cause of each false alarm: the commonest label within 0.4 m of its middle.
-
-    A second hit on a pole is a ``duplicate``. Without points the cause is ``nothing``.
-    """
-    tree, labels = cKDTree(cloud.points), truth["street"].labels[cloud["surface"]]
-    found = []
-    for alarm in outcomes(result)["false alarm"].itertuples():
-        middle = alarm.x_m, alarm.y_m, alarm.z_base_m + alarm.height_m / 2
-        near = pd.Series(labels[tree.query_ball_point(middle, 0.4)])
-        cause = near.mode().iloc[0] if len(near) else "nothing"
-        found.append("duplicate" if alarm.outcome == "duplicate" else cause)
-    return found
+    return found | {"false alarm": made[made["outcome"].isin(["false", "duplicate"])]}
 
 
 def crowded(result, cloud):

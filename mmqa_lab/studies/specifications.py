@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 from scipy.stats import qmc, t
-from tqdm.auto import tqdm
 
 from mmqa_lab import bench as benches
 from mmqa_lab.cloud import Cloud
@@ -76,7 +75,7 @@ METHODS = {
 """Methods of matching and sampling: functions of a drive, a tuple (distance in m, seed)."""
 
 
-def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
+def bench(*, methods=None, seeds=range(4)):
     """Define the study's bench: methods of matching and sampling at both distances.
 
     Parameters
@@ -84,8 +83,6 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
     methods : dict, optional
         Functions of a tuple (distance in m, seed) that return points, m, with the chart's centre as
         origin; by default ``METHODS``.
-    distances_m : tuple of float
-        Distances from the path to the chart, m.
     seeds : iterable of int
         Seeds of the drives.
 
@@ -93,7 +90,7 @@ def bench(*, methods=None, distances_m=(5.0, 10.0), seeds=range(4)):
     -------
     Comparison
     """
-    cases = benches.grid(distance_m=distances_m)
+    cases = benches.grid(distance_m=(5.0, 10.0))
     answer = {"tables": lambda results: {"misfits": misfits(results)}}
     return benches.Comparison(cases, dict(methods or METHODS), make, score, seeds=seeds, **answer)
 
@@ -160,7 +157,7 @@ def fit(*, seed, candidates, repeats):
         The table of :func:`measure`, with ``fit``.
     """
     rows, passes = [], []
-    for system, name, bounds in tqdm(FITS, unit="fit", leave=False):
+    for system, name, bounds in FITS:
         target = table_2().query("system == @system")
         judge = closed_form if system == "A" else partial(simulated, system=system, seed=seed)
         count = 1000 if system == "A" else candidates
@@ -180,14 +177,13 @@ def search(judge, bounds, target, *, seed, candidates):
     printed = target[FITTED].to_numpy()
     best, smallest = None, np.inf
     for stage in range(3):
-        if stage:
-            reach = (high - low) / 6
-            low, high = np.maximum(low, best - reach), np.minimum(high, best + reach)
         drawn = qmc.LatinHypercube(len(bounds), rng=seed + stage).random(candidates)
         values = pd.DataFrame(low + drawn * (high - low), columns=list(bounds))
         found = np.sqrt((in_tolerances(judge(values), printed, FITTED) ** 2).mean(axis=(1, 2)))
         if found.min() < smallest:
             best, smallest = values.to_numpy()[np.argmin(found)], float(found.min())
+        reach = (high - low) / 6
+        low, high = np.maximum(low, best - reach), np.minimum(high, best + reach)
     return dict(zip(bounds, best.tolist(), strict=True)), smallest
 
 

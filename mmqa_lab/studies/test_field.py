@@ -1,16 +1,16 @@
 """Test-field accuracy (EuroSDR 2013, chapter 3): predictions from data sheets, calibrations."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq
 
 from mmqa_lab import bench as benches
 from mmqa_lab import published
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.scan_pattern import rotations
-from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured, system
+from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 from mmqa_lab.testfield import height_accuracy, height_differences, plan_accuracy, plan_differences
 
@@ -45,6 +45,10 @@ GOOD_NAVIGATION = NavigationErrors(
     drift_m=(0.008, 0.008, 0.012), drift_deg=(0.004, 0.004, 0.012), correlation_s=60
 )
 """Assumed errors of post-processed positioning with good satellite coverage, for the bench."""
+
+PATHS = {"exact": NavigationErrors(), "good": GOOD_NAVIGATION}
+STD_M = (0.003, 0.011)
+"""Errors of the paths, and standard deviations of the surveys, on the bench."""
 
 # 3283 points at 0.3 per square metre on 350 m of road (section 3.1.2.3), about the road's axis.
 STRIP_M, STEP_M = 31.3, 4.0
@@ -159,29 +163,13 @@ def _carried(known, places, time, assumed):
 def prediction_table(predictions):
     """Return median and 95 % range of the drawn drives, by system, direction and figure."""
     drawn = pd.concat([one.assign(system=name) for name, one in predictions.items()])
-    drawn.columns = drawn.columns.str.removesuffix("_mm")
-    keys = ["system", "direction"]
+    drawn, keys = (
+        drawn.rename(columns=lambda name: name.removesuffix("_mm")),
+        ["system", "direction"],
+    )
     values = drawn.melt(keys, var_name="figure").groupby([*keys, "figure"], sort=False)["value"]
     table = values.quantile([0.025, 0.5, 0.975]).unstack()
     return table.set_axis(["low_mm", "predicted_mm", "high_mm"], axis=1).reset_index()
-
-
-def rolled(tested, roll_deg):
-    """Return a system whose only head has a boresight error in roll, degrees."""
-    head = replace(tested.heads[0], boresight_deg=(float(roll_deg), 0.0, 0.0))
-    return replace(tested, heads=(head,))
-
-
-def fitted_system(street, *, ground, targets, draws, seed):
-    """Return ROAMER with the roll that reproduces the height std of ROAMER I CCW in Table 3-3."""
-    printed = published_rows().set_index(["figure", "cell"])["published_mm"]
-    known = {"ground": {"there": ground["there"]}, "targets": targets, "draws": draws, "seed": seed}
-
-    def miss(roll):
-        drawn = predicted(street, rolled(system("roamer"), roll), **known)
-        return drawn["height_std_mm"].median() - printed["height_std", "ROAMER I CCW std"]
-
-    return rolled(system("roamer"), brentq(miss, 0.0, 1.0, xtol=1e-4))
 
 
 def published_rows():
@@ -237,31 +225,6 @@ def columns(compared):
     return compared[compared["figure"].isin(["height_std", "plan_rmse"])].reset_index(drop=True)
 
 
-@dataclass(eq=False)
-class TwoDrives:
-    """The data of a calibration: two drives of a system whose mounting is wrong.
-
-    Parameters
-    ----------
-    drives : list of (Cloud, Trajectory)
-        Cloud and path of each drive.
-    lever_arms_m : array, shape (2, 3)
-        Assumed lever arms, m.
-    poles : DataFrame
-        Surveyed poles.
-    control : array, shape (n, 3)
-        Surveyed points on the ground, m.
-    true_values : array, shape (2, 6)
-        True boresight (degrees) and correction of the lever arm (m) of both heads.
-    """
-
-    drives: list
-    lever_arms_m: np.ndarray
-    poles: pd.DataFrame
-    control: np.ndarray
-    true_values: np.ndarray
-
-
 def two_heads(navigation):
     """Return a system of two heads with errors of their mounting."""
     base = replace(PRESETS["vq-450"], divergence_mrad=0.0)
@@ -273,12 +236,33 @@ def two_heads(navigation):
 
 
 def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
-    """Return :class:`TwoDrives` of a field, with exact or good ``navigation`` of the paths."""
-    tested = two_heads({"exact": NavigationErrors(), "good": GOOD_NAVIGATION}[navigation])
+    """Return the data of a calibration: two drives of a system whose mounting is wrong.
+
+    Parameters
+    ----------
+    street : SimulatedField
+        The test field.
+    navigation : {"exact", "good"}
+        Errors of the paths.
+    pulses_per_s : float
+        Pulse rate of the scans.
+    seed : int
+        Seed of the scans.
+
+    Returns
+    -------
+    SimpleNamespace
+        ``drives``, a list of (Cloud, Trajectory); ``lever_arms_m``, assumed, shape (2, 3);
+        ``poles``, surveyed, a DataFrame; ``control``, surveyed points on the ground, shape (n, 3),
+        m; ``true_values``, shape (2, 6), boresight (degrees) and correction of the lever arm (m)
+        of both heads.
+    """
+    tested = two_heads(PATHS[navigation])
     drives = drive_testfield(street, tested, seed=seed, pulses_per_s=pulses_per_s)
-    control = street.ground(spacing_m=2.0, seed=seed)
+    surveyed = {"poles": street.poles, "control": street.ground(spacing_m=2.0, seed=seed)}
     truth = np.hstack([BORESIGHT_DEG, -np.array(LEVER_ARM_ERROR_M)])
-    return TwoDrives(drives, tested.assumed_lever_arms, street.poles, control, truth)
+    known = {"lever_arms_m": tested.assumed_lever_arms, "true_values": truth}
+    return SimpleNamespace(drives=drives, **surveyed, **known)
 
 
 def score(values, survey):
@@ -288,8 +272,8 @@ def score(values, survey):
     ----------
     values : array, shape (2, 6)
         Boresight (degrees) and correction of the lever arm (m) of both heads.
-    survey : TwoDrives
-        The data with their true values.
+    survey : SimpleNamespace
+        From :func:`two_drives`.
 
     Returns
     -------
@@ -329,24 +313,18 @@ def full(survey):
 
 
 METHODS = {"as installed": as_installed, "planes": from_planes, "planes, poles, control": full}
-"""Calibrations: functions of :class:`TwoDrives` that return a mounting, shape (2, 6)."""
+"""Calibrations: functions of :func:`two_drives` that return a mounting, shape (2, 6)."""
 
 
 def bench(
-    *,
-    methods=None,
-    seeds=(1,),
-    length_m=60.0,
-    pulses_per_s=100_000.0,
-    navigation=("exact", "good"),
-    reference_std_m=(0.003, 0.011),
+    methods=None, seeds=(1,), length_m=60, pulses_per_s=1e5, navigation=PATHS, reference_std_m=STD_M
 ):
     """Define the study's bench: calibrations on paths and references.
 
     Parameters
     ----------
     methods : dict, optional
-        Functions of :class:`TwoDrives`; by default ``METHODS``.
+        Functions of what :func:`two_drives` returns; by default ``METHODS``.
     seeds : iterable of int
         Each seed gives a test field.
     length_m, pulses_per_s : float
@@ -366,13 +344,13 @@ def bench(
         survey = two_drives(street, navigation=navigation, pulses_per_s=pulses_per_s, seed=seed + 3)
         return survey, survey
 
-    cases = benches.grid(navigation=navigation, reference_std_m=reference_std_m)
+    cases = benches.grid(navigation=tuple(navigation), reference_std_m=reference_std_m)
     shown = {"tables": calibration_tables, "figures": ("pole_rmse_mm", "height_std_mm")}
     return benches.Comparison(cases, dict(methods or METHODS), make, score, seeds, **shown)
 
 
 def calibration_tables(results):
     """Return the mean of each figure by method and case."""
-    by = ["method", *(n for n in ("navigation", "reference_std_m") if n in results.coords)]
+    by = ["method", "navigation", "reference_std_m"]
     groups = benches.cell_table(results).groupby(by, sort=False)
     return {"calibrations": groups[list(benches.figure_names(results))].mean().reset_index()}
