@@ -290,7 +290,7 @@ def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
     place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
-    order = np.argsort(place, axis=0, kind="stable").T
+    order = np.argsort(np.ascontiguousarray(place.T))  # the fastest way of numpy
     found = np.empty_like(order)
     np.put_along_axis(found, order, np.arange(len(place)) * count // len(place), axis=1)
     return found
@@ -360,8 +360,8 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     if np.isnan(reach):
         return np.nan, np.nan
     shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
-    low, high = np.quantile(values, shares, method="nearest")
-    middle = np.median(values)  # between two values where their number is even
+    low, high = np.sort(values)[np.rint(shares * (len(values) - 1)).astype(int)]
+    middle = _medians(values[None])[0, 0]  # between two values where their number is even
     return float(min(low, middle)), float(max(high, middle))
 
 
@@ -392,6 +392,7 @@ def median_ratio_interval(
     >>> round(low, 6), round(high, 6)
     (2.0, 2.0)
     """
+    top, bottom = np.asarray(top), np.asarray(bottom)
     known = ~(np.isnan(top) | np.isnan(bottom))
     both, block = np.array([top, bottom])[:, known], np.asarray(block)[..., known]
     ends = np.array([median_interval(values, block) for values in both])
@@ -403,13 +404,19 @@ def median_ratio_interval(
     lengths = 4 * np.prod(_reach(np.array([first, second]), block))
     together = np.clip((summed - apart) / lengths, -1, 1) if lengths > 0 else 0.0
     reach = np.sqrt(max(halves @ halves - 2 * together * np.prod(halves), 0.0))
-    ratio = np.nanmedian(top) / np.nanmedian(bottom)
+    ratio = np.divide(*(np.median(values[~np.isnan(values)]) for values in (top, bottom)))
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
+
+
+def _medians(rows):
+    """The median of each row, shape (m, 1); to sort is faster than numpy's median."""
+    n = rows.shape[1]
+    return np.sort(rows)[:, [(n - 1) // 2, n // 2]].mean(axis=1, keepdims=True)
 
 
 def _influence(rows):
     """What each value adds to the error of the share of its row below the median."""
-    middles = np.median(rows, axis=1, keepdims=True)
+    middles = _medians(rows)
     signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
 

@@ -27,7 +27,6 @@ def nearest_per_quadrant(xy, radius, of):
     """
     rows, points = np.arange(len(xy)), np.array(xy.T, order="C")
     size = LEAF << (-(-len(xy) // LEAF) - 1).bit_length()
-    bottom = size // LEAF
     while size > LEAF:
         in_threads(_halve, -(-len(xy) // size), points, rows, size, least=1 + 10_000 // size)
         size //= 2
@@ -36,7 +35,8 @@ def nearest_per_quadrant(xy, radius, of):
     rows, points = np.pad(rows, (0, filler), "edge"), np.pad(points, ((0, 0), (0, filler)), "edge")
     leaves = np.ascontiguousarray(points.reshape(2, -1, LEAF).transpose(1, 0, 2))
     found = np.full((len(xy), 4), np.nan)
-    boxes = _boxes(leaves, bottom)
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 << (len(leaves) - 1).bit_length(), 1))
+    _fill_boxes(leaves, boxes)
     in_threads(_search, len(leaves), leaves, boxes, rows, float(radius), of, found)
     return found
 
@@ -54,26 +54,33 @@ def _halve(first, last, points, rows, size):
             low_x, high_x = min(low_x, points[0, i]), max(high_x, points[0, i])
             low_y, high_y = min(low_y, points[1, i]), max(high_y, points[1, i])
         if high_x - low_x >= high_y - low_y:
-            _select(points[0], points[1], rows, start, end - 1, middle)
+            _select(points[0], points[1], rows, start, end - 1, middle, low_x, high_x)
         else:
-            _select(points[1], points[0], rows, start, end - 1, middle)
+            _select(points[1], points[0], rows, start, end - 1, middle, low_y, high_y)
 
 
 @njit(cache=True)
-def _select(key, other, rows, low, high, middle):
-    """Reorder low..high until key[:middle] <= key[middle] <= key[middle:] (quickselect)."""
+def _select(key, other, rows, low, high, middle, least, most):
+    """Reorder low..high until key[:middle] <= key[middle] <= key[middle:] (quickselect).
+
+    The first pivots are where the key would be if keys were even between the least and the most.
+    """
+    turn = 0
     while low < high:
         a, b, c = key[low], key[(low + high) // 2], key[high]
         pivot = max(min(a, b), min(max(a, b), c))
+        if turn < 3:
+            pivot = least + (most - least) * ((middle - low + 0.5) / (high - low + 1))
+            turn += 1
         first = _put_below(pivot, key, other, rows, low, high)
-        if first == low:  # the pivot is the least: equal keys go first
+        if first == low and turn == 3:  # the pivot is the least: equal keys go first
             first = _put_below(np.nextafter(pivot, np.inf), key, other, rows, low, high)
             if middle < first:
                 break
         if middle < first:
-            high = first - 1
+            high, most = first - 1, pivot
         else:
-            low = first
+            low, least = first, pivot
 
 
 @njit(cache=True)
@@ -88,16 +95,16 @@ def _put_below(bound, key, other, rows, low, high):
     return first
 
 
-def _boxes(leaves, bottom):
-    """Boxes (x low, y low, x high, y high) in a tree: box k encloses boxes 2k and 2k + 1."""
-    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * bottom, 1))
-    boxes[bottom : bottom + len(leaves)] = np.hstack([leaves.min(axis=2), leaves.max(axis=2)])
-    while bottom > 1:
-        pairs = boxes[bottom : 2 * bottom].reshape(-1, 2, 4)
-        bottom //= 2
-        boxes[bottom : 2 * bottom, :2] = pairs[:, :, :2].min(axis=1)
-        boxes[bottom : 2 * bottom, 2:] = pairs[:, :, 2:].max(axis=1)
-    return boxes
+@njit(cache=True)
+def _fill_boxes(leaves, boxes):
+    """Fill in boxes (x low, y low, x high, y high) of a tree: box k encloses 2k and 2k + 1."""
+    bottom = len(boxes) // 2
+    for k in range(bottom, bottom + len(leaves)):
+        x, y = leaves[k - bottom]
+        boxes[k] = x.min(), y.min(), x.max(), y.max()
+    for k in range(bottom - 1, 0, -1):
+        a, b = boxes[2 * k], boxes[2 * k + 1]
+        boxes[k] = min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
 
 
 @njit(cache=True, nogil=True)
@@ -177,7 +184,7 @@ def _reach(group, reach):
         reach[q] = worst
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"nnan", "nsz"})
 def _gap(boxes, leaf, node, reach):
     """Squared gap between two boxes; inf if the node cannot improve the leaf."""
     x_low, y_low, x_high, y_high = boxes[leaf, 0], boxes[leaf, 1], boxes[leaf, 2], boxes[leaf, 3]
