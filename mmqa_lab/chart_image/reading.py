@@ -108,11 +108,6 @@ def find_tones(image, layout, chart_map):
     image = check_image(image)
     inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)
     white, black = _plainest(to_white), _plainest(to_black)
-    if min(white.sum(), black.sum()) < 3:
-        raise ValueError(
-            f"Invalid chart of {int(inside.sum())} pixels: too small for a plain black and a plain "
-            "white area. Must be imaged larger."
-        )
     field = _local(image, white, np.sqrt(inside.sum()))
     dark = _darkness(image[black], field[black], spilt[black])
     ground = dark[0] + dark[1] * field

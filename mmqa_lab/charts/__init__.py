@@ -190,11 +190,6 @@ class Marker(_Square):
     identifier : int
         Number in the dictionary.
 
-    Raises
-    ------
-    ValueError
-        If the dictionary is unknown or has no such number, once the target is drawn.
-
     Examples
     --------
     >>> _, _, tones = Marker("target", 0, 0, 60, "DICT_4X4_50", 0).grid()
@@ -210,14 +205,7 @@ class Marker(_Square):
         """The modules, border included: 0 black, 1 white."""
         import cv2
 
-        known = tuple(key for key in dir(cv2.aruco) if key.startswith("DICT_"))
-        number = getattr(cv2.aruco, check_choice(self.dictionary, "dictionary", known))
-        book = cv2.aruco.getPredefinedDictionary(number)
-        if not 0 <= self.identifier < len(book.bytesList):
-            raise ValueError(
-                f"Invalid target {self.identifier} of {self.dictionary}. Must be below "
-                f"{len(book.bytesList)}."
-            )
+        book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         side = book.markerSize + 2
         return cv2.aruco.generateImageMarker(book, self.identifier, side)[::-1] / 255.0
 
@@ -712,8 +700,6 @@ def _add_text(image, element, cell):
     from matplotlib.transforms import Affine2D
 
     outline = element.outline()
-    if not len(outline.vertices):
-        return
     box = outline.get_extents().get_points() / cell
     first = np.maximum(np.floor(box[0]).astype(int), 0)
     last = np.minimum(np.ceil(box[1]).astype(int), image.shape[::-1])
