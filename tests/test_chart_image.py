@@ -237,8 +237,6 @@ def test_brightness_changes_no_verdict():
     assert b["contrast"].to_numpy() == pytest.approx(
         a["contrast"].to_numpy(), abs=0.05, nan_ok=True
     )
-    assert first.black == pytest.approx(0.06, abs=0.01)
-    assert first.white == pytest.approx(0.70, abs=0.01)
     assert first.noise == pytest.approx(0.01 / 0.64, rel=0.5)
 
 

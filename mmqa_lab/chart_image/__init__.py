@@ -149,14 +149,11 @@ class ImageQuality(Shown):
         }
         unseen = self.sizes.loc[self.sizes["pixel_mm"].isna(), "name"]
         doubts[f"no pixel size, as an end is not seen: {', '.join(unseen)}"] = len(unseen) > 0
-        hidden = self.pairs[self.pairs["reason"] == reading.HIDDEN]
         for direction in "hv":
-            refused = f"not even the coarsest line pairs are resolved in direction {direction}"
-            if direction in set(hidden["direction"]):
-                refused = f"w is not measurable in direction {direction}: line pairs are hidden"
-                refused += " or not those of the layout"
-            doubts[refused] = bool(np.isnan(self.resolution(direction).width_mm))
-        doubts[f"hidden: {', '.join(hidden['name'])}"] = len(hidden) > 0
+            nothing = np.isnan(self.resolution(direction).width_mm)
+            doubts[f"no line pairs are resolved in direction {direction}"] = nothing
+        hidden = self.pairs.loc[self.pairs["reason"] == reading.HIDDEN, "name"]
+        doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
         # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
         tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
         doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (

@@ -48,16 +48,12 @@ class Tones:
         0 at black, 1 at white; NaN outside of the chart.
     noise : float
         Standard deviation of a pixel, in the same unit: the larger one of black and white.
-    black, white : float
-        Levels in the middle of the chart, in the image's unit.
     clipped_share : float
         Share of the plain pixels at zero or full scale.
     """
 
     values: np.ndarray
     noise: float
-    black: float = 0.0
-    white: float = 1.0
     clipped_share: float = 0.0
 
     def near(self, chart_map, outline):
@@ -123,13 +119,7 @@ def find_tones(image, layout, chart_map):
             f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
         )
     plain = image[white | black]
-    return Tones(
-        values=values,
-        noise=noise,
-        black=light - step,
-        white=light,
-        clipped_share=float(((plain >= 1) | (plain <= 0)).mean()),
-    )
+    return Tones(values, noise, float(((plain >= 1) | (plain <= 0)).mean()))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
-from mmqa_lab.charts import GAMMAS, encode, reflectance
+from mmqa_lab.charts import encode, reflectance
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
@@ -46,9 +46,6 @@ class Optics:
     sigma_px: float = 0.5
     defocus_px: float = 0.0
     travel: tuple = (0.0, 0.0, 0.0)
-
-    def __post_init__(self):
-        check_number(self.sigma_px, "sigma_px", low=0, unit="pixels")
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,6 @@ class Sensor:
 
     def __post_init__(self):
         check_number(self.white, "white", low=self.black, high=1)
-        check_choice(self.gamma, "gamma", GAMMAS)
         check_choice(self.bits, "bits", (8, None) if self.jpeg_quality is None else (8,))
 
 

@@ -12,7 +12,7 @@ from itertools import chain, pairwise
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines import lengths
 from mmqa_lab.simulate.trajectories import gauss_markov
@@ -22,8 +22,6 @@ COMPARISONS = {
     "absolute": (("C1", "TLS"), ("C2", "TLS"), ("C3", "TLS")),
 }
 """Test and model of each comparison, as in Tables 1 and 2 of the paper."""
-
-SURVEYS = ("C1", "C2", "C3", "TLS")
 
 CENTRE_M = np.array([65.0, 60.0, 0.0])
 STREETS = pd.DataFrame(
@@ -140,7 +138,7 @@ class Canyon:
 
         Pieces of one edge are a pair when they share more than 20 % of the shorter one.
         """
-        test, model = self._survey(test), self._survey(model)
+        test, model = self.surveys[test], self.surveys[model]
         same = (test.edge[:, None] == model.edge[None]) & (test.edge >= 0)[:, None]
         low = np.maximum(test.interval[:, None, 0], model.interval[None, :, 0])
         high = np.minimum(test.interval[:, None, 1], model.interval[None, :, 1])
@@ -151,11 +149,8 @@ class Canyon:
     def displacements(self, test, model):
         """Displacement of each true pair, test from model, shape (pairs, 3), m, in row order."""
         rows, columns = np.nonzero(self.pairs(test, model))
-        test, model = self._survey(test), self._survey(model)
+        test, model = self.surveys[test], self.surveys[model]
         return test.displacement[rows] - model.displacement[columns]
-
-    def _survey(self, name):
-        return self.surveys[check_choice(name, "survey", SURVEYS)]
 
 
 def canyon(seed, *, displacement_m=None, angle_noise_deg=0.08):
@@ -278,7 +273,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     Raises
     ------
     ValueError
-        If the survey is unknown or the density is not positive.
+        If the density is not positive.
 
     Notes
     -----
@@ -291,7 +286,7 @@ def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
     >>> 10_000 < len(cloud) < 30_000
     True
     """
-    positioning = scene._survey(survey).positioning
+    positioning = scene.surveys[survey].positioning
     density = check_positive(density, "density", unit="per m2")
     rng = np.random.default_rng(seed)
     faces, streets = canyon_faces(scene)

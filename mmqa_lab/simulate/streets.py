@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import _tables
-from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
@@ -78,13 +78,6 @@ class Plan:
     setback_m: tuple = (12.0, 26.0)
     columns_per_100m: float = 1.0
     pipes_per_100m: float = 3.0
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if name != "setback_m":
-                check_number(value, name, low=0, high=1 if name.endswith("_share") else None)
-        low, high = self.setback_m
-        check_number(high, "setback_m", low=check_number(low, "setback_m", low=5), unit="m")
 
 
 _TABLES = _tables(Path(__file__).with_suffix(".toml"))
