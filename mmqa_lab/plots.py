@@ -23,11 +23,7 @@ from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice
 from mmqa_lab.planes import flat_points
 
-__all__ = [
-    "draw_points",
-    "style",
-    "subplots",
-]
+__all__ = ["draw_points", "style", "subplots"]
 __dir__ = __all__.copy
 
 JOURNALS = _tables(Path(__file__).with_suffix(".toml"))
@@ -71,9 +67,7 @@ STYLE = {
     "mathtext.cal": "sans:italic",
     "font.size": 8.0,
     **dict.fromkeys(("axes.titlesize", "figure.labelsize", "figure.titlesize"), "medium"),
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "legend.fontsize": 7.0,
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7.0),
     "legend.frameon": False,
     "lines.linewidth": 1.0,
     "axes.linewidth": 0.6,

@@ -1,4 +1,4 @@
-"""3-D views by pyvista, with a matplotlib picture where the machine cannot draw with OpenGL.
+"""3-D views by pyvista, where the machine can draw with OpenGL.
 
 VTK without OpenGL libraries does not raise, it kills the process; so a child process tries first.
 """
@@ -12,6 +12,7 @@ import sys
 from typing import Any
 
 import numpy as np
+from IPython.display import Markdown
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
@@ -65,7 +66,7 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     """Show a cloud in 3-D, coloured by a value for each point.
 
     In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
-    libraries it is a matplotlib figure.
+    libraries a sentence stands in its place.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
 
     Returns
     -------
-    pyvista viewer or matplotlib figure
+    pyvista viewer, picture or sentence
 
     Raises
     ------
@@ -89,14 +90,13 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     --------
     >>> from unittest.mock import patch
     >>> with patch(f"{__name__}.can_render", return_value=False):
-    ...     figure = show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)")
-    >>> figure.axes[-1].get_ylabel()
-    'height (m)'
+    ...     show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)").data
+    'No 3-D view: it needs the OpenGL libraries that the README names.'
     """
     points = check_points(cloud)
     local, values = points - points.min(axis=0), np.asarray(values, dtype=np.float64)
     if not can_render():
-        return _figure(local, values, label)
+        return Markdown("No 3-D view: it needs the OpenGL libraries that the README names.")
 
     choices = {"jupyter_backend": "static"}
     if not is_headless():
@@ -133,17 +133,3 @@ def _round_ticks(low, high, most=4):
     """Ticks at round numbers, at most so many steps, that reach beyond both ends."""
     locator = MaxNLocator(max(1, most), steps=[1, 2, 2.5, 5, 10])
     return locator.tick_values(low, max(high, low + 1e-9))
-
-
-def _figure(local, values, label, limit=20_000):
-    """The matplotlib picture of one cloud, thinned to what it can draw."""
-    step = 1 + len(local) // limit
-    with plots.style():
-        figure, ax = plots.subplots(width="double", height_mm=110, subplot_kw={"projection": "3d"})
-        shades = {"c": values[::step], "cmap": plots.MAP, "s": 1, "rasterized": True}
-        dots = ax.scatter(*local[::step].T, **shades)
-        ax.set(aspect="equal", xlabel=TITLES[0], ylabel=TITLES[1], zlabel=TITLES[2])
-        ax.locator_params(nbins=4)
-        figure.colorbar(dots, ax=ax, label=label, shrink=0.6, pad=0.12)
-    plots.plt.close(figure)  # the caller shows it; left open, a notebook would show it twice
-    return figure

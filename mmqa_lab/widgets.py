@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import shapely
-from IPython.display import HTML, Image, Markdown, display
+from IPython.display import HTML, Image, display
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.widgets import PolygonSelector
@@ -44,13 +44,8 @@ WIDEST_PX, LARGEST_ZOOM = 800, 12
 """Largest width and zoom of a crop on the screen. The zoom is a whole number, so no pixel is
 interpolated."""
 
-PLACES = (
-    (0.07, 0.11, 0.45, 0.8),
-    (0.535, 0.11, 0.012, 0.8),
-    (0.69, 0.13, 0.29, 0.24),
-    (0.69, 0.62, 0.29, 0.24),
-)
-"""Places of the map, its colour scale and two histograms, as shares of the figure."""
+MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.15, "hspace": 1}
+"""Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel."""
 
 SHOWN = 10_000
 """Most points that are drawn. All points are evaluated."""
@@ -95,27 +90,16 @@ def explore(
     >>> plt.close(figure)
     """
 
-    def drawn():
-        """The figure for the current values of the controls."""
-        figure = function(**{name: control.value for name, control in controls.items()})
+    def drawn(**values):
+        """The figure for values of the controls."""
+        figure = function(**values)
         finish_figure(figure)
         plt.close(figure)  # the cell shows it; pyplot would show it again
         return figure
 
     if is_headless():
-        return drawn()
-    output = ipywidgets.Output()
-
-    def redraw(_=None):
-        """Replace the figure shown."""
-        with output, plt.ioff():
-            figure = drawn()
-            output.clear_output(wait=True)
-            display(figure)
-
-    for control in controls.values():
-        control.observe(redraw, names="value")
-    redraw()
+        return drawn(**{name: control.value for name, control in controls.items()})
+    output = ipywidgets.interactive_output(lambda **values: display(drawn(**values)), controls)
     return ipywidgets.VBox([*controls.values(), output])
 
 
@@ -144,16 +128,10 @@ def slider(
     ('speed (km/h)', 40.0)
     """
     kind = ipywidgets.IntSlider if isinstance(step, int) else ipywidgets.FloatSlider
-    return kind(
-        value=value,
-        min=low,
-        max=high,
-        step=step,
-        description=f"{name} ({unit})" if unit else name,
-        continuous_update=False,
-        style={"description_width": "14em"},
-        layout={"width": "34em"},
-    )
+    looks = {"style": {"description_width": "14em"}, "layout": {"width": "34em"}}
+    limits = {"value": value, "min": low, "max": high, "step": step}
+    label = f"{name} ({unit})" if unit else name
+    return kind(**limits, description=label, continuous_update=False, **looks)
 
 
 def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
@@ -221,15 +199,15 @@ class SelectionTool:
         self.choices, self.quality, self._followers = choices, None, []
         self.text = ipywidgets.HTML()
         self.figure = Figure(figsize=(8.4, 4.3), dpi=100, layout="none")
-        self._map, scale, *self._panels = map(self.figure.add_axes, PLACES)
+        axes = self.figure.subplot_mosaic("ab;ac", width_ratios=(1.8, 1), gridspec_kw=MARGINS)
+        self._map, *self._panels = axes.values()
         self._map.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
         self._dots = self._map.scatter([], [], s=3, lw=0, c=[], cmap=plots.DIVERGING_MAP)
-        self.figure.colorbar(self._dots, cax=scale, label="distance from plane (mm)")
+        self.figure.colorbar(self._dots, ax=self._map, label="distance from plane (mm)", pad=0.03)
         self.canvas = _canvas(self.figure)
         look = {"color": plots.COLOURS["green"], "linewidth": 2}
         self._selector = PolygonSelector(self._map, self._moved, props=look)
         self.show(points, polygon)
-        self.box = None if is_headless() else ipywidgets.VBox([*self._shown(), self.text])
 
     def show(self, points: ArrayLike, polygon: ArrayLike | None = None) -> None:
         """Show other points, shape (n, 3), m, and a polygon, shape (m, 3), m."""
@@ -241,9 +219,8 @@ class SelectionTool:
         self.frame = plane
         self._dots.set_offsets(plane.project(self._drawn))
         xy = plane.project(self.points)
-        low, high = xy.min(axis=0), xy.max(axis=0)
-        margin = 0.05 * (high - low).max()
-        limits = np.column_stack([low - margin, high + margin])
+        limits = np.column_stack([xy.min(axis=0), xy.max(axis=0)])
+        limits += 0.05 * np.ptp(limits, axis=1).max() * np.array([-1, 1])
         self._map.set(xlim=limits[0], ylim=limits[1])
         _forget_zoom(self.figure)
         self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
@@ -257,7 +234,8 @@ class SelectionTool:
         """Call a function with this tool now and after every change of the selection.
 
         It can be used as a decorator. The tool shows the output of the function. With ``button``,
-        the text of a button, the function is called again only when the button is pressed.
+        the text of a button, a change clears the output, and the function is called again only when
+        the button is pressed.
         """
         if function is None:
             return lambda decorated: self.follow(decorated, button=button)
@@ -269,28 +247,25 @@ class SelectionTool:
         def again(_=None):
             """Replace the output shown."""
             with output:
-                output.clear_output(wait=not button)
+                output.clear_output(wait=True)
                 display(HTML(self.text.value)) if self.quality is None else function(self)
 
-        def waits():
-            """State that the selection has changed."""
-            with output:
-                output.clear_output()
-                print("The selection has changed: press the button.")
-
         again()
-        self._followers.append(waits if button else again)
+        self._followers.append(output.clear_output if button else again)
         pressed = ipywidgets.Button(description=button, layout={"width": "24em"})
         pressed.on_click(again)
         display(ipywidgets.VBox([pressed, output]) if button else output)
         return function
 
     def _ipython_display_(self):
-        """Show the tool; without a screen, its picture."""
-        display(*self._shown(), HTML(self.text.value)) if is_headless() else display(self.box)
+        """Show the tool; without a screen, its pictures."""
+        if is_headless():
+            display(*self._pictures(), HTML(self.text.value))
+        else:
+            display(ipywidgets.VBox([*self._pictures(), self.text]))
 
-    def _shown(self):
-        """The parts above the line of text."""
+    def _pictures(self):
+        """What is shown above the line of text."""
         return [self.canvas]
 
     def _to_space(self, xy):
@@ -408,15 +383,12 @@ class SurfaceTool(SelectionTool):
         step = 1 + len(points) // SHOWN
         self._owner, shown = owner[::step], points[::step]
         across, up = sorted(np.argsort(np.ptp(points, axis=0))[1:])
-        offset = np.round(points.mean(axis=0) / 1000) * 1000  # or ticks would repeat
         self._scene.clear()
         ax = self._scene.add_subplot(aspect="equal")
-        x, y = (shown - offset)[:, [across, up]].T
-        self._scene_dots = ax.scatter(x, y, s=3, lw=0)
-        taken = [f" - {one:,.0f}" if one else "" for one in offset]
-        names = [f"{name}{less} (m)" for name, less in zip(AXES, taken, strict=True)]
-        ax.set(xlabel=names[across], ylabel=names[up])
-        ax.ticklabel_format(useOffset=False)
+        self._scene_dots = ax.scatter(*shown[:, [across, up]].T, s=3, lw=0)
+        ax.set(xlabel=f"{AXES[across]} (m)", ylabel=f"{AXES[up]} (m)")
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.locator_params(nbins=5)
         _forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         self._list.children = [self._button(row) for row in rows.to_dict("records")]
@@ -429,12 +401,10 @@ class SurfaceTool(SelectionTool):
         button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))
         return button
 
-    def _shown(self):
+    def _pictures(self):
         """The picture and the list above the polygon."""
-        if is_headless():
-            return [self._scene, self.canvas]
-        side = ipywidgets.VBox([self._clouds, self._list])
-        return [ipywidgets.HBox([self._scene_canvas, side]), self.canvas]
+        side = [] if is_headless() else [ipywidgets.VBox([self._clouds, self._list])]
+        return [ipywidgets.HBox([self._scene_canvas, *side]) if side else self._scene, self.canvas]
 
 
 def _described(patch, points):
@@ -523,9 +493,7 @@ def _summary(quality):
     """The figures of a quality in one line, and its remarks in further lines."""
     figures = (
         f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
-        f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, std {quality.std_mm:.2f} mm, "
-        f"d1 {quality.d1_mm:.1f} mm, d{len(quality.d_mm)} {quality.d_mm[-1]:.1f} mm, "
-        f"f {quality.f:.2f}"
+        f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, f {quality.f:.2f}"
     )
     return "<br>".join([figures, *quality.remarks])
 
@@ -554,7 +522,7 @@ class JuryForm:
     Raises
     ------
     ValueError
-        If the name of the juror is empty, or the file contains invalid marks.
+        If the file contains invalid marks.
 
     Examples
     --------
@@ -568,15 +536,13 @@ class JuryForm:
 
     def __init__(self, crops: Mapping[str, Any], *, juror: str, file: str | os.PathLike):
         self._juror, self._file, self._crops = juror.strip(), Path(file), dict(crops)
-        if not self._juror:
-            raise ValueError(f"Invalid juror {juror!r}. Must have a name.")
         self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
         self._line = ipywidgets.Label()
         self._buttons = [ipywidgets.Button(description=text) for text in MEANINGS.values()]
         for mark, button in zip(MEANINGS, self._buttons, strict=True):
             button.on_click(lambda _, mark=mark: self.mark(mark))
-        row = ipywidgets.HBox(self._buttons)
-        self.box = ipywidgets.VBox([self._line, row, self._picture])  # buttons stay in place
+        parts = [self._line, ipywidgets.HBox(self._buttons), self._picture]  # buttons stay in place
+        self.box = ipywidgets.VBox(parts)
         self._show()
 
     @property
@@ -603,8 +569,7 @@ class JuryForm:
 
     def _ipython_display_(self):
         """Show the form; without a screen, the current crop."""
-        shown = Image(self._picture.value) if self._picture.value else Markdown(self._line.value)
-        display(shown if is_headless() else self.box)
+        display(Image(self._picture.value) if is_headless() else self.box)
 
     def _show(self):
         """Show the next crop, or the end of the form."""
