@@ -71,8 +71,7 @@ STYLE = {
     "legend.frameon": False,
     "lines.linewidth": 1.0,
     "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "image.cmap": MAP,
     "figure.dpi": 150,
     "savefig.dpi": 300,
@@ -180,8 +179,7 @@ def subplots(
     >>> plt.close(figure)
     """
     check_choice(width, "width", tuple(_in_use))
-    size = (_in_use[width] / 25.4, height_mm / 25.4)
-    return plt.subplots(rows, columns, figsize=size, **choices)
+    return plt.subplots(rows, columns, figsize=(_in_use[width] / 25.4, height_mm / 25.4), **choices)
 
 
 def draw_points(xy: ArrayLike, *, ax: plt.Axes, **colours: Any) -> PathCollection:

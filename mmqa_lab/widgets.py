@@ -47,11 +47,8 @@ interpolated."""
 MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.15, "hspace": 1}
 """Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel."""
 
-SHOWN = 10_000
-"""Most points that are drawn. All points are evaluated."""
-
-LISTED = 30
-"""Most planes in the list. The planes with the most points come first."""
+SHOWN, LISTED = 10_000, 30
+"""Most points drawn, and most planes listed, those with the most points first. All are used."""
 
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
 """Colours of the other planes in the picture and in the list."""
@@ -268,6 +265,12 @@ class SelectionTool:
         """What is shown above the line of text."""
         return [self.canvas]
 
+    def _summary(self):
+        """The main figures in one line."""
+        density, sigma = self.quality.density_polygon_per_m2, self.quality.sigma_mad_mm
+        figures = f"{density:.0f} points/m², sigma_MAD {sigma:.2f} mm, f {self.quality.f:.2f}"
+        return f"{self.quality.n} points, {figures}"
+
     def _to_space(self, xy):
         """Coordinates in space of points in the picture, shape (n, 3), m."""
         return self.frame.centre + np.asarray(xy) @ self.frame.axes
@@ -279,7 +282,7 @@ class SelectionTool:
             panel.clear()
         try:
             self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
-            self.text.value = f"<b>{_summary(self.quality)}</b>"
+            self.text.value = f"<b>{'<br>'.join([self._summary(), *self.quality.remarks])}</b>"
             self.quality.draw_histograms(*self._panels)
             off_mm = 1000 * self.quality.plane.distances(self._drawn)
             self._dots.set(array=off_mm, clim=np.multiply([-3, 3], self.quality.sigma_mad_mm))
@@ -326,12 +329,7 @@ class SurfaceTool(SelectionTool):
     """
 
     def __init__(
-        self,
-        clouds: Mapping[str, ArrayLike],
-        *,
-        tolerance: float = 0.1,
-        size: float = 0.5,
-        **choices: Any,
+        self, clouds: Mapping, *, tolerance: float = 0.1, size: float = 0.5, **choices: Any
     ):
         self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
         self._patches, rows = {}, []
@@ -435,8 +433,7 @@ def _canvas(figure):
     backend = matplotlib.get_backend()
     from ipympl.backend_nbagg import Canvas, FigureManager
 
-    if matplotlib.get_backend() != backend:
-        matplotlib.use(backend)
+    matplotlib.use(backend)
     canvas = Canvas(figure)
     canvas.header_visible, canvas.toolbar_visible = False, True
     canvas.toolbar_position = "right"  # below, it would hide the coordinates of the mouse
@@ -456,26 +453,24 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
     Returns
     -------
     array, shape (4, 2)
-        Its corners, m, in steps of a sixtieth of the longer extent or of three times the spacing.
+        Its corners, m, in steps of a sixtieth of the longer extent or three times the spacing.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05))
     >>> band = np.column_stack([x.ravel(), y.ravel()])[(abs(x - y) < 1).ravel()]
     >>> corners = largest_rectangle(band)
-    >>> bool((np.abs(corners @ [1, -1]) < 1.1).all())
+    >>> bool((np.abs(corners @ [1, -1]) < 1.25).all())
     True
     """
     xy = np.asarray(xy, dtype=np.float64)
-    low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
+    extent = np.ptp(xy, axis=0)
     some = np.arange(len(xy)) % (1 + len(xy) // SHOWN) == 0
     away = quadrant_distances(xy, radius=extent.max() / 4, of=some)[:, -1]
     away = away[~np.isnan(away)]
     edge = max(extent.max() / 60, 3 * np.median(away)) if len(away) else extent.max() / 10
-    cells = np.clip(((xy - low) / edge).astype(int), 0, np.maximum(0, (extent / edge).astype(int)))
-    filled = np.zeros(cells.max(axis=0) + 1, dtype=bool)
-    filled[tuple(cells.T)] = True
-    filled = ndimage.binary_closing(np.pad(filled, 1))[1:-1, 1:-1] | filled
+    counts, x, y = np.histogram2d(*xy.T, bins=np.maximum(1, (extent / edge).astype(int)))
+    filled = ndimage.binary_closing(np.pad(counts > 0, 1))[1:-1, 1:-1] | (counts > 0)
     best, heights = (0, 0, 0, 0, 0), np.zeros(filled.shape[1], dtype=int)
     for end, row in enumerate(filled, 1):
         heights = (heights + 1) * row
@@ -485,17 +480,7 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
             k = np.argmax(areas)
             best = max(best, (areas[k], end - lowest[k], first, end, first + k + 1))
     _, x0, y0, x1, y1 = best
-    corners = low + edge * np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    return np.clip(corners, low, low + extent)
-
-
-def _summary(quality):
-    """The figures of a quality in one line, and its remarks in further lines."""
-    figures = (
-        f"{quality.n} points, {quality.density_polygon_per_m2:.0f} points/m², "
-        f"sigma_MAD {quality.sigma_mad_mm:.2f} mm, f {quality.f:.2f}"
-    )
-    return "<br>".join([figures, *quality.remarks])
+    return np.array([(x[x0], y[y0]), (x[x1], y[y0]), (x[x1], y[y1]), (x[x0], y[y1])])
 
 
 class JuryForm:
@@ -541,8 +526,7 @@ class JuryForm:
         self._buttons = [ipywidgets.Button(description=text) for text in MEANINGS.values()]
         for mark, button in zip(MEANINGS, self._buttons, strict=True):
             button.on_click(lambda _, mark=mark: self.mark(mark))
-        parts = [self._line, ipywidgets.HBox(self._buttons), self._picture]  # buttons stay in place
-        self.box = ipywidgets.VBox(parts)
+        self.box = ipywidgets.VBox([self._line, ipywidgets.HBox(self._buttons), self._picture])
         self._show()
 
     @property
