@@ -82,7 +82,7 @@ def test_a_table_says_of_which_kind_its_numbers_are(run, frame, kind, columns):
     [({"f": [2.0]}, ""), ({"f": [2.0]}, "true"), ({"f": [2.0] * 2, "kind": ["fitted", ""]}, "")],
 )
 def test_a_table_of_an_unknown_kind_is_refused(run, frame, kind):
-    with pytest.raises(ValueError, match=r"Invalid table table: nothing says.*one of published, "):
+    with pytest.raises(ValueError, match=r"Invalid table table: numbers of no kind.*one of publ"):
         run.save_table(pd.DataFrame(frame), "table", kind=kind)
     assert not (run.folder / "table.csv").exists()
 

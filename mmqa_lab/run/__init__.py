@@ -104,10 +104,8 @@ class Run:
         self._kinds[name] = _kind_of(frame)
         has_numbers = len(frame) and len(frame.select_dtypes(["number", "bool"]).columns)
         if has_numbers and not self._kinds[name]:
-            raise ValueError(
-                f"Invalid table {name}: nothing says which kind its numbers are. "
-                f"Must be one of {', '.join(KINDS)}."
-            )
+            kinds = ", ".join(KINDS)
+            raise ValueError(f"Invalid table {name}: numbers of no kind. Must be one of {kinds}.")
         self._remove(name)
         self._write(f"{name}.csv", frame)
         if len(frame) <= LONGEST_LATEX:

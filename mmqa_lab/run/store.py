@@ -55,9 +55,7 @@ def store(notebooks, folder, studies):
         ran = nbformat.read(folder / study.stem / f"{study.stem}.ipynb", as_version=4)
         plain = nbformat.read(study.path, as_version=4)
         if [cell.source for cell in ran.cells] != [cell.source for cell in plain.cells]:
-            raise ValueError(
-                f"Invalid results of {study.stem}: the notebook changed. Run it again."
-            )
+            raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
         if figure := record["answer"]["figure"]:  # a tool has none

@@ -141,7 +141,7 @@ def _exercise(source):
         checks = part == "check"
         cell.metadata["tags"] = ["check", "raises-exception"] if checks else ["exercise"]
         named = {"grade_id": f"exercise-{_parts(source)[0]}-{part}", "schema_version": 3}
-        graded = {"grade": checks, "locked": checks, "points": int(checks)}
+        graded = {"grade": checks, "locked": checks} | ({"points": 1} if checks else {})
         cell.metadata["nbgrader"] = named | graded | {"solution": not checks, "task": False}
         cells.append(cell)
     return cells
@@ -195,10 +195,8 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     targets = [Path(folder) / study.path.name for study in studies]
     there = [path for path in targets if path.exists()]
     if there:
-        raise ValueError(
-            f"Invalid folder {folder}: it contains {there[0].name}, which may be a student's work. "
-            "Must be a folder without notebooks of these names."
-        )
+        work = f"it contains {there[0].name}, which may be a student's work"
+        raise ValueError(f"Invalid folder {folder}: {work}. Must have no such notebooks.")
     for study, target in zip(studies, targets, strict=True):
         copy = _student_notebook(nbformat.read(study.path, as_version=4), checks)
         if quick:
