@@ -253,7 +253,7 @@ def test_range_denominator_and_threshold_are_choices(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         plain, whole = lhd(test, model), lhd(test, model, norm="all")
-        fixed = lhd(test, model, threshold=lambda nearest: 0.9)
+        fixed = lhd(test, model, threshold=lambda nearest: lines.Threshold(0.9, False, nearest))
     one = plain.test_model
     assert whole.test_model.olhd(10) == pytest.approx(
         one.olhd(10) * one.length.sum() / lines.lengths(model).sum()

@@ -42,7 +42,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.edges import extract_edges as extract_edges
 from mmqa_lab.planes import across
@@ -68,20 +68,16 @@ def check_segments(segments, name="segments"):
     ValueError: Invalid segments: no length in row 0. Must have two different ends.
     """
     values = np.asarray(segments)
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"Invalid {name} of type {values.dtype}. Must be real numbers.")
     if values.size and values.shape[1:] != (2, 3):
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape (n, 2, 3).")
-    ends = values.astype(np.float64).reshape(-1, 2, 3)
+    ends = check_points(values.reshape(-1, 3), name=name, minimum=0).reshape(-1, 2, 3)
     # beyond 100 km float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)
-    coarse = (values.dtype.itemsize < 8) & (values.dtype.kind == "f") & (np.abs(ends) > 1e5)
-    for rows, what, wanted in (
-        (~np.isfinite(ends).all(axis=(1, 2)), "not finite", "be finite coordinates"),
-        (coarse.any(axis=(1, 2)), f"{values.dtype} beyond 100 km", "be float64"),
-        ((ends[:, 0] == ends[:, 1]).all(axis=1), "no length", "have two different ends"),
-    ):
-        if rows.any():
-            raise ValueError(f"Invalid {name}: {what} in row {int(rows.argmax())}. Must {wanted}.")
+    if values.dtype == np.float32 and np.abs(ends).max(initial=0) > 1e5:
+        raise ValueError(f"Invalid {name}: float32 beyond 100 km. Must be float64.")
+    points = (ends[:, 0] == ends[:, 1]).all(axis=1)
+    if points.any():
+        row = int(points.argmax())
+        raise ValueError(f"Invalid {name}: no length in row {row}. Must have two different ends.")
     return ends
 
 
@@ -398,11 +394,11 @@ def correspond(
         pairs = np.zeros_like(near)
         pairs[linear_sum_assignment(cost)] = True
         return pairs & near
-    nearest, back = (
-        near & (np.argmin(distances, axis=axis, keepdims=True) == indices)
-        for axis, indices in zip((1, 0), np.indices(near.shape, sparse=True)[::-1], strict=True)
-    )
-    return nearest if matcher == "nearest" else nearest & back
+    rows, columns = np.indices(near.shape, sparse=True)
+    nearest = near & (distances.argmin(axis=1, keepdims=True) == columns)
+    if matcher == "nearest":
+        return nearest
+    return nearest & (distances.argmin(axis=0) == rows)
 
 
 def _apart(shape, rows, columns, stretches, costs):
@@ -1117,8 +1113,8 @@ def lhd(
         Divisor of the weighted sum of equation 7: the summed length of all pairs (a mean, which
         agrees with the published numbers), or of all targets (as printed).
     threshold : callable, optional
-        Takes the nearest distances of a direction (m) and returns a :class:`Threshold` or its
-        delta. By default :func:`peak_threshold` with ``sensitivity``.
+        Takes the nearest distances of a direction (m) and returns a :class:`Threshold`. By default
+        :func:`peak_threshold` with ``sensitivity``.
     pairs : array_like of bool, shape (p, q), optional
         Known pairs, used instead of threshold and matcher.
     radius : float
@@ -1198,10 +1194,9 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
             f"Invalid sets {nearest.min():.0f} m apart. "
             "Must have segments within 100 m of each other, in one coordinate system."
         )
-    found = np.nan if pairs is not None else threshold(nearest)
-    if not isinstance(found, Threshold):
-        found = Threshold(float(found), False, np.sort(nearest))
+    found = Threshold(np.nan, False, np.sort(nearest))
     if pairs is None:
+        found = threshold(nearest)
         pairs = correspond(distances, found.delta, matcher=matcher, test=source, model=target)
     rows, columns = np.nonzero(pairs)
     own, length = lengths(source), lengths(target)
