@@ -217,7 +217,7 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     return _surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
 
 
-def box(base, size, *, label="car", reflectance=0.4):
+def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
     """Return a box from the middle of its bottom.
 
     Parameters
@@ -225,7 +225,9 @@ def box(base, size, *, label="car", reflectance=0.4):
     base : array_like, shape (3,)
         Metres.
     size : array_like, shape (3,)
-        Along x, y and z, metres.
+        Across, along its heading, and up, metres.
+    heading : float
+        Degrees clockwise from +y.
     label : str
     reflectance : float
 
@@ -241,7 +243,11 @@ def box(base, size, *, label="car", reflectance=0.4):
     8.0
     """
     base = _vector(base, "base")
-    a, b, c = np.diag(np.asarray(size, dtype=float))
+    width, length, height = size
+    h = np.radians(heading)
+    a = width * np.array([np.cos(h), -np.sin(h), 0])
+    b = length * np.array([np.sin(h), np.cos(h), 0])
+    c = np.array([0, 0, height])
     low, high = base - a / 2 - b / 2, base + a / 2 + b / 2 + c
     faces = [(low, a, b), (low, b, c), (low, a, c), (high, -a, -b), (high, -b, -c), (high, -a, -c)]
     return group([rectangle(*face, reflectance=reflectance) for face in faces], label=label)
