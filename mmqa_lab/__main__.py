@@ -22,11 +22,11 @@ ENVIRONMENT = ROOT / "environment.txt"
 TOOLS = ROOT / "tests" / "environment.txt"
 VENV = ROOT / ".venv"
 
+# Packages that an environment from each file can import.
 PROBES = {
     ENVIRONMENT: ("numpy", "laspy", "numba", "pandas", "dask", "nbclient", "cyclopts"),
     TOOLS: ("numpy", "pytest", "hypothesis", "ruff"),
 }
-"""Packages that an environment from each file can import."""
 
 
 def main(arguments=None):

@@ -21,15 +21,15 @@ from cyclopts import App, CycloptsError, Parameter
 
 from mmqa_lab import __version__
 
+# Columns of a terminal that tables fit into.
 WIDTH = 100
-"""Columns of a terminal that tables fit into."""
 
 FIGURES = (".pdf", ".png", ".svg")
 
 TEST_CORES = ("-n=logical", "--maxprocesses=4")
 
+# Memory that a study may need. As many studies run at the same time as fit.
 GB_A_STUDY = 1.5
-"""Memory that a study may need; no more run at the same time than fit."""
 
 ABOUT = """The quality of mobile mapping point clouds and images.
 
@@ -48,6 +48,7 @@ app = App(
 SHARED = {
     "json": (bool, False, "Print a JSON list of rows, with null where not measurable."),
     "csv": (Path | None, None, "Write the rows into this CSV file, too."),
+    "report": (Path | None, None, "Write a page (.html) with rows, remarks and hashes of files."),
 }
 
 
@@ -55,23 +56,22 @@ def table(function):
     """Register a command whose table is printed; the function itself stays as it is."""
 
     @functools.wraps(function)
-    def command(*files, json=False, csv=None, **choices):
-        _refuse_outputs(csv, choices.get("out"), [*files, *choices.values()])
+    def command(*files, json=False, csv=None, report=None, **choices):
+        inputs = _inputs([*files, *choices.values()], choices.get("out"))
+        _refuse_outputs(csv, report, choices.get("out"), inputs)
         frame = function(*files, **choices)
         if csv is not None:
             from mmqa_lab.io import write_atomically
 
             write_atomically(csv, frame)
+        if report is not None:
+            _write_report(report, function.__name__, frame, inputs, choices.get("out"))
         print(as_json(frame) if json else as_text(frame))
 
+    only = inspect.Parameter.KEYWORD_ONLY
     shared = [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=default,
-            annotation=Annotated[kind, Parameter(help=text)],
-        )
-        for name, (kind, default, text) in SHARED.items()
+        inspect.Parameter(name, only, default=one, annotation=Annotated[kind, Parameter(help=text)])
+        for name, (kind, one, text) in SHARED.items()
     ]
     signature = inspect.signature(function)
     command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *shared])
@@ -83,15 +83,35 @@ def table(function):
     return function
 
 
-def _refuse_outputs(csv, out, given):
-    """Raise before any work where a table has no place of its own."""
-    if csv is not None and (csv.suffix.lower() != ".csv" or csv.is_dir()):
-        raise ValueError(f"Invalid file {csv}. Must end in .csv.")
+def _inputs(given, out):
+    """The texts and paths that a command was given, other than its output."""
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
-    inputs = {str(one) for one in listed if one is not out}
-    for path in (csv, out):
-        if path is not None and str(path) in inputs:
+    return [str(one) for one in listed if one is not out and isinstance(one, str | Path)]
+
+
+def _refuse_outputs(csv, report, out, inputs):
+    """Raise before any work where a table has no place of its own."""
+    for path, ending in ((csv, ".csv"), (report, ".html"), (out, "")):
+        if path is None:
+            continue
+        if ending and (path.suffix.lower() != ending or path.is_dir()):
+            raise ValueError(f"Invalid file {path}. Must end in {ending}.")
+        if str(path) in inputs:
             raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
+
+
+def _write_report(page, command, frame, inputs, out):
+    """Write rows, remarks and the figure of a command as a page, with hashes of the files read."""
+    from mmqa_lab.run.pages import write_report
+
+    write_report(
+        page,
+        title=f"mmqa {command.rstrip('_')}",
+        sentences=_sentences(frame, "remarks"),
+        tables={"Results": frame.drop(columns="remarks", errors="ignore")},
+        figures={out.name: out} if out is not None and out.suffix == ".png" else {},
+        files=[one for one in inputs if Path(one).is_file()],
+    )
 
 
 def run(arguments):
@@ -864,6 +884,7 @@ def bench(
     raise_
         Stop where your method fails, and print the traceback.
     """
+    from concurrent.futures import ProcessPoolExecutor
     from dataclasses import replace
 
     import pandas as pd
@@ -879,7 +900,8 @@ def bench(
     comparison.methods = {**comparison.methods, **own}
     if raise_ and own:
         replace(comparison, methods=own, costs_cells=()).run()
-    results = _results(comparison, workers)
+    pool = ProcessPoolExecutor(workers) if workers > 1 else None
+    results = comparison.run(executor=pool)
     figures = [name for name in comparison.figures if name in results]
     figures = figures or list(bench.figure_names(results))
     rows = []
@@ -912,16 +934,6 @@ def _named_function(text):
             f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
         ) from error
     return name, function
-
-
-def _results(comparison, workers):
-    """The results of a bench, computed here or in so many processes."""
-    from concurrent.futures import ProcessPoolExecutor
-
-    if workers == 1:
-        return comparison.run()
-    with ProcessPoolExecutor(workers) as pool:
-        return comparison.run(executor=pool)
 
 
 def _write_bench(folder, tables, draw):

@@ -79,12 +79,15 @@ def call(folder, tmp_path, monkeypatch, capfd):
 @pytest.mark.parametrize("name", CASES)
 def test_a_table_is_printed_and_written(name, call, tmp_path):
     line, rows, product = CASES[name]
-    status, out, err = call(f"{line} --csv rows.csv")
+    status, out, err = call(f"{line} --csv rows.csv --report page.html")
     assert (status, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 100
     written = pd.read_csv(tmp_path / "rows.csv")
     assert rows is None or len(written) == rows
     assert product is None or (tmp_path / product).stat().st_size > 0
+    page = (tmp_path / "page.html").read_text()
+    assert f"<h1>mmqa {name}</h1>" in page
+    assert ("PATCH" in line) == (samples.SAMPLES[0].sha256 in page)
     status, out, _ = call(f"{line} --json")
     printed = json.loads(out)
     assert (status, len(printed)) == (0, len(written))
