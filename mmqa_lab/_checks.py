@@ -36,10 +36,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     values = values.astype(np.float64, copy=False)
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
-        raise ValueError(
-            f"Invalid {name}: {bad.sum()} of {len(values)} not finite, the first in row "
-            f"{np.argmax(bad)}. Must be finite coordinates."
-        )
+        count = f"{bad.sum()} of {len(values)} not finite, the first in row {np.argmax(bad)}"
+        raise ValueError(f"Invalid {name}: {count}. Must be finite coordinates.")
     return values
 
 
@@ -124,8 +122,7 @@ def check_file(path, name):
     FileNotFoundError: Invalid marks none.csv: no such file. Must exist.
     """
     if not Path(path).is_file():
-        what = "a folder" if Path(path).is_dir() else "no such file"
-        raise FileNotFoundError(f"Invalid {name} {path}: {what}. Must exist.")
+        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
     return Path(path)
 
 
@@ -143,7 +140,7 @@ def check_columns(table, columns, name):
             raise ValueError(f"Invalid {name}: no column {column!r}. Must have one.")
 
 
-def check_number(value, name, *, low=None, high=None, unit=""):
+def check_number(value, name, *, low=-np.inf, high=np.inf, unit=""):
     """Return ``value`` as a finite float within ``[low, high]``.
 
     Examples
@@ -156,12 +153,11 @@ def check_number(value, name, *, low=None, high=None, unit=""):
         raise TypeError(f"Invalid {name} {value!r}. Must be a number.")
     if not np.isfinite(value):
         raise ValueError(f"Invalid {name} {value}. Must be finite.")
-    number = float(value)
-    if (low is not None and number < low) or (high is not None and number > high):
-        bounds = f">= {low}" if high is None else f"between {low} and {high}"
-        bounds = f"<= {high}" if low is None else bounds
+    if not low <= value <= high:
+        bounds = f">= {low}" if high == np.inf else f"between {low} and {high}"
+        bounds = f"<= {high}" if low == -np.inf else bounds
         raise ValueError(f"Invalid {name} {value}. Must be {bounds} {unit}".strip() + ".")
-    return number
+    return float(value)
 
 
 def check_positive(value, name, *, unit=""):
@@ -204,7 +200,6 @@ def check_choice(value, name, choices):
     ValueError: Invalid axes 'up'. Must be one of principal, horizontal.
     """
     if value not in choices:
-        raise ValueError(
-            f"Invalid {name} {value!r}. Must be one of {', '.join(map(str, choices))}."
-        )
+        names = ", ".join(map(str, choices))
+        raise ValueError(f"Invalid {name} {value!r}. Must be one of {names}.")
     return value

@@ -10,12 +10,8 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_same_crs
 
-MISSING = {
-    "gps_time": "No time of the points: drives and scan lines cannot be told apart by it.",
-    "scan_angle": "No scan angles.",
-    "intensity": "No intensities.",
-}
-"""Remarks on columns that are missing or the same for all points."""
+EXPECTED = ("gps_time", "scan_angle", "intensity")
+"""Columns of a cloud from a mobile scanner."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +48,7 @@ class Cloud:
     >>> cloud[cloud["ring"] == 4].points.tolist()
     [[1.0, 0.0, 0.0]]
     >>> cloud
-    <Cloud: 2 points, 1.000 m x 0.000 m x 0.000 m, columns ring>
+    <Cloud '': 2 points, columns ring>
     """
 
     points: np.ndarray
@@ -66,10 +62,8 @@ class Cloud:
         columns = {key: np.asarray(values) for key, values in self.columns.items()}
         for key, values in columns.items():
             if values.shape[:1] != (len(points),):
-                raise ValueError(
-                    f"Invalid column {key!r} of shape {values.shape}. "
-                    f"Must have one value for each of {len(points)} points."
-                )
+                shape = f"Must have {len(points)} rows."
+                raise ValueError(f"Invalid column {key!r} of shape {values.shape}. {shape}")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "columns", columns)
 
@@ -92,11 +86,8 @@ class Cloud:
         return Cloud(points, columns, self.name, self.resolution, self.crs)
 
     def __repr__(self) -> str:
-        name = f" {self.name!r}" if self.name else ""
-        sides = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
-        extent = " x ".join(f"{side:.3f} m" for side in sides)
         columns = ", ".join(self.columns) or "none"
-        return f"<Cloud{name}: {len(self)} points, {extent}, columns {columns}>"
+        return f"<Cloud {self.name!r}: {len(self)} points, columns {columns}>"
 
     @classmethod
     def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
@@ -125,25 +116,20 @@ def describe(cloud: Cloud) -> dict:
 
     Examples
     --------
-    >>> found = describe(Cloud([[0, 0, 0], [0, 0, 0], [1, 2, 0]], {"head": [1, 1, 2]}))
-    >>> found["coincident"], found["columns"]
-    (2, 'head (2)')
+    >>> found = describe(Cloud([[0, 0, 0], [1, 2, 0]], {"head": [1, 2], "gps_time": [5, 9]}))
+    >>> found["columns"], int(found["time_span_s"])
+    ('head (2), gps_time (2)', 4)
     """
     box = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)], axis=1).ravel()
     counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
-    time = np.sort(cloud["gps_time"]) if counts.get("gps_time", 1) > 1 else np.full(2, np.nan)
-    _, together = np.unique(cloud.points, axis=0, return_counts=True)
-    remarks = [text for name, text in MISSING.items() if counts.get(name, 1) == 1]
+    remarks = [f"No {name}." for name in EXPECTED if counts.get(name, 1) == 1]
     remarks += ["No coordinate system: taken for metres."] * (cloud.crs is None)
     return {
         "points": len(cloud),
         **{f"{a}_{end}_m": v for a, end, v in zip("xxyyzz", ["low", "high"] * 3, box, strict=True)},
         "crs": "" if cloud.crs is None else cloud.crs.name,
         "resolution_mm": 1000 * cloud.resolution,
-        "coincident": int(together[together > 1].sum()),
-        "time_first_s": time[0],
-        "time_span_s": time[-1] - time[0],
-        "time_longest_pause_s": np.diff(time).max(),
+        "time_span_s": np.ptp(cloud["gps_time"]) if "gps_time" in cloud else np.nan,
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
         "remarks": " ".join(remarks),
     }
