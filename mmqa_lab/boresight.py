@@ -186,9 +186,9 @@ def calibrate(
     Raises
     ------
     ValueError
-        If there are no common planes, no control point lies at the clouds' ground, a lever arm is
-        longer than 10 m, or the mounting is not determined: the sentence names the parameters that
-        stay open.
+        If there are no common planes, a lever arm is longer than 10 m, or the mounting is not
+        determined, for example because no control point lies on the clouds' ground: the sentence
+        names the parameters that stay open.
 
     Notes
     -----
@@ -363,11 +363,6 @@ def _heights(placed, control):
     gap, which = near.query(placed[:, :2], distance_upper_bound=CONTROL_M)
     index = np.flatnonzero(np.isfinite(gap))
     index = index[np.abs(placed[index, 2] - control[which[index], 2]) < CONTROL_M]
-    if not len(index):
-        raise ValueError(
-            f"Invalid control: none of {len(control)} points lies within {CONTROL_M} m of "
-            "the clouds' ground. Must be heights of it, in the drives' coordinate system."
-        )
     parts = pd.Series(index).groupby(which[index])
     return [(part.to_numpy(), control[k, 2]) for k, part in parts if len(part) >= FEWEST]
 
@@ -554,13 +549,16 @@ class _Adjustment:
         lengths = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
         _, size, ways = np.linalg.svd(slopes / lengths, full_matrices=False)
         if size[-1] < 1e-4:  # of the scaled Jacobian: this combination is open
-            open_ones = np.flatnonzero(np.abs(self.ways @ ways[-1]) > 0.1)
-            names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in open_ones]
-            raise ValueError(
-                f"Invalid drives: they do not determine the mounting ({' with '.join(names)} stays "
-                "open). Must run in both directions past walls and poles; or keep one of these as "
-                "assumed."
-            )
+            raise _stay_open(np.abs(self.ways @ ways[-1]) > 0.1)
+
+
+def _stay_open(which):
+    """The error that names the parameters that the drives do not determine."""
+    names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in np.flatnonzero(which)]
+    return ValueError(
+        f"Invalid drives: {' with '.join(names)} stays open. Must run in both directions past "
+        "walls, poles and control points, or keep one of these as assumed."
+    )
 
 
 def _result(adjustment, values, lever, path_std_m, path_std_deg):
@@ -569,24 +567,17 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     missing = " and ".join(name for name, std in given.items() if std is None)
     path_std = np.zeros(6)
     path_std[:3], path_std[3:] = (0.0 if std is None else std for std in given.values())
-    if not (path_std >= 0).all():
-        raise ValueError(f"Invalid path_std {path_std_m}, {path_std_deg}. Must be >= 0.")
     covariance, students = adjustment.covariance(values, path_std / UNIT[::-1])
     unit, limits = np.tile(UNIT, len(values)), np.repeat([10.0, 1.0], 3)  # beyond: no estimate
     covariance = covariance * np.outer(unit, unit)
     std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit
+    wild = np.maximum(np.abs(value), std) > np.tile(limits, len(values))
+    if wild.any():
+        raise _stay_open(wild)
     half = np.where(std > 0, stdtrit(students, 0.975) * std, np.nan)
     table = {"head": np.repeat(np.arange(len(values)), 6), "parameter": PARAMETERS * len(values)}
     table |= {"value": value, "std": std, "low": value - half, "high": value + half}
     table = pd.DataFrame(table)
-    wild = np.maximum(np.abs(value), std) > np.tile(limits, len(values))
-    if wild.any():
-        row = table[wild].iloc[0]
-        raise ValueError(
-            f"Invalid drives: {row['parameter']} of head {row['head'] + 1} would be "
-            f"{row['value']:.3g} with a standard deviation of {row['std']:.3g}. Must run in both "
-            "directions past walls and poles, with dense points."
-        )
     ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
     ways = ways.groupby(adjustment.kinds[0].shots.drive).mean().to_numpy()
     remarks = {

@@ -547,7 +547,6 @@ def accuracy(
     /,
     *,
     targets: Path | None = None,
-    trajectory: Path | None = None,
     radius: float = 0.2,
     out: Path | None = None,
 ):
@@ -566,8 +565,6 @@ def accuracy(
     targets
         CSV file with x, y, z of each target's foot, its kind (pole, building or curb) and, where
         known, its diameter.
-    trajectory
-        CSV file of the path. Adds the trend over the distance from it.
     radius
         Radius of the surface around a reference point, m.
     out
@@ -579,16 +576,14 @@ def accuracy(
     if (reference is None) == (targets is None):
         raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
     if targets is not None:
-        found = testfield.compare_plan(points, _targets(targets))
+        differences = testfield.plan_differences(points, _targets(targets))
+        summary = testfield.plan_accuracy(differences)
     else:
-        path = None
-        if trajectory is not None:
-            path = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
         heights = io.read_heights(reference, crs=points.crs)
-        found = testfield.compare_heights(points, heights, path=path, radius=radius)
+        summary, differences = testfield.compare_heights(points, heights, radius=radius)
     if out is not None:
-        io.write_atomically(out, found.differences)
-    return found.to_frame()
+        io.write_atomically(out, differences)
+    return summary
 
 
 def _targets(path, **columns):

@@ -20,7 +20,6 @@ own survey. They have given up 95 % confidence levels, and ask for 30 check poin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -36,7 +35,6 @@ from mmqa_lab._checks import (
     check_points,
     check_positive,
 )
-from mmqa_lab._results import Shown
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
@@ -65,117 +63,58 @@ NEAR_LINE_M = 0.03
 """Points up to this far from a line belong to it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Accuracy(Shown):
-    """What a comparison with a survey gives.
-
-    Parameters
-    ----------
-    summary : DataFrame
-        From :func:`height_accuracy` or, by kind of target, :func:`plan_accuracy`.
-    differences : DataFrame
-        From :func:`height_differences` or :func:`plan_differences`.
-    remarks : str
-        What a reader of the summary should know.
-
-    Examples
-    --------
-    >>> x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 8, 0.1))
-    >>> cloud = np.stack([x, y, 0 * x + 0.02], axis=-1).reshape(-1, 3)
-    >>> found = compare_heights(cloud, np.c_[cloud[200::300, :2], np.zeros(21)] + [0.03, 0.04, 0])
-    >>> found.summary["mean_mm"].round(3).tolist(), found.remarks[:14]
-    ([20.0, 0.0], '21 differences')
-    """
-
-    summary: pd.DataFrame
-    differences: pd.DataFrame
-    remarks: str = ""
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the summary with the remarks."""
-        return self.summary.assign(remarks=self.remarks)
-
-
 def compare_heights(
-    points: ArrayLike,
-    reference: ArrayLike,
-    *,
-    path: ArrayLike | None = None,
-    radius: float = 0.2,
-) -> Accuracy:
-    """Compare a cloud with surveyed heights: differences, figures, growth with distance, remarks.
+    points: ArrayLike, reference: ArrayLike, *, radius: float = 0.2
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Compare a cloud with surveyed heights.
 
     Parameters
     ----------
     points, reference, radius
         As of :func:`height_differences`.
-    path : array_like, shape (k, 2 or 3), optional
-        Vertices of the trajectory: adds the trend of absolute differences, their shift removed,
-        over the distance from it.
 
     Returns
     -------
-    Accuracy
-        The summary also counts reference points without a valid difference, by reason.
+    summary : DataFrame
+        From :func:`height_accuracy`, with the number of reference points left out for each reason,
+        and ``remarks``.
+    differences : DataFrame
+        From :func:`height_differences`.
 
     Raises
     ------
     ValueError
         As of :func:`height_differences`, and if no difference is valid.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(0, 8, 0.1), np.arange(0, 8, 0.1))
+    >>> cloud = np.stack([x, y, 0 * x + 0.02], axis=-1).reshape(-1, 3)
+    >>> heights = np.c_[cloud[200::300, :2], np.zeros(21)] + [0.03, 0.04, 0]
+    >>> summary, _ = compare_heights(cloud, heights)
+    >>> summary["mean_mm"].round(3).tolist(), summary["remarks"][0][:14]
+    ([20.0, 0.0], '21 differences')
     """
     table = height_differences(points, reference, radius=radius)
-    used = table[table["reason"] == ""]
-    if used.empty:
+    valid = table.loc[table["reason"] == "", "dz_m"]
+    if valid.empty:
         raise ValueError(
             f"Invalid reference: no surface of the cloud ({_extent(points)}) lies around a point "
             f"of it ({_extent(reference)}). Must overlap, in one coordinate system."
         )
-    summary = height_accuracy(table)
-    for reason in REASONS[1:]:
-        summary[reason.replace(" ", "_")] = int((table["reason"] == reason).sum())
-    if path is not None:
-        size = 1000 * (used["dz_m"] - used["dz_m"].mean()).abs()
-        line = trend(distance_to_path(used[["x_m", "y_m"]], path), size)
-        for name in ("slope", "slope_low", "slope_high"):
-            summary[f"{name.replace('slope', 'trend')}_mm_per_m"] = line[name]
-    return Accuracy(summary, table, _height_remarks(table, used))
-
-
-def compare_plan(points: ArrayLike, targets: pd.DataFrame) -> Accuracy:
-    """Compare a cloud with surveyed plan positions: each kind of target, and all together.
-
-    Parameters
-    ----------
-    points, targets
-        As of :func:`plan_differences`.
-
-    Returns
-    -------
-    Accuracy
-
-    Raises
-    ------
-    ValueError
-        As of :func:`plan_differences`, and if no target is measured.
-    """
-    table = plan_differences(points, targets)
-    missing = table["reason"][table["reason"] != ""]
-    if len(missing) == len(table):
-        raise ValueError(
-            f"Invalid targets: none measured in the cloud ({', '.join(sorted(set(missing)))}). "
-            f"Must lie in it ({_extent(points)}), with the height of the foot."
-        )
-    parts = [*table.groupby("kind", sort=False), ("all", table)]
-    summary = pd.concat([plan_accuracy(rows).assign(kind=kind) for kind, rows in parts])
-    summary.insert(0, "kind", summary.pop("kind"))
-    remark = ""
-    if len(missing) > len(table) / 2:
-        remark = (
-            f"{len(missing)} of {len(table)} slices of targets were not measured (most: "
-            f"{missing.mode()[0]}): the heights of the feet or the coordinate systems may differ, "
-            "or the cloud is too sparse for them."
-        )
-    return Accuracy(summary.reset_index(drop=True), table, remark)
+    counts = {r.replace(" ", "_"): int((table["reason"] == r).sum()) for r in REASONS[1:]}
+    apart = counts["no_points"] + counts["not_surrounded"]
+    doubts = {
+        f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
+        "or the coordinate systems may differ.": apart > len(table) / 2,
+        f"{len(valid)} differences; the ASPRS standards ask for 30 check points or more.": (
+            len(valid) < 30
+        ),
+        f"The median difference is {valid.median():+.2f} m; the two height systems may differ "
+        "(ellipsoid or geoid).": abs(valid.median()) > 1,
+    }
+    remarks = " ".join(text for text, applies in doubts.items() if applies)
+    return height_accuracy(table).assign(**counts, remarks=remarks), table
 
 
 def height_differences(
@@ -320,19 +259,12 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     array of int, shape (n,)
         Counted from 0 in the order of time.
 
-    Raises
-    ------
-    ValueError
-        If a time is not finite.
-
     Examples
     --------
     >>> split_drives([5.0, 90_000.0, 6.0, 90_001.0]).tolist()
     [0, 1, 0, 1]
     """
     time = np.asarray(gps_time, dtype=np.float64)
-    if time.ndim != 1 or not len(time) or not np.isfinite(time).all():
-        raise ValueError(f"Invalid gps_time of shape {time.shape}. Must be finite seconds.")
     order = np.argsort(time, kind="stable")
     number = np.empty(len(time), dtype=int)
     number[order] = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap_s)
@@ -706,19 +638,3 @@ def _extent(points):
     points = np.asarray(points)
     (west, south), (east, north) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     return f"x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m"
-
-
-def _height_remarks(table, used):
-    """What a reader of the figures of heights should know."""
-    apart = int(table["reason"].isin(REASONS[1:3]).sum())
-    far = used["dz_m"].median()
-    doubts = {
-        f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
-        "or the coordinate systems may differ.": apart > len(table) / 2,
-        f"{len(used)} differences; the ASPRS standards ask for 30 check points or more.": (
-            len(used) < 30
-        ),
-        f"The median difference is {far:+.2f} m; the two height systems may differ (ellipsoid or "
-        "geoid).": abs(far) > 1,
-    }
-    return " ".join(text for text, true in doubts.items() if true)
