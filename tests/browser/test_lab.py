@@ -26,7 +26,7 @@ def points_selected(text):
 def outline_corner(picture):
     """Pixel (x, y) of the upper right corner of the polygon's line, and its picture."""
     image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=float)
-    colour = 255 * np.array(to_rgb(COLOURS["vermilion"]))
+    colour = 255 * np.array(to_rgb(COLOURS["green"]))
     rows, columns = np.nonzero(np.abs(image - colour).max(axis=2) < 40)
     inside = columns < 0.6 * image.shape[1]  # the cloud's panel; histograms stand to the right
     rows, columns = rows[inside], columns[inside]
