@@ -391,8 +391,6 @@ def plan(
 
 def _setup(scanner, speed, given):
     """The set-up of a scanner by name, or from what was given."""
-    from dataclasses import replace
-
     from mmqa_lab import scan_pattern
     from mmqa_lab._checks import check_choice
     from mmqa_lab.simulate import PRESETS
@@ -400,7 +398,11 @@ def _setup(scanner, speed, given):
     if scanner is not None:
         profilers = [name for name, one in PRESETS.items() if not one.upright]
         preset = PRESETS[check_choice(scanner, "scanner", profilers)]
-        return replace(scan_pattern.ScanSetup.of_scanner(preset, speed_m_s=speed), **given)
+        mounting = {
+            f"scanner_{name}": getattr(preset, name) for name in ("heading_deg", "tilt_deg")
+        }
+        rates = {name: getattr(preset, name) for name in ("pulse_rate_hz", "mirror_frequency_hz")}
+        given = mounting | rates | given
     if not {"pulse_rate_hz", "mirror_frequency_hz"} <= set(given):
         raise ValueError(
             "Invalid plan. Must have --pulse-rate and --mirror-frequency, or --scanner."

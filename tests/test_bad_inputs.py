@@ -115,7 +115,6 @@ EDGE = np.array([[[0, 0, 0], [1, 0, 0.0]]])
 SCANNER = simulate.Scanner(pulse_rate_hz=3e5, mirror_frequency_hz=100)
 DRIVE = simulate.straight(10, 1)
 CAMERA, CHART = cameras.PanoramaCamera(2000), charts.imaging_chart()
-STILL = {"h_r": 5, "height_difference": 0, "theta_a": 0.1}
 VOTES = pd.DataFrame({"juror": [1], "element": ["x"], "mark": ["a"]})
 RATED = pd.DataFrame({"scan": [1, 1, 2], "f": [1, 2, 3.0]})
 
@@ -142,11 +141,12 @@ FUNCTIONS = [
     (lambda: replace(SETUP, pulse_rate_hz=50), "Must be 100 pulses a revolution or more."),
     (lambda: replace(SETUP, scanner_tilt_deg=90), "off the direction of travel."),
     (lambda: replace(SETUP, speed_m_s="fast"), "Invalid speed_m_s 'fast'. Must be a number"),
-    (lambda: scan_pattern.scan_lattice(SETUP, scan_pattern.Patch([1, 2], [0, 0, 1])), "(..., 3)"),
-    (lambda: scan_pattern.scan_lattice(SETUP, scan_pattern.Patch([1, 2, 3], [0] * 3)), "zero."),
     (lambda: replace(WALL, heading_deg=-95).patch(SETUP), "Must let the horizontal pulse strike"),
     (lambda: scan_pattern.propagate(SETUP, WALL, sigmas={"wind": 1}), "Invalid input 'wind'."),
-    (lambda: scan_pattern.largest_speed(SETUP, WALL, quantity="f", limit=0.5), "it fails at"),
+    (
+        lambda: scan_pattern.largest_speed(SETUP, WALL, quantity="f", limit=0.5),
+        "Must be reached between",
+    ),
     (lambda: scan_pattern.explain_error(SETUP, WALL, quantity="f", measured=2), "quantity 'f'"),
     (lambda: scan_pattern.measure_pattern(LINES[:5]), "Must be 12 or more."),
     (lambda: scan_pattern.measure_pattern(LINES), "without gps_time and scan_line. Must have one"),
@@ -155,7 +155,6 @@ FUNCTIONS = [
     (lambda: scan_pattern.measure_pattern(LINES, gps_time=np.arange(81) * 1e5), "a week's end"),
     (lambda: scan_pattern.measure_pattern(LINES, scan_line=[0] * 81), "Invalid patch: 1 profiles"),
     (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
-    (lambda: mimic.point_spacing((0, 90), (0, 0), **STILL), "Invalid gamma_scan 90"),
     (lambda: check_count(2.5, "repeats"), "Invalid repeats 2.5. Must be a whole number >= 1."),
     (lambda: check_number(-1, "speed", low=0, unit="m/s"), "Must be >= 0 m/s."),
     (lambda: Cloud(SQUARE, {"ring": [1, 2]}), "Invalid column 'ring' of shape (2,)."),

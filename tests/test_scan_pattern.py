@@ -153,9 +153,13 @@ def test_density_is_that_of_the_papers_formula_at_any_mirror_frequency(mirror):
 
 
 def test_counted_density_on_a_plane_within_one_per_cent():
-    head = {"pulse_rate_hz": 600_000, "mirror_frequency_hz": 200, "heading_deg": 20, "tilt_deg": 30}
-    scanner = simulate.Scanner(**head)
-    setup = ScanSetup.of_scanner(scanner, speed_m_s=10.0)
+    rates, head = (
+        {"pulse_rate_hz": 6e5, "mirror_frequency_hz": 200},
+        {"heading_deg": 20, "tilt_deg": 30},
+    )
+    scanner = simulate.Scanner(**rates, **head)
+    mounting = {f"scanner_{name}": angle for name, angle in head.items()}
+    setup = ScanSetup(**rates, **mounting, speed_m_s=10.0)
     patch = Target(heading_deg=20, tilt_deg=15, range_m=6).patch(setup)
     level, slope = scan_lattice(setup, patch).axes
     corner = patch.points * [1, 0, 1] - 10 * level - 10 * slope

@@ -47,7 +47,9 @@ def test_points_of_a_pitched_multi_beam_scanner_equal_brute_force():
 @pytest.mark.parametrize("distance", [5.0, 10.0])
 def test_system_a_scans_the_lattice_of_the_closed_form(preset, distance):
     quality = read(systems.pass_chart(preset, distance, seed=2), distance)
-    setup = ScanSetup.of_scanner(preset, speed_m_s=systems.SPEED)
+    rates = {name: getattr(preset, name) for name in ("pulse_rate_hz", "mirror_frequency_hz")}
+    angles = {"scanner_heading_deg": preset.heading_deg, "scanner_tilt_deg": preset.tilt_deg}
+    setup = ScanSetup(**rates, **angles, speed_m_s=systems.SPEED)
     lattice = scan_lattice(setup, Patch([distance, 0, 0], [1, 0, 0]))
     # counts of 1000 to 2400 points by lines of 10 to 25: 2 %; off the middle ranges grow by 0.5 %
     assert quality.density_polygon_per_m2 == pytest.approx(lattice.density_per_m2, rel=0.025)

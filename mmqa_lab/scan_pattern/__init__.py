@@ -27,7 +27,7 @@ Planning: :func:`largest_speed`, :func:`propagate`, :func:`explain_error`. Measu
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -111,29 +111,6 @@ class ScanSetup:
                 f"{self.scanner_tilt_deg}. Must turn the scan plane off the direction of travel."
             )
 
-    @classmethod
-    def of_scanner(cls, scanner: Any, *, speed_m_s: float) -> ScanSetup:
-        """Return the set-up of a simulated profile scanner at a speed.
-
-        Its boresight and lever arm are ignored. A head of several layers, such as Sensei, is
-        represented by the layer of its own ``tilt_deg``.
-
-        Parameters
-        ----------
-        scanner : object
-            Has ``pulse_rate_hz``, ``mirror_frequency_hz``, ``heading_deg`` and ``tilt_deg``, as
-            ``simulate.Scanner`` does.
-        speed_m_s : float
-            Speed of the vehicle.
-        """
-        return cls(
-            pulse_rate_hz=scanner.pulse_rate_hz,
-            mirror_frequency_hz=scanner.mirror_frequency_hz,
-            speed_m_s=speed_m_s,
-            scanner_heading_deg=scanner.heading_deg,
-            scanner_tilt_deg=scanner.tilt_deg,
-        )
-
     @property
     def rotation(self) -> np.ndarray:
         """Rotation (..., 3, 3); columns: level line, normal and upward line of the scan plane."""
@@ -193,9 +170,8 @@ class Target:
     height_difference_m: float = 0.0
 
     def __post_init__(self):
-        for name in ("heading_deg", "tilt_deg", "height_difference_m"):
-            check_values(getattr(self, name), f"target {name}")
-        check_values(self.range_m, "range_m", positive=True)
+        for name in TARGET_NAMES.values():
+            check_values(getattr(self, name), name, positive=name == "range_m")
 
     def patch(self, setup: ScanSetup) -> Patch:
         """Return the evaluated spot of the plane as a ``Patch``.
@@ -331,7 +307,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     Raises
     ------
     ValueError
-        If a place or normal is not finite, a normal has no length, or shapes do not fit.
+        If a place or normal is not finite, or if shapes do not fit.
 
     Notes
     -----
@@ -353,7 +329,9 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     >>> round(lattice.profile_spacing_horizontal_m.item(), 6)
     0.08165
     """
-    points, normal = _checked(patch.patch(setup) if isinstance(patch, Target) else patch)
+    patch = patch.patch(setup) if isinstance(patch, Target) else patch
+    points, normal = (check_values(values, name) for name, values in patch._asdict().items())
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
     speed = np.asarray(setup.speed_m_s, dtype=np.float64)
     level, plane, upward = np.moveaxis(setup.rotation, -1, 0)
@@ -448,16 +426,6 @@ def lattice_distances(a, b):
     return tuple(np.where(spans, each, np.nan) for each in np.sort(nearest, axis=0))
 
 
-def _checked(patch):
-    """Places and unit normals of a patch, checked."""
-    points, normals = check_values(patch.points, "points"), check_values(patch.normals, "normals")
-    length = np.linalg.norm(np.atleast_1d(normals), axis=-1, keepdims=True)
-    if points.shape[-1:] != (3,) or normals.shape[-1:] != (3,) or not length.all():
-        shapes = f"points {points.shape} and normals {normals.shape}"
-        raise ValueError(f"Invalid patch of {shapes}. Must have shapes (..., 3), no normal zero.")
-    return points, normals / length
-
-
 def _axes(normal):
     """Level line and line of greatest slope of a surface, and whether the surface is level."""
     flat = np.hypot(normal[..., 0], normal[..., 1]) < LEVEL
@@ -540,10 +508,9 @@ def largest_speed(
 
     kept = np.flatnonzero(margin(SPEEDS) >= 0)
     if not len(kept) or kept[-1] == len(SPEEDS) - 1:
-        fails = "is kept" if len(kept) else "fails"
         raise ValueError(
-            f"Invalid limit {limit} for {quantity}: it {fails} at every speed tried. Must be "
-            f"reached between {SPEEDS[0]:g} and {SPEEDS[-1]:g} m/s."
+            f"Invalid limit {limit} for {quantity}. Must be reached between {SPEEDS[0]:g} and "
+            f"{SPEEDS[-1]:g} m/s."
         )
     return float(brentq(margin, *SPEEDS[kept[-1] : kept[-1] + 2], xtol=1e-9))
 

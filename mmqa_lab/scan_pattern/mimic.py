@@ -258,7 +258,7 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     Raises
     ------
     ValueError
-        If the scan plane is level, or no pulse hits the front of the target.
+        If no pulse hits the front of the target.
 
     Notes
     -----
@@ -278,8 +278,6 @@ def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=F
     """
     (alpha_scan, gamma_scan), (alpha_targ, beta_targ) = scanner, target
     _check_strike(alpha_scan, alpha_targ)
-    if (np.abs(check_values(gamma_scan, "gamma_scan")) >= 90).any():
-        raise ValueError(f"Invalid gamma_scan {gamma_scan}. Must be between -90 and 90 degrees.")
     normal, plane = scanner_normal(alpha_scan, gamma_scan), target_normal(alpha_targ, beta_targ)
     level = turned(z=alpha_scan)[..., :, 0]
     up = np.cross(normal, plane)
@@ -304,8 +302,7 @@ def _check_strike(alpha_scan, alpha_targ):
     between = np.abs(scan - check_values(alpha_targ, "alpha_targ"))
     if (np.maximum(between, np.abs(scan)) >= 90).any():
         raise ValueError(
-            f"Invalid alpha_targ {alpha_targ} for alpha_scan {alpha_scan}. "
-            "Must lie less than 90 degrees from it."
+            f"Invalid alpha_targ {alpha_targ}. Must be < 90 degrees from {alpha_scan}."
         )
 
 
