@@ -180,11 +180,12 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
     index = np.floor(points / size).astype(np.int64)
-    local = index - index.min(axis=0)
-    wide = local.max(axis=0) + 1
+    low = index.min(axis=0)
+    index -= low
+    wide = index.max(axis=0) + 1
     if np.prod(wide.astype(float)) > 2.0**62:
         raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
-    key = np.ravel_multi_index(tuple(local.T), tuple(wide))
+    key = np.ravel_multi_index(tuple(index.T), tuple(wide))
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    return order, np.append(first, len(order)), index[order[first]]
+    return order, np.append(first, len(order)), index[order[first]] + low

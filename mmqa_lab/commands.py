@@ -516,11 +516,11 @@ def poles(
     method
         The detector.
     trajectory
-        CSV file of the path. Points beyond the corridor along it do not count.
+        CSV file of the path. Known poles and finds beyond the corridor along it do not count.
     corridor
         Half of the corridor's width, m.
     reference
-        CSV file of known poles with x_m, y_m. Prints recall, precision and F1.
+        CSV file of known poles with x_m, y_m. Prints recall and precision.
     """
     import numpy as np
 
@@ -535,7 +535,7 @@ def poles(
     scope = {"trajectory": None, "corridor": corridor}
     if trajectory is not None:
         scope["trajectory"] = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
-    found = poles.detect(Cloud.concatenate(parts), method=method, **scope)
+    found = poles.detect(Cloud.concatenate(parts), method=method)
     if reference is None:
         return found
     known = io.read_table(reference, "reference", ("x_m", "y_m"))

@@ -2,32 +2,27 @@
 
     from mmqa_lab import poles
 
-    found = poles.detect(cloud)                              # or method="fgi", method="itc"
+    found = poles.detect(cloud)                         # or method="fgi", method="itc"
     result = poles.score(found, reference, corridor=15, trajectory=positions)
     result.recall, result.precision
 
 ``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011).
-``learned`` uses thirty named measures and two hundred small trees.
+``learned`` uses 25 named measures and 200 small trees.
 """
 
 from __future__ import annotations
-
-import warnings
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_plan, check_positive, check_same_crs
-from mmqa_lab.cloud import Cloud, path_distance
+from mmqa_lab._checks import check_choice, check_positive, check_same_crs
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import fgi, itc, learned
 from mmqa_lab.poles.scores import Score, match, score
 
 METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
 """The detectors by name, with their labels in figures."""
-
-CORRIDORS_M = {"learned": 30.0, "fgi": 30.0, "itc": 15.0}
-"""Default half width of the corridor, m. The report's tables use 30 m for FGI and 15 m for ITC."""
 
 __all__ = ["METHODS", "Score", "detect", "match", "score"]
 
@@ -36,8 +31,6 @@ def detect(
     points: Cloud | ArrayLike,
     *,
     method: str = "learned",
-    trajectory: ArrayLike | None = None,
-    corridor: float | None = None,
     explain: bool = False,
     **choices,
 ) -> pd.DataFrame:
@@ -47,21 +40,14 @@ def detect(
     ----------
     points : Cloud or array_like of shape (n, 3)
         Metres, any origin. ``fgi`` needs a cloud with scan lines: the columns ``scan_line`` and
-        ``pulse`` (or ``gps_time``). Without ``scan_line`` it recovers the lines from ``gps_time``
-        or ``scan_angle``.
+        ``pulse`` (or ``gps_time``). Without ``scan_line`` it recovers the lines from ``gps_time``.
     method : {"learned", "fgi", "itc"}
         The detector.
-    trajectory : array_like, shape (m, 2) or (m, 3), optional
-        Metres. Points farther than ``corridor`` from it are left out.
-    corridor : float, optional
-        Half width, metres. By default 15 for ``itc`` and 30 for ``learned`` and ``fgi``.
     explain : bool
         Return every candidate, with the first test it failed in ``rejected_by`` (empty for poles);
         ``learned`` adds the measures and the contribution of each to the log odds (``adds_...``).
     **choices
-        For ``fgi``: ``maximum_width``, ``minimum_points``, ``mask_share``, ``shell``
-        (:func:`mmqa_lab.poles.fgi.detect`). For ``learned``: ``threshold`` and ``trees``
-        (:func:`mmqa_lab.poles.learned.detect`).
+        For ``learned``: ``threshold`` and ``trees`` (:func:`mmqa_lab.poles.learned.detect`).
 
     Returns
     -------
@@ -70,19 +56,13 @@ def detect(
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
         ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where a
         value is not measurable. ``learned`` adds the ends of a 95 % confidence interval of the
-        diameter, valid for round shafts; the circle through a square shaft is wider than its
-        side.
+        diameter; square shafts have neither.
 
     Raises
     ------
     ValueError
-        If a choice is unknown or not a number, the coordinate system is not in metres, a corridor
-        comes without a trajectory, or ``fgi`` gets a cloud without scan lines.
-
-    Warns
-    -----
-    UserWarning
-        If no point lies within the corridor.
+        If a choice is unknown or not a number, the coordinate system is not in metres, or ``fgi``
+        gets a cloud without scan lines.
 
     Notes
     -----
@@ -109,39 +89,9 @@ def detect(
             check_positive(value, name)
     cloud = points if isinstance(points, Cloud) else Cloud(points)
     check_same_crs("cloud", cloud.crs, "cloud", None)
-    inside, origin = _within(cloud, trajectory, corridor, CORRIDORS_M[method])
-    local = (cloud.points[inside] - origin,)
-    if method == "fgi":
-        local += (_lines(cloud, inside),)
-    found = module.detect(*local, explain=explain, **choices)
+    origin = np.floor(cloud.points.min(axis=0)) if len(cloud) else np.zeros(3)
+    lines = (fgi.scan_lines(cloud),) if method == "fgi" else ()
+    found = module.detect(cloud.points - origin, *lines, explain=explain, **choices)
     found.insert(0, "id", np.arange(1, len(found) + 1))
     shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
     return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
-
-
-def _lines(cloud, inside):
-    """Scan line and pulse of the points inside the corridor."""
-    lines = fgi.scan_lines(cloud)
-    if lines is None:
-        columns = ", ".join(cloud.columns) or "none"
-        raise ValueError(
-            f"Invalid cloud: columns {columns}. The scan-line method needs scan_line and pulse or "
-            "gps_time, or gps_time (with pauses) or scan_angle."
-        )
-    return tuple(values[inside] for values in lines)
-
-
-def _within(cloud, trajectory, corridor, usual):
-    """Index of the points in the corridor (or of all without a trajectory), and a near origin."""
-    points, inside = cloud.points, slice(None)
-    if corridor is not None and trajectory is None:
-        raise ValueError("Invalid trajectory None. Must be given with a corridor.")
-    if trajectory is not None:
-        reach = check_positive(usual if corridor is None else corridor, "corridor", unit="m")
-        path = check_plan(trajectory, name="trajectory")
-        inside = path_distance(points[:, :2], path) <= reach
-        points = points[inside]
-        if len(cloud) and not len(points):
-            said = f"No point lies within the corridor of {reach:g} m about the trajectory."
-            warnings.warn(said, stacklevel=3)
-    return inside, np.floor(points.min(axis=0)) if len(points) else np.zeros(3)

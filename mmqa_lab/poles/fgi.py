@@ -20,6 +20,9 @@ from mmqa_lab.scan_pattern import revolutions_from_time
 GROUP_M, MISSING = 0.10, 2
 """A line is cut where neighbours are farther apart (m), or more pulses are missing between them."""
 
+WIDEST_M, FEWEST = 0.45, 3
+"""Longest group on a scan line; fewest points of a group and of a position of the mask."""
+
 OVERLAP_M, NEIGHBOURS = 0.03, 2
 """Largest gap in plan (m) and largest difference of line numbers between groups of a cluster."""
 
@@ -30,14 +33,12 @@ half a metre has no direction."""
 LENGTH_M, SWEEPS, TILT_DEG, ELONGATION = 1.0, 4, 15.0, 10.0
 """Limits of a pole: least length and number of lines, largest tilt, least eigenvalue ratio."""
 
-MASK_M, STEP_M, MASK_ELONGATION = 0.8, 0.2, 4.0
-"""Length and step of the mask; least eigenvalue ratio of the points in the inner cylinder."""
+MASK_M, STEP_M, SHELL_M, MASK_SHARE, MASK_ELONGATION = 0.8, 0.2, 0.30, 0.85, 4.0
+"""Length and step of the mask; outer minus inner radius; least share of the points in both
+cylinders that lie in the inner one; least eigenvalue ratio of the points in the inner one."""
 
 
-def detect(
-    points, lines, *, maximum_width=0.45, minimum_points=3, mask_share=0.85, shell=0.30,
-    explain=False,
-):  # fmt: skip
+def detect(points, lines, *, explain=False):
     """Return the poles of an ordered cloud, as :func:`mmqa_lab.poles.detect` does.
 
     Parameters
@@ -46,11 +47,6 @@ def detect(
         Metres from an origin nearby.
     lines : pair of array, shape (n,)
         Scan line of each point, and number of its pulse along the line.
-    maximum_width, minimum_points : float, int
-        Longest group of points on a scan line, metres; fewest points of a group.
-    mask_share, shell : float
-        Least share of the points in both cylinders that lie in the inner one; outer minus inner
-        radius, metres.
     explain : bool
         Return all candidates with the test that rejected them.
 
@@ -61,14 +57,14 @@ def detect(
     """
     order = np.lexsort(lines[::-1])
     points, line, pulse = points[order], lines[0][order], lines[1][order]
-    group, groups = segment_lines(points, line, pulse, maximum_width, minimum_points)
-    member = np.append(_clusters(groups, maximum_width), -1)[group]  # -1, no group, takes the last
+    group, groups = segment_lines(points, line, pulse)
+    member = np.append(_clusters(groups), -1)[group]  # -1, no group, takes the last
     everything, kept = points, member >= 0
     points, line, member = points[kept], line[kept], _merged(points[kept], member[kept])
     kept = member >= 0
     points, line, member = points[kept], line[kept], member[kept]
     axes = _axes(points, member)
-    n = len(axes["count"])
+    n = len(axes["ratio"])
     seen = np.unique(np.column_stack([member, line]), axis=0)[:, 0]
     reason = first_reason(
         n,
@@ -78,11 +74,12 @@ def detect(
         elongation=axes["ratio"] < ELONGATION,
     )
     ends, share = np.column_stack([axes["low"], axes["high"]]), np.zeros(n)
-    diameter, own = np.full(n, np.nan), np.split(*_by_member(member, n))
+    ends_of_members = np.cumsum(np.bincount(member, minlength=n))[:-1]
+    own = np.split(np.argsort(member, kind="stable"), ends_of_members)
+    diameter = np.full(n, np.nan)
     for k in np.flatnonzero(reason == ""):
         axis = axes["centre"][k], axes["direction"][k]
-        mask = {"minimum_points": minimum_points, "mask_share": mask_share, "shell": shell}
-        accepted, share[k] = _mask(everything, points[own[k]], axis, **mask)
+        accepted, share[k] = _mask(everything, points[own[k]], axis)
         part = own[k][accepted]
         along = (points[part] - axis[0]) @ axis[1]
         if len(np.unique(line[part])) < SWEEPS or np.ptp(along) < LENGTH_M:
@@ -100,7 +97,7 @@ def detect(
     return table(rows, "fgi", explain=explain)
 
 
-def segment_lines(points, line, pulse, maximum_width=0.45, minimum_points=3):
+def segment_lines(points, line, pulse):
     """Cut sorted scan lines into groups.
 
     Points (n, 3), line (n,) and pulse (n,) are sorted by line, then pulse; lengths in metres.
@@ -119,19 +116,19 @@ def segment_lines(points, line, pulse, maximum_width=0.45, minimum_points=3):
     first = np.concatenate([[0], np.flatnonzero(broken) + 1])
     count = np.diff(np.append(first, len(points)))
     chord = np.linalg.norm(points[first + count - 1] - points[first], axis=1)
-    good = (count >= minimum_points) & (chord <= maximum_width)
+    good = (count >= FEWEST) & (chord <= WIDEST_M)
     number = np.where(good, np.cumsum(good) - 1, -1)
     centre = np.add.reduceat(points, first, axis=0) / count[:, None]
     kept = {"centre": centre[good], "half": chord[good] / 2, "line": line[first][good]}
     return np.repeat(number, count), kept
 
 
-def _clusters(groups, maximum_width):
+def _clusters(groups):
     """Cluster of each group: groups that overlap in plan on neighbouring lines are linked."""
     n = len(groups["half"])
     if n == 0:
         return np.empty(0, np.int64)
-    reach = maximum_width + OVERLAP_M
+    reach = WIDEST_M + OVERLAP_M
     lines = (groups["line"] - groups["line"].min()) * (reach / (NEIGHBOURS + 0.5))
     tree = cKDTree(np.column_stack([groups["centre"][:, :2], lines]))
     a, b = tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
@@ -141,14 +138,8 @@ def _clusters(groups, maximum_width):
     return joined(a[linked], b[linked], n)
 
 
-def _by_member(member, n):
-    """Rows sorted by member, and the indices at which to split them."""
-    order = np.argsort(member, kind="stable")
-    return order, np.searchsorted(member[order], np.arange(1, n))
-
-
 def _axes(points, member):
-    """Count, centre, direction, ends along the axis and eigenvalue ratio of each cluster."""
+    """Centre, direction, ends along the axis and eigenvalue ratio of each cluster."""
     n = member.max(initial=-1) + 1
     count = np.bincount(member, minlength=n)
     centre = np.stack([np.bincount(member, axis, n) for axis in points.T], axis=1)
@@ -163,14 +154,14 @@ def _axes(points, member):
     np.minimum.at(low, member, along)
     np.maximum.at(high, member, along)
     ratio = values[:, 2] / np.maximum(values[:, 1], 1e-12)
-    found = {"count": count, "centre": centre, "direction": direction, "ratio": ratio}
-    return found | {"low": low, "high": high}
+    ends = {"low": low, "high": high}
+    return ends | {"centre": centre, "direction": direction, "ratio": ratio}
 
 
 def _merged(points, member):
     """Cluster of each point after the merger of coaxial clusters; -1 for clusters below 0.2 m."""
     axes = _axes(points, member)
-    n, centre, direction = len(axes["count"]), axes["centre"], axes["direction"]
+    n, centre, direction = len(axes["ratio"]), axes["centre"], axes["direction"]
     low, high = (centre[:, 2] + axes[end] * direction[:, 2] for end in ("low", "high"))
     tall = np.flatnonzero(high - low >= 0.2)
     reach = MERGE_M + np.tan(np.radians(MERGE_DEG)) * GAP_M
@@ -196,7 +187,7 @@ def _about(points, axis):
     return along, np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0))
 
 
-def _mask(everything, own, axis, *, minimum_points, mask_share, shell):
+def _mask(everything, own, axis):
     """Points of a cluster that the moving mask accepts, and the mean share in its inner cylinder.
 
     At each step the inner cylinder is the smallest around the cluster's points. The points in it
@@ -204,19 +195,19 @@ def _mask(everything, own, axis, *, minimum_points, mask_share, shell):
     """
     along, across = _about(own, axis)
     lean = np.hypot(*axis[1][:2]) / max(axis[1][2], 0.1)
-    reach = across.max() + shell + lean * np.abs(along).max()
+    reach = across.max() + SHELL_M + lean * np.abs(along).max()
     near = everything[pairs(axis[0][None, :2], everything, reach)[1]]
     near_along, near_across = _about(near, axis)
     accepted, shares = np.zeros(len(own), dtype=bool), []
     for begin in np.arange(along.min(), along.max() - MASK_M + 1e-9, STEP_M):
         part = (along >= begin) & (along <= begin + MASK_M)
-        if part.sum() < minimum_points:
+        if part.sum() < FEWEST:
             continue
         between = (near_along >= begin) & (near_along <= begin + MASK_M)
         radius = across[part].max() + 1e-6
         inside = between & (near_across <= radius)
-        share = inside.sum() / (between & (near_across <= radius + shell)).sum()
-        if share >= mask_share and _is_upright(near[inside]):
+        share = inside.sum() / (between & (near_across <= radius + SHELL_M)).sum()
+        if share >= MASK_SHARE and _is_upright(near[inside]):
             accepted |= part
             shares.append(share)
     return accepted, float(np.mean(shares)) if shares else 0.0
@@ -258,37 +249,34 @@ def chord_diameter(points, direction, line):
 
 
 def scan_lines(cloud):
-    """Return the scan line (n,) and pulse (n,) of each point of a cloud, or None without lines.
+    """Return the scan line (n,) and the number of the pulse (n,) of each point of a cloud.
 
-    They come from ``scan_line`` and ``pulse`` (or ``gps_time``) if the cloud has these columns.
-    Otherwise they are recovered: a line ends where ``scan_angle`` jumps by more than a quarter of
-    its range, or, by ``gps_time``, in the pause that all revolutions share. Lines of different
-    ``head`` are no neighbours. A column whose values are all equal is ignored.
+    They come from ``scan_line`` and ``pulse`` (or ``gps_time``). Without ``scan_line`` a line ends
+    in the pause of ``gps_time`` that all revolutions share. Lines of different ``head`` are no
+    neighbours.
+
+    Raises
+    ------
+    ValueError
+        If the cloud has neither column, or the times show no pause.
     """
-    head = np.zeros(len(cloud), np.int64)
+    along = next((cloud[name] for name in ("pulse", "gps_time") if name in cloud), None)
+    if along is None:
+        columns = ", ".join(cloud.columns) or "none"
+        raise ValueError(
+            f"Invalid cloud: columns {columns}. The scan-line method needs scan_line and pulse or "
+            "gps_time, or gps_time with pauses."
+        )
+    head, place = np.zeros(len(cloud), np.int64), np.asarray(along, np.float64)
     for name in ("head", "point_source_id"):
         if name in cloud:
             head = head * 256 + np.unique(cloud[name], return_inverse=True)[1]
-    varies = {name for name in cloud.columns if len(cloud) and np.ptp(cloud[name]) > 0}
-    along = next((cloud[name] for name in ("pulse", "gps_time") if name in cloud), ())
-    place = np.asarray(along, dtype=np.float64)
-    if "scan_line" in cloud and len(place) == len(cloud):
+    if "scan_line" in cloud:
         line = np.asarray(cloud["scan_line"], np.int64)
-    elif "scan_angle" in varies:
-        place = place if "gps_time" in varies else np.arange(float(len(cloud)))
-        order, line = np.lexsort([place, head]), np.empty(len(cloud), np.int64)
-        step = np.diff(np.asarray(cloud["scan_angle"], np.float64)[order])
-        turned = np.abs(step) > 0.25 * np.ptp(cloud["scan_angle"])
-        line[order] = np.concatenate([[0], np.cumsum(turned)])
-    elif "gps_time" in varies:
-        line = np.empty(len(cloud), np.int64)
-        try:
-            for number in np.unique(head):
-                line[head == number] = revolutions_from_time(place[head == number])
-        except ValueError:
-            return None
     else:
-        return None
+        line = np.copy(head)
+        for number in np.unique(head):
+            line[head == number] = revolutions_from_time(place[head == number])
     line = line - line.min(initial=0) + head * (np.ptp(line) + 10 if len(line) else 0)
     if np.array_equal(place, np.floor(place)):
         return line, place
