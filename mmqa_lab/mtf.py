@@ -69,7 +69,7 @@ NEARBY = 1.2
 """Contrasts within this ratio of a share tell where the contrast falls to it."""
 
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
-"""Rings are two pixels wide and begin so far apart: four of them share each pixel."""
+"""Distance between the beginnings of rings, which are two pixels wide: four rings share a pixel."""
 
 LARGEST_STRETCH = 0.1
 """A star tilted by 35 degrees is stretched by this share along one axis, shrunk along the other."""
@@ -672,7 +672,7 @@ def resolving_power(readings: pd.DataFrame) -> tuple[float, float]:
     -------
     period_px, next_px : float
         The resolving power lies between 1 / period and 1 / next line pairs per pixel. NaN where no
-        group is resolved, or none is not.
+        group is resolved, or all are.
 
     Examples
     --------

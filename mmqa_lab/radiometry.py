@@ -70,13 +70,13 @@ UNDETERMINED = (
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
 
 HUBER, SHADOW = 1.5, 6.0
-"""Residuals beyond so many deviations weigh less (Huber & Ronchetti 2009), and next to nothing."""
+"""Deviations beyond which residuals weigh less (Huber & Ronchetti 2009), and hardly count."""
 
 ROUNDS, RELATIVE_STD = 50, 0.02
 """Largest number of iterations; standard deviation of an observation, a share of its radiance."""
 
 HUBER_ROUNDS, REWEIGHTINGS = 8, 16
-"""Weights are computed anew in so many iterations, at first by Huber, and then stay."""
+"""Iterations with Huber's weights, and iterations in which weights change at all."""
 
 RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
@@ -647,7 +647,7 @@ class BlockAdjustment(Shown):
     ----------
     gains : DataFrame
         ``image``, ``gain``, ``gain_std_percent``, ``n`` (its tie points), ``haze``, ``haze_std`` (0
-        where fixed), alike in all images of a group.
+        where fixed), the same in all images of a group.
     anisotropy : DataFrame
         ``surface``, ``b1``, ``b2`` and their standard deviations.
     radial : (float, float)
@@ -988,5 +988,5 @@ def _sun_cosine(observations):
 
 
 def _surfaces_of(observations):
-    """Surface of each observation; the same for all if none is named."""
+    """Surface of each observation; a single surface if none is named."""
     return observations.get("surface", pd.Series(0, observations.index)).to_numpy()

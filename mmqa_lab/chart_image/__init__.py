@@ -113,8 +113,7 @@ class ImageQuality(Shown):
     def pixel_size(self, direction: str) -> tuple[float, float]:
         """Return the pixel size in direction h or v and its standard deviation, mm.
 
-        Bars of one direction meet the pixels alike and share their bias: the mean of two is no
-        better than one.
+        Bars of one direction share their bias, so that the mean of two is no better than one.
         """
         bars = self.sizes[self.sizes["direction"] == direction].dropna(subset=["pixel_mm"])
         if bars.empty:

@@ -22,10 +22,10 @@ from mmqa_lab._checks import check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
 ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
-"""Small targets are looked for in the image enlarged so many times, if it has fewer pixels."""
+"""Factors of enlargement for small targets, and the number of pixels up to which they are used."""
 
 SLENDEREST, MOST_STREAKS = 6.0, 1500
-"""A dark streak is taken for a bar when it is so many times longer than wide; the longest ones."""
+"""Least length of a dark streak over its width to count as a bar; number of streaks at most."""
 
 SMALLEST_CORRELATION = 0.6
 """Smallest correlation of chart and image after alignment; unrelated pictures stay below 0.4."""
@@ -43,7 +43,7 @@ FINEST = 800
 """Cells along a side at most."""
 
 LIGHT_MM, SPREADS = 60.0, 3.0
-"""Reach of local means and spreads; larger values are cut to so many spreads."""
+"""Reach of local means and spreads; number of spreads to which larger values are cut."""
 
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 

@@ -369,8 +369,8 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
     -------
     DataFrame
         ``cap_px``, ``mark`` (thresholds half way between the published photographs of neighbouring
-        marks), ``best`` and ``worst`` (thresholds at the one and the other of these photographs,
-        whose pixel sizes are rounded).
+        marks), ``best`` and ``worst`` (thresholds at the first and at the second of these
+        photographs, whose pixel sizes are rounded).
 
     Notes
     -----

@@ -494,7 +494,7 @@ def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1
     Raises
     ------
     ValueError
-        If a kind is unknown, or a field of it is missing or no number.
+        If a kind is unknown, a field is missing, or a field that must be a number is not.
 
     Examples
     --------

@@ -168,10 +168,10 @@ def aligned_lines_f():
 
 
 def thin(points, least, *, period=None):
-    """Say which points remain when none may be nearer to another one than a least distance.
+    """Say which points remain if no two of them may be nearer than a least distance.
 
-    A point goes if one that stands before it, and stays, is nearer. Programs that thin clouds in
-    object space so make the density independent of the distance.
+    A point is removed if an earlier point that remains is nearer. Programs that thin clouds in
+    object space this way make the density independent of the distance.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def thin(points, least, *, period=None):
     least : float
         Metres.
     period : array_like, optional
-        Size of a window whose opposite sides are one; coordinates then run from 0.
+        Size of a window whose opposite sides are joined; coordinates then run from 0.
 
     Returns
     -------

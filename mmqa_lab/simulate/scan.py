@@ -3,7 +3,7 @@
 Mounting: the scanner's frame lies in the vehicle's (x right, y travel, z up) by Rz(heading)
 Rx(tilt), tilt about the lateral axis first, both counter-clockwise positive as in MIMIC (Cahalane
 et al. 2014, doi 10.3390/s140609471). A scanner spins about its own y, so that heading 0, tilt 0 is
-the vertical plane across the track; one that spins about the vertical is the same one, turned up.
+the vertical plane across the track. A scanner that spins about the vertical is the same, turned up.
 """
 
 from dataclasses import dataclass

@@ -196,7 +196,7 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     Raises
     ------
     ValueError
-        If the radius is not above zero, ``top_radius`` is negative or the ends are one.
+        If the radius is not above zero, ``top_radius`` is negative or both ends are the same.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Mobile mapping systems by name, and the drive of three of them past a chart.
 
 The five systems of EuroSDR 2013, mobile laser scanning (section 3.1.3, Table 3-2) and two of
-Cahalane et al. 2014 (doi:10.3390/s140609471) are had with :func:`system`. The three systems of
+Cahalane et al. 2014 (doi:10.3390/s140609471) come from :func:`system`. The three systems of
 Pfeifer et al. 2021 (Remote Sensing 13(2), 237, doi:10.3390/rs13020237) pass a chart of 1 m x 1 m,
 parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL-32E) and C (dense
 matching).
@@ -113,7 +113,8 @@ class System:
         cloud : Cloud
             With ``intensity``.
         share : float
-            Of the system's pulses that were simulated: so many neighbours fewer are asked for.
+            Share of the system's pulses that were simulated. The number of neighbours asked for
+            shrinks by the same share.
 
         Returns
         -------
@@ -126,7 +127,7 @@ class System:
 
 
 def _crowded(points, fewest, radius):
-    """Which points have so many others within the radius."""
+    """Which points have at least ``fewest`` other points within the radius."""
     # all points of one cube lie within the radius of each other: only the others are counted
     cube = np.floor((points - points.min(axis=0)) / (radius / np.sqrt(3))).astype(np.int64)
     _, which, counts = np.unique(cube, axis=0, return_inverse=True, return_counts=True)

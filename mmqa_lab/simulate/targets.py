@@ -6,8 +6,9 @@ pixels, filtered with the exact transfer function of lens and square pixel, and 
 centres.
 
 Blocks are overlapping vertical images over flat ground of fields, each with a surface class that
-has its own reflectance and its own anisotropy. What each image shows of tie points has the height
-of the sun, exposure and haze of its moment, falls off to the corners, and has the sensor's noise.
+has its own reflectance and its own anisotropy. What an image shows of a tie point depends on the
+height of the sun, the exposure and the haze at that moment. It falls off to the corners and has the
+sensor's noise.
 """
 
 from dataclasses import dataclass
