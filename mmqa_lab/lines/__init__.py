@@ -98,7 +98,7 @@ def midpoints(segments: ArrayLike) -> np.ndarray:
 
 
 def _check_pairs(pairs, shape):
-    """Return pairs as an array, Boolean of a shape (p, q)."""
+    """Return Boolean pairs of a given shape (p, q) as an array."""
     pairs = np.asarray(pairs)
     if pairs.dtype != bool or pairs.shape != shape:
         raise ValueError(
@@ -682,8 +682,8 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     Returns
     -------
     Displacement
-        Without pairs, and with a vector of NaN, if fewer than three lines agree or no more lines
-        than by chance, as with a displacement beyond the radius.
+        It has no pairs and its vector is NaN if fewer than three lines agree, or no more than by
+        chance. Most displacements beyond the radius end so.
 
     Raises
     ------
@@ -720,7 +720,7 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
 
 
 def _candidates(test, model, radius):
-    """Pairs of nearly parallel lines within the radius of each other, farther after a turn."""
+    """Pairs of nearly parallel lines within the radius, or within reach of a turn beyond it."""
     parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
     parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
     gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
@@ -985,7 +985,7 @@ class LHD(Shown):
         def means(weights):
             """Mean of each part, (r, parts), for weights of the pairs (r, k)."""
             drawn = rng.multivariate_normal(np.zeros(3), moved.covariance, len(weights))
-            drawn *= len(weights) > 1  # a single row is the measurement
+            drawn *= len(weights) > 1  # a single row of weights is the measurement itself
             moves = across + np.einsum("nkd,rd->rnk", pairs.frame, drawn)
             own = weights * right
             sums = np.vstack([(own * np.linalg.norm(moves, axis=2)).sum(axis=1), levels @ own.T])

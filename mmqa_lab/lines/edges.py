@@ -35,16 +35,10 @@ class Edges:
     covariance : array, shape (n, 2, 3, 3)
         Of both ends, square metres. Across the edge it comes from the planes. Along the edge it
         comes from the spacing and noise of the points beside it, or from a third plane.
-    support : array of int, shape (n, 2)
-        Number of points of each plane beside the edge and clear of all other planes.
-    angle : array, shape (n,)
-        Angle between the planes, degrees, 0 to 90.
     """
 
     segments: np.ndarray
     covariance: np.ndarray
-    support: np.ndarray
-    angle: np.ndarray
 
     def __len__(self):
         return len(self.segments)
@@ -116,14 +110,9 @@ def extract_edges(
             clear = tolerance / np.sqrt(lines.sine2[line])
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
                 if high[0] - low[0] >= size / 2 and min(counts) >= 4:
-                    rows.append(lines.edge(line, low, high, counts, sides, size))
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 4
-    return Edges(
-        segments=np.array(columns[0]).reshape(-1, 2, 3),
-        covariance=np.array(columns[1]).reshape(-1, 2, 3, 3),
-        support=np.array(columns[2], dtype=int).reshape(-1, 2),
-        angle=np.array(columns[3], dtype=float),
-    )
+                    rows.append(lines.edge(line, low, high, sides, size))
+    segments, covariance = zip(*rows, strict=True) if rows else ((), ())
+    return Edges(np.array(segments).reshape(-1, 2, 3), np.array(covariance).reshape(-1, 2, 3, 3))
 
 
 class _Lines:
@@ -181,16 +170,18 @@ class _Lines:
         side = side[:, np.abs(side[1]) <= reach]
         return side[:, np.argsort(side[0], kind="stable")]
 
-    def edge(self, line, low, high, counts, sides, size):
-        """Ends, covariances, support and angle of an edge."""
+    def edge(self, line, low, high, sides, size):
+        """Ends (2, 3) of an edge and their covariances."""
         direction, pair = self.direction[line], self.pairs[line]
         solve = np.linalg.pinv(self.normals[pair])
         noise = max(self.patches[number].sigma for number in pair)
         misfits = np.transpose([_misfits(side, low[0], high[0], size / 3) for side in sides])
         # points within the tolerance of a third plane do not count, so its corner lies that far off
         most = (high[0] - low[0]) / 4
-        reach = [min(1.96 * np.hypot(s, noise) + self.tolerance, most) for _, s in (low, high)]
-        low, high = self._corner(line, low, reach[0]), self._corner(line, high, reach[1])
+        low, high = (
+            self._corner(line, end, min(1.96 * np.hypot(end[1], noise) + self.tolerance, most))
+            for end in (low, high)
+        )
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
         covariance = []
         for end, (_, spread), misfit in zip(ends, (low, high), misfits, strict=True):
@@ -198,8 +189,7 @@ class _Lines:
             along = spread**2 + noise**2
             across = solve @ np.diag(heights) @ solve.T
             covariance.append(across + along * np.outer(direction, direction))
-        opening = np.degrees(np.arcsin(np.sqrt(min(self.sine2[line], 1.0))))
-        return ends, covariance, counts, opening
+        return ends, covariance
 
     def _corner(self, line, end, most):
         """The corner with a third plane within ``most`` of an end, with its spread; else the end.
