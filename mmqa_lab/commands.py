@@ -33,8 +33,7 @@ GB_A_STUDY = 1.5
 
 ABOUT = """The quality of mobile mapping point clouds and images.
 
-Evaluate your own data, run the studies that put published metrics to the test, or open the
-notebooks.
+Evaluate your own data, run studies of published metrics, or open the notebooks.
 """
 
 app = App(
@@ -104,11 +103,14 @@ def _write_report(page, command, frame, inputs, out):
     """Write rows, remarks and the figure of a command as a page, with hashes of the files read."""
     from mmqa_lab.run.pages import write_report
 
+    rows = frame.drop(columns="remarks", errors="ignore").dropna(axis=1, how="all")
+    if len(rows) < 4 and len(rows.columns) > 9:  # a page is narrow
+        rows = rows.set_index(rows.columns[0]).T.reset_index(names="")
     write_report(
         page,
         title=f"mmqa {command.rstrip('_')}",
         sentences=_sentences(frame, "remarks"),
-        tables={"Results": frame.drop(columns="remarks", errors="ignore")},
+        tables={"Results": rows},
         figures={out.name: out} if out is not None and out.suffix == ".png" else {},
         files=[one for one in inputs if Path(one).is_file()],
     )
@@ -205,15 +207,6 @@ def _write_figure(path, draw):
         figure = draw()
         finish_figure(figure)
         write_atomically(path, lambda file: figure.savefig(file))
-
-
-def _within(cloud, polygon):
-    """The points of a cloud within a polygon of a file, or all without one."""
-    from mmqa_lab import chart_cloud, io
-
-    if polygon is None:
-        return cloud
-    return cloud[chart_cloud.inside_polygon(cloud, io.read_polygon(polygon, crs=cloud.crs))]
 
 
 @table
@@ -431,11 +424,14 @@ def pattern(
     """
     import pandas as pd
 
-    from mmqa_lab import io, scan_pattern
+    from mmqa_lab import chart_cloud, io, scan_pattern
 
     rows = []
     for file in _progress(clouds, "cloud"):
-        cloud = _within(io.read_cloud(file), polygon)
+        cloud = io.read_cloud(file)
+        if polygon is not None:
+            ring = io.read_polygon(polygon, crs=cloud.crs)
+            cloud = cloud[chart_cloud.inside_polygon(cloud, ring)]
         numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
         found = scan_pattern.measure_pattern(cloud, **numbers)
         frame = found.to_frame()
