@@ -72,7 +72,7 @@ def find_tones(image, layout, chart_map):
     """Bring an image into units of print by the plain areas of the chart.
 
     White is what the plain white around a place shows: light falls off across a chart, and shadows
-    lie on it. Black is a level and a share of that light.
+    lie on it. Black is one level for the whole chart.
 
     Parameters
     ----------
@@ -105,13 +105,13 @@ def find_tones(image, layout, chart_map):
     inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)
     white, black = _plainest(to_white), _plainest(to_black)
     field = _local(image, white, np.sqrt(inside.sum()))
-    dark = _darkness(image[black], field[black], spilt[black])
-    ground = dark[0] + dark[1] * field
+    # black pixels see some white spilt into them
+    ground = float(((image - spilt * field)[black] / (1 - spilt[black])).mean())
     contrast = np.maximum(field - ground, 1e-12)
     values = np.where(inside, (image - ground) / contrast, np.nan)
     noise = max(_spread((values - spilt)[mask]) for mask in (white, black))
     light = float(field[white].mean())
-    step = light - float(dark[0] + dark[1] * light)
+    step = light - ground
     # rounding alone makes a contrast of a plain image without noise
     if not (step > 1e-9 * abs(light) and SMALLEST_CONTRAST * noise < 1):
         raise ValueError(
@@ -464,19 +464,6 @@ def _local(image, white, side):
     return cv2.resize(field, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
-def _darkness(seen, field, spilt):
-    """Level of black without light, and the share of white that black adds to it."""
-    # the pixels see black and some white spilt into it
-    free = (seen - spilt * field) / (1 - spilt)
-    middle = field - field.mean()
-    share = (middle @ free) / max(middle @ middle, 1e-12)
-    # without shadows their light does not differ enough to tell
-    if not field.std() > 0.15 * field.mean():
-        share = 0.0
-    share = float(np.clip(share, 0, 0.5))
-    return float(free.mean() - share * field.mean()), share
-
-
 def _spread(residuals):
     """Standard deviation by the median absolute deviation."""
     return float(1.4826 * np.median(np.abs(residuals - np.median(residuals))))
@@ -507,7 +494,7 @@ def _wave(across, values, pairs, width_px):
     fit = np.linalg.lstsq(design, values, rcond=None)[0]
     in_phase, quadrature = -fit[2], -fit[3]
     phase = float(np.degrees(np.arctan2(quadrature, in_phase)))
-    step = len(values) // 4000 + 1  # so many pixels tell enough
+    step = len(values) // 4000 + 1  # 4000 pixels tell enough
     rest = (values - design[:, :2] @ fit[:2])[::step]
     # up to the Nyquist frequency, where all waves look alike
     highest = min(2.5, 0.499 * width_px)
