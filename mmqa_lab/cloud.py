@@ -10,9 +10,6 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_same_crs
 
-EXPECTED = ("gps_time", "scan_angle", "intensity")
-"""Columns of a cloud from a mobile scanner."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cloud:
@@ -62,8 +59,8 @@ class Cloud:
         columns = {key: np.asarray(values) for key, values in self.columns.items()}
         for key, values in columns.items():
             if values.shape[:1] != (len(points),):
-                shape = f"Must have {len(points)} rows."
-                raise ValueError(f"Invalid column {key!r} of shape {values.shape}. {shape}")
+                found = f"column {key!r} of shape {values.shape}"
+                raise ValueError(f"Invalid {found}. Must have {len(points)} rows.")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "columns", columns)
 
@@ -112,7 +109,7 @@ class Cloud:
 
 
 def describe(cloud: Cloud) -> dict:
-    """Return what a cloud contains, and in ``remarks`` what is missing.
+    """Return what a cloud contains: its columns with more than one value are counted.
 
     Examples
     --------
@@ -122,8 +119,6 @@ def describe(cloud: Cloud) -> dict:
     """
     box = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)], axis=1).ravel()
     counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
-    remarks = [f"No {name}." for name in EXPECTED if counts.get(name, 1) == 1]
-    remarks += ["No coordinate system: taken for metres."] * (cloud.crs is None)
     return {
         "points": len(cloud),
         **{f"{a}_{end}_m": v for a, end, v in zip("xxyyzz", ["low", "high"] * 3, box, strict=True)},
@@ -131,7 +126,7 @@ def describe(cloud: Cloud) -> dict:
         "resolution_mm": 1000 * cloud.resolution,
         "time_span_s": np.ptp(cloud["gps_time"]) if "gps_time" in cloud else np.nan,
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
-        "remarks": " ".join(remarks),
+        "remarks": "No coordinate system: taken for metres." if cloud.crs is None else "",
     }
 
 

@@ -211,7 +211,7 @@ def _write_figure(path, draw):
 
 @table
 def info(clouds: list[Path], /):
-    """Tell what cloud files contain: extent, step, time, columns, and what is missing.
+    """Tell what cloud files contain: extent, step, time, and columns with counts of their values.
 
     Parameters
     ----------
