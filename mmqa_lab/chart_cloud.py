@@ -532,8 +532,8 @@ def _remark_on_bend(xy, residuals_mm, step_mm, scale):
     if len(xy) < FEWEST or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
         return []
     x, y = (xy / np.abs(xy).max()).T
-    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    rest = residuals_mm - terms @ np.linalg.lstsq(terms, residuals_mm, rcond=None)[0]
+    terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])
+    rest = residuals_mm - np.linalg.pinv(terms @ terms.T) @ (terms @ residuals_mm) @ terms
     share = 1 - np.var(rest) / np.var(residuals_mm)
     if share < BENT:
         return []
