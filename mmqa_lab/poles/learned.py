@@ -236,8 +236,8 @@ def measure(thin, axes):
 
     def filled(counts, first, last):
         """Share of the bins from first to last with points."""
-        inside = (bins >= first[:, None]) & (bins < last[:, None])
-        return ((counts > 0) & inside).sum(axis=1) / np.maximum(last - first, 1)
+        inside = (bins >= first[:, None]) & (bins < last[:, None]) & (counts > 0)
+        return inside.sum(axis=1) / np.maximum(last - first, 1)
 
     cores = [held(across <= r) for r in RADII_M]
     shells = [held((across > r) & (across <= r + SHELL_M)) for r in RADII_M]
@@ -250,8 +250,7 @@ def measure(thin, axes):
     first, last = longest_runs(core > 0)
     low, high = np.where(high > low, low, first), np.where(high > low, high, last)
     out["run_m"] = BIN_M * clean[chosen, rows]
-    for r in (1, 3):
-        out[f"clean_{RADII_M[r] * 1000:03.0f}_m"] = BIN_M * clean[r]
+    out |= {"clean_150_m": BIN_M * clean[1], "clean_400_m": BIN_M * clean[3]}
     radius = RADII_M[chosen]
     out |= {"core_m": radius, "low_m": BIN_M * low, "column_m": BIN_M * (last - first)}
     in_run = (level >= low[a]) & (level < high[a])
@@ -266,8 +265,8 @@ def measure(thin, axes):
     out["roof"] = np.bincount(seen, minlength=k) / 52
     beside = in_run & (across > radius[a] + 0.03)
     out["beside"] = filled(held(beside), low, high)
-    low_near = (across < 0.7) & (level * BIN_M < 5)
-    out["crowd"] = np.log1p(np.bincount(a[low_near], minlength=k))
+    crowd = (across < 0.7) & (level * BIN_M < 5)
+    out["crowd"] = np.log1p(np.bincount(a[crowd], minlength=k))
     out["off_line_m"] = _off_line(a[beside], off[beside], k)
     centre, r, rough = _circles(a[own], off[own], k)
     out |= {"radius_m": r, "rough_m": rough}
@@ -295,11 +294,10 @@ def _head(a, across, height, k):
     np.maximum.at(top, a, height)
     below = top[a] - height
     parts = (below > 0.08) & (below < 0.28), below >= 0.28
-    count = [np.bincount(a[part], minlength=k) for part in parts]
+    n, m = (np.bincount(a[part], minlength=k) for part in parts)
     upper, lower = (np.bincount(a[part], across[part], k) for part in parts)
-    known = (count[0] > 1) & (count[1] > 1)
-    ratio = (upper * count[1]) / np.maximum(lower * count[0], 1e-9)
-    return np.where(known, ratio.clip(0, 3), 1)
+    ratio = (upper * m) / np.maximum(lower * n, 1e-9)
+    return np.where((n > 1) & (m > 1), ratio.clip(0, 3), 1)
 
 
 def _arcs(a, off, k):
@@ -500,19 +498,15 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     reason = first_reason(len(score), score=score < threshold, length=short)
     xy = found.middle
     drop_duplicates(xy, score, reason, APART_M)
-    rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": height_of(axes) + low}
-    rows |= {"height_m": high - low}
-    kept = reason == ""
-    diameter, half = np.full((2, len(score)), np.nan)
+    kept, (diameter, half) = reason == "", np.full((2, len(score)), np.nan)
     diameter[kept], half[kept] = diameters(points, found, kept)
-    rows |= {"diameter_m": diameter, "diameter_low_m": np.maximum(diameter - half, 0)}
-    rows["diameter_high_m"] = diameter + half
-    rows |= {"lean_x": axes[:, 2], "lean_y": axes[:, 3], "score": score, "rejected_by": reason}
+    rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": height_of(axes) + low}
+    rows |= {"height_m": high - low, "diameter_m": diameter, "diameter_low_m": diameter - half}
+    rows |= {"diameter_high_m": diameter + half, "lean_x": axes[:, 2], "lean_y": axes[:, 3]}
+    rows |= {"score": score, "rejected_by": reason}
     if explain:
-        rows |= dict(found.measures) | {
-            f"adds_{name}": part
-            for name, part in zip(MEASURES, trees.parts(found.measures)[0].T, strict=True)
-        }
+        parts = pd.DataFrame(trees.parts(found.measures)[0], columns=[*MEASURES])
+        rows |= dict(found.measures) | dict(parts.add_prefix("adds_"))
     return table(rows, "learned", explain=explain)
 
 
