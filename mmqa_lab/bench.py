@@ -307,14 +307,16 @@ def _dataset(cases, methods, seeds, records):
     for (number, seed), found in records.items():
         place = {name: code[number] for name, code in codes.items()} | {"seed": seeds.index(seed)}
         truths.append(place | found[""])
-        rows += [{"method": row, **place, **found[one]} for row, one in enumerate(methods)]
+        rows += [{"method": k, **place, **found[name]} for k, name in enumerate(methods)]
     dims = [*codes, "seed"]
     results = pd.DataFrame(rows).set_index(["method", *dims]).to_xarray()
     results = results.merge(pd.DataFrame(truths).set_index(dims).to_xarray())
     results = results.assign_coords({"method": methods, **labels, "seed": seeds})
     results["failure"] = results["failure"].astype(str)
     if "case" in codes:
-        results = results.assign_coords({name: ("case", one) for name, one in columns.items()})
+        results = results.assign_coords(
+            {name: ("case", column) for name, column in columns.items()}
+        )
     for name in results.variables:
         if split_unit(name)[1]:
             results[name].attrs["units"] = split_unit(name)[1]
@@ -324,10 +326,10 @@ def _dataset(cases, methods, seeds, records):
 def _axes(columns, count):
     """The place of each case on the axes, and their labels: a full grid or a list of cases."""
     # in the order of the cases; NaN is a value too
-    found = {name: pd.factorize(one, use_na_sentinel=False) for name, one in columns.items()}
+    found = {key: pd.factorize(column, use_na_sentinel=False) for key, column in columns.items()}
     different = len(set(zip(*(code for code, _ in found.values()), strict=True)))
     if different == count == np.prod([len(levels) for _, levels in found.values()]):
-        return tuple({name: one[part] for name, one in found.items()} for part in (0, 1))
+        return tuple({name: pair[part] for name, pair in found.items()} for part in (0, 1))
     return {"case": np.arange(count)}, {"case": np.arange(count)}
 
 
@@ -340,7 +342,7 @@ def _labels(values):
 
 def unit_ending(name):
     """Return the ending of a name that denotes a unit, or an empty text."""
-    return max((one for one in UNITS if name.endswith(one)), key=len, default="")
+    return max((ending for ending in UNITS if name.endswith(ending)), key=len, default="")
 
 
 def split_unit(name):

@@ -1,8 +1,8 @@
-"""The commands of ``mmqa``, made of functions: a signature is the arguments, a docstring the help.
+"""The commands of ``mmqa``: the signature of a function is its arguments, its docstring its help.
 
 A command reads files by ``io``, calls a room's function with arrays and returns a table.
-:func:`table` registers it: printing, ``--json``, ``--csv`` stand there, and what goes wrong is said
-in one sentence by :func:`run`. Rooms are imported inside of the commands, so that help is quick.
+:func:`table` registers it and adds ``--json``, ``--csv`` and ``--report``. :func:`run` states each
+error in one sentence. Rooms are imported inside the commands, so that help is quick.
 """
 
 import functools
@@ -52,7 +52,7 @@ SHARED = {
 
 
 def table(function):
-    """Register a command whose table is printed; the function itself stays as it is."""
+    """Register a command that prints its table; the function itself stays as it is."""
 
     @functools.wraps(function)
     def command(*files, json=False, csv=None, report=None, **choices):
@@ -89,7 +89,7 @@ def _inputs(given, out):
 
 
 def _refuse_outputs(csv, report, out, inputs):
-    """Raise before any work where a table has no place of its own."""
+    """Raise before any work if an output has a wrong ending or is an input."""
     for path, ending in ((csv, ".csv"), (report, ".html"), (out, "")):
         if path is None:
             continue
@@ -139,7 +139,7 @@ def run(arguments):
 
 
 def _say(command, sentence):
-    """One sentence on stderr."""
+    """Print a sentence on stderr."""
     print(f"mmqa {command}".strip() + f": {sentence}", file=sys.stderr)
 
 
@@ -149,7 +149,7 @@ def as_json(frame):
 
 
 def as_text(frame):
-    """A table as text of at most 100 columns, its remarks below it, each sentence once."""
+    """A table as text of at most 100 columns, with each remark once below it."""
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
     below = _sentences(frame, "remarks")
@@ -171,7 +171,7 @@ def as_text(frame):
 
 
 def _sentences(frame, column):
-    """What the rows say in a column, each sentence once, behind the file that it is about."""
+    """The texts of a column, each once, behind the name of its file."""
     if column not in frame:
         return []
     names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
@@ -180,19 +180,19 @@ def _sentences(frame, column):
 
 
 def _figure(value):
-    """A number with four figures, a large one to two decimals."""
+    """A number as text with four significant digits; a large number with two decimals."""
     return f"{round(value, 2):.10g}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def _progress(items, unit):
-    """Go through items under a bar on stderr; there is none where that is no terminal."""
+    """Go through items and show a progress bar on stderr if that is a terminal."""
     from tqdm import tqdm
 
     return tqdm(items, unit=unit, disable=None, leave=False)
 
 
 def _figure_file(path):
-    """Raise before any work where a figure cannot be written in the format of that name."""
+    """Raise before any work if a figure has a wrong ending."""
     if path is not None and path.suffix.lower() not in FIGURES:
         raise ValueError(f"Invalid figure {path}. Must end in {', '.join(FIGURES)}.")
 
@@ -211,7 +211,7 @@ def _write_figure(path, draw):
 
 @table
 def info(clouds: list[Path], /):
-    """Tell what cloud files contain: extent, step, time, and columns with counts of their values.
+    """List what cloud files contain: extent, step, time, and columns with counts of their values.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def evaluate(
 
     The plane is the orthogonal regression plane of the points; d1..d4 are the medians of the sorted
     distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021, doi
-    10.3390/rs13020237). Without a polygon the whole cloud is taken for the surface.
+    10.3390/rs13020237). Without a polygon the surface is the whole cloud.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def evaluate(
     polygon
         The outline of the surface: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
     rho0
-        The density that is asked for, points per m2. The table then says whether f matters.
+        The density asked for, points per m2. The table then says whether f matters.
     intervals
         Print a row for each figure, and for g, with its 95 % confidence interval.
     out
@@ -285,8 +285,8 @@ def map_(
 ):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
-    The tiles of the map are kept in a folder beside it, which ends in .run. A run that was
-    interrupted goes on from there.
+    The tiles of the map are kept in a folder beside it, whose name ends in .run. An interrupted
+    run continues from there.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def map_(
     cell
         Side of the square cells, m.
     rho0
-        The density that is asked for, points per m2. The map then shows where f does not matter.
+        The density asked for, points per m2. The map then shows where f does not matter.
     """
     from mmqa_lab import maps
 
@@ -323,7 +323,7 @@ def plan(
     height_difference: float = 0.0,
     sigma: list[str] | None = None,
 ):
-    """Predict what a profile scanner on a vehicle lays on a plane: spacings, angle, density, f.
+    """Predict the points of a profile scanner on a plane: spacings, angle, density, f.
 
     X is across the track to the target's side, Y the direction of travel, Z up. Angles are
     counter-clockwise, and tilt is applied before heading. With all angles zero, the scan plane is
@@ -383,7 +383,7 @@ def plan(
 
 
 def _setup(scanner, speed, given):
-    """The set-up of a scanner by name, or from what was given."""
+    """The set-up of a scanner with a name, or of given rates and angles."""
     from mmqa_lab import scan_pattern
     from mmqa_lab._checks import check_choice
     from mmqa_lab.simulate import PRESETS
@@ -869,7 +869,7 @@ def bench(
     method
         Your own MODULE:FUNCTION, in a file of the current directory. May be given several times.
     quick
-        Take few cases, for a first look.
+        Use few cases, for a first look.
     workers
         Number of processes.
     out
@@ -922,7 +922,7 @@ def _named_function(text):
         function = getattr(importlib.import_module(module), name)
         if not callable(function):
             raise TypeError(f"{name} is not callable")
-    except Exception as error:  # of any kind: another's module is executed
+    except Exception as error:  # the module of a reader may raise anything
         raise ValueError(
             f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
         ) from error
@@ -930,7 +930,7 @@ def _named_function(text):
 
 
 def _write_bench(folder, tables, draw):
-    """Write the tables of a bench and its figure; name the files."""
+    """Write the tables and the figure of a bench, and print the names of the files."""
     from mmqa_lab.io import write_atomically
 
     for name, one in tables.items():
@@ -955,15 +955,14 @@ def studies(
 
     Results are written into notebooks/results/, those of a quick run into notebooks/results/quick/;
     the page index.html in that folder shows them all. A study that fails does not stop the others.
-    The exit status is 1 where a study failed or, with the delivered parameters, a check did not
-    pass.
+    The exit status is 1 if a study failed or, with the delivered parameters, a check did not pass.
 
     Parameters
     ----------
     names
-        Short names of studies, such as mimic. Without any, all.
+        Short names of studies, such as mimic. By default all studies.
     quick
-        Take small parameters, for a first look.
+        Use small parameters, for a first look.
     workers
         Number of studies that run at the same time. By default as many as cores and memory permit.
     store
@@ -991,17 +990,17 @@ def studies(
 
 
 def _fitting_workers():
-    """As many processes as there are cores, and memory for."""
+    """The number of processes for which there are cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     try:
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    except (AttributeError, ValueError, OSError):  # no such question on Windows
+    except (AttributeError, ValueError, OSError):  # Windows does not tell the free memory
         return cores
     return max(1, min(cores, int(free / GB_A_STUDY)))
 
 
 def _run_studies(run_study, studies, folder, quick, workers):
-    """Run each study in a process, so many at a time; yield it with its record as it ends."""
+    """Run each study in a process of its own; yield it with its record when it ends."""
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import get_context
 
@@ -1012,7 +1011,7 @@ def _run_studies(run_study, studies, folder, quick, workers):
         tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
         for task in as_completed(tasks):
             yield tasks[task], task.result()
-    finally:  # where it is interrupted, those that wait do not begin
+    finally:  # after an interruption no other study begins
         pool.shutdown(cancel_futures=True)
 
 
@@ -1032,9 +1031,9 @@ def student(
     out
         Write the copies into this folder. It must not contain such notebooks yet.
     names
-        Short names of studies, such as mimic. Without any, all.
+        Short names of studies, such as mimic. By default all studies.
     quick
-        Take small parameters, so that a class reaches the first exercise soon.
+        Use small parameters, so that a class reaches the first exercise soon.
     sheets
         Write pages for the teacher into this folder: solutions, answers by number, lesson plans.
     checks

@@ -81,7 +81,7 @@ class Run:
             "parameters": {name: parameters.get(name) for name in names},
             "version": __version__,
             "python": platform.python_version(),
-            "versions": {one.name: one.version for one in metadata.distributions()},
+            "versions": {found.name: found.version for found in metadata.distributions()},
         }
         write_record(self.folder, self._record)
         if get_ipython() is not None:
@@ -129,7 +129,7 @@ class Run:
         the table of this name. It stands in the lower right corner unless the texts of the figure
         state it. ``seen`` describes the figure in a sentence. It is the caption, kept with the
         licence in ``captions.csv``, and the text for readers without the picture. By default it is
-        made of the axes' labels.
+        made of the titles and labels of the axes.
         """
         if name not in self._kinds or data is not None:
             self._remove(name)
@@ -282,7 +282,7 @@ def four_digits(number):
 def _kind_of(frame):
     """The kinds of a table's numbers, from a column with a kind in each row or from the names."""
     words = frame.select_dtypes(exclude=["number", "bool"]).astype(str)
-    told = [name for name in words if words[name].str.contains("|".join(KINDS)).all()]
-    said = " ".join(words[told[0]].unique() if told else map(str, frame))
-    kinds = ", ".join(kind for kind in KINDS if kind in said)
-    return f"{kinds} (simulated)" if kinds and "simulated" in said else kinds
+    columns = [name for name in words if words[name].str.contains("|".join(KINDS)).all()]
+    text = " ".join(words[columns[0]].unique() if columns else map(str, frame))
+    kinds = ", ".join(kind for kind in KINDS if kind in text)
+    return f"{kinds} (simulated)" if kinds and "simulated" in text else kinds

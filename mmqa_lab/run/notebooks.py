@@ -52,10 +52,10 @@ def run_study(study, folder, *, quick=False):
     seconds = round(time.monotonic() - began, 1)
     for cell in notebook.cells:
         if cell.cell_type == "code":
-            cell.outputs = [one for one in cell.outputs if WIDGET not in one.get("data", ())]
+            cell.outputs = [out for out in cell.outputs if WIDGET not in out.get("data", ())]
     above = ["[All studies](../index.html)"]
     above += ["**Quick run: small parameters, for a first look.**"] if quick else []
-    above += [f"**Stopped: `{failure}`. No cell below that one was run.**"] if failure else []
+    above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
     record = read_record(target) | {"seconds": seconds, "failure": failure}
     texts = (nbformat.writes(notebook), notebook_page(notebook, study.title, above=above))
     for ending, text in zip(("ipynb", "html"), texts, strict=True):

@@ -60,10 +60,11 @@ def write_pages(folder, studies):
 
 def _write_ledger(folder, studies, quick):
     """Write the page of the ledger, if a study left one; return its counts of verdicts."""
-    missing = [one for one in studies if not (folder / one.stem / "ledger.csv").is_file()]
+    missing = [study for study in studies if not (folder / study.stem / "ledger.csv").is_file()]
     if len(missing) == len(studies):
         return ""
-    rows = ledger.collect(folder, not_run=[table for one in missing for table in one.tables])
+    not_run = [table for study in missing for table in study.tables]
+    rows = ledger.collect(folder, not_run=not_run)
     counts = ledger.summary(rows).rename_axis(columns=None).reset_index()
     counts = "" if quick else counts.to_html(index=False, border=0)
     ours, low, high = (rows[name].map(four_digits) for name in ("ours", "ours_low", "ours_high"))
@@ -126,8 +127,10 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
     True
     """
     figures, tables = dict(figures or {}), dict(tables or {})
-    pictures = {k: base64.b64encode(Path(one).read_bytes()).decode() for k, one in figures.items()}
-    hashes = {Path(one).name: hashlib.sha256(Path(one).read_bytes()).hexdigest() for one in files}
+    contents = {caption: Path(file).read_bytes() for caption, file in figures.items()}
+    pictures = {caption: base64.b64encode(png).decode() for caption, png in contents.items()}
+    files = map(Path, files)
+    hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     if hashes:
         tables["Files"] = pd.DataFrame(hashes.items(), columns=["file", "SHA-256"])
     style = {"index": False, "border": 0, "na_rep": "", "float_format": four_digits}

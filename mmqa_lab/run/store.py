@@ -80,7 +80,7 @@ def _lightened(ran, kept):
     for cell, plain in zip(ran.cells, kept.cells, strict=True):
         cell.metadata = plain.metadata
         if cell.cell_type == "code":
-            cell.outputs = [_small(one) for one in cell.outputs if one.get("name") != "stderr"]
+            cell.outputs = [_small(out) for out in cell.outputs if out.get("name") != "stderr"]
     return ran
 
 

@@ -193,9 +193,9 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     ['05_mimic.ipynb']
     """
     targets = [Path(folder) / study.path.name for study in studies]
-    there = [path for path in targets if path.exists()]
-    if there:
-        work = f"it contains {there[0].name}, which may be a student's work"
+    existing = [path for path in targets if path.exists()]
+    if existing:
+        work = f"it contains {existing[0].name}, which may be a student's work"
         raise ValueError(f"Invalid folder {folder}: {work}. Must have no such notebooks.")
     for study, target in zip(studies, targets, strict=True):
         copy = _student_notebook(nbformat.read(study.path, as_version=4), checks)
@@ -307,7 +307,7 @@ def work_out(tasks, scope):
 def _short(answer):
     """A number or a few numbers as text; None for other answers."""
     values = np.ravel(np.asarray(answer, dtype=object))
-    if len(values) > FEW or not all(isinstance(one, numbers.Real | np.bool_) for one in values):
+    if len(values) > FEW or not all(isinstance(v, numbers.Real | np.bool_) for v in values):
         return None
     return ", ".join(f"{float(value):.4g}" for value in values)
 
@@ -319,6 +319,6 @@ def _tags(cell):
 
 def _names(code, context):
     """Names that code reads or sets, in the order of the code."""
-    found = [one for one in ast.walk(ast.parse(code)) if isinstance(one, ast.Name)]
-    found = [one for one in found if isinstance(one.ctx, context)]
-    return [one.id for one in sorted(found, key=lambda one: (one.lineno, one.col_offset))]
+    found = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)]
+    found = [node for node in found if isinstance(node.ctx, context)]
+    return [node.id for node in sorted(found, key=lambda node: (node.lineno, node.col_offset))]
