@@ -105,6 +105,9 @@ class Spacing(Shown):
     @cached_property
     def coincident(self) -> int:
         """Number of points that share their place with another point."""
+        x = np.sort(self.xy[:, 0])
+        if (x[1:] > x[:-1]).all():  # the usual case, which takes a tenth of the time
+            return 0
         # numpy orders complex numbers by their real, then their imaginary part
         places = np.sort(np.ascontiguousarray(self.xy).view(np.complex128).ravel())
         same = places[1:] == places[:-1]
