@@ -1,6 +1,7 @@
 """The polygon and the list of planes without a browser: what they compute, keep and say."""
 
 import io as streams
+import threading
 from contextlib import redirect_stdout
 
 import numpy as np
@@ -67,11 +68,29 @@ def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
     assert not np.array_equal(np.asarray(tool.canvas.buffer_rgba()), before)
 
 
-def test_too_few_points_are_a_sentence_and_nothing_else(wall):
+@pytest.mark.parametrize(
+    ("order", "rise_m", "part"),
+    [
+        ([0, 1, 2, 3], 100, "points inside the polygon: 0 given"),
+        ([0, 2, 1, 3], 0, "crosses itself."),
+    ],
+)
+def test_a_polygon_that_selects_nothing_is_a_sentence_and_no_histogram(wall, order, rise_m, part):
     tool = widgets.SelectionTool(wall)
-    tool.select(tool.vertices + [0, 0, 100])
+    assert all(panel.patches for panel in tool._panels)
+    tool.select(tool.vertices[order] + [0, 0, rise_m])
     assert tool.quality is None
-    assert "Invalid points inside the polygon: 0 given" in tool.text.value
+    assert part in tool.text.value
+    assert not any(panel.patches for panel in tool._panels)
+
+
+def test_a_picture_is_not_drawn_while_it_changes(wall, screen):
+    tool, drawn = widgets.SelectionTool(wall), threading.Event()
+    draw = threading.Thread(target=lambda: (tool.canvas.draw(), drawn.set()))
+    with widgets.LOCK:
+        draw.start()
+        assert not drawn.wait(0.3)
+    assert drawn.wait(30)
 
 
 @pytest.fixture
