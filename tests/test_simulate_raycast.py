@@ -122,7 +122,7 @@ def test_moving_by_ten_thousand_kilometres_changes_nothing(rng):
             simulate.ground(-20 + shift[2], centre=shift[:2]),
             simulate.cylinder(shift + [3, 3, -20], shift + [3, 4, 20], 2.0, top_radius=1.0),
             disc(shift + [-8, 0, 0], (1, 2, 3), 2.0),
-            simulate.box(shift + [0, 9, -20], (3, 5, 30)),
+            simulate.box(shift + [0, 9, -20], (3, 5, 30), heading=20),
         ]
         return Scene(surfaces).cast(origin + shift, direction)
 
