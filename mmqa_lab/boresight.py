@@ -1,8 +1,8 @@
 """Boresight and lever arm of scan heads, estimated from drives in both directions.
 
-What a mounting error does changes its sign with the direction of travel: a wall seen on the way
-there and on the way back lies in two places. Planes and poles that several drives or heads have
-seen are fitted; the mounting sought is the one that makes them thinnest. EuroSDR 2013, mobile laser
+The effect of a mounting error changes its sign with the direction of travel. So a wall seen on the
+way there and on the way back lies in two places. Planes and poles that several drives or heads have
+seen are fitted, and the mounting that makes them thinnest is estimated. EuroSDR 2013, mobile laser
 scanning, section 3.3.3, names the objects that show each error: the ground for roll, poles and
 corners for pitch and heading. The least-squares adjustment is our own. Start here::
 
@@ -37,48 +37,47 @@ from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.scan_pattern import rotations
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
-"""Of each head: boresight, then what is to be added to the assumed lever arm."""
+"""Parameters of each head: boresight, and corrections to the assumed lever arm."""
 
 UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
-"""From radians and metres to the units of the parameters."""
+"""Factors from radians and metres to the units of the parameters."""
 
 AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""About which roll, pitch and heading turn."""
+"""Axes of roll, pitch and heading."""
 
 CELL_M = 1.0
-"""Diameter of the balls that planes are looked for in."""
+"""Diameter of the balls in which planes are looked for."""
 
 ROUGHNESS_M, GAP_M, SAME_DEG = 0.03, 0.3, 5.0
-"""Planes of one ball that are rougher, farther apart or turned by more are different things."""
+"""Largest roughness, distance and angle between planes of a ball that are the same surface."""
 
 FEWEST, MOST = 15, 100
-"""Points of a drive's head that a plane or a pole takes."""
+"""Least and largest number of points of a drive's head on a plane; least number on a pole."""
 
 POLE_SEARCH_M, POLE_HEIGHTS_M, POLE_GATE_M = 0.5, (0.4, 6.0), 0.05
-"""Points about a pole and above its foot; and from its circle."""
+"""Points of a pole: distance in plan, heights above its foot, and distance from its circle."""
 
 CONTROL_M = 0.3
-"""Points up to this far from a control point, in plan and in height, show its ground."""
+"""Largest distance, in plan and in height, of ground points from a control point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Shown):
-    """The mounting of the heads as estimated.
+    """The estimated mounting of the heads.
 
     Parameters
     ----------
     table : DataFrame
-        One row a head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 of a parameter
-        that was kept), ``low`` and ``high``: 95 % by Student's t, whose degrees of freedom count
-        the features that matter (Satterthwaite); NaN where kept.
+        A row per head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 if the
+        parameter was kept), and the 95 % confidence interval ``low`` and ``high`` by Student's t
+        (NaN if kept). The degrees of freedom count the features that matter (Satterthwaite).
     covariance : array, shape (6 h, 6 h)
-        In the order of the table, degrees and metres; from the scatter of what the features say
-        (cluster-robust), so that planes that are not quite flat count in, and from the errors of
-        the paths where they are stated.
+        In the order of the table, degrees and metres. It contains the scatter between features
+        (cluster-robust), also of planes that are not quite flat, and stated errors of the paths.
     lever_arms_m : array, shape (h, 3)
-        As assumed.
+        Assumed lever arms, m.
     remarks : str
-        What the intervals do not contain.
+        Errors that the intervals do not contain.
     """
 
     table: pd.DataFrame
@@ -96,25 +95,25 @@ class Calibration(Shown):
         return self.table.assign(remarks=self.remarks)
 
     def correct(self, cloud: Cloud, trajectory: Any) -> Cloud:
-        """Return a drive's cloud as the estimated mounting makes it, see :func:`corrected`."""
+        """Return the cloud of a drive with the estimated mounting, see :func:`corrected`."""
         return corrected(cloud, trajectory, lever_arms_m=self.lever_arms_m, values=self.values)
 
 
 def corrected(
     cloud: Cloud, trajectory: Any, *, lever_arms_m: ArrayLike, values: ArrayLike
 ) -> Cloud:
-    """Return a cloud as another mounting of its heads makes it.
+    """Return a cloud computed with another mounting of its heads.
 
     Parameters
     ----------
     cloud : Cloud
-        With ``gps_time`` and, for several heads, ``head``; computed with the assumed mounting.
+        Computed with the assumed mounting; has ``gps_time`` and, for several heads, ``head``.
     trajectory
-        The path it was computed from.
+        The path that the cloud was computed with.
     lever_arms_m : array_like, shape (h, 3)
-        As assumed.
+        Assumed lever arms, m.
     values : array_like, shape (h, 6)
-        Of each head: boresight in degrees, and metres to add to the assumed lever arm.
+        Boresight (degrees) of each head, and correction of its lever arm (m).
 
     Returns
     -------
@@ -150,34 +149,35 @@ def calibrate(
 ) -> Calibration:
     """Estimate boresight and lever arm of every head from planes and poles seen several times.
 
-    Where two drives or heads each show a plane in a ball, it becomes a patch. The mounting is found
-    by least squares: distances of points from the plane of their patch and from the cylinder of
-    their pole, whose own parameters are eliminated, and mean heights around control points. Each
-    kind weighs by its scatter. One rule for outliers: misfits beyond 3.5 sigma_MAD of their kind
-    are left out. Patches are cut anew with the mounting found.
+    A plane that two drives or heads show in a ball becomes a patch. The mounting is estimated by
+    least squares from three kinds of misfits: distances of points from the plane of their patch,
+    distances from the cylinder of their pole, and mean heights around control points. The
+    parameters of planes and poles are eliminated. Each kind is weighted by its scatter. Misfits
+    beyond 3.5 sigma_MAD of their kind are left out as outliers. Then patches are selected again
+    with the estimated mounting.
 
     Parameters
     ----------
     drives : sequence of (Cloud, trajectory)
-        Clouds with ``gps_time`` and, for several heads, ``head``; each with the path it was
-        computed from, which has ``at(times)`` as of ``simulate.Trajectory``.
+        Clouds with ``gps_time`` and, for several heads, ``head``, each with its path. A path has
+        ``at(times)`` like ``simulate.Trajectory``.
     lever_arms_m : array_like, shape (h, 3)
-        Of the heads, as assumed in the computation of the clouds.
+        Lever arms that were assumed when the clouds were computed, m.
     poles : DataFrame, optional
-        ``x_m``, ``y_m``, ``z_m`` of feet, roughly; ``diameter_m`` where it is known to
-        millimetres: a wrong one pulls the two sides of a pole together or apart.
+        Approximate ``x_m``, ``y_m``, ``z_m`` of feet, and ``diameter_m`` if it is known to
+        millimetres. A wrong diameter pulls the two sides of a pole together or apart.
     control : array_like, shape (m, 3), optional
-        Points of the ground whose heights are known. Without them the heights of all heads
-        together cannot be told from the ground's, and the mean of z_m is kept at 0.
+        Ground points with known heights. Without them a height error of all heads cannot be told
+        from the height of the ground, and the mean of z_m is kept at 0.
     keep : sequence of str
         Parameters (``roll_deg``, ``pitch_deg``, ``heading_deg``, ``x_m``, ``y_m``, ``z_m``) that
-        stay as assumed, of all heads: those that the drives do not determine.
+        keep their assumed values in all heads, because the drives do not determine them.
     patches : int
-        Patches used at most, shared out over directions of their normals.
+        Largest number of patches, shared between directions of their normals.
     path_std_m, path_std_deg : float or array_like, shape (3,), optional
-        Standard deviations of the paths, each error lasting a whole drive: east, north, height, m;
-        roll, pitch, heading, degrees; 0 of exact paths. They enter the covariance. What is not
-        given counts as 0, and the remarks say that the intervals do not contain it.
+        Standard deviations of errors of the paths that last a whole drive: east, north, height, m;
+        roll, pitch, heading, degrees; 0 for exact paths. They enter the covariance. Without them a
+        remark states that the intervals do not contain these errors.
 
     Returns
     -------
@@ -192,11 +192,11 @@ def calibrate(
 
     Notes
     -----
-    An error of a path that lasts a whole drive is the same as a lever-arm error of opposite sign in
-    the other direction: two drives along one street cannot tell them apart.
+    An error of a path that lasts a whole drive has the same effect as a lever-arm error of opposite
+    sign in the other direction. Two drives along one street cannot tell them apart.
 
-    With a free radius, range noise of 5 mm pushes the two sides of a pole of 6 cm 2.5 mm apart,
-    which the standard errors do not contain; with the known radius it is 0.4 mm.
+    If the radius is free, range noise of 5 mm pushes the two sides of a pole of 6 cm apart by
+    2.5 mm. The standard errors do not contain this error. With the known radius it is 0.4 mm.
 
     Examples
     --------
@@ -240,7 +240,7 @@ def calibrate(
 
 @dataclass(frozen=True, eq=False)
 class _Shots:
-    """Points by what places them: head, drive, place and attitude of the vehicle, arm, beam."""
+    """The data of points: head, drive, place and attitude of the vehicle, lever arm, beam."""
 
     head: np.ndarray
     drive: np.ndarray
@@ -260,7 +260,7 @@ class _Shots:
 
     @classmethod
     def sampled(cls, drives, lever, origin, rng):
-        """The shots of all drives: of larger clouds a million at random."""
+        """The shots of all drives, at most a million of each cloud, at random."""
         parts = []
         for number, (cloud, path) in enumerate(drives):
             rows = np.sort(rng.permutation(len(cloud))[:1_000_000])
@@ -298,10 +298,10 @@ class _Shots:
 
 
 def _planes(placed, group, most, rng):
-    """Planes that two or more groups show in a ball around one place.
+    """Planes that two or more groups show in the same ball.
 
-    Cubes only say where to look: a plane along the side of a cube is cut by it according to the
-    noise.
+    Cubes only give the centres of the balls. The points of a plane along the side of a cube would
+    be selected by their noise.
     """
     cube = np.floor(placed / CELL_M).astype(np.int64)
     cube = np.ravel_multi_index((cube - cube.min(axis=0)).T, np.ptp(cube, axis=0) + 1)
@@ -324,7 +324,7 @@ def _planes(placed, group, most, rng):
 
 
 def _shared(points, place, group):
-    """Planes of the groups of points at each place, where two or more groups show the same one."""
+    """Planes of the groups of points at each place if two or more groups show the same plane."""
     order = np.lexsort((group, place))
     starts = np.flatnonzero(np.diff(np.stack([place, group])[:, order], prepend=-1).any(axis=0))
     n, _, centre, variance, axes = _moments(points[order], starts)
@@ -344,7 +344,7 @@ def _shared(points, place, group):
 
 
 def _moments(points, starts):
-    """Counts, points from their centres, centres, variances (rising) and axes of runs of points."""
+    """Counts, centred points, centres, variances (ascending) and axes of runs of points."""
     n = np.diff(np.append(starts, len(points)))
     if not len(n):
         return n, points, np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
@@ -356,7 +356,7 @@ def _moments(points, starts):
 
 
 def _heights(placed, control):
-    """Points around control points, whose heights are known."""
+    """Points around control points, with the known heights."""
     if control is None:
         return []
     near = cKDTree(control[:, :2])
@@ -393,9 +393,9 @@ def _poles(placed, group, poles, origin):
 
 
 class _OnPlanes:
-    """Points that lie on features of one kind, here on planes, one feature after the other.
+    """Points on features of the same kind, here planes, feature by feature.
 
-    ``scatter`` is a usual value until the misfits are measured.
+    ``scatter`` has a typical value until the misfits are known.
     """
 
     scatter = 0.005
@@ -408,13 +408,13 @@ class _OnPlanes:
 
     @property
     def starts(self):
-        """Where each feature that still has points begins."""
+        """First row of each feature that still has points."""
         return np.flatnonzero(np.diff(self.of, prepend=-1))
 
     def rows(self, values):
-        """Misfits, their slopes (see ``_Shots.slopes``), and number of the feature, of each row.
+        """Misfit, slopes (see ``_Shots.slopes``) and number of the feature of each row.
 
-        What the features' own parameters would take up is eliminated.
+        The parameters of the features are eliminated.
         """
         n, off, _, variance, axes = _moments(self.shots.placed(values), self.starts)
         off = np.einsum("ni,nij->nj", off, np.repeat(axes, n, axis=0))
@@ -432,9 +432,9 @@ class _OnPlanes:
 
 
 class _OnPoles(_OnPlanes):
-    """Points on cylinders; known are outward normals and radii.
+    """Points on cylinders with known outward normals and, if given, known radii.
 
-    The normals are those of each drive's and head's own circle: two arcs of a thin pole may have
+    The normals belong to the circle of each drive and head, since two arcs of a thin pole may have
     moved past each other.
     """
 
@@ -462,7 +462,7 @@ class _OnPoles(_OnPlanes):
 
 
 class _OnGround(_OnPlanes):
-    """Points around control points; a row for each of these, known are their heights."""
+    """Points around control points of known height; a row per control point."""
 
     scatter = 0.01
 
@@ -497,7 +497,7 @@ class _Adjustment:
         return misfit, slopes[:, : values.size] @ self.ways, slopes[:, values.size :], of
 
     def solved(self, values):
-        """The mounting (heads, 6); after each turn misfits beyond 3.5 sigma_MAD are left out."""
+        """The mounting (heads, 6); after each turn, misfits beyond 3.5 sigma_MAD are left out."""
         parameters = self.ways.T @ values.ravel()
         for turn in range(3):  # misfits leave in between
             for kind in self.kinds if turn else []:
@@ -517,15 +517,15 @@ class _Adjustment:
         return values
 
     def values(self, parameters):
-        """Array (heads, 6), 0 where a parameter is kept."""
+        """Array (heads, 6), 0 for kept parameters."""
         return (self.ways @ parameters).reshape(-1, len(PARAMETERS))
 
     def covariance(self, values, path_std):
         """Covariance of all parameters, and the degrees of freedom of each variance.
 
-        Each feature contributes its misfit under the mounting that all others give (cluster-robust,
-        jackknife). A variance has as many degrees of freedom as a number of features that share
-        alike in it.
+        Each feature contributes its misfit from the mounting that all other features give
+        (cluster-robust, jackknife). The degrees of freedom of a variance are the number of features
+        that would have the same variance with equal shares.
         """
         misfit, slopes, paths, of = self.system(values)
         self._refuse_open(slopes)
@@ -545,7 +545,7 @@ class _Adjustment:
             return covariance, students * (np.diag(covariance) / np.diag(of_points)) ** 2
 
     def _refuse_open(self, slopes):
-        """Name the parameters that can change together without any effect."""
+        """Refuse a mounting with parameters that can change together without any effect."""
         lengths = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
         _, size, ways = np.linalg.svd(slopes / lengths, full_matrices=False)
         if size[-1] < 1e-4:  # of the scaled Jacobian: this combination is open

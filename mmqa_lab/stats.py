@@ -1,7 +1,7 @@
-"""Rates and errors with the uncertainty they carry: recall and precision, RMSE, bias, NMAD.
+"""Rates and errors with their intervals: recall and precision, RMSE, bias, NMAD.
 
-Rates come with Wilson intervals, statistics of independent values with a bootstrap. NaN means not
-measurable.
+Rates have Wilson intervals, statistics of independent values have bootstrap intervals. NaN means
+not measurable.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mmqa_lab._checks import check_count
 from mmqa_lab._results import Shown
 
 NMAD_SCALE = 1.4826022185056018
-"""1 / Phi^-1(3/4): makes the median absolute deviation of normal errors their deviation."""
+"""1 / Phi^-1(3/4): the standard deviation of normal errors over their median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Rate(Shown):
     k, n : int
         Successes and trials.
     value, low, high : float
-        k / n and the interval's ends; NaN for n = 0.
+        k / n and the ends of the interval; NaN for n = 0.
 
     Examples
     --------
@@ -63,12 +63,12 @@ def wilson(k: int, n: int) -> Rate:
     Raises
     ------
     ValueError
-        If k > n, or one of them is no count.
+        If k > n, or if k or n is not a count.
 
     Notes
     -----
-    The interval never leaves [0, 1] and is not empty at k = 0 or k = n. It takes trials as
-    independent: poles of one street are not quite.
+    The interval never leaves [0, 1] and is not empty at k = 0 or k = n. It holds for independent
+    trials. Poles of the same street are not quite independent.
 
     References
     ----------
@@ -92,12 +92,12 @@ def wilson(k: int, n: int) -> Rate:
 
 @dataclass(frozen=True)
 class Errors(Shown):
-    """Statistics of errors, in the unit of the errors; NaN where there are too few.
+    """Statistics of errors, in the unit of the errors; NaN if there are too few.
 
     Parameters
     ----------
     n, missing : int
-        Errors used; errors that were NaN.
+        Number of errors used, and number of NaN.
     bias : float
         Mean.
     std : float
@@ -129,7 +129,7 @@ def errors(values: ArrayLike) -> Errors:
     Parameters
     ----------
     values : array_like, shape (n,)
-        NaN for what was not measured; counted in ``missing``.
+        NaN if not measured; these are counted in ``missing``.
 
     Returns
     -------
@@ -198,16 +198,16 @@ def bootstrap(
     Parameters
     ----------
     statistic : callable
-        Takes the arrays and returns a float, NaN where not measurable.
+        Takes the arrays and returns a float, NaN if not measurable.
     *values : array_like, shape (n, ...)
-        Resampled together by rows; several for paired statistics.
+        Resampled together by rows. Paired statistics have several arrays.
     repeats : int
     seed : int
 
     Returns
     -------
     Interval
-        ``value`` from all rows; NaN bounds where fewer than half of the resamples are measurable.
+        ``value`` from all rows; NaN bounds if fewer than half of the resamples are measurable.
 
     Raises
     ------
@@ -272,15 +272,15 @@ def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
     xy : array_like, shape (n, 2)
         Coordinates in a plane.
     direction : float
-        Degrees counter-clockwise from the first axis: that of scan lines, which lie in a strip as a
-        whole but for those on its borders.
+        Degrees counter-clockwise from the first axis, the direction of scan lines. Whole lines then
+        lie in a strip, except for lines on its borders.
     count : int
         Strips each way.
 
     Returns
     -------
     array of int, shape (2, n)
-        A block for the functions below: points depend on those of their strip along and across.
+        Blocks for the functions below: points depend on other points of their two strips.
 
     Examples
     --------
@@ -299,8 +299,8 @@ def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     """Return half the 95 % interval of a mean of values that depend on their neighbours.
 
-    Its standard error follows from the sums over blocks, which are nearly independent where the
-    dependence is short; Student's t of the blocks turns it into an interval.
+    The standard error follows from the sums over blocks, which are nearly independent if the
+    dependence is short. Student's t of the blocks turns it into an interval.
 
     Parameters
     ----------
@@ -327,13 +327,13 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     """Return the 95 % interval of a median of values that depend on their neighbours.
 
     The share of values below the median has a standard error that follows from its sums over
-    blocks, which are nearly independent where the dependence is short. Student's t and the
+    blocks, which are nearly independent if the dependence is short. Student's t and the
     quantiles of the values turn it into an interval of the median.
 
     Parameters
     ----------
     values : array_like, shape (n,)
-        NaN where not measurable; infinity is a large value.
+        NaN if not measurable; infinity is a large value.
     block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks` and :func:`strips`.
 
@@ -370,20 +370,20 @@ def median_ratio_interval(
 ) -> tuple[float, float]:
     """Return the 95 % interval of median(top) / median(bottom), both of the same places.
 
-    On the logarithm, from the intervals of both medians and the correlation of their sums over
-    blocks.
+    The interval of the logarithm follows from the intervals of both medians and the correlation of
+    their sums over blocks.
 
     Parameters
     ----------
     top, bottom : array_like, shape (n,)
-        Positive; NaN where not measurable.
+        Positive; NaN if not measurable.
     block : array_like of int, shape (n,), (2, n) or (4, n)
         See :func:`blocks` and :func:`strips`.
 
     Returns
     -------
     low, high : float
-        NaN where one of the medians has no interval.
+        NaN if one of the medians has no interval.
 
     Examples
     --------
@@ -415,7 +415,7 @@ def _medians(rows):
 
 
 def _influence(rows):
-    """What each value adds to the error of the share of its row below the median."""
+    """The part of each value in the error of the share of its row below the median."""
     middles = _medians(rows)
     signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
@@ -424,9 +424,9 @@ def _influence(rows):
 def _reach(rows, block):
     """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks.
 
-    Where blocks go two ways, variances by either way are added, and that by both is taken off
-    (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136); of several pairs of ways, the
-    one with the largest counts.
+    For two ways of blocks their variances are added, and the variance of their intersections is
+    subtracted (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136). Of several pairs of
+    ways, the pair with the largest variance counts.
     """
     ways = np.atleast_2d(block)
     least = min(np.count_nonzero(np.bincount(way)) for way in ways)

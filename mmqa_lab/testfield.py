@@ -6,7 +6,7 @@ were removed (section 3.2). Start here::
 
     from mmqa_lab import testfield
 
-    table = testfield.height_differences(cloud, reference)          # or why a point has none
+    table = testfield.height_differences(cloud, reference)          # or the reason for none
     testfield.height_accuracy(table)                                # shift kept, shift removed
     table["distance_m"] = testfield.distance_to_path(reference, trajectory)
     testfield.trend(table["distance_m"], (table["dz_m"] - table["dz_m"].mean()).abs())
@@ -14,7 +14,7 @@ were removed (section 3.2). Start here::
 
 ASPRS Positional Accuracy Standards (edition 2, 2023) call the RMSE of height with the shift kept
 RMSE_V, that of the plan (equation 3-1) RMSE_H, and add to both the uncertainty of the check points'
-own survey. They have given up 95 % confidence levels, and ask for 30 check points or more.
+own survey. They no longer use 95 % confidence levels, and require 30 check points or more.
 """
 
 from __future__ import annotations
@@ -40,27 +40,28 @@ from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
 GROSS, LEAST_GROSS_M = 5.0, 0.01
-"""Differences so many NMAD from the median, but 1 cm at least, are gross errors."""
+"""Gross errors are farther than this many NMAD, and farther than 1 cm, from the median."""
 
 REASONS = ("", "no points", "not surrounded", "slope", "gross error")
-"""Why a reference point has no valid difference; empty where it has one."""
+"""Reasons for a missing difference; empty for a valid difference."""
 
 SLICES = {"pole": ((0.5, 1.5), (4.5, 5.5)), "building": ((1.0, 3.0),), "curb": ((0.03, 0.10),)}
-"""Metres above a target's foot between which its points are taken, by its kind: our choice."""
+"""Slices of each kind of target: lower and upper height above the foot, m. They are our choice."""
 
 REPORT_SLICES = dict.fromkeys(("pole", "building"), ((-0.1, 0.5), (4.5, 5.5)))
 REPORT_SLICES["curb"] = ((-0.1, 0.5),)
-"""Those of the report, section 3.1.2.3. In the lower one, 0.6 m thick, a distant thin pole has few
-points, and the ground is part of it."""
+"""Slices of the report, section 3.1.2.3. The lower slice is 0.6 m thick. A distant thin pole has
+few points in it, and the ground is part of it."""
 
 POLE_SEARCH_M, CORNER_SEARCH_M = 0.4, 2.0
-"""Points up to this far from a target in plan are taken."""
+"""Largest distance in plan of points from a pole and from a corner."""
 
 FEWEST, FEWEST_ON_LINE = 8, 10
-"""Points a circle needs (on fewer, it may fit on the wrong side of them), and each line."""
+"""Least number of points for a circle and for a line. A circle through fewer points may lie on
+their wrong side."""
 
 NEAR_LINE_M = 0.03
-"""Points up to this far from a line belong to it."""
+"""Largest distance of a line's points from it."""
 
 
 def compare_heights(
@@ -122,9 +123,9 @@ def height_differences(
 ) -> pd.DataFrame:
     """Return the height of a cloud above reference points.
 
-    The cloud is triangulated (Delaunay) around the reference points; the triangle about a reference
-    point gives the height, where its corners lie within the radius and the surface there (the
-    regression plane of all points within the radius) is not steeper than the limit.
+    The cloud is triangulated (Delaunay) around the reference points. The triangle around a
+    reference point gives the height if its corners lie within the radius. The surface must not be
+    steeper than the limit; it is the regression plane of all points within the radius.
 
     Parameters
     ----------
@@ -135,29 +136,28 @@ def height_differences(
     radius : float
         Search radius in plan, m.
     slope_limit : float
-        Of the surface, degrees: steeper ones are curbs, cars or hedges. Not the triangle's own
-        slope, which with centimetres of noise is steep on any dense cloud.
+        Largest slope of the surface, degrees. Steeper surfaces are curbs, cars or hedges. The slope
+        of the triangle is not used: with centimetres of noise it is steep in any dense cloud.
 
     Returns
     -------
     DataFrame
-        One row a reference point: ``x_m``, ``y_m``, ``reference_m``; ``n`` points within the
-        radius; ``dz_m`` cloud minus reference, NaN where there is no surface; ``slope_deg``;
-        ``reason`` why it does not count, one of ``REASONS``. Rows of a ``slope`` or ``gross
-        error`` keep their ``dz_m``.
+        A row per reference point: ``x_m``, ``y_m``, ``reference_m``; ``n`` points within the
+        radius; ``dz_m`` cloud minus reference, NaN without a surface; ``slope_deg``; ``reason``,
+        one of ``REASONS``. Rows of a ``slope`` or ``gross error`` keep their ``dz_m``.
 
     Raises
     ------
     ValueError
-        If an array is not made of finite points or a limit is not above zero.
+        If a point is not finite, or if a limit is not above zero.
 
     Notes
     -----
-    A triangulated surface averages little: the difference carries about 0.7 of a single point's
-    noise (root of the mean of the sum of squared barycentric coordinates, 1/2).
+    A triangulated surface averages little. The noise of a difference is 0.7 of the noise of a point
+    (the root of 1/2, the mean of the sum of squared barycentric coordinates).
 
-    Gross errors are differences more than five NMAD from the median, but 1 cm at least; in the
-    report they were looked at and removed by hand.
+    Gross errors are differences more than five NMAD, and more than 1 cm, from the median. In the
+    report an operator removed them.
 
     References
     ----------
@@ -195,20 +195,20 @@ def height_differences(
 
 
 def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise height differences with the systematic shift kept, and removed.
+    """Summarise height differences, with the systematic shift and without it.
 
     Parameters
     ----------
     table : DataFrame
-        From ``height_differences``; rows with a reason do not count.
+        From :func:`height_differences`; rows with a reason do not count.
 
     Returns
     -------
     DataFrame
         Two rows, ``shift`` = kept and removed: ``n``; ``mean_mm`` (the shift), ``median_mm``,
-        ``min_mm``, ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the difference
-        that 90 % of all stay within; 95 % intervals of the shift and the RMSE (``mean_low_mm``,
-        ``mean_high_mm``, ``rmse_low_mm``, ``rmse_high_mm``).
+        ``min_mm``, ``max_mm``, ``std_mm``, ``rmse_mm``, ``nmad_mm`` and ``le90_mm``, the 90 %
+        quantile of the absolute differences; 95 % confidence intervals of the shift and the RMSE
+        (``mean_low_mm``, ``mean_high_mm``, ``rmse_low_mm``, ``rmse_high_mm``).
 
     Raises
     ------
@@ -217,14 +217,14 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
 
     Notes
     -----
-    With the shift kept the figures are absolute accuracy and depend on the height system of the
-    reference; with the shift removed they describe the scatter. LE90 is taken from the differences,
-    not as 1.645 RMSE, which is right for normal errors without a shift only.
+    With the shift the figures are absolute accuracy and depend on the height system of the
+    reference. Without the shift they describe the scatter. LE90 is a quantile of the differences.
+    The formula 1.645 RMSE would hold only for normal errors without a shift.
 
     The intervals are for other reference points on the same drives. They follow from the sums of
-    4 x 4 blocks of the field (:func:`mmqa_lab.stats.mean_reach`), that of the RMSE on its
-    logarithm; without ``x_m`` and ``y_m`` differences are taken as independent. What errors of the
-    path have in common over all of the field, they do not contain.
+    4 x 4 blocks of the field (:func:`mmqa_lab.stats.mean_reach`); the interval of the RMSE is
+    computed for its logarithm. Without ``x_m`` and ``y_m`` the differences count as independent.
+    The intervals do not contain errors of the path that are the same all over the field.
 
     Examples
     --------
@@ -245,14 +245,14 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
-    """Return the number of the drive of each point: a gap in time begins a new one.
+    """Return the number of each point's drive; a gap in time begins a new drive.
 
     Parameters
     ----------
     gps_time : array_like, shape (n,)
         Seconds, in any order.
     gap_s : float
-        Shortest gap between drives, s. A drive may pass a place more than once within an hour.
+        Shortest gap between drives, s. Within an hour, one drive may pass a place more than once.
 
     Returns
     -------
@@ -279,10 +279,11 @@ def plan_differences(
 ) -> pd.DataFrame:
     """Measure the plan positions of targets in a cloud.
 
-    In each slice of height the points near a pole get a circle, robustly (Cauchy loss of the
-    distances from it), of the reference diameter where one is given. Points of the two faces of a
-    corner get two lines: the one with the most points within 3 cm, then that of the rest,
-    both fitted robustly (Tukey) to the points on their side of the corner.
+    In each slice of height a circle is fitted to the points near a pole, robustly (Cauchy loss of
+    the distances) and with the reference diameter if it is given. For a corner, two lines are
+    fitted to the points of both faces. The first line has the most points within 3 cm, the second
+    the most of the remaining points. Both are then fitted robustly (Tukey) to the points on their
+    side of the corner.
 
     Parameters
     ----------
@@ -297,11 +298,11 @@ def plan_differences(
     Returns
     -------
     DataFrame
-        One row a target and slice: ``name``, ``kind``, ``x_m``, ``y_m``, ``height_m`` (middle of
-        the slice), ``n`` points used, ``dx_m``, ``dy_m`` (cloud minus reference), ``reason`` why
-        they are missing, or "gross error": a line or circle of something else, farther from the
-        median than five standard deviations (by the median of the distances) and than 1 cm. Rows of
-        a gross error keep their values.
+        A row per target and slice: ``name``, ``kind``, ``x_m``, ``y_m``, ``height_m`` (middle of
+        the slice), ``n`` points used, ``dx_m``, ``dy_m`` (cloud minus reference), and ``reason`` if
+        they are missing. The reason "gross error" marks lines or circles of other things: they are
+        farther from the median than five standard deviations (from the median of the distances) and
+        than 1 cm. These rows keep their values.
 
     Raises
     ------
@@ -310,13 +311,13 @@ def plan_differences(
 
     Notes
     -----
-    Seen from one side, points cover less than half of a circle: with a free diameter centre and
-    radius trade off along the line of sight, and a few centimetres are lost on a thin pole.
+    Seen from one side, points cover less than half of a circle. If the diameter is free, centre and
+    radius are correlated along the line of sight. The error on a thin pole is a few centimetres.
 
     References
     ----------
-    EuroSDR 2013, mobile laser scanning, section 3.1.2.3. There an operator measured the targets,
-    curbs in the lower slice, poles and buildings in both; circles were fitted to poles by eye.
+    EuroSDR 2013, mobile laser scanning, section 3.1.2.3. There an operator measured curbs in the
+    lower slice, and poles and buildings in both slices. Circles were fitted to poles by eye.
 
     Examples
     --------
@@ -354,7 +355,7 @@ def plan_differences(
 
 
 def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise plan differences, as measured and with systematic easting and northing removed.
+    """Summarise plan differences, with the systematic shift in easting and northing and without it.
 
     Parameters
     ----------
@@ -365,15 +366,15 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         Two rows, ``shift`` = kept and removed: ``n``, ``missing``; ``mean_east_mm``,
-        ``mean_north_mm``, ``std_east_mm``, ``std_north_mm``; of the distances in plan ``mean_mm``,
-        ``min_mm``, ``max_mm``, ``std_mm``; and ``rmse_mm``, the root of the mean squared distance
-        (equation 3-1; ASPRS: RMSE_H). 95 % intervals of the shift and the RMSE, as
-        ``mean_east_low_mm`` and ``mean_east_high_mm``.
+        ``mean_north_mm``, ``std_east_mm``, ``std_north_mm``; ``mean_mm``, ``min_mm``, ``max_mm``,
+        ``std_mm`` of the distances in plan; ``rmse_mm``, the root of the mean squared distance
+        (equation 3-1; ASPRS: RMSE_H). The 95 % confidence intervals of the shift and the RMSE have
+        names such as ``mean_east_low_mm`` and ``mean_east_high_mm``.
 
     Notes
     -----
-    The intervals are for other targets on the same drives: all slices of a target are one value,
-    targets are taken as independent. See :func:`height_accuracy`.
+    The intervals are for other targets on the same drives. All slices of a target count as a single
+    value, and targets count as independent. See :func:`height_accuracy`.
 
     Examples
     --------
@@ -400,7 +401,7 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _figures(values, block):
-    """The figures that heights and distances in plan have, of values in mm."""
+    """The figures that heights and distances in plan share; values in mm."""
     found = errors(values)
     low, high = (values.min(), values.max()) if len(values) else (np.nan, np.nan)
     share = mean_reach(values**2, block) / np.maximum(found.rmse**2, 1e-300) / 2
@@ -430,13 +431,13 @@ def _mean_ends(name, values, block):
 
 
 def thinned(points: ArrayLike, side: float) -> np.ndarray:
-    """Return one point of each square in plan: the one nearest its middle.
+    """Return a point of each square in plan: the point nearest to its middle.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
     side : float
-        Of the squares, m.
+        Side of the squares, m.
 
     Returns
     -------
@@ -461,7 +462,7 @@ def thinned(points: ArrayLike, side: float) -> np.ndarray:
 
 
 def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
-    """Fit a straight line of errors over distance, as in Figures 3-18 and 3-20 of the report.
+    """Fit a straight line to errors over distance, as in Figures 3-18 and 3-20 of the report.
 
     Parameters
     ----------
@@ -483,8 +484,8 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
 
     Notes
     -----
-    The interval takes errors as independent. Along one drive they are not: a drift of the
-    trajectory moves all points of a stretch together, and the true interval is wider.
+    The interval holds for independent errors. Errors along a drive are not independent: a drift of
+    the trajectory moves all points of a stretch together. The true interval is then wider.
 
     Examples
     --------
@@ -539,9 +540,9 @@ def distance_to_path(points: ArrayLike, path: ArrayLike | pd.DataFrame) -> np.nd
 
 
 def _surfaces(points, targets, radius):
-    """Height of the triangle and slope (degrees) of the plane about each target, points near.
+    """Height of the triangle and slope (degrees) of the plane around each target, number of points.
 
-    NaN where there is no such triangle.
+    Heights are NaN without a triangle.
     """
     height, slope = np.full((2, len(targets)), np.nan)
     counts, places = np.zeros(len(targets), dtype=int), cKDTree(targets[:, :2])
@@ -591,7 +592,7 @@ def _circle(xy, diameter):
 
 
 def _corner(xy, rng):
-    """Where the two lines of a corner meet, number of points, the reason why they do not."""
+    """The corner where two lines meet, number of points, and the reason if there is no corner."""
     nothing = np.nan, np.nan, len(xy)
     lines, rest = [], xy
     for few in ("too few points", "one line"):
@@ -626,7 +627,7 @@ def _line(xy, rng):
 
 
 def _side(xy, corner, line, other):
-    """Which points lie on their side of a corner on a line, and clear of the other one."""
+    """Mask of the points on a line, on their side of the corner and off the other line."""
     near = np.abs(line.distances(xy)) < NEAR_LINE_M
     near &= np.abs(other.distances(xy)) > 2 * NEAR_LINE_M
     along = (xy - corner) @ line.direction
@@ -634,7 +635,7 @@ def _side(xy, corner, line, other):
 
 
 def _extent(points):
-    """Where points lie, in words."""
+    """The extent of points in words."""
     points = np.asarray(points)
     (west, south), (east, north) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     return f"x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m"
