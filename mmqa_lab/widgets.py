@@ -5,7 +5,7 @@ Without a screen (``MMQA_HEADLESS``) every control is replaced by a picture of i
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -60,15 +60,11 @@ AXES = ("easting", "northing", "height")
 LOCK = threading.RLock()
 
 
-def _in_turn(function):
+@contextlib.contextmanager
+def _in_turn():
     """Let changes and drawings take turns: JupyterLab handles each widget in its own thread."""
-
-    @functools.wraps(function)
-    def waiting(*arguments):
-        with LOCK:
-            return function(*arguments)
-
-    return waiting
+    with LOCK:
+        yield
 
 
 def explore(
@@ -256,7 +252,7 @@ class SelectionTool:
             return function
         output = ipywidgets.Output()
 
-        @_in_turn
+        @_in_turn()
         def again(_=None):
             """Replace the output shown."""
             with output:
@@ -291,7 +287,7 @@ class SelectionTool:
         """Coordinates in space of points in the picture, shape (n, 3), m."""
         return self.frame.centre + np.asarray(xy) @ self.frame.axes
 
-    @_in_turn
+    @_in_turn()
     def _moved(self, vertices):
         """Evaluate and draw the selection again after a change of the polygon."""
         self.vertices = self._to_space(vertices)
@@ -367,7 +363,7 @@ class SurfaceTool(SelectionTool):
         self._enter(first, 0)
         super().__init__(self.surface(first), **choices)
 
-    @_in_turn
+    @_in_turn()
     def choose(self, cloud: str, plane: int = 0) -> None:
         """Choose a plane by the name of its cloud and its number in ``planes``."""
         check_choice(cloud, "cloud", tuple(self._points))
@@ -453,7 +449,7 @@ def _canvas(figure):
 
     matplotlib.use(backend)
     canvas = Canvas(figure)
-    canvas.draw = _in_turn(canvas.draw)  # or a half changed figure would be drawn
+    canvas.draw = _in_turn()(canvas.draw)  # or a half changed figure would be drawn
     canvas.header_visible, canvas.toolbar_visible = False, True
     canvas.toolbar_position = "right"  # below, it would hide the coordinates of the mouse
     canvas.keep = FigureManager(canvas, 0)  # without its manager the toolbar disappears
