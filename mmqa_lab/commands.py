@@ -576,6 +576,10 @@ def accuracy(
     if targets is not None:
         differences = testfield.plan_differences(points, _targets(targets))
         summary = testfield.plan_accuracy(differences)
+        missing = differences["reason"].value_counts().drop("", errors="ignore")
+        summary["remarks"] = " ".join(
+            f"{reason.capitalize()}: {n}." for reason, n in missing.items()
+        )
     else:
         heights = io.read_heights(reference, crs=points.crs)
         summary, differences = testfield.compare_heights(points, heights, radius=radius)
