@@ -391,11 +391,9 @@ def _setup(scanner, speed, given):
     if scanner is not None:
         profilers = [name for name, one in PRESETS.items() if not one.upright]
         preset = PRESETS[check_choice(scanner, "scanner", profilers)]
-        mounting = {
-            f"scanner_{name}": getattr(preset, name) for name in ("heading_deg", "tilt_deg")
-        }
+        angles = {f"scanner_{turn}": getattr(preset, turn) for turn in ("heading_deg", "tilt_deg")}
         rates = {name: getattr(preset, name) for name in ("pulse_rate_hz", "mirror_frequency_hz")}
-        given = mounting | rates | given
+        given = angles | rates | given
     if not {"pulse_rate_hz", "mirror_frequency_hz"} <= set(given):
         raise ValueError(
             "Invalid plan. Must have --pulse-rate and --mirror-frequency, or --scanner."
