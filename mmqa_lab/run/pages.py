@@ -26,7 +26,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 # A formula on a line of its own, or within a text.
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
 
-SCRIPT = re.compile(r"<script.*?</script>", re.DOTALL)
 WRAPPED = "<style>.highlight pre { white-space: pre-wrap !important }</style>"
 
 # File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`.
@@ -93,7 +92,7 @@ def notebook_page(notebook, title, *, above=()):
     notebook.cells.insert(0, nbformat.v4.new_markdown_cell("\n\n".join([WRAPPED, *above])))
     notebook.metadata["title"] = title
     body, _ = HTMLExporter().from_notebook_node(notebook)
-    return SCRIPT.sub("", body)  # of the network
+    return re.sub(r"(?s)<script.*?</script>", "", body)  # they would ask the network
 
 
 def _mathml(formula):
