@@ -57,10 +57,10 @@ def run_study(study, folder, *, quick=False):
     above += ["**Quick run: small parameters, for a first look.**"] if quick else []
     above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
     record = read_record(target) | {"seconds": seconds, "failure": failure}
-    texts = (nbformat.writes(notebook), notebook_page(notebook, study.title, above=above))
-    for ending, text in zip(("ipynb", "html"), texts, strict=True):
-        write_atomically(target / f"{study.stem}.{ending}", text)
-        record["files"].append(f"{study.stem}.{ending}")
+    write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
+    page = notebook_page(notebook, study.title, above=above)
+    write_atomically(target / f"{study.stem}.html", page)
+    record["files"] += [f"{study.stem}.ipynb", f"{study.stem}.html"]
     write_record(target, record)
     return record
 
