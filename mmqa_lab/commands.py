@@ -28,9 +28,6 @@ FIGURES = (".pdf", ".png", ".svg")
 
 TEST_CORES = ("-n=logical", "--maxprocesses=4")
 
-# Memory that a study may need. As many studies run at the same time as fit.
-GB_A_STUDY = 1.5
-
 ABOUT = """The quality of mobile mapping point clouds and images.
 
 Evaluate your own data, run studies of published metrics, or open the notebooks.
@@ -998,7 +995,7 @@ def _fitting_workers():
         free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (AttributeError, ValueError, OSError):  # Windows does not tell the free memory
         return cores
-    return max(1, min(cores, int(free / GB_A_STUDY)))
+    return max(1, min(cores, int(free / 1.5)))  # a study may need 1.5 GB
 
 
 def _run_studies(run_study, studies, folder, quick, workers):
@@ -1066,11 +1063,10 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     from mmqa_lab.run.pages import TEMPLATES
     from mmqa_lab.studies import notebooks_folder
 
-    folder = notebooks_folder()
     command = [sys.executable, "-m", "jupyterlab", "--LabApp.news_url=None", *options]
     config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
     environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
-    return subprocess.call(command, cwd=folder, env=environment)
+    return subprocess.call(command, cwd=notebooks_folder(), env=environment)
 
 
 @app.command
