@@ -356,8 +356,9 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     >>> bool(low < 5 < high), bool(high - low < 0.2)
     (True, True)
     """
-    known = ~np.isnan(values)
-    values, block = np.asarray(values)[known], np.asarray(block)[..., known]
+    values, block, known = np.asarray(values), np.asarray(block), ~np.isnan(values)
+    if not known.all():  # a copy of the blocks takes longer than the rest
+        values, block = values[known], block[..., known]
     reach = _reach(_influence(values[None]), block)[0] if len(values) else np.nan
     if np.isnan(reach):
         return np.nan, np.nan
