@@ -61,7 +61,7 @@ MEASURES = {
     "arc": ("share of the circle's directions with points", 0),
     "slender": ("length of the run by the circle's diameter", 1),
     "head": ("mean distance from the centre 8 to 28 cm below the top, by that farther down", 0),
-    "top_m": ("highest point within 1 m", 0),
+    "top_m": ("foot of the highest bin with points within 1 m", 0),
     "around_low": ("share of directions with points 1 to 4 m away, up to 1 m high", 0),
     "around_mid": ("the same, 1 to 2.5 m high", 0),
     "around_high": ("the same, 2.5 to 5 m high", 0),
