@@ -30,6 +30,7 @@ from mmqa_lab._checks import (
 from mmqa_lab.cloud import Cloud
 
 LAS_ENDINGS = (".las", ".laz")
+TIFF_ENDINGS = (".tif", ".tiff")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", ".txt", ".csv", ".xyz")
 
 SCAN_ANGLE_STEP = 0.006
@@ -58,6 +59,9 @@ SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
 
 HIGHEST_M = 20_000.0
 """No height of a point is larger."""
+
+BAND_NAME = r'sample="(\d+)" role="description">([^<]*)<'
+"""Number and name of a band in the metadata that GDAL writes into TIFF files."""
 
 NO_HEIGHT_M = 9999.0
 """Reference heights as large as this stand for none, -9999 and -32768 among them."""
@@ -243,7 +247,7 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: flo
 
 
 @contextlib.contextmanager
-def _damage_named(path, wanted):
+def _damage_named(path, wanted, name="cloud"):
     """Turn any error of a reader on a damaged file into one sentence."""
     try:
         yield
@@ -251,7 +255,7 @@ def _damage_named(path, wanted):
         raise
     except BaseException as error:  # the Rust reader of LAZ panics outside of Exception
         reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(". ")
-        raise ValueError(f"Invalid cloud {path}: {reason}. Must be {wanted}.") from error
+        raise ValueError(f"Invalid {name} {path}: {reason}. Must be {wanted}.") from error
 
 
 def _las_clouds(path, chunk, columns):
@@ -618,11 +622,10 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     import cv2
 
     _check_complete(check_file(path, "image"))
-    # OpenCV prints what it dislikes of a file; the sentence below says it
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if grey is None or grey.dtype.kind != "u" or min(grey.shape) < 3:
-        raise ValueError(f"Invalid image {path}. Must be JPEG, PNG or TIFF of 8 or 16 bits.")
+    with _damage_named(path, "JPEG, PNG or TIFF of 8 or 16 bits", "image"):
+        grey = _pixels(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        if grey.dtype.kind != "u" or min(grey.shape) < 3:
+            raise ValueError(f"{grey.shape} pixels of type {grey.dtype}")
     return grey
 
 
@@ -635,10 +638,41 @@ def read_bands(path: str | os.PathLike) -> tuple[np.ndarray, list[str]]:
     names : list of str
         What the file calls the bands, or their numbers.
     """
-    _check_complete(check_file(path, "image"))
-    with _raster(path, "image") as file:
-        names = [name or str(k) for k, name in enumerate(file.descriptions, start=1)]
-        return file.read(), names
+    import cv2
+
+    path = check_file(path, "image")
+    _check_complete(path)
+    with _damage_named(path, "a whole JPEG, PNG or TIFF", "image"):
+        if path.suffix.lower() in TIFF_ENDINGS:
+            return _tiff_bands(path)
+        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        values = np.atleast_3d(_pixels(path, flags))[..., ::-1]  # OpenCV begins with blue
+        return np.moveaxis(values, 2, 0), [str(k) for k in range(1, values.shape[2] + 1)]
+
+
+def _tiff_bands(path):
+    """Bands of the first page of a TIFF file and their names, or numbers where they have none."""
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        values, listed = page.asarray(), page.tags.valueof("GDAL_METADATA", default="")
+        if page.axes[0] != "S":
+            values = np.moveaxis(np.atleast_3d(values), 2, 0)
+    names = dict(re.findall(BAND_NAME, listed))
+    return values, [names.get(str(k), str(k + 1)) for k in range(len(values))]
+
+
+def _pixels(path, flags):
+    """An image as OpenCV decodes it."""
+    import cv2
+
+    # OpenCV prints what it dislikes of a file; the sentence of the caller says it
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    pixels = cv2.imread(str(path), flags)
+    if pixels is None:
+        raise ValueError("no image that can be decoded")
+    return pixels
 
 
 def _check_complete(path):
@@ -647,20 +681,6 @@ def _check_complete(path):
     end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2], b"")
     if end not in data[-4096:]:
         raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
-
-
-@contextlib.contextmanager
-def _raster(path, name):
-    """An image file opened by rasterio; its errors on a damaged file become one sentence."""
-    import rasterio
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        try:
-            with rasterio.open(path) as file:
-                yield file
-        except rasterio.errors.RasterioError as error:
-            raise ValueError(f"Invalid {name} {path}. Must be whole JPEG, PNG or TIFF.") from error
 
 
 def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
@@ -693,7 +713,7 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     ...     read_heights(Path(folder) / "levelled.csv").tolist()
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
-    raster = check_file(path, "reference").suffix.lower() in (".tif", ".tiff")
+    raster = check_file(path, "reference").suffix.lower() in TIFF_ENDINGS
     cloud = _raster_cloud(path) if raster else read_cloud(path, columns=())
     check_same_crs(f"reference {path}", cloud.crs, "cloud", crs)
     points = cloud.points[np.abs(cloud.points[:, 2]) < NO_HEIGHT_M]
@@ -702,14 +722,24 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
 
 def _raster_cloud(path):
     """The cells of a GeoTIFF that have a height."""
+    import cv2
     import pyproj
-    import rasterio
+    import tifffile
 
-    with _raster(path, "reference") as raster:
-        if raster.count != 1 or raster.transform.is_identity:
-            raise ValueError(f"Invalid reference {path}. Must be a placed GeoTIFF of one band.")
-        heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
-        crs = None if raster.crs is None else pyproj.CRS(raster.crs.to_wkt())
-        rows, columns = np.nonzero(np.isfinite(heights))
-        x, y = rasterio.transform.xy(raster.transform, rows, columns)
-    return Cloud(np.column_stack([x, y, heights[rows, columns]]), crs=crs)
+    wanted = "a GeoTIFF of one band with north upwards and an EPSG number"
+    with _damage_named(path, wanted, "reference"), tifffile.TiffFile(path) as file:
+        tags, keys = file.pages[0].tags, file.pages[0].geotiff_tags or {}
+        column, row, _, east, north, _ = tags["ModelTiepointTag"].value[:6]
+        width, depth, _ = tags["ModelPixelScaleTag"].value
+        number = keys.get("ProjectedCSTypeGeoKey", keys.get("GeographicTypeGeoKey"))
+        crs = None if number is None else pyproj.CRS(int(number))
+        pixels = _pixels(path, cv2.IMREAD_UNCHANGED)
+        rows, columns = np.indices(pixels.shape)
+        nothing = np.float64(tags.valueof("GDAL_NODATA", default="nan"))
+    heights = pixels.astype(np.float64)
+    if np.isfinite(nothing):
+        heights[pixels == nothing.astype(pixels.dtype)] = np.nan
+    middle = 0.5 if keys.get("GTRasterTypeGeoKey", 1) == 1 else 0.0
+    x, y = east + (columns + middle - column) * width, north - (rows + middle - row) * depth
+    points = np.stack([x, y, heights], axis=-1)
+    return Cloud(points[np.isfinite(heights)], crs=crs)

@@ -319,11 +319,16 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
         free = exempt(whole["d1"] / 1000, whole["d4"] / 1000, rho0)
         free = np.where(np.isnan(whole["d4"]), np.nan, free)
         whole["exempt"] = ("y", "x"), free, {"units": "1", "long_name": "1 where f does not matter"}
-    if run["crs"]:
-        import rioxarray  # noqa: F401 - it adds the accessor
+    return placed(whole, run["crs"]) if run["crs"] else whole
 
-        whole = whole.rio.write_crs(run["crs"])
-    return whole
+
+def placed(dataset, crs):
+    """Return a map with its coordinate reference system, as the CF conventions write it."""
+    import pyproj
+
+    mapping = {"grid_mapping": "spatial_ref"}
+    figures = {name: figure.assign_attrs(mapping) for name, figure in dataset.items()}
+    return dataset.assign(figures).assign_coords(spatial_ref=((), 0, pyproj.CRS(crs).to_cf()))
 
 
 def summarise(dataset: xr.Dataset) -> pd.DataFrame:
@@ -368,8 +373,34 @@ def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
         return
     if "spatial_ref" not in dataset.coords:
         raise ValueError(f"Invalid map {path}: no coordinate system in the files. Must be .nc.")
-    bands = dataset.astype(np.float32).isel(y=slice(None, None, -1))
-    write_atomically(path, lambda file: bands.rio.to_raster(file, driver="GTiff"))
+    write_atomically(path, lambda file: _write_geotiff(dataset, file))
+
+
+def _write_geotiff(dataset, path):
+    """Write the figures as bands from north to south (OGC GeoTIFF 1.1, GDAL's names of bands)."""
+    import pyproj
+    import tifffile
+
+    crs, cell = pyproj.CRS(dataset["spatial_ref"].attrs["crs_wkt"]), dataset.attrs["cell_m"]
+    number = (crs.sub_crs_list[0] if crs.is_compound else crs).to_epsg()
+    if number is None:
+        raise ValueError(
+            f"Invalid map in {crs.name}. Must have an EPSG number, or be written as .nc."
+        )
+    corner = float(dataset["x"][0]) - cell / 2, float(dataset["y"][-1]) + cell / 2
+    keys = (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, number)
+    item = '<Item name="DESCRIPTION" sample="{}" role="description">{}</Item>'
+    names = "".join(item.format(k, name) for k, name in enumerate(dataset))
+    tags = [
+        (33550, "d", 3, (cell, cell, 0.0)),
+        (33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0)),
+        (34735, "H", len(keys), keys),
+        (42112, "s", 0, f"<GDALMetadata>{names}</GDALMetadata>"),
+        (42113, "s", 0, "nan"),
+    ]
+    bands = np.stack([dataset[name].values[::-1] for name in dataset]).astype(np.float32)
+    choices = {"photometric": "minisblack", "planarconfig": "separate", "compression": "zlib"}
+    tifffile.imwrite(path, bands, extratags=tags, metadata=None, **choices)
 
 
 def check_ending(path):

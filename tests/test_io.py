@@ -4,6 +4,7 @@ import json
 import os
 
 import laspy
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pyproj
@@ -17,6 +18,7 @@ from mmqa_lab._checks import check_same_crs
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import (
     iterate_cloud,
+    read_bands,
     read_cloud,
     read_heights,
     read_polygon,
@@ -251,6 +253,36 @@ def test_rasters_are_the_middles_of_their_cells(tmp_path, type_):
     expected = [[1000.25, 1999.75, 0], [1001.25, 1999.75, 2], [1000.25, 1999.25, 3]]
     assert read_heights(tmp_path / "h.tif")[:3].tolist() == expected
     assert len(read_heights(tmp_path / "h.tif")) == 5
+    raster(tmp_path / "whole.tif", heights)
+    assert read_heights(tmp_path / "whole.tif")[:, 2].tolist() == heights.ravel().tolist()
+
+
+@pytest.mark.parametrize("interleave", ["pixel", "band"])
+def test_bands_have_the_names_that_the_file_gives(tmp_path, interleave):
+    values = np.arange(4 * 6 * 5, dtype=np.uint16).reshape(4, 6, 5) * 500
+    shape = {"driver": "GTiff", "count": 4, "height": 6, "width": 5, "dtype": "uint16"}
+    with rasterio.open(
+        tmp_path / "i.tif", "w", interleave=interleave, compress="deflate", **shape
+    ) as file:
+        file.write(values)
+        file.descriptions = ("red", "green", "blue", None)
+    found, names = read_bands(tmp_path / "i.tif")
+    assert np.array_equal(found, values)
+    assert names == ["red", "green", "blue", "4"]
+
+
+def test_bands_of_a_photograph_begin_with_red(tmp_path):
+    values = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
+    plt.imsave(tmp_path / "i.png", values)
+    assert np.array_equal(read_bands(tmp_path / "i.png")[0], np.moveaxis(values, 2, 0))
+
+
+def test_turned_rasters_and_systems_without_a_number_are_refused(tmp_path):
+    turned, own = rasterio.Affine.rotation(10), "+proj=tmerc +lon_0=13.7 +ellps=GRS80"
+    for name, choices in {"turned": {"transform": turned}, "own": {"crs": own}}.items():
+        raster(tmp_path / f"{name}.tif", np.ones((2, 3)), **choices)
+        with pytest.raises(ValueError, match="Must be a GeoTIFF of one band with north upwards"):
+            read_heights(tmp_path / f"{name}.tif")
 
 
 def test_coordinate_systems_are_compared_in_plan():
