@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from towns import town
 
 from mmqa_lab import lines
+from mmqa_lab.lines.edges import Edges
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
 DENSITIES = {(300, True): 1, (60, False): 1, (10, False): 3}
@@ -36,7 +37,7 @@ def edges(density, windows, seed, length):
     held = held_across(found, street.faces).mean()
     middle = found.segments.mean(axis=1)
     low = (np.abs(middle[:, 0]) < 3.4) & (middle[:, 2] > 0.02) & (middle[:, 2] < 1.6)
-    cars = held_across(lines.Edges(found.segments[low], found.covariance[low]), street.faces).mean()
+    cars = held_across(Edges(found.segments[low], found.covariance[low]), street.faces).mean()
     held = {"covered": held, "cars' edges covered": cars}
     return {"scene": f"edges, {density} points/m2", **named, "s": used, **held}
 
