@@ -545,19 +545,18 @@ def _remark_on_bend(xy, residuals_mm, step_mm, scale):
 
 def _remark_on_layers(residuals_mm, step_mm):
     """A remark if the distances from the plane have two peaks, so they are not noise alone."""
-    from scipy.signal import find_peaks
-
     low, high = np.quantile(residuals_mm, [0.005, 0.995])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
     if len(residuals_mm) < 100 or not high - low > 4 * width:
         return []
     counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
-    heights = np.pad(counts, 1)
-    peaks, found = find_peaks(heights, height=0.05 * len(residuals_mm), prominence=0)
-    peaks = peaks[2 * found["prominences"] >= heights[peaks]]
-    if len(peaks) < 2:
+    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
+    lower = np.minimum(before, after)
+    k = np.argmax(lower - counts)
+    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
         return []
-    a, b = np.sort(edges[peaks[np.argsort(heights[peaks])[-2:]] - 1]) + width / 2
+    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
+    a, b = np.add(peaks, width / 2)
     return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
