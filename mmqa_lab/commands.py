@@ -802,11 +802,11 @@ def radiometry(
         raise ValueError(f"Invalid {measure} without targets. Must have --targets.")
     rows = []
     for file in _progress(images, "image"):
-        values, names = io.read_bands(file)
+        values = io.read_bands(file)
         shown = known
         if known is not None and "image" in known:
             shown = known[known["image"].isin([file.name, file.stem])]
-        frame = image_targets.measure(values, measure, targets=shown, bands=names, linear=linear)
+        frame = image_targets.measure(values, measure, targets=shown, linear=linear)
         frame.insert(0, "image", file.name)
         rows.append(frame)
     return pd.concat(rows, ignore_index=True)

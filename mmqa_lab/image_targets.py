@@ -6,7 +6,6 @@ band. The measures themselves are in :mod:`mmqa_lab.mtf` and :mod:`mmqa_lab.radi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +30,6 @@ def measure(
     what: str,
     *,
     targets: pd.DataFrame | None = None,
-    bands: Sequence[str] = (),
     linear: bool = False,
 ) -> pd.DataFrame:
     """Measure the targets of an image in each of its bands.
@@ -47,8 +45,6 @@ def measure(
     targets : DataFrame
         A row for each target with the columns of ``MEASURES``, px, ``name`` and, of the last two
         measures, ``radiance`` or ``reflectance`` (or radiance_1, radiance_2, ... by band).
-    bands : sequence of str
-        Names of the bands; their numbers where left out.
     linear : bool
         8-bit values are linear in light.
 
@@ -75,11 +71,10 @@ def measure(
     if codes and physical and not linear:
         raise ValueError("Invalid image of 8 bits, usually not linear. Must have 16, or be linear.")
     rows = []
-    names = list(bands) or [str(k + 1) for k in range(len(values))]
-    for number, (name, band) in enumerate(zip(names, values, strict=True), start=1):
+    for number, band in enumerate(values, start=1):
         if codes and not physical:
             band = decode(band / np.float32(255), "linear" if linear else "srgb")
-        rows += [{"band": name} | row for row in read(band, targets, number)]
+        rows += [{"band": str(number)} | row for row in read(band, targets, number)]
     return pd.DataFrame(rows)
 
 

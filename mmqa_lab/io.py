@@ -31,40 +31,32 @@ from mmqa_lab.cloud import Cloud
 
 LAS_ENDINGS = (".las", ".laz")
 TIFF_ENDINGS = (".tif", ".tiff")
+IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", ".txt", ".csv", ".xyz")
 
+# Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
 SCAN_ANGLE_STEP = 0.006
-"""Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10)."""
 
+# Names of numpy's types in PLY, besides its own: int8, float32, ...
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8"}
-"""Names of numpy's types in PLY, besides its own: int8, float32, ..."""
 
 PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 
-SAMPLED_LINES = 60
-"""Lines of a text file that are looked at to find out its layout."""
-
+# Columns of tables that are taken for coordinates, the first that are there.
 PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"))
 HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up")
-"""Columns of tables that are taken for coordinates, the first that are there."""
 
+# Columns of a vehicle's path, and other names of them.
 PATH_COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
 PATH_COLUMNS += ["roll_deg", "pitch_deg", "heading_deg"]
 PATH_NAMES = {"time": "time_s", "gps_time": "time_s", "t": "time_s", "yaw": "heading_deg"}
 PATH_NAMES |= {"roll": "roll_deg", "pitch": "pitch_deg", "heading": "heading_deg"}
-"""Columns of a vehicle's path, and other names of them."""
 
 SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
 
-HIGHEST_M = 20_000.0
-"""No height of a point is larger."""
-
-BAND_NAME = r'sample="(\d+)" role="description">([^<]*)<'
-"""Number and name of a band in the metadata that GDAL writes into TIFF files."""
-
+# Numbers as large as this are no heights; -9999 and -32768 stand for none.
 NO_HEIGHT_M = 9999.0
-"""Reference heights as large as this stand for none, -9999 and -32768 among them."""
 
 
 def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:
@@ -174,10 +166,8 @@ def iterate_cloud(
     """
     path = check_file(path, "cloud")
     ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
-    if ending in LAS_ENDINGS:
-        pieces = _las_clouds(path, chunk, columns)
-    else:
-        pieces = _ply_cloud(path) if ending == ".ply" else _text_cloud(path)
+    whole = _ply_cloud if ending == ".ply" else _text_cloud
+    pieces = _las_clouds(path, chunk, columns) if ending in LAS_ENDINGS else whole(path)
     for points, attributes, about in pieces:
         if columns is not None:
             check_columns(attributes, columns, f"cloud {path}")
@@ -232,10 +222,9 @@ def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: flo
         header.add_crs(cloud.crs)
     for name in cloud.columns.keys() - set(header.point_format.dimension_names):
         values = cloud[name]
-        if values.ndim != 1 or values.dtype.kind not in "fiub":
+        if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
-        kind = np.uint8 if values.dtype.kind == "b" else values.dtype
-        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
+        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype))
     las = laspy.LasData(header)
     las.xyz = points
     for name, values in cloud.columns.items():
@@ -324,7 +313,7 @@ def _text_cloud(path):
 def _read_text(path, name):
     """A text file as a table; columns without names are x, y, z, column_4, column_5, ..."""
     with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
-        lines = [line.strip() for line in islice(file, SAMPLED_LINES)]
+        lines = [line.strip() for line in islice(file, 60)]
     rows = [k for k, line in enumerate(lines) if line and not line.startswith(("#", "//"))]
     if not rows:
         raise ValueError(f"Invalid {name} {path}: no rows. Must be rows of columns.")
@@ -354,11 +343,9 @@ def _with_names(table, names, what):
         raise ValueError(f"Invalid {what}: {len(names)} names over {count} columns. Must agree.")
     if names is None and len(table) > 2 and count > 3:
         first, third = (pd.to_numeric(table[k], errors="coerce") for k in (0, 2))
-        if (first.diff()[1:] == 1).all() or (third.abs() > HIGHEST_M).any():
-            raise ValueError(
-                f"Invalid {what}: its first columns are not x, y, z. Must have a header that names "
-                "them."
-            )
+        if (first.diff()[1:] == 1).all() or (third.abs() > NO_HEIGHT_M).any():
+            found = "its first columns are not x, y, z"
+            raise ValueError(f"Invalid {what}: {found}. Must have a header that names them.")
     names = names or [*"xyz", *(f"column_{k}" for k in range(4, count + 1))][:count]
     return table.set_axis(names, axis=1)
 
@@ -416,8 +403,8 @@ def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) 
     Semicolons between columns are read too, then with decimal commas where there are some.
     """
     with open(check_file(path, name), encoding="utf-8-sig", errors="replace") as file:
-        head, row = file.readline(), file.readline()
-    marks = {"sep": ";", "decimal": "," if "," in row else "."}
+        head, rows = file.readline(), file.read()
+    marks = {"sep": ";", "decimal": "," if re.search(r"\d,\d", rows) else "."}
     table = _read_csv(path, name, **(marks if head.count(";") > head.count(",") else {}))
     check_columns(table, columns, f"{name} {path}")
     return table
@@ -508,11 +495,10 @@ def read_polygon(source: str | os.PathLike, *, crs: object = None) -> np.ndarray
     """
     text = str(source)
     if ";" in text:
-        try:
-            vertices = [list(map(float, row.split(","))) for row in text.split(";") if row.strip()]
-            return check_polygon(vertices)
-        except ValueError as error:
-            raise ValueError(f"Invalid polygon {text}. Must be 'x,y,z; x,y,z; x,y,z'.") from error
+        with _damage_named(text, "'x,y,z; x,y,z; x,y,z'", "polygon"):
+            rows = [row.split(",") for row in text.split(";") if row.strip()]
+            vertices = np.array(rows, dtype=np.float64)
+        return check_polygon(vertices)
     if check_file(source, "polygon").suffix.lower() in (".json", ".geojson"):
         return _polygon_of_geojson(Path(source), crs)
     return check_polygon(next(_text_cloud(Path(source)))[0], name=f"polygon {source}")
@@ -520,17 +506,13 @@ def read_polygon(source: str | os.PathLike, *, crs: object = None) -> np.ndarray
 
 def _polygon_of_geojson(path, crs):
     """The one ring of a GeoJSON file's polygon."""
-    try:
+    with _damage_named(path, "GeoJSON with one ring of vertices with heights", "polygon"):
         node = json.loads(path.read_text(encoding="utf-8"))
         stated = node.get("crs", {}).get("properties", {}).get("name")
         if node["type"] == "FeatureCollection":
             (node,) = node["features"]
         (ring,) = node.get("geometry", node)["coordinates"]
-        vertices = check_polygon(ring, name=f"polygon {path}")
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(
-            f"Invalid polygon {path}. Must be GeoJSON with one ring of vertices with heights."
-        ) from error
+        vertices = check_polygon(ring, name="vertices")
     if stated is not None:
         import pyproj
 
@@ -621,66 +603,43 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    _check_complete(check_file(path, "image"))
-    with _damage_named(path, "JPEG, PNG or TIFF of 8 or 16 bits", "image"):
+    with _damage_named(check_file(path, "image"), IMAGES, "image"):
         grey = _pixels(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
         if grey.dtype.kind != "u" or min(grey.shape) < 3:
             raise ValueError(f"{grey.shape} pixels of type {grey.dtype}")
     return grey
 
 
-def read_bands(path: str | os.PathLike) -> tuple[np.ndarray, list[str]]:
-    """Read all bands of an image file in the type of the file.
-
-    Returns
-    -------
-    values : array, shape (bands, rows, columns)
-    names : list of str
-        What the file calls the bands, or their numbers.
-    """
+def read_bands(path: str | os.PathLike) -> np.ndarray:
+    """Read all bands of an image file, in its type and order; shape (bands, rows, columns)."""
     import cv2
-
-    path = check_file(path, "image")
-    _check_complete(path)
-    with _damage_named(path, "a whole JPEG, PNG or TIFF", "image"):
-        if path.suffix.lower() in TIFF_ENDINGS:
-            return _tiff_bands(path)
-        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        values = np.atleast_3d(_pixels(path, flags))[..., ::-1]  # OpenCV begins with blue
-        return np.moveaxis(values, 2, 0), [str(k) for k in range(1, values.shape[2] + 1)]
-
-
-def _tiff_bands(path):
-    """Bands of the first page of a TIFF file and their names, or numbers where they have none."""
     import tifffile
 
-    with tifffile.TiffFile(path) as file:
-        page = file.pages[0]
-        values, listed = page.asarray(), page.tags.valueof("GDAL_METADATA", default="")
-        if page.axes[0] != "S":
-            values = np.moveaxis(np.atleast_3d(values), 2, 0)
-    names = dict(re.findall(BAND_NAME, listed))
-    return values, [names.get(str(k), str(k + 1)) for k in range(len(values))]
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    with _damage_named(check_file(path, "image"), IMAGES, "image"):
+        if Path(path).suffix.lower() not in TIFF_ENDINGS:
+            bands_last = np.atleast_3d(_pixels(path, flags))[..., ::-1]  # OpenCV begins with blue
+            return np.moveaxis(bands_last, 2, 0)
+        with tifffile.TiffFile(path) as file:
+            page = file.pages[0]
+            values = page.asarray()
+        return values if page.axes[0] == "S" else np.moveaxis(np.atleast_3d(values), 2, 0)
 
 
 def _pixels(path, flags):
-    """An image as OpenCV decodes it."""
+    """An image as OpenCV decodes it, which fills up what is missing of a JPEG or PNG file."""
     import cv2
 
+    data = Path(path).read_bytes()
+    end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2], b"")
+    if end not in data[-4096:]:
+        raise ValueError("cut short")
     # OpenCV prints what it dislikes of a file; the sentence of the caller says it
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     pixels = cv2.imread(str(path), flags)
     if pixels is None:
         raise ValueError("no image that can be decoded")
     return pixels
-
-
-def _check_complete(path):
-    """Raise where a JPEG or PNG file lacks its end; decoders fill up what is missing."""
-    data = path.read_bytes()
-    end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2], b"")
-    if end not in data[-4096:]:
-        raise ValueError(f"Invalid image {path}: cut short. Must be a complete file.")
 
 
 def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
@@ -735,10 +694,8 @@ def _raster_cloud(path):
         crs = None if number is None else pyproj.CRS(int(number))
         pixels = _pixels(path, cv2.IMREAD_UNCHANGED)
         rows, columns = np.indices(pixels.shape)
-        nothing = np.float64(tags.valueof("GDAL_NODATA", default="nan"))
-    heights = pixels.astype(np.float64)
-    if np.isfinite(nothing):
-        heights[pixels == nothing.astype(pixels.dtype)] = np.nan
+        nothing = float(tags.valueof("GDAL_NODATA", default="nan"))
+    heights = np.where(pixels == nothing, np.nan, pixels)
     middle = 0.5 if keys.get("GTRasterTypeGeoKey", 1) == 1 else 0.0
     x, y = east + (columns + middle - column) * width, north - (rows + middle - row) * depth
     points = np.stack([x, y, heights], axis=-1)
