@@ -278,7 +278,6 @@ def map_(
     *,
     out: Path,
     cell: float = 0.5,
-    rho0: float | None = None,
 ):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
@@ -293,14 +292,12 @@ def map_(
         Write the map into this file: .nc (NetCDF) or .tif (GeoTIFF).
     cell
         Side of the square cells, m.
-    rho0
-        The density asked for, points per m2. The map then shows where f does not matter.
     """
     from mmqa_lab import maps
 
     maps.check_ending(out)
     folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell)
-    dataset = maps.open_map(folder, rho0=rho0)
+    dataset = maps.open_map(folder)
     maps.write_map(dataset, out)
     return maps.summarise(dataset)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ import pandas as pd
 from mmqa_lab._checks import check_choice, check_file, check_points, check_positive, check_same_crs
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
-from mmqa_lab.spacing import exempt, quadrant_distances
+from mmqa_lab.spacing import quadrant_distances
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,11 +41,11 @@ FIGURES = {
 }
 """Variables of a map with their units and meanings."""
 
+# Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely.
 MINIMUM = 10
-"""Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely."""
 
+# Most tiles in the rectangle around a campaign: 11 km x 11 km for cells of half a metre.
 MOST_TILES = 30_000
-"""Most tiles in the rectangle around a campaign: 11 km x 11 km for cells of half a metre."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -106,8 +105,7 @@ def _evaluated(local, first, size, cell, radius, inner):
     found = {"n": counts, "density": counts / cell**2}
     for k in range(4):
         found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found["f"] = np.where(found["d1"] > 0, found["d4"] / found["d1"], np.nan)
+    found["f"] = found["d4"] / found["d1"]
     missing = np.isnan(distances[:, 3]).astype(float)
     found["incomplete_share"] = np.add.reduceat(missing, starts) / counts
     deviations = _deviations(local[inner][order], starts, counts, group)
@@ -226,14 +224,13 @@ def _sorted_points(paths, folder, side):
     for left in folder.glob("*.xyz"):  # of a run that was stopped while sorting
         left.unlink()
     origin = crs = None
-    places, without = set(), set()
+    places = set()
     for path in paths:
         for part in iterate_cloud(path, columns=()):
             if origin is None:
                 origin = (np.floor(part.points.min(axis=0) / side) * side).tolist()
             crs = crs or part.crs
             check_same_crs(str(path), part.crs, "first cloud", crs)
-            without |= {str(path)} if part.crs is None else set()
             local = part.points - origin
             own = np.floor(local[:, :2] / side).astype(int)
             places |= set(map(tuple, np.unique(own, axis=0).tolist()))
@@ -243,9 +240,6 @@ def _sorted_points(paths, folder, side):
                     file.write(local[(own == place).all(axis=1)].tobytes())
     if not places:
         raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
-    if crs is not None and without:
-        listed = ", ".join(sorted(without))
-        warnings.warn(f"No coordinate system in {listed}: taken for {crs.name}.", stacklevel=3)
     crs = None if crs is None else crs.to_wkt()
     return {"tiles": sorted(places), "origin": origin, "crs": crs}
 
@@ -255,9 +249,7 @@ def _check_extent(places, side):
     spans = np.ptp(np.array(list(places)), axis=0) + 1
     if spans.prod() > MOST_TILES:
         wide = " x ".join(f"{span * side / 1000:.0f} km" for span in spans)
-        raise ValueError(
-            f"Invalid clouds over {wide}. Must lie within {MOST_TILES} tiles, in metres."
-        )
+        raise ValueError(f"Invalid clouds over {wide}. Must lie in {MOST_TILES} tiles, in metres.")
 
 
 def _map_tile(folder, place, run):
@@ -279,16 +271,13 @@ def _map_tile(folder, place, run):
     write_atomically(_tile(folder, place), lambda path: dataset.to_netcdf(path, engine="scipy"))
 
 
-def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Dataset:
+def open_map(folder: str | os.PathLike) -> xr.Dataset:
     """Open the map of a campaign, joined from its tiles.
 
     Parameters
     ----------
     folder : path
         Folder of :func:`map_campaign`.
-    rho0 : float, optional
-        Required density, points per m2. With it the map has ``exempt``: 1 where f does not matter
-        (:func:`mmqa_lab.spacing.exempt`), 0 where f matters, NaN where d4 is not measurable.
 
     Returns
     -------
@@ -314,11 +303,6 @@ def open_map(folder: str | os.PathLike, *, rho0: float | None = None) -> xr.Data
         full[axis] = places[0] + cell * np.arange(round((places[-1] - places[0]) / cell) + 1)
     whole = whole.reindex(full, method="nearest", tolerance=cell / 4)
     whole["n"] = whole["n"].fillna(0)
-    if rho0 is not None:
-        check_positive(rho0, "rho0", unit="points per m2")
-        free = exempt(whole["d1"] / 1000, whole["d4"] / 1000, rho0)
-        free = np.where(np.isnan(whole["d4"]), np.nan, free)
-        whole["exempt"] = ("y", "x"), free, {"units": "1", "long_name": "1 where f does not matter"}
     return placed(whole, run["crs"]) if run["crs"] else whole
 
 
@@ -384,9 +368,7 @@ def _write_geotiff(dataset, path):
     crs, cell = pyproj.CRS(dataset["spatial_ref"].attrs["crs_wkt"]), dataset.attrs["cell_m"]
     number = (crs.sub_crs_list[0] if crs.is_compound else crs).to_epsg()
     if number is None:
-        raise ValueError(
-            f"Invalid map in {crs.name}. Must have an EPSG number, or be written as .nc."
-        )
+        raise ValueError(f"Invalid map in {crs.name}. Must have an EPSG number, or be .nc.")
     corner = float(dataset["x"][0]) - cell / 2, float(dataset["y"][-1]) + cell / 2
     keys = (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, number)
     item = '<Item name="DESCRIPTION" sample="{}" role="description">{}</Item>'
