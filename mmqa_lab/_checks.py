@@ -104,9 +104,8 @@ def check_same_crs(name, crs, other_name, other):
         return
     ours, theirs = (one.sub_crs_list[0] if one.is_compound else one for one in (crs, other or crs))
     if ours.name != theirs.name and not ours.equals(theirs, ignore_axis_order=True):
-        raise ValueError(
-            f"Invalid {name} in {ours.name}. Must be in {theirs.name}, the {other_name}'s."
-        )
+        wanted = f"{theirs.name}, the {other_name}'s"
+        raise ValueError(f"Invalid {name} in {ours.name}. Must be in {wanted}.")
     odd = [axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1]
     if odd:
         raise ValueError(f"Invalid {name} in {odd[0]} ({crs.name}). Must be projected, in metres.")
@@ -155,7 +154,6 @@ def check_number(value, name, *, low=-np.inf, high=np.inf, unit=""):
         raise ValueError(f"Invalid {name} {value}. Must be finite.")
     if not low <= value <= high:
         bounds = f">= {low}" if high == np.inf else f"between {low} and {high}"
-        bounds = f"<= {high}" if low == -np.inf else bounds
         raise ValueError(f"Invalid {name} {value}. Must be {bounds} {unit}".strip() + ".")
     return float(value)
 

@@ -468,7 +468,7 @@ def reflectance_factor(
     0.205
     """
     irradiance = check_positive(irradiance, "irradiance", unit="W m-2 um-1")
-    tau = check_positive(check_number(transmittance, "transmittance", high=1), "transmittance")
+    tau = check_number(transmittance, "transmittance", low=0.001, high=1)
     s = check_number(spherical_albedo, "spherical_albedo", low=0, high=1)
     around = check_number(surroundings, "surroundings", low=0, high=1)
     of_ground = np.asarray(radiance, np.float64) - path_radiance

@@ -14,13 +14,12 @@ __dir__ = __all__.copy
 
 FOLDER = _shipped("data_samples")
 
+# The environment variable that names the folder of larger public clouds.
 REAL_VARIABLE = "MMQA_DATA"
-"""The environment variable that names the folder of larger public clouds."""
-
 
 _ROWS = _tables(Path(__file__).with_suffix(".toml"))["samples"]
-SAMPLES = tuple(SimpleNamespace(**row) for row in _ROWS)
-"""The files of ``data_samples`` with name, file, sha256, licence, origin, units and contents."""
+SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS}
+"""The files of ``data_samples`` by name: file, sha256, licence, origin, units and contents."""
 
 
 def path(name: str) -> Path:
@@ -45,8 +44,7 @@ def path(name: str) -> Path:
     >>> path("road_patch").name
     'road_patch.laz'
     """
-    check_choice(name, "sample", tuple(sample.name for sample in SAMPLES))
-    return FOLDER / next(sample.file for sample in SAMPLES if sample.name == name)
+    return FOLDER / SAMPLES[check_choice(name, "sample", SAMPLES)].file
 
 
 def road_patch_heads() -> dict:
@@ -117,13 +115,9 @@ def real_path(relative: str) -> Path:
     >>> try:
     ...     real_path("none.laz")
     ... except FileNotFoundError as error:
-    ...     print(str(error).split(" with ")[0])
-    Invalid real cloud none.laz
+    ...     print(error)
+    Invalid real cloud none.laz. Must be below $MMQA_DATA.
     """
     if not has_real(relative):
-        root = os.environ.get(REAL_VARIABLE, "")
-        raise FileNotFoundError(
-            f"Invalid real cloud {relative} with {REAL_VARIABLE}={root!r}. "
-            "Must exist in the folder that this environment variable names."
-        )
+        raise FileNotFoundError(f"Invalid real cloud {relative}. Must be below ${REAL_VARIABLE}.")
     return Path(os.environ[REAL_VARIABLE]) / relative

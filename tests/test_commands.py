@@ -87,7 +87,7 @@ def test_a_table_is_printed_and_written(name, call, tmp_path):
     assert product is None or (tmp_path / product).stat().st_size > 0
     page = (tmp_path / "page.html").read_text()
     assert f"<h1>mmqa {name}</h1>" in page
-    assert ("PATCH" in line) == (samples.SAMPLES[0].sha256 in page)
+    assert ("PATCH" in line) == (samples.SAMPLES["road_patch"].sha256 in page)
     status, out, _ = call(f"{line} --json")
     printed = json.loads(out)
     assert (status, len(printed)) == (0, len(written))

@@ -90,9 +90,11 @@ def test_catalogue_and_notebooks_agree():
 
 def test_samples_are_registered_with_hash_and_licence():
     present = {path.name for path in samples.FOLDER.iterdir() if path.suffix == ".laz"}
-    assert present == {sample.file for sample in samples.SAMPLES if sample.file.endswith(".laz")}
+    assert present == {
+        sample.file for sample in samples.SAMPLES.values() if sample.file.endswith(".laz")
+    }
     readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
-    for sample in samples.SAMPLES:
+    for sample in samples.SAMPLES.values():
         content = (samples.FOLDER / sample.file).read_bytes()
         assert hashlib.sha256(content).hexdigest() == sample.sha256
         assert sample.licence

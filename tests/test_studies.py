@@ -108,7 +108,7 @@ def test_the_tool_runs_on_samples(tmp_path):
     answers = table["answer"].dropna().str.split(":").str[0]
     assert set(answers) <= {"met", "not met", "undecided"}
     page = (folder / "report.html").read_text()
-    for part in (SAMPLES[0].sha256, record["version"], "sigma_MAD", "data:image/png"):
+    for part in (SAMPLES["road_patch"].sha256, record["version"], "sigma_MAD", "data:image/png"):
         assert part in page
 
 

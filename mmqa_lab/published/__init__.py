@@ -161,6 +161,5 @@ def _typed(cells, kind):
     """Turn strings into the type that the list of columns gives."""
     if kind == "bool":
         return cells.isin(["yes", "1"])
-    numbers = pd.to_numeric(cells).astype(float)
-    whole = kind == "int" and numbers.notna().all()
-    return numbers.astype(int) if whole else numbers
+    numbers = pd.to_numeric(cells)
+    return numbers.astype(float) if kind == "float" else numbers
