@@ -5,17 +5,17 @@ import re
 import matplotlib as mpl
 import matplotlib.category
 
+# Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD.
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
-"""Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD."""
 
+# The underscore between the words of a name.
 JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
-"""The underscore between the words of a name."""
 
+# Formatters of axes whose ticks have names.
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
-"""Formatters of axes whose ticks have names."""
 
+# Height of the line below the panels with its margins.
 NOTE_INCHES = 0.18
-"""Height of the line below the panels with its margins."""
 
 
 def finish_figure(figure):

@@ -56,14 +56,11 @@ DIVERGING_MAP = "RdBu_r"
 
 STYLE = {
     "pdf.fonttype": 42,
-    "ps.fonttype": 42,
     "svg.fonttype": "none",
     "svg.hashsalt": "mmqa_lab",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "mathtext.fontset": "custom",  # the fonts of the text, also for publishers
-    "mathtext.rm": "sans",
-    "mathtext.it": "sans:italic",
     "mathtext.cal": "sans:italic",
     "font.size": 8.0,
     **dict.fromkeys(("axes.titlesize", "figure.labelsize", "figure.titlesize"), "medium"),

@@ -42,18 +42,18 @@ __dir__ = __all__.copy
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 
+# Largest width and zoom of a crop on the screen. The zoom is a whole number, so no pixel is
+# interpolated.
 WIDEST_PX, LARGEST_ZOOM = 800, 12
-"""Largest width and zoom of a crop on the screen. The zoom is a whole number, so no pixel is
-interpolated."""
 
+# Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
 MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.15, "hspace": 1}
-"""Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel."""
 
+# Most points drawn, and most planes listed, those with the most points first. All are used.
 SHOWN, LISTED = 10_000, 30
-"""Most points drawn, and most planes listed, those with the most points first. All are used."""
 
+# Colours of the other planes in the picture and in the list.
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
-"""Colours of the other planes in the picture and in the list."""
 
 AXES = ("easting", "northing", "height")
 

@@ -12,9 +12,6 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.run import new_record, read_record, write_record
 from mmqa_lab.run.pages import notebook_page
 
-# Type of an output that needs a running kernel.
-WIDGET = "application/vnd.jupyter.widget-view+json"
-
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
@@ -50,9 +47,6 @@ def run_study(study, folder, *, quick=False):
     began = time.monotonic()
     failure = execute(notebook, study.path.parent, results=target.parent)
     seconds = round(time.monotonic() - began, 1)
-    for cell in notebook.cells:
-        if cell.cell_type == "code":
-            cell.outputs = [out for out in cell.outputs if WIDGET not in out.get("data", ())]
     above = ["[All studies](../index.html)"]
     above += ["**Quick run: small parameters, for a first look.**"] if quick else []
     above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
@@ -81,7 +75,6 @@ def execute(notebook, folder, *, results):
         kernel_name="python3",
         extra_arguments=["--log-level=ERROR"],
         resources={"metadata": {"path": str(folder)}},
-        timeout=None,
     )
     try:
         client.execute(env={**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(results)})

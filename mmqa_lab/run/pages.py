@@ -100,7 +100,7 @@ def _mathml(formula):
     return convert(formula[1] or formula[2], display="block" if formula[1] else "inline")
 
 
-def write_report(path, *, title, sentences=(), tables=None, figures=None, files=()):
+def write_report(path, *, title, sentences=(), tables=(), figures=(), files=()):
     """Write a report page: sentences, tables, figures, and the SHA-256 of the files read.
 
     Parameters
@@ -110,9 +110,9 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
     title : str
     sentences : sequence of str
         Findings and remarks.
-    tables : dict of str to DataFrame, optional
+    tables : dict of str to DataFrame
         Tables by heading.
-    figures : dict of str to path, optional
+    figures : dict of str to path
         Figures as PNG by caption.
     files : sequence of path
         The files that were read.
@@ -125,10 +125,9 @@ def write_report(path, *, title, sentences=(), tables=None, figures=None, files=
     >>> "<h2>Figures</h2>" in page.read_text()
     True
     """
-    figures, tables = dict(figures or {}), dict(tables or {})
-    contents = {caption: Path(file).read_bytes() for caption, file in figures.items()}
+    contents = {caption: Path(file).read_bytes() for caption, file in dict(figures).items()}
     pictures = {caption: base64.b64encode(png).decode() for caption, png in contents.items()}
-    files = map(Path, files)
+    tables, files = dict(tables), map(Path, files)
     hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     if hashes:
         tables["Files"] = pd.DataFrame(hashes.items(), columns=["file", "SHA-256"])

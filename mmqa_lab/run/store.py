@@ -1,7 +1,7 @@
-"""Store the results of a full run in the repository: ``python -m mmqa_lab.run.store``.
+"""Store the results of a full run in the repository, for ``mmqa studies --store``.
 
-From ``notebooks/results`` it stores the notebooks with their outputs, the thumbnails of their key
-figures, the counts of the ledger and the picture of the front page.
+That is: the notebooks with their outputs, the thumbnails of their key figures, the counts of the
+ledger and the picture of the front page.
 """
 
 import base64
@@ -17,9 +17,7 @@ from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import read_record
-from mmqa_lab.run.notebooks import run_study
 from mmqa_lab.run.pages import ANSWERS
-from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder, results_folder
 
 # Widths of stored figures, which is 178 mm at 100 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 700, 280
@@ -115,10 +113,3 @@ def _store_ledger(counts, target):
         ax.set(xlabel="printed numbers", ylabel="")
         ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         write_atomically(target, lambda file: ax.figure.savefig(file, dpi=120))
-
-
-if __name__ == "__main__":
-    results = results_folder(notebooks_folder())
-    for tool in TOOLS:
-        run_study(tool, results)
-    store(notebooks_folder(), results, [*STUDIES, *TOOLS])

@@ -508,10 +508,7 @@ def largest_speed(
 
     kept = np.flatnonzero(margin(SPEEDS) >= 0)
     if not len(kept) or kept[-1] == len(SPEEDS) - 1:
-        raise ValueError(
-            f"Invalid limit {limit} for {quantity}. Must be reached between {SPEEDS[0]:g} and "
-            f"{SPEEDS[-1]:g} m/s."
-        )
+        raise ValueError(f"Invalid limit {limit}. Must be reached between 0.01 and 100 m/s.")
     return float(brentq(margin, *SPEEDS[kept[-1] : kept[-1] + 2], xtol=1e-9))
 
 
