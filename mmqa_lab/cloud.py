@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -87,7 +87,7 @@ class Cloud:
         return f"<Cloud {self.name!r}: {len(self)} points, columns {columns}>"
 
     @classmethod
-    def concatenate(cls, clouds: Sequence[Cloud], *, name: str = "") -> Cloud:
+    def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
         """Return one cloud of one or more, with the columns that all of them have.
 
         Raises
@@ -95,6 +95,7 @@ class Cloud:
         ValueError
             If they have different coordinate reference systems, or one that is not in metres.
         """
+        clouds = list(clouds)
         crs = next((cloud.crs for cloud in clouds if cloud.crs is not None), None)
         for cloud in clouds:
             check_same_crs(f"cloud {cloud.name!r}", cloud.crs, "first one", crs)
