@@ -88,7 +88,7 @@ class Cloud:
 
     @classmethod
     def concatenate(cls, clouds: Iterable[Cloud], *, name: str = "") -> Cloud:
-        """Return one cloud of one or more, with the columns that all of them have.
+        """Return one cloud of several, with the columns that all of them have.
 
         Raises
         ------
@@ -96,6 +96,8 @@ class Cloud:
             If they have different coordinate reference systems, or one that is not in metres.
         """
         clouds = list(clouds)
+        if not clouds:
+            return cls(np.empty((0, 3)), name=name)
         crs = next((cloud.crs for cloud in clouds if cloud.crs is not None), None)
         for cloud in clouds:
             check_same_crs(f"cloud {cloud.name!r}", cloud.crs, "first one", crs)

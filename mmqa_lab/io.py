@@ -145,10 +145,10 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     >>> len(cloud), "gps_time" in cloud
     (28185, True)
     """
-    parts = [part for part in iterate_cloud(path, columns=columns) if len(part)]
-    if not parts:
+    cloud = Cloud.concatenate(iterate_cloud(path, columns=columns), name=Path(path).stem)
+    if not len(cloud):
         raise ValueError(f"Invalid cloud {path}: no points. Must contain one or more.")
-    return Cloud.concatenate(parts, name=Path(path).stem)
+    return cloud
 
 
 def iterate_cloud(

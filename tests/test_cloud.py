@@ -49,3 +49,4 @@ def test_concatenating_keeps_what_all_have():
     both = Cloud.concatenate([a, b])
     assert both["ring"].tolist() == [1, 2, 3]
     assert "time" not in both
+    assert len(Cloud.concatenate([])) == 0
