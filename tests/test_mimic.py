@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.published import table as printed_table
-from mmqa_lab.scan_pattern import ScanSetup, Target, mimic, scan_lattice
+from mmqa_lab.scan_pattern import mimic
 
 THETA_A = 0.12
 
@@ -104,29 +104,6 @@ def test_equation_10_as_printed_is_right_for_the_horizontal_pulse_alone():
         printed = mimic.point_spacing(*angles, **given, literal=True).d_ps
         assert (abs(printed / right - 1) < 1e-12) == agree
         assert agree or abs(printed / right - 1) > 0.03
-
-
-def test_the_two_figures_of_the_paper_give_the_same_d2(rng):
-    alpha, gamma, alpha_targ, beta = random_angles(rng, 500)
-    chain = mimic.point_spacing(
-        (alpha, gamma), (alpha_targ, beta), h_r=5.0, height_difference=1.2, theta_a=THETA_A
-    )
-    angle = np.radians(mimic.profile_angle(alpha, gamma, alpha_targ, beta))
-    d2 = 1.2 / (np.cos(np.radians(beta)) * np.sin(angle))
-    assert np.allclose(chain.d2, d2, rtol=1e-9)
-
-
-def test_moving_lattice_tends_to_mimics_as_the_vehicle_slows(rng):
-    for _ in range(20):
-        alpha, gamma, alpha_targ, beta = (angle.item() for angle in random_angles(rng, 1))
-        setup = ScanSetup(pulse_rate_hz=3e6, mirror_frequency_hz=100, speed_m_s=1e-6,
-                          scanner_heading_deg=alpha, scanner_tilt_deg=gamma)  # fmt: skip
-        target = Target(heading_deg=alpha_targ, tilt_deg=beta, range_m=9.0)
-        lattice = scan_lattice(setup, target.patch(setup))
-        horizontal = mimic.profile_spacing_horizontal(1e-8, alpha, alpha_targ)
-        assert lattice.profile_spacing_horizontal_m == pytest.approx(horizontal, rel=1e-4)
-        angle = mimic.profile_angle(alpha, gamma, alpha_targ, beta)
-        assert lattice.profile_angle_deg == pytest.approx(angle, abs=1e-4)
 
 
 def test_table_3_to_the_printed_digits_and_its_reading():

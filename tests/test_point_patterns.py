@@ -58,13 +58,6 @@ def test_the_law_behind_f_5_by_drawing():
     assert np.median(last.max(axis=1)) == point_patterns.aligned_lines_f()
 
 
-def test_hexagonal_points_have_six_equal_neighbours():
-    xy = point_pattern("hexagonal", density=DENSITY, size=1, seed=3, angle=11)
-    inside = (np.abs(xy - 0.5) < 0.4).all(axis=1)
-    near = cKDTree(xy).query(xy[inside], k=7)[0][:, 1:]
-    assert near == pytest.approx(np.sqrt(2 / (np.sqrt(3) * DENSITY)))
-
-
 def test_stretching_a_random_pattern_is_a_random_pattern():
     """Counts in cells long across and long along have the variance of their mean: Poisson."""
     xy = point_pattern("poisson", density=DENSITY, size=2, seed=5, ratio=20, angle=0)

@@ -1,4 +1,4 @@
-"""The published tables against the sources' files and against themselves; rules of the ledger."""
+"""The published tables against the sources' files; rules of the ledger."""
 
 import hashlib
 import re
@@ -24,54 +24,6 @@ def test_no_printed_number_was_changed():
     assert hashlib.sha256(content).hexdigest() == HASH
 
 
-# The tables against themselves
-
-
-def within(value, low, high):
-    return (low - 1e-9 <= value) & (value <= high + 1e-9)
-
-
-def test_pfeifer_table_2_f_is_d4_over_d1_within_rounding():
-    table = published.table("pfeifer2021", "table_2")
-    low = (table["d4_mm"] - 0.5) / (table["d1_mm"] + 0.5) - 0.05
-    high = (table["d4_mm"] + 0.5) / (table["d1_mm"] - 0.5) + 0.05
-    assert within(table["f"], low, high).all()
-    printed = table["density_per_m2_printed"].str.replace(",", "").astype(float)
-    assert (printed == table["density_per_m2"]).all()
-
-
-def test_derived_numbers_of_pfeifer():
-    derived = published.table("pfeifer2021", "derived").set_index("id")["value"]
-    x1, x4 = np.log(2) / 4, -np.log(1 - 0.5**0.25)  # medians of least and largest of four exp(1)
-    assert derived["random_f"] == pytest.approx(np.sqrt(x4 / x1), abs=0.005)
-    for distance, density in ((5, 28901), (10, 30915)):
-        d4_mm = 1000 * np.sqrt(4 * x4 / (np.pi * density))
-        assert derived[f"random_d4_c_{distance}"] == pytest.approx(d4_mm, abs=0.05)
-    assert derived["d0_at_3000"] == pytest.approx(1000 / np.sqrt(3000), abs=0.05)
-    at_5 = "quantity == 'pixel size' and distance_m == 5 and system == "
-    table = published.table("pfeifer2021", "table_1")
-    for system, text in (("a", 60), ("c", 40)):
-        pixels = text / table.query(f"{at_5} '{system.upper()}'")["value"]
-        name = f"text_{text}_pixels_{system}"
-        assert derived[f"{name}_lower"] == pytest.approx(pixels.min(), abs=0.05)
-        assert derived[f"{name}_upper"] == pytest.approx(pixels.max(), abs=0.05)
-
-
-def test_derived_numbers_of_poreba():
-    derived = published.table("poreba2013", "derived").set_index("id")["value"]
-    both = [published.table("poreba2013", n) for n in ("table_1", "table_2")]
-    for name, table in zip(("table_1", "table_2"), both, strict=True):
-        found = table["pairing_existing"] - table["false_negative"]
-        wrong = table["false_negative"] + table["false_positive"]
-        f1 = (2 * found / (2 * found + wrong)).mean()
-        assert derived[f"f1_mean_{name}"] == pytest.approx(f1, abs=0.0005)
-    table = pd.concat(both)
-    cells = table["p_test_segments"] * table["q_model_segments"]
-    null = 100 * (1 - table["pairing_existing"] / cells)
-    assert derived["null_rate_lower"] == pytest.approx(null.min(), abs=0.05)
-    assert derived["null_rate_upper"] == pytest.approx(null.max(), abs=0.05)
-
-
 # The loader
 
 
@@ -79,13 +31,6 @@ def test_a_table_is_a_new_frame_each_time():
     first = published.table("pfeifer2021", "table_2")
     first.loc[0, "f"] = 99
     assert published.table("pfeifer2021", "table_2").loc[0, "f"] == 11.8
-
-
-def test_ids_are_unique_within_a_source():
-    for source in published._strings("sources")["source"]:
-        tables = [published.raw(source, t) for s, t in TABLES if s == source and t != "derived"]
-        ids = pd.concat([t["id"] for t in tables if "id" in t])
-        assert ids[ids != ""].is_unique
 
 
 # The ledger

@@ -106,30 +106,6 @@ def test_lattice_is_that_of_ray_casting_for_ten_thousand_set_ups(rng):
     assert (np.abs(lattice.density_per_m2 * cell - 1) < 2 * step**2 + 1e-4).all()
 
 
-def test_lattice_is_that_of_the_simulators_ray_caster(rng):
-    n = 2000
-    values = random_values(rng, n)
-    normal = np.array([-0.9, 0.3, 0.2]) / np.linalg.norm([-0.9, 0.3, 0.2])
-    along, up = 500 * np.cross([0, 0, 1], normal), 500 * np.cross(normal, [0.3, 0.9, 0])
-    scene = simulate.Scene(
-        [simulate.rectangle(np.array([9, 0, 0]) - along / 2 - up / 2, along, up)]
-    )
-    mirror = rng.uniform(-0.9, 0.9, n)
-    origin, direction = rays(values, mirror, np.zeros(n))
-    first = scene.cast(origin, direction).range_m
-    usable = (first > 1) & (first < 60)
-    assert usable.sum() > n / 2
-    lattice = scan_lattice(
-        ScanSetup(**values), Patch(np.where(usable, first, 10.0)[:, None] * direction, normal)
-    )
-    whole = np.round(values["pulse_rate_hz"] / values["mirror_frequency_hz"])
-    for step, pulses in ((lattice.a, np.ones(n)), (lattice.b, whole)):
-        cast = straddling(
-            values, mirror, pulses, lambda o, d: o + scene.cast(o, d).range_m[:, None] * d
-        )
-        assert np.nanmax(np.abs((lattice.axes @ cast[:, :, None])[:, :, 0] - step)[usable]) < 1e-9
-
-
 @pytest.mark.parametrize(
     ("heading", "tilt", "horizontal", "angle"),
     [(15, 0, 0.081677, 40.9335), (0, 15, 0.100033, 42.1373), (15, 15, 0.081677, 46.0395),
@@ -141,15 +117,6 @@ def test_helios_finds_the_same_profiles(heading, tilt, horizontal, angle):
     corrected = horizontal * 3000 / 3001
     assert lattice.profile_spacing_horizontal_m == pytest.approx(corrected, abs=1e-6)
     assert lattice.profile_angle_deg == pytest.approx(angle, abs=1e-3)
-
-
-@pytest.mark.parametrize("mirror", [100.0, 200.0])
-def test_density_is_that_of_the_papers_formula_at_any_mirror_frequency(mirror):
-    setup = replace(MIMIC, mirror_frequency_hz=mirror)
-    lattice = target_lattice(15, 10, range_m=7, setup=setup, height_difference_m=1.5)
-    cosine = np.cos(np.radians(lattice.incidence_deg))
-    expected = 3e5 * cosine / (2 * np.pi * 10 * np.linalg.norm(lattice.beam) * 0.5)
-    assert lattice.density_per_m2 == pytest.approx(expected, rel=1e-12)
 
 
 def test_counted_density_on_a_plane_within_one_per_cent():
@@ -199,31 +166,6 @@ def test_quadrant_distances_known():
     assert lattice_distances([1, 0], [0, 1]) == (1, 1)  # axes belong to one quadrant
     assert np.isnan(lattice_distances([1, 0], [2, 0])).all()
     assert np.isnan(lattice_distances([np.nan, 0], [0, 1])).all()
-
-
-def test_pulse_rates_that_the_mirror_does_not_divide_shift_profiles():
-    wall = Target(range_m=5)
-    setup = replace(MIMIC, scanner_heading_deg=0, scanner_tilt_deg=0, pulse_rate_hz=300_050)
-    lattice = scan_lattice(setup, wall)
-    half = 0.5 * lattice.point_spacing_m  # half a pulse a revolution
-    assert abs(lattice.b[1]) == pytest.approx(half, rel=1e-3)
-    assert lattice.f == pytest.approx(np.hypot(0.1, half) / (2 * half), rel=1e-3)
-
-
-def test_larger_worlds_look_the_same():
-    small = target_lattice(15, 10, range_m=4)
-    faster = replace(MIMIC, speed_m_s=30)
-    large = target_lattice(15, 10, range_m=12, setup=faster)
-    assert np.allclose(large.a, 3 * small.a, rtol=1e-12)
-    assert np.allclose(large.b, 3 * small.b, rtol=1e-12)
-    assert large.f == pytest.approx(small.f, rel=1e-12)
-
-
-def test_a_vehicle_in_motion_tilts_profiles_that_would_be_upright():
-    found = scan_lattice(ScanSetup(**HEAD), Target(range_m=5))
-    assert ((found.a @ found.axes)[1:] > 0).all()  # forwards as the pulses run upwards
-    lean = np.degrees(0.1 / (2 * np.pi * 5))
-    assert 90 - found.profile_angle_deg == pytest.approx(lean, rel=1e-5)
 
 
 def test_a_lattice_draws_as_many_points_as_it_predicts():

@@ -29,11 +29,6 @@ def test_errors_of_known_values():
     assert found.nmad == pytest.approx(2 * 1.4826, rel=1e-4)
 
 
-def test_nmad_of_normal_errors_is_their_standard_deviation(rng):
-    # standard error of the MAD at n = 40000 is 1.17 / sqrt(n) = 0.6 %; four of them
-    assert stats.errors(rng.normal(5, 2, 40_000)).nmad == pytest.approx(2, rel=0.024)
-
-
 def test_one_error_has_no_spread_and_none_has_nothing():
     assert np.isnan(stats.errors([1.0]).std)
     nothing = stats.errors([np.nan])
