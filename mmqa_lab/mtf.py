@@ -25,13 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import expit, j1, ndtr
 
-from mmqa_lab._checks import (
-    check_choice,
-    check_count,
-    check_image,
-    check_number,
-    check_positive,
-)
+from mmqa_lab._checks import check_choice, check_count, check_image, check_number, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
@@ -98,8 +92,8 @@ class EdgeResponse(Shown):
         Pixels used.
     frequencies, mtf : array
         Cycles per pixel and transfer.
-    distance_px, esf, lsf : array
-        The edge and line spread functions over the distance across the edge.
+    distance_px, lsf : array
+        The line spread function over the distance across the edge.
     remark : str
         Reasons to doubt the figures; empty if there are none.
 
@@ -121,7 +115,6 @@ class EdgeResponse(Shown):
     frequencies: np.ndarray
     mtf: np.ndarray
     distance_px: np.ndarray
-    esf: np.ndarray
     lsf: np.ndarray
     remark: str = ""
 
@@ -221,8 +214,8 @@ class _Sigmoid:
             start, self.width = found.x, float(np.exp(found.x[2]))
         self.distance, self.values = distance - np.polyval(start[:2], along), values
         step = self._step(self.distance, self.width)
-        self.low, self.contrast = map(float, np.linalg.lstsq(step, values, rcond=None)[0])
-        self.residuals = values - step @ [self.low, self.contrast]
+        levels = np.linalg.lstsq(step, values, rcond=None)[0]
+        self.contrast, self.residuals = float(levels[1]), values - step @ levels
         self.noise = float(np.sqrt(_bins(self.distance, self.residuals)[2]))
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.mean(self.residuals**2)
         self.log_width_sigma = float(np.sqrt(covariance[2, 2]))
@@ -264,38 +257,31 @@ def _logistic(distance, width, angle):
 def _by_sigmoid(fit):
     """MTF and profiles of the fitted sigmoid."""
     places = np.arange(-1, 1.0001, 1 / 256) * (12 * np.hypot(fit.width, 0.3) + 2)
-    esf = fit.shape(places, fit.width, fit.angle)
-
-    def of_width(width):
-        lsf = np.gradient(fit.shape(places, width, fit.angle), places)
-        waves = np.cos(2 * np.pi * FREQUENCIES[:, None] * places)
-        return lsf, waves @ lsf / lsf.sum()
-
-    lsf, mtf = of_width(fit.width)
+    lsf = np.gradient(fit.shape(places, fit.width, fit.angle), places)
+    mtf = np.cos(2 * np.pi * FREQUENCIES[:, None] * places) @ lsf / lsf.sum()
     mtf50 = crossing(FREQUENCIES, mtf, 0.5)
-    change = 1000 * (crossing(FREQUENCIES, of_width(1.001 * fit.width)[1], 0.5) - mtf50)
-    known = {"distance_px": places, "esf": esf, "lsf": lsf, "mtf": mtf, "mtf50": mtf50}
-    return known | {"mtf50_sigma": abs(change) * fit.log_width_sigma, "fwhm_px": _fwhm(places, lsf)}
+    sigma = mtf50 * fit.log_width_sigma  # a little too large: the pixel's width has no error
+    known = {"distance_px": places, "lsf": lsf, "mtf": mtf, "fwhm_px": _fwhm(places, lsf)}
+    return known | {"mtf50": mtf50, "mtf50_sigma": sigma}
 
 
 def _by_bins(fit, block):
     """MTF and profiles by the standard's binning; the interval from leaving out blocks of rows."""
-    transfer, places, esf, lsf = _binned(fit.distance, fit.values)
+    transfer, places, lsf = _binned(fit.distance, fit.values)
     mtf, parts = np.abs(transfer), block[fit.rows]
     mtf50 = crossing(FREQUENCIES, mtf, 0.5)
     rest = [_binned(fit.distance[parts != k], fit.values[parts != k])[0] for k in range(BLOCKS)]
     left = [crossing(FREQUENCIES, np.abs(part), 0.5) for part in rest]
     # 2.36 is Student's quantile of seven degrees of freedom
     sigma = float(np.sqrt((BLOCKS - 1) * np.var(left))) * 2.365 / 1.96
-    known = {"distance_px": places, "esf": (esf - fit.low) / fit.contrast, "mtf": mtf}
-    lsf = lsf / np.trapezoid(lsf, places)
+    known = {"distance_px": places, "lsf": lsf / np.trapezoid(lsf, places), "mtf": mtf}
     # noise outlives the signal: from twice the frequency of a tenth of the contrast on it fades
     fade = np.clip(2 - FREQUENCIES / crossing(FREQUENCIES, mtf, 0.1) / 2, 0, 1)
     fine = np.linspace(-20, 20, 4001)
     waves = np.cos(2 * np.pi * fine[:, None] * FREQUENCIES)
     spread = np.trapezoid(waves * transfer.real * fade, FREQUENCIES, axis=1)
     fwhm = _fwhm(fine, spread) if np.isfinite(mtf50) else np.nan
-    return known | {"lsf": lsf, "mtf50": mtf50, "mtf50_sigma": sigma, "fwhm_px": fwhm}
+    return known | {"mtf50": mtf50, "mtf50_sigma": sigma, "fwhm_px": fwhm}
 
 
 def _bins(distance, values):
@@ -309,7 +295,7 @@ def _bins(distance, values):
 
 
 def _binned(distance, values):
-    """Transfer, places, edge profile and its derivative; NaN where bins at the edge are empty."""
+    """Transfer, NaN where bins at the edge are empty; places and derivative of the profile."""
     count, means, _ = _bins(distance, values)
     first = np.round(distance.min() * BINS_PER_PIXEL)
     places = (np.arange(len(count)) + first) / BINS_PER_PIXEL
@@ -328,7 +314,7 @@ def _binned(distance, values):
         transfer = np.full(len(FREQUENCIES), np.nan)
     transfer = transfer / (BINS_PER_PIXEL * _whole_step(places, profile, half))
     transfer[0] = 1.0
-    return transfer, places, profile, spread
+    return transfer, places, spread
 
 
 def _whole_step(places, profile, half):
@@ -367,11 +353,8 @@ def spread_edge(distance, sigma, angle):
     >>> spread_edge([-9.0, 0.0, 9.0], 0.7, 0.1).round(6).tolist()
     [0.0, 0.5, 1.0]
     """
-    wide, narrow = np.sort(np.abs([np.cos(angle), np.sin(angle)]))[::-1]
-    distance = np.asarray(distance, dtype=float)
-    if narrow < 1e-3:
-        ramp = _integral(distance + wide / 2, sigma) - _integral(distance - wide / 2, sigma)
-        return ramp / wide
+    narrow, wide = np.sort(np.abs([np.cos(angle), np.sin(angle)]))
+    narrow, distance = max(narrow, 1e-3), np.asarray(distance, dtype=float)
     outer, inner = (wide + narrow) / 2, (wide - narrow) / 2
     bend = [_double_integral(distance + place, sigma) for place in (outer, inner, -inner, -outer)]
     return (bend[0] - bend[1] - bend[2] + bend[3]) / (wide * narrow)
@@ -415,12 +398,6 @@ def _edge_line(image):
     return line, rows, columns
 
 
-def _integral(x, sigma):
-    """The first antiderivative of the normal distribution function."""
-    z = x / sigma
-    return sigma * (z * ndtr(z) + np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi))
-
-
 def _double_integral(x, sigma):
     """The second antiderivative of the normal distribution function."""
     z = x / sigma
@@ -440,8 +417,6 @@ class StarMtf(Shown):
     radius_px : array, shape (k,)
     centre : (float, float)
         x (column), y (row) in pixels of the given image, the first pixel's centre at 0.
-    levels : (float, float)
-        Grey values of plain dark and bright sectors, as they would be without blur.
     tilt_deg : float
         Angle under which the star was seen; 0 if it is round.
 
@@ -449,7 +424,7 @@ class StarMtf(Shown):
     --------
     >>> f = np.linspace(0.02, 0.5, 97)
     >>> seen = np.exp(-2 * (np.pi * 0.8 * f) ** 2)  # a Gaussian of 0.8 px
-    >>> star = StarMtf(f, seen, 0 * f, 9 / f, (50.0, 50.0), (20.0, 200.0))
+    >>> star = StarMtf(f, seen, 0 * f, 9 / f, (50.0, 50.0))
     >>> round(star.mtf50, 3)
     0.234
     """
@@ -459,7 +434,6 @@ class StarMtf(Shown):
     std: np.ndarray
     radius_px: np.ndarray
     centre: tuple
-    levels: tuple
     tilt_deg: float = 0.0
 
     def at(self, share: float) -> float:
@@ -506,10 +480,8 @@ class StarMtf(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
-        return pd.DataFrame(
-            {"frequency_per_px": self.frequency, "mtf": self.mtf}
-            | {"mtf_std": self.std, "radius_px": self.radius_px}
-        )
+        columns = {"frequency_per_px": self.frequency, "mtf": self.mtf}
+        return pd.DataFrame(columns | {"mtf_std": self.std, "radius_px": self.radius_px})
 
 
 def measure_star(
@@ -585,24 +557,21 @@ def measure_star(
     rings = np.arange(n / np.pi, radius - 1 - PLAIN_PX, RING_STEP_PX)
     place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
     radius *= 1 - np.hypot(*place[2:])
-    rings = rings[rings < radius - 1 - PLAIN_PX]
+    rings = rings[rings < radius - 1 - PLAIN_PX][::-1]
     fits = [_ring(pixels, place, n, ring) for ring in rings]
     amplitude, std = np.array([(np.hypot(*fit[0]), fit[1]) for fit in fits]).T
     frequency = n / (2 * np.pi * rings)
     lens = _lens_of(frequency, amplitude)
-    sigma = _gaussian_sigma(frequency, amplitude / amplitude.max())
-    levels, borders = _plain_levels(pixels, place, n, radius, 3 * sigma)
-    share = _plain_share(lens, borders)
-    levels = levels.mean() + (levels - levels.mean()) / share
-    scale = 2 * SQUARE / np.ptp(levels)
-    order = np.argsort(frequency)
+    # three standard deviations of the Gaussian of the same MTF50
+    clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
+    levels, borders = _plain_levels(pixels, place, n, radius, clear)
+    scale = 2 * SQUARE * _plain_share(lens, borders) / np.ptp(levels)
     return StarMtf(
-        frequency=frequency[order],
-        mtf=(scale * amplitude)[order],
-        std=(scale * std)[order],
-        radius_px=rings[order],
+        frequency=frequency,
+        mtf=scale * amplitude,
+        std=scale * std,
+        radius_px=rings,
         centre=(float(place[0]), float(place[1])),
-        levels=(float(levels[0]), float(levels[1])),
         tilt_deg=_tilt(place),
     )
 
@@ -731,12 +700,11 @@ def haar_sharpness(
     import xarray as xr
     from scipy.stats import median_abs_deviation
 
-    grey = np.asarray(image, dtype=np.float64)
-    side = check_count(block, "block", low=8)
-    if grey.ndim != 2 or min(grey.shape) < side or not np.isfinite(grey).all() or side % 4:
+    grey, side = check_image(image), check_count(block, "block", low=8)
+    if min(grey.shape) < side or side % 4:
         raise ValueError(
-            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be finite and at "
-            "least a block large; the block's side must be a multiple of 4."
+            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be at least a "
+            "block large; the block's side must be a multiple of 4."
         )
     rows, columns = (size // side for size in grey.shape)
     approximation, fine = _haar(grey[: rows * side, : columns * side])
@@ -745,7 +713,8 @@ def haar_sharpness(
         noise_std = float(median_abs_deviation(fine[2], axis=None, scale="normal"))
     noise = check_number(noise_std, "noise_std", low=0) ** 2
     above, below = (
-        sum(_block_means(part**2, rows, columns) - noise for part in details)
+        sum(cv2.resize(part**2, (columns, rows), interpolation=cv2.INTER_AREA) for part in details)
+        - 3 * noise
         for details in (fine, coarse)
     )
     clear = below > 4 * max(noise, 1e-12) * len(fine)
@@ -768,11 +737,8 @@ def _sector(dy, dx, azimuth_deg):
     if not 0 < last - first <= 360:
         raise ValueError(f"Invalid azimuth_deg {azimuth_deg}. Must span between 0 and 360 degrees.")
     turn = (np.degrees(np.arctan2(dy, dx)) - first) % 360
-    if last - first == 360:
-        return np.ones(dx.shape, dtype=bool)
-    r = np.hypot(dx, dy)
-    to_limits = np.radians(np.minimum(turn, last - first - turn))
-    return (to_limits > 0) & (r * np.sin(np.minimum(to_limits, np.pi / 2)) > PLAIN_PX)
+    to_limits = np.radians(np.clip(np.minimum(turn, last - first - turn), 0, 90))
+    return (np.hypot(dx, dy) * np.sin(to_limits) > PLAIN_PX) | (last - first == 360)
 
 
 def _polar(pixels, place):
@@ -873,14 +839,6 @@ def _plain_share(lens, borders):
     return float(total.mean())
 
 
-def _gaussian_sigma(frequency, mtf):
-    """Standard deviation (px) of the Gaussian whose transfer function fits best."""
-    good = (mtf > 0.1) & np.isfinite(mtf)
-    f2, weight = frequency[good] ** 2, mtf[good] ** 2
-    slope = (weight * f2) @ -np.log(mtf[good]) / ((weight * f2) @ f2)
-    return float(np.sqrt(max(slope, 1e-12) / (2 * np.pi**2)))
-
-
 def _ring(pixels, place, n, ring):
     """Cosine and sine amplitude of the wave at a radius, and their standard error."""
     r, azimuth = _polar(pixels, place)
@@ -939,9 +897,3 @@ def _place_of_bars(group):
     low = np.array([group["x_px"], group["y_px"]]) - across * size[0] / 2 - along * size[1] / 2
     matrix = np.vstack([np.column_stack([across, along, low]), [0, 0, 1]])
     return ChartMap(matrix, source="group of bars")
-
-
-def _block_means(values, rows, columns):
-    """Means over the blocks of an array, shape (rows, columns)."""
-    high, wide = values.shape[0] // rows, values.shape[1] // columns
-    return values.reshape(rows, high, columns, wide).mean(axis=(1, 3))

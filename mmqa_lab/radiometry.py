@@ -36,9 +36,10 @@ against the sun.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -69,14 +70,11 @@ UNDETERMINED = (
 
 COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
 
-HUBER, SHADOW = 1.5, 6.0
-"""Deviations beyond which residuals weigh less (Huber & Ronchetti 2009), and hardly count."""
+SHADOW, RELATIVE_STD = 6.0, 0.02
+"""Deviations that hardly count; standard deviation of an observation, a share of its radiance."""
 
-ROUNDS, RELATIVE_STD = 50, 0.02
-"""Largest number of iterations; standard deviation of an observation, a share of its radiance."""
-
-HUBER_ROUNDS, REWEIGHTINGS = 8, 16
-"""Iterations with Huber's weights, and iterations in which weights change at all."""
+ROUNDS, REWEIGHTINGS = 50, 16
+"""Largest number of iterations, and iterations in which weights change."""
 
 RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
@@ -90,8 +88,8 @@ class SensorFit(Shown):
     ----------
     gain, offset : float
         DN per unit of radiance at exposure 1, and DN of darkness.
-    covariance : array, shape (2, 2)
-        Of (gain, offset).
+    std : array, shape (2,)
+        Standard errors of (gain, offset).
     r_squared : float
         Share of the (weighted) variance of DN that radiance explains.
     residuals : array, shape (n,)
@@ -108,7 +106,7 @@ class SensorFit(Shown):
 
     gain: float
     offset: float
-    covariance: np.ndarray
+    std: np.ndarray
     r_squared: float
     residuals: np.ndarray
     saturated: int
@@ -117,11 +115,6 @@ class SensorFit(Shown):
     def n(self) -> int:
         """Number of targets used."""
         return int(np.isfinite(self.residuals).sum())
-
-    @property
-    def std(self) -> np.ndarray:
-        """Standard errors of (gain, offset), shape (2,)."""
-        return np.sqrt(np.diag(self.covariance))
 
     @property
     def freedom(self) -> int:
@@ -287,12 +280,10 @@ def fit_sensor(
     terms = 1 if through_zero else 2
     design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
     fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
-    covariance = np.zeros((2, 2))
-    covariance[:terms, :terms] = fit.cov_params()
     return SensorFit(
         gain=float(fit.params[0]),
         offset=0.0 if through_zero else float(fit.params[1]),
-        covariance=covariance,
+        std=np.append(fit.bse, 0.0)[:2],
         r_squared=float(fit.rsquared),
         residuals=np.where(used, dn - design @ fit.params, np.nan),
         saturated=int((~used).sum()),
@@ -305,17 +296,9 @@ def coarse_pairs(image, reference):
     Pixels are averaged to those of the reference, then both pass a median of 3 x 3 (EuroSDR 2013,
     image radiometry, section 4.2: DMC against CASI).
     """
-    from scipy.ndimage import median_filter
-
-    high, wide = image.shape[0] // reference.shape[0], image.shape[1] // reference.shape[1]
-    if (high * reference.shape[0], wide * reference.shape[1]) != image.shape or high != wide:
-        raise ValueError(
-            f"Invalid reference of {reference.shape} pixels for an image of {image.shape}. Must "
-            "show the same ground in pixels a whole number of times as large."
-        )
-    size = reference.shape[0], high, reference.shape[1], wide
-    coarse = np.asarray(image, dtype=np.float64).reshape(size).mean(axis=(1, 3))
-    return tuple(median_filter(part, 3).ravel() for part in (coarse, np.asarray(reference, float)))
+    image, reference = (np.asarray(part, dtype=np.float32) for part in (image, reference))
+    coarse = cv2.resize(image, reference.shape[::-1], interpolation=cv2.INTER_AREA)
+    return tuple(cv2.medianBlur(part, 3).ravel() for part in (coarse, reference))
 
 
 def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
@@ -715,9 +698,9 @@ def adjust_block(
     Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse. The
     standard deviation of an observation is taken to be 2 % of its radiance; what the misfit shows
     beyond that widens the intervals.
-    Observations that fit badly are weighed down (Huber), and those far off, as in shadow, do not
-    count. A prior is a value and a standard deviation: 0 keeps the value, infinity leaves it to the
-    images.
+    Observations that fit badly are weighed down (Geman and McClure 1987), and those far off, as in
+    shadow, do not count. A prior is a value and a standard deviation: 0 keeps the value, infinity
+    leaves it to the images.
 
     Parameters
     ----------
@@ -791,9 +774,7 @@ def adjust_block(
         scaled, jacobian = misfit / noise, jacobian[:, free]
         if iteration < REWEIGHTINGS:
             size = np.abs(scaled) / _misfit_scale(scaled)
-            weight = np.minimum(1, HUBER / np.maximum(size, 1e-12)) / noise**2
-            if iteration >= HUBER_ROUNDS:  # once medians are about right
-                weight = (1 + (size / SHADOW) ** 2) ** -2 / noise**2
+            weight = (1 + (size / SHADOW) ** 2) ** -2 / noise**2
         normal = jacobian.T @ sparse.diags(weight) @ jacobian + sparse.diags(prior_weight)
         normal = normal + gains.T @ gains * (normal.diagonal()[:parameters].sum() / images**2)
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
@@ -802,9 +783,8 @@ def adjust_block(
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= 1e-7:
             inverse = _covariance(normal, parameters)
-            _warn(block, estimate, value, std, misfit)
-            adjusted = _result(block, observations, estimate, inverse, free, scaled)
-            return replace(adjusted, absolute=control is not None)
+            _warn(block, estimate, value, std, RELATIVE_STD * scaled)
+            return _result(block, estimate, inverse, free, scaled, control is not None)
     raise ValueError(
         f"Invalid block: still changing after {ROUNDS} iterations. Must have tie points that "
         "determine the parameters."
@@ -813,7 +793,7 @@ def adjust_block(
 
 def _tie_spread(values, tie):
     """The coefficient of variation of each tie point's values, percent; NaN for one value."""
-    groups = pd.Series(np.asarray(values, dtype=np.float64)).groupby(np.asarray(tie))
+    groups = pd.Series(values).groupby(tie)
     return 100 * groups.std() / groups.mean()
 
 
@@ -822,6 +802,7 @@ class _Block:
 
     def __init__(self, observations):
         check_columns(observations, COLUMNS, "observations")
+        self.observations = observations
         self.signal = observations["radiance"].to_numpy(dtype=np.float64)
         if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):
             raise ValueError(f"Invalid radiance {np.nanmin(self.signal)}. Must be > 0 and finite.")
@@ -919,7 +900,7 @@ def _covariance(normal, count):
     return inverse
 
 
-def _result(block, observations, estimate, inverse, free, scaled):
+def _result(block, estimate, inverse, free, scaled, absolute):
     """The adjustment as tables."""
     log_gain, b, radial, haze, ground = block.split(estimate)
     freedom = max(len(scaled) - free.sum(), 1)
@@ -936,16 +917,18 @@ def _result(block, observations, estimate, inverse, free, scaled):
     anisotropy.insert(0, "surface", block.surfaces)
     ties = pd.DataFrame({"tie": block.ties, "reflectance": ground, "n": np.bincount(block.tie)})
     fall = float(radial), float(radial_std)
-    adjusted = BlockAdjustment(gains, anisotropy, fall, ties, absolute=False)
-    ties["cv_before_percent"] = _tie_spread(block.signal / block.sun, block.tie).to_numpy()
-    ties["cv_after_percent"] = _tie_spread(adjusted.correct(observations), block.tie).to_numpy()
+    adjusted = BlockAdjustment(gains, anisotropy, fall, ties, absolute)
+    ties["cv_before_percent"] = _tie_spread(block.signal / block.sun, block.tie)
+    ties["cv_after_percent"] = _tie_spread(adjusted.correct(block.observations), block.tie)
     return adjusted
 
 
-def _warn(block, estimate, value, std, misfit):
-    """Warn of known reflectances that contradict the others, and of many odd observations."""
+def _warn(block, estimate, value, std, share):
+    """Warn of known reflectances that contradict the others, and of many odd observations.
+
+    ``share``: misfits as shares of the radiances.
+    """
     value, std, estimate = (part[-len(block.ties) :] for part in (value, std, estimate))
-    share = misfit / np.maximum(block.signal - misfit, block.signal / 10)
     spread = _misfit_scale(share)
     # by how much images and control differ, and may differ
     of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate

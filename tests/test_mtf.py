@@ -35,7 +35,6 @@ def test_edge_fit_knows_its_own_shapes(method, angle):
     spread = PointSpread(0.8)
     fit = fit_edge(render_edge((60, 60), spread, angle_deg=angle), method=method)
     assert np.trapezoid(fit.lsf, fit.distance_px) == pytest.approx(1, abs=1e-4)
-    assert (fit.esf[0], fit.esf[-1]) == pytest.approx((0, 1), abs=1e-4)
     assert fit.mtf50 == pytest.approx(spread.mtf50(angle), rel=4e-3)
     assert fit.fwhm_px == pytest.approx(spread.fwhm(angle), rel=5e-3)
 
@@ -70,8 +69,6 @@ def test_star_within_two_hundredths(half, sigma, rng):
     assert np.abs(star.mtf - spread.mtf_mean(star.frequency))[low].max() < 0.02
     assert np.hypot(star.centre[0] - 94.8, star.centre[1] - 94.3) < 0.15
     assert star.at(0.1) > star.mtf50
-    # rendered levels; the middle of the sectors does not reach them under the wider blur
-    assert star.levels == pytest.approx((0.1, 0.6), abs=0.002)
 
 
 @pytest.mark.parametrize(("radius", "tilt"), [(70, 0), (70, 15), (110, 30)])
