@@ -70,10 +70,9 @@ class Calibration(Shown):
     table : DataFrame
         A row per head and parameter: ``head``, ``parameter``, ``value``, ``std`` (0 if the
         parameter was kept), and the 95 % confidence interval ``low`` and ``high`` by Student's t
-        (NaN if kept). The degrees of freedom count the features that matter (Satterthwaite).
-    covariance : array, shape (6 h, 6 h)
-        In the order of the table, degrees and metres. It contains the scatter between features
-        (cluster-robust), also of planes that are not quite flat, and stated errors of the paths.
+        (NaN if kept). The degrees of freedom count the features that matter (Satterthwaite). They
+        contain the scatter between features (cluster-robust), also of planes that are not quite
+        flat, and stated errors of the paths.
     lever_arms_m : array, shape (h, 3)
         Assumed lever arms, m.
     remarks : str
@@ -81,7 +80,6 @@ class Calibration(Shown):
     """
 
     table: pd.DataFrame
-    covariance: np.ndarray
     lever_arms_m: np.ndarray
     remarks: str = ""
 
@@ -223,7 +221,8 @@ def calibrate(
     free, rng = np.tile(~kept, len(lever)), np.random.default_rng(0)
     origin = drives[0][0].points.mean(axis=0).round()
     shots = _Shots.sampled(drives, lever, origin, rng)
-    control = None if control is None else check_points(control, name="control") - origin
+    level = control is None
+    control = np.empty((0, 3)) if level else check_points(control, name="control") - origin
     values = np.zeros((len(lever), len(PARAMETERS)))
     group = shots.drive * len(lever) + shots.head
     for _ in range(2):  # features are looked for again with the better mounting
@@ -233,7 +232,7 @@ def calibrate(
             _OnPoles(shots, _poles(placed, group, poles, origin)),
             _OnGround(shots, _heights(placed, control)),
         ]
-        adjustment = _Adjustment(kinds, free, level=control is None)
+        adjustment = _Adjustment(kinds, free, level)
         values = adjustment.solved(values)
     return _result(adjustment, values, lever, path_std_m, path_std_deg)
 
@@ -311,15 +310,10 @@ def _planes(placed, group, most, rng):
     for centre in seeds["centre"]:
         if (np.abs(centres - centre).max(axis=1) >= 0.7 * CELL_M).all() and len(centres) < most:
             centres = np.vstack([centres, centre])
-    balls = cKDTree(placed).query_ball_point(centres, CELL_M / 2) if len(centres) else []
-    index = np.concatenate([np.empty(0, int), *map(rng.permutation, balls)])
+    balls = cKDTree(placed).query_ball_point(centres, CELL_M / 2)
+    index = np.concatenate([*map(rng.permutation, balls)])
     ball = np.repeat(np.arange(len(balls)), [len(ball) for ball in balls])
-    shown = _shared(placed[index], ball, group[index])
-    if shown.empty:
-        raise ValueError(
-            f"Invalid drives: no planes in common within cubes of {CELL_M} m. Must overlap."
-        )
-    places = shown.groupby("place")["rows"]
+    places = _shared(placed[index], ball, group[index]).groupby("place")["rows"]
     return [(index[np.concatenate(rows.tolist())], None) for _, rows in places]
 
 
@@ -340,14 +334,15 @@ def _shared(points, place, group):
     columns = {"place": where, "side": np.abs(normal).argmax(axis=1), "centre": list(centre)}
     rows = [order[k : k + min(many, MOST)] for k, many in zip(starts[flat], n[flat], strict=True)]
     table = pd.DataFrame(columns | {"rows": rows})[same]
-    return table[table["place"].duplicated(keep=False)]
+    table = table[table["place"].duplicated(keep=False)]
+    if table.empty:
+        raise ValueError(f"Invalid drives: no planes in common within {CELL_M} m. Must overlap.")
+    return table
 
 
 def _moments(points, starts):
     """Counts, centred points, centres, variances (ascending) and axes of runs of points."""
     n = np.diff(np.append(starts, len(points)))
-    if not len(n):
-        return n, points, np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
     centre = np.add.reduceat(points, starts) / n[:, None]
     off = points - np.repeat(centre, n, axis=0)
     scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / n[:, None, None]
@@ -357,10 +352,7 @@ def _moments(points, starts):
 
 def _heights(placed, control):
     """Points around control points, with the known heights."""
-    if control is None:
-        return []
-    near = cKDTree(control[:, :2])
-    gap, which = near.query(placed[:, :2], distance_upper_bound=CONTROL_M)
+    gap, which = cKDTree(control[:, :2]).query(placed[:, :2], distance_upper_bound=CONTROL_M)
     index = np.flatnonzero(np.isfinite(gap))
     index = index[np.abs(placed[index, 2] - control[which[index], 2]) < CONTROL_M]
     parts = pd.Series(index).groupby(which[index])
@@ -520,8 +512,8 @@ class _Adjustment:
         """Array (heads, 6), 0 for kept parameters."""
         return (self.ways @ parameters).reshape(-1, len(PARAMETERS))
 
-    def covariance(self, values, path_std):
-        """Covariance of all parameters, and the degrees of freedom of each variance.
+    def variance(self, values, path_std):
+        """Variances of all parameters, and their degrees of freedom.
 
         Each feature contributes its misfit from the mounting that all other features give
         (cluster-robust, jackknife). The degrees of freedom of a variance are the number of features
@@ -538,11 +530,11 @@ class _Adjustment:
         reach = self.ways @ inverse
         share = np.einsum("ij,gjk,ik->gi", reach, own, reach)
         of_paths = reach @ slopes.T @ (paths * np.tile(path_std, paths.shape[1] // 6))
-        of_points = effects @ effects.T
-        covariance = of_points + of_paths @ of_paths.T
+        of_points = (effects**2).sum(axis=1)
+        variance = of_points + (of_paths**2).sum(axis=1)
         with np.errstate(invalid="ignore"):  # of kept parameters
             students = share.sum(axis=0) ** 2 / (share**2).sum(axis=0)
-            return covariance, students * (np.diag(covariance) / np.diag(of_points)) ** 2
+            return variance, students * (variance / of_points) ** 2
 
     def _refuse_open(self, slopes):
         """Refuse a mounting with parameters that can change together without any effect."""
@@ -567,25 +559,21 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     missing = " and ".join(name for name, std in given.items() if std is None)
     path_std = np.zeros(6)
     path_std[:3], path_std[3:] = (0.0 if std is None else std for std in given.values())
-    covariance, students = adjustment.covariance(values, path_std / UNIT[::-1])
+    variance, students = adjustment.variance(values, path_std / UNIT[::-1])
     unit, limits = np.tile(UNIT, len(values)), np.repeat([10.0, 1.0], 3)  # beyond: no estimate
-    covariance = covariance * np.outer(unit, unit)
-    std, value = np.sqrt(np.diag(covariance)), values.ravel() * unit
+    std, value = np.sqrt(variance) * unit, values.ravel() * unit
     wild = np.maximum(np.abs(value), std) > np.tile(limits, len(values))
     if wild.any():
         raise _stay_open(wild)
     half = np.where(std > 0, stdtrit(students, 0.975) * std, np.nan)
     table = {"head": np.repeat(np.arange(len(values)), 6), "parameter": PARAMETERS * len(values)}
     table |= {"value": value, "std": std, "low": value - half, "high": value + half}
-    table = pd.DataFrame(table)
     ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
     ways = ways.groupby(adjustment.kinds[0].shots.drive).mean().to_numpy()
     remarks = {
-        f"The errors of the paths' {missing} are not given: the intervals do not contain them.": (
-            missing != ""
-        ),
+        f"Errors of the paths' {missing} are not given: the intervals lack them.": missing != "",
         "All drives run in one direction: an error of the mounting and one of the path look alike "
         "there, so do not rely on these values.": (ways @ ways.T).min() > 0,
     }
     remark = " ".join(text for text, true in remarks.items() if true)
-    return Calibration(table, covariance, lever, remark)
+    return Calibration(pd.DataFrame(table), lever, remark)

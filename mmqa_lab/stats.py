@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
@@ -148,19 +149,15 @@ def errors(values: ArrayLike) -> Errors:
     values = np.asarray(values, dtype=np.float64).ravel()
     if np.isinf(values).any():
         raise ValueError("Invalid errors: infinite. Must be finite, or NaN where not measured.")
-    known = values[~np.isnan(values)]
-    missing = len(values) - len(known)
-    if not len(known):
-        return Errors(0, missing, *[np.nan] * 5)
-    median = np.median(known)
+    known = pd.Series(values).dropna()
     return Errors(
         n=len(known),
-        missing=missing,
+        missing=len(values) - len(known),
         bias=float(known.mean()),
-        std=float(known.std(ddof=1)) if len(known) > 1 else np.nan,
-        rmse=float(np.sqrt(np.mean(known**2))),
-        median=float(median),
-        nmad=float(NMAD_SCALE * np.median(np.abs(known - median))),
+        std=float(known.std(ddof=1)),
+        rmse=float(np.sqrt((known**2).mean())),
+        median=float(known.median()),
+        nmad=float(NMAD_SCALE * (known - known.median()).abs().median()),
     )
 
 
@@ -171,20 +168,17 @@ class Interval(Shown):
     Parameters
     ----------
     value, low, high : float
-    repeats : int
-        Resamples for which the statistic was measurable.
 
     Examples
     --------
     >>> mean = bootstrap(np.mean, [1.0, 2.0, 3.0, 4.0], repeats=200)
-    >>> mean.value, mean.low < mean.value < mean.high, mean.repeats
-    (2.5, True, 200)
+    >>> mean.value, mean.low < mean.value < mean.high
+    (2.5, True)
     """
 
     value: float
     low: float
     high: float
-    repeats: int
 
 
 def bootstrap(
@@ -234,7 +228,7 @@ def bootstrap(
     drawn = np.array([statistic(*(a[rows] for a in arrays)) for rows in picked])
     known = drawn[np.isfinite(drawn)]
     low, high = np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats else [np.nan] * 2
-    return Interval(float(statistic(*arrays)), float(low), float(high), len(known))
+    return Interval(float(statistic(*arrays)), float(low), float(high))
 
 
 def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
@@ -356,15 +350,14 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     >>> bool(low < 5 < high), bool(high - low < 0.2)
     (True, True)
     """
-    values, block, known = np.asarray(values), np.asarray(block), ~np.isnan(values)
-    if not known.all():  # a copy of the blocks takes longer than the rest
-        values, block = values[known], block[..., known]
+    known = ~np.isnan(values)
+    values, block = np.asarray(values)[known], np.asarray(block)[..., known]
     reach = _reach(_influence(values[None]), block)[0] if len(values) else np.nan
     if np.isnan(reach):
         return np.nan, np.nan
     shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
     low, high = np.sort(values)[np.rint(shares * (len(values) - 1)).astype(int)]
-    middle = _medians(values[None])[0, 0]  # between two values where their number is even
+    middle = np.median(values)  # between two values where their number is even
     return float(min(low, middle)), float(max(high, middle))
 
 
@@ -411,15 +404,9 @@ def median_ratio_interval(
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
-def _medians(rows):
-    """The median of each row, shape (m, 1); to sort is faster than numpy's median."""
-    n = rows.shape[1]
-    return np.sort(rows)[:, [(n - 1) // 2, n // 2]].mean(axis=1, keepdims=True)
-
-
 def _influence(rows):
     """The part of each value in the error of the share of its row below the median."""
-    middles = _medians(rows)
+    middles = np.median(rows, axis=1, keepdims=True)
     signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
 

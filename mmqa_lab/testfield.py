@@ -108,9 +108,7 @@ def compare_heights(
     doubts = {
         f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
         "or the coordinate systems may differ.": apart > len(table) / 2,
-        f"{len(valid)} differences; the ASPRS standards ask for 30 check points or more.": (
-            len(valid) < 30
-        ),
+        f"{len(valid)} differences; the ASPRS standards ask for 30 or more.": len(valid) < 30,
         f"The median difference is {valid.median():+.2f} m; the two height systems may differ "
         "(ellipsoid or geoid).": abs(valid.median()) > 1,
     }
@@ -177,13 +175,14 @@ def height_differences(
     check_number(slope_limit, "slope_limit", low=0, high=90, unit="degrees")
     origin = reference.mean(axis=0).round()
     local, targets = points - origin, reference - origin
-    height, slope = np.full((2, len(targets)), np.nan)
-    counts = np.zeros(len(targets), dtype=int)
+    found = np.empty((3, len(targets)))
     order = np.argsort(targets[:, 0], kind="stable")
     for part in np.split(order, range(5000, len(order), 5000)):
         x = targets[part, 0]
         around = local[(local[:, 0] >= x[0] - radius) & (local[:, 0] <= x[-1] + radius)]
-        height[part], slope[part], counts[part] = _surfaces(around, targets[part], radius)
+        found[:, part] = _surfaces(around, targets[part], radius)
+    height, slope, counts = found
+    slope[counts == 0] = np.nan
     dz = height - targets[:, 2]
     conditions = [counts == 0, np.isnan(dz), slope > slope_limit]
     reason = np.select(conditions, REASONS[1:4], default="").astype(object)
@@ -191,7 +190,7 @@ def height_differences(
     far = np.abs(dz - valid.median) > max(GROSS * valid.nmad, LEAST_GROSS_M)
     reason[(reason == "") & far] = "gross error"
     table = pd.DataFrame(reference, columns=["x_m", "y_m", "reference_m"])
-    return table.assign(n=counts, dz_m=dz, slope_deg=slope, reason=reason)
+    return table.assign(n=counts.astype(int), dz_m=dz, slope_deg=slope, reason=reason)
 
 
 def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
@@ -234,12 +233,11 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     """
     check_columns(table, ("dz_m", "reason"), "table")
     used = table[table["reason"] == ""]
-    dz = 1000 * used["dz_m"].to_numpy(dtype=np.float64)
+    dz = 1000 * used["dz_m"]
     block = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used) and len(used):
         block = blocks(used[["x_m", "y_m"]])
-    shift = dz.mean() if len(dz) else np.nan
-    rows = {"kept": _heights(dz, block), "removed": _heights(dz - shift, block)}
+    rows = {"kept": _heights(dz, block), "removed": _heights(dz - dz.mean(), block)}
     rows["kept"] |= _mean_ends("mean", dz, block)
     return pd.DataFrame(rows.values(), index=pd.Index(rows, name="shift")).reset_index()
 
@@ -266,9 +264,8 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     """
     time = np.asarray(gps_time, dtype=np.float64)
     order = np.argsort(time, kind="stable")
-    number = np.empty(len(time), dtype=int)
-    number[order] = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap_s)
-    return number
+    number = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap_s)
+    return number[np.argsort(order)]
 
 
 def plan_differences(
@@ -386,29 +383,27 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     target = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used):
         target = used.groupby(["x_m", "y_m"]).ngroup().to_numpy()
-    difference = 1000 * used[["dx_m", "dy_m"]].to_numpy(dtype=np.float64)
-    shift = difference.mean(axis=0) if len(used) else np.full(2, np.nan)
+    difference = 1000 * used[["dx_m", "dy_m"]]
     counts = {"n": len(used), "missing": len(table) - len(used)}
     rows = [{"shift": "kept"}, {"shift": "removed"}]
-    for row, off in zip(rows, (difference, difference - shift), strict=True):
-        east, north = (errors(values) for values in off.T)
+    for row, off in zip(rows, (difference, difference - difference.mean()), strict=True):
+        east, north = errors(off["dx_m"]), errors(off["dy_m"])
         row |= counts | {"mean_east_mm": east.bias, "mean_north_mm": north.bias}
         row |= {"std_east_mm": east.std, "std_north_mm": north.std}
-        row |= _figures(np.hypot(*off.T), target)
-    for name, values in zip(("mean_east", "mean_north"), difference.T, strict=True):
-        rows[0] |= _mean_ends(name, values, target)
+        row |= _figures(np.hypot(off["dx_m"], off["dy_m"]), target)
+    for name, column in (("mean_east", "dx_m"), ("mean_north", "dy_m")):
+        rows[0] |= _mean_ends(name, difference[column], target)
     return pd.DataFrame(rows)
 
 
 def _figures(values, block):
-    """The figures that heights and distances in plan share; values in mm."""
+    """The figures that heights and distances in plan share; a series of values in mm."""
     found = errors(values)
-    low, high = (values.min(), values.max()) if len(values) else (np.nan, np.nan)
     share = mean_reach(values**2, block) / np.maximum(found.rmse**2, 1e-300) / 2
     return {
         "mean_mm": round(found.bias, 9) + 0.0,  # never -0
-        "min_mm": low,
-        "max_mm": high,
+        "min_mm": values.min(),
+        "max_mm": values.max(),
         "std_mm": found.std,
         "rmse_mm": found.rmse,
         "rmse_low_mm": found.rmse * np.exp(-share),
@@ -418,9 +413,8 @@ def _figures(values, block):
 
 def _heights(dz, block):
     """The figures of one row of heights, mm."""
-    found, size = errors(dz), np.abs(dz)
-    le90 = np.quantile(size, 0.9) if len(dz) else np.nan
-    own = {"median_mm": found.median, "nmad_mm": found.nmad, "le90_mm": le90}
+    found = errors(dz)
+    own = {"median_mm": found.median, "nmad_mm": found.nmad, "le90_mm": dz.abs().quantile(0.9)}
     return {"n": len(dz)} | _figures(dz, block) | own
 
 
@@ -544,18 +538,15 @@ def _surfaces(points, targets, radius):
 
     Heights are NaN without a triangle.
     """
-    height, slope = np.full((2, len(targets)), np.nan)
-    counts, places = np.zeros(len(targets), dtype=int), cKDTree(targets[:, :2])
+    height, places = np.full(len(targets), np.nan), cKDTree(targets[:, :2])
     points = points[np.isfinite(places.query(points[:, :2], distance_upper_bound=radius)[0])]
-    if len(points) < 3:
-        return height, slope, counts + (len(points) > 0)
     pairs = cKDTree(points[:, :2]).sparse_distance_matrix(places, radius, output_type="ndarray")
     counts = np.bincount(pairs["j"], minlength=len(targets))
     slope = _slopes(points[pairs["i"]] - targets[pairs["j"]], pairs["j"], len(targets))
     centre = targets[:, :2].mean(axis=0)
     try:
         mesh = Delaunay(points[:, :2] - centre)
-    except QhullError:  # all on one line
+    except (QhullError, ValueError):  # all on one line, or none
         return height, slope, counts
     with threadpool_limits(1):  # a small system for every triangle, which threads make slow
         triangle = mesh.find_simplex(targets[:, :2] - centre)
