@@ -18,7 +18,7 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
-from mmqa_lab.spacing import FEWEST, DirectionalSpacing, Spacing, exempt, line_strips, quadrants
+from mmqa_lab.spacing import FEWEST, DirectionalSpacing, Spacing, exempt, line_waves, quadrants
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,9 +41,6 @@ PAIRS = 5.0
 
 COARSE_MM = 1e-3
 """Smaller steps of coordinates are never too coarse."""
-
-FULL = 1.5
-"""Ratio of a polygon's area to the hull of its points above which a remark is given."""
 
 BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
@@ -178,14 +175,18 @@ class CloudQuality(Shown):
         -----
         These are confidence intervals of the mean over scans with the same mean pattern. The figure
         of another scan has its own error and lies inside in about 83 % of cases. Points of the same
-        scan line share errors. The independent blocks are therefore strips of whole lines, along
-        and across the lines (:func:`mmqa_lab.spacing.line_strips`). sigma_MAD, d1..d4 and the two
-        spacings of g are medians (:func:`mmqa_lab.stats.median_interval`). f and g are ratios of
-        two medians (:func:`mmqa_lab.stats.median_ratio_interval`). The density and the variance of
-        std are means. The operator's error is not included, see
-        :func:`mmqa_lab.repeatability.repeatability`. Intervals of the density are too wide for
-        regular patterns, because the errors of their blocks cancel. Intervals of the spacing are
-        too wide if the spacing grows much over the surface.
+        scan line share errors. So the intervals follow from slow waves across and along the lines
+        (:func:`mmqa_lab.spacing.line_waves`). sigma_MAD, d1..d4 and the two spacings of g are
+        medians (:func:`mmqa_lab.stats.median_interval`). f and g are ratios of two medians
+        (:func:`mmqa_lab.stats.median_ratio_interval`). The density and the variance of std are
+        means. The operator's error is not included, see
+        :func:`mmqa_lab.repeatability.repeatability`.
+
+        Two kinds of intervals are too wide. The density of points on lines hardly varies between
+        scans, because the errors of neighbouring lines cancel. Slow waves show only a part of
+        this, so the interval of the density is several times too wide. Without a direction of
+        lines, the direction of g is chosen from the points. This narrows the distribution of g,
+        but not its interval.
 
         Examples
         --------
@@ -196,7 +197,7 @@ class CloudQuality(Shown):
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
-        block, residuals_mm = self.spacing.strips, 1000 * self.plane.residuals
+        block, residuals_mm = self.spacing.waves, 1000 * self.plane.residuals
         off = np.abs(residuals_mm - np.median(residuals_mm))
         factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
         ends = np.multiply(factor, stats.median_interval(off, block))
@@ -285,7 +286,7 @@ class CloudQuality(Shown):
         return self.intervals().to_html(index=False, float_format="{:.4g}".format)
 
     def _density_interval(self):
-        """Density in the outline and its interval, from counts in strips."""
+        """Density in the outline and its interval."""
         density = self.n / self.outline.area if self.outline.area else np.nan
         if np.isnan(density) or self.n < FEWEST:
             return density, np.nan, np.nan
@@ -293,7 +294,7 @@ class CloudQuality(Shown):
         x, y = np.meshgrid(*(low + (high - low) * GRID[:, None]).T)
         places = np.column_stack([x.ravel(), y.ravel()])
         places = places[shapely.contains_xy(self.outline, *places.T)]
-        block = line_strips(np.vstack([self.xy, places]), self.directional)
+        block = line_waves(np.vstack([self.xy, places]), self.directional)
         # a point counts 1, a place of the grid minus the points expected per place
         expected = np.full(len(places), self.n / len(places))
         signs = np.concatenate([np.ones(self.n), -expected])
@@ -394,8 +395,7 @@ def evaluate_cloud(
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
-    remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
-    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
+    remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, axes)
     remarks += _remark_on_bend(xy, 1000 * plane.residuals, step_mm, scale)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
@@ -496,7 +496,7 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
+def _remarks_on_points(gaps, step_mm, sigma_mm, axes):
     """Remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
@@ -521,8 +521,6 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
         "Points spread alike in all directions: principal axes, and f, are by chance.": (
             axes != "horizontal" and wide < ALIKE * narrow
         ),
-        f"Points lie on {100 * hull_m2 / max(outline_m2, 1e-300):.0f} % of the polygon: its "
-        "density counts the rest too.": outline_m2 > FULL * hull_m2,
     }
     return [sentence for sentence, applies in sentences.items() if applies]
 
@@ -541,23 +539,6 @@ def _remark_on_bend(xy, residuals_mm, step_mm, scale):
         f"The surface is bent: its form is {100 * share:.0f} % of the variance of the distances. "
         f"Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
     ]
-
-
-def _remark_on_layers(residuals_mm, step_mm):
-    """A remark if the distances from the plane have two peaks, so they are not noise alone."""
-    low, high = np.quantile(residuals_mm, [0.005, 0.995])
-    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
-    if len(residuals_mm) < 100 or not high - low > 4 * width:
-        return []
-    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
-    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
-    lower = np.minimum(before, after)
-    k = np.argmax(lower - counts)
-    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
-        return []
-    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
-    a, b = np.add(peaks, width / 2)
-    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
 def _step(points):

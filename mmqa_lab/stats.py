@@ -21,6 +21,11 @@ NMAD_SCALE = 1.4826022185056018
 """1 / Phi^-1(3/4): the standard deviation of normal errors over their median absolute deviation."""
 
 
+HALF_WAVES = np.arange(3, 13, 2)
+"""Numbers of half waves over the points, for the errors that neighbours share. A single one would
+count a trend as an error. Even numbers would count that points at the edges lack neighbours."""
+
+
 @dataclass(frozen=True)
 class Rate(Shown):
     """A share of successes and its Wilson interval.
@@ -258,37 +263,39 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     return column * side + row
 
 
-def strips(xy: ArrayLike, direction: float, *, count: int = 8) -> np.ndarray:
-    """Number the points by strips along a direction, and by strips across it, of equal numbers.
+def waves(xy: ArrayLike, direction: float) -> np.ndarray:
+    """Return waves over the points across a direction, and waves along it.
 
     Parameters
     ----------
     xy : array_like, shape (n, 2)
         Coordinates in a plane.
     direction : float
-        Degrees counter-clockwise from the first axis, the direction of scan lines. Whole lines then
-        lie in a strip, except for lines on its borders.
-    count : int
-        Strips each way.
+        Degrees counter-clockwise from the first axis, the direction of scan lines. The points of a
+        line then lie at nearly the same place of each wave across.
 
     Returns
     -------
-    array of int, shape (2, n)
-        Blocks for the functions below: points depend on other points of their two strips.
+    array, shape (2, 5, n)
+        Cosines over the order of the points, of mean 0 and mean square 1, see ``HALF_WAVES``.
 
     Examples
     --------
-    >>> strips([[0, 0], [4, 0], [1, 4], [5, 4]], 0, count=2).tolist()
-    [[0, 0, 1, 1], [0, 1, 0, 1]]
+    >>> x, y = np.meshgrid(np.arange(40), np.arange(16))
+    >>> across, along = waves(np.stack([x.ravel(), y.ravel()], axis=1), 0)
+    >>> across.shape, across[0, [0, 639]].round(2)  # three half waves from the first line on
+    ((5, 640), array([ 1.41, -1.41]))
     """
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
     place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
     place = np.ascontiguousarray(place.T)
     is_tied = (np.diff(np.sort(place)) == 0).any()  # else the default is as good and faster
-    order = np.argsort(place, kind="stable" if is_tied else None)
-    found = np.empty_like(order)
-    np.put_along_axis(found, order, np.arange(len(xy)) * count // len(xy), axis=1)
+    order, n = np.argsort(place, kind="stable" if is_tied else None), len(xy)
+    cosines = np.sqrt(2) * np.cos(np.pi * HALF_WAVES[:, None] * (np.arange(n) + 0.5) / n)
+    found = np.empty((2, *cosines.shape))
+    for way, places in zip(found, order, strict=True):
+        way[:, places] = cosines
     return found
 
 
@@ -296,18 +303,24 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     """Return half the 95 % interval of a mean of values that depend on their neighbours.
 
     The standard error follows from the sums over blocks, which are nearly independent if the
-    dependence is short. Student's t of the blocks turns it into an interval.
+    dependence is short, or from the sums over slow waves (Lazarus et al. 2018). Student's t of the
+    number of sums turns it into an interval.
 
     Parameters
     ----------
     values : array_like, shape (n,)
-    block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`blocks` and :func:`strips`.
+    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+        The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
 
     Returns
     -------
     float
         In the unit of the values; NaN with fewer than two blocks.
+
+    References
+    ----------
+    Lazarus, Lewis, Stock and Watson 2018, HAR inference: recommendations for practice.
+    doi:10.1080/07350015.2018.1506926
 
     Examples
     --------
@@ -322,16 +335,15 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
 def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     """Return the 95 % interval of a median of values that depend on their neighbours.
 
-    The share of values below the median has a standard error that follows from its sums over
-    blocks, which are nearly independent if the dependence is short. Student's t and the
+    The share of values below the median has an interval like a mean, see :func:`mean_reach`. The
     quantiles of the values turn it into an interval of the median.
 
     Parameters
     ----------
     values : array_like, shape (n,)
         NaN if not measurable; infinity is a large value.
-    block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`blocks` and :func:`strips`.
+    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+        The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
 
     Returns
     -------
@@ -367,14 +379,14 @@ def median_ratio_interval(
     """Return the 95 % interval of median(top) / median(bottom), both of the same places.
 
     The interval of the logarithm follows from the intervals of both medians and the correlation of
-    their sums over blocks.
+    their errors.
 
     Parameters
     ----------
     top, bottom : array_like, shape (n,)
         Positive; NaN if not measurable.
-    block : array_like of int, shape (n,), (2, n) or (4, n)
-        See :func:`blocks` and :func:`strips`.
+    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+        As for :func:`median_interval`.
 
     Returns
     -------
@@ -412,30 +424,30 @@ def _influence(rows):
 
 
 def _reach(rows, block):
-    """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks.
-
-    For two ways of blocks their variances are added, and the variance of their intersections is
-    subtracted (Cameron, Gelbach and Miller 2011, doi:10.1198/jbes.2010.07136). Of several pairs of
-    ways, the pair with the largest variance counts.
-    """
-    ways = np.atleast_2d(block)
-    least = min(np.count_nonzero(np.bincount(way)) for way in ways)
-    if least < 2:
+    """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks."""
+    ways = np.asarray(block)
+    if ways.ndim > 1:  # of two pairs of waves, the wider interval counts
+        pairs = zip(ways[::2], ways[1::2], strict=True)
+        return np.max([_reach_by_waves(rows, *pair) for pair in pairs], axis=0)
+    filled = np.bincount(ways) > 0
+    count = np.count_nonzero(filled)
+    if count < 2:
         return np.full(len(rows), np.nan)
-    variances = [_variance(rows, way) for way in ways]
-    freedom = least - 1
-    if len(ways) > 1:
-        by_both = [
-            _variance(rows, a * (b.max() + 1) + b)
-            for a, b in zip(ways[::2], ways[1::2], strict=True)
-        ]
-        sums = np.add(variances[::2], variances[1::2])
-        variances, freedom = np.maximum(sums - by_both, by_both), len(ways) // 2 * freedom
-    return stdtrit(freedom, 0.975) * np.sqrt(np.max(variances, axis=0))
+    sums = np.array([np.bincount(ways, row)[filled] for row in rows])
+    return stdtrit(count - 1, 0.975) * np.sqrt((sums**2).sum(axis=1) * count / (count - 1))
 
 
-def _variance(rows, block):
-    """Variance of each row's sum, from its sums over blocks."""
-    filled = np.bincount(block) > 0
-    sums = np.array([np.bincount(block, row)[filled] for row in rows])
-    return (sums**2).sum(axis=1) * filled.sum() / (filled.sum() - 1)
+def _reach_by_waves(rows, across, along):
+    """Half the 95 % interval of each row's sum, from its sums over waves.
+
+    The variances by both ways are added, and the variance by the products of their waves, which
+    no whole line shares, is subtracted (Cameron, Gelbach and Miller 2011,
+    doi:10.1198/jbes.2010.07136).
+    """
+    count = len(across)
+    apart = np.array([(((across * row) @ along.T) ** 2).mean() for row in rows])
+    sums = ((across @ rows.T) ** 2 + (along @ rows.T) ** 2).mean(axis=0)
+    variances = np.maximum(sums - apart, apart)
+    share = 1 - apart / np.maximum(variances, 1e-300)  # of what whole lines share
+    freedom = 1 / (share**2 / count + (1 - share) ** 2 / count**2)
+    return stdtrit(freedom, 0.975) * np.sqrt(variances)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.spacing import directional, line_strips, quadrants, turned_f
+from mmqa_lab.spacing import directional, line_waves, quadrants, turned_f
 from mmqa_lab.studies.anisotropy import pair_contrast, structure_tensor
 
 
@@ -135,15 +135,15 @@ def test_pair_contrast_of_one_line_and_of_none():
 
 
 @pytest.mark.parametrize("degrees", [0, 20, 77])
-def test_strips_have_whole_lines_whatever_their_direction(degrees):
+def test_waves_have_whole_lines_whatever_their_direction(degrees):
     x, y = np.meshgrid(np.arange(120) * 0.005, np.arange(24) * 0.02)
     turn = np.radians(degrees)
     c, s = np.cos(turn), np.sin(turn)
     xy = np.column_stack([x.ravel(), y.ravel()]) @ np.array([[c, s], [-s, c]])
-    along, across = line_strips(xy)
-    lines = along.reshape(24, 120)
-    assert (lines == lines[:, :1]).mean() > 0.95
-    assert (np.bincount(along) == 360).all()
-    assert [len(set(line)) for line in across.reshape(24, 120).tolist()] == [8] * 24
-    assert len(line_strips(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
-    assert not line_strips(xy[:20]).any()
+    across, along = line_waves(xy)
+    assert across @ across.T / len(xy) == pytest.approx(np.eye(5), abs=1e-9)
+    # the slowest has three half waves over 24 lines
+    assert np.ptp(across[0].reshape(24, 120), axis=1).max() < np.sqrt(2) * 3 * np.pi / 24
+    assert np.ptp(along[0].reshape(24, 120), axis=1).min() > 2.7
+    assert len(line_waves(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
+    assert np.isnan(line_waves(xy[:20])).all()

@@ -127,16 +127,16 @@ class Spacing(Shown):
     def intervals(self) -> np.ndarray:
         """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2).
 
-        They come from blocks of whole scan lines if the points lie in lines: :func:`line_strips`.
+        They allow for errors of whole scan lines if the points lie in lines: :func:`line_waves`.
         """
-        ends = [stats.median_interval(distances, self.strips) for distances in self.distances.T]
+        ends = [stats.median_interval(distances, self.waves) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
-        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.strips)])
+        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.waves)])
 
     @cached_property
-    def strips(self) -> np.ndarray:
-        """Blocks for the intervals, see :func:`line_strips`."""
-        return line_strips(self.xy, self.directional if self.n >= FEWEST else None)
+    def waves(self) -> np.ndarray:
+        """Waves for the intervals, see :func:`line_waves`."""
+        return line_waves(self.xy, self.directional if self.n >= FEWEST else None)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
@@ -407,9 +407,9 @@ class DirectionalSpacing(Shown):
     def intervals(self) -> np.ndarray:
         """95 % confidence intervals of along, across and g, shape (3, 2).
 
-        They hold for the direction found, and come from the blocks of :func:`line_strips`.
+        They hold for the direction found, and come from :func:`line_waves`.
         """
-        block = line_strips(self.xy, self)
+        block = line_waves(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
         along, across = self.nearest[:, places.round().astype(int) % len(self.directions_deg)].T
         ends = [stats.median_interval(distances, block) for distances in (along, across)]
@@ -497,12 +497,12 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     return DirectionalSpacing(directions, np.where(np.isinf(medians), np.nan, medians), xy, nearest)
 
 
-def line_strips(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
-    """Number the points by strips along and across the scan lines, as blocks for intervals.
+def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
+    """Return waves across and along the scan lines, for intervals.
 
     An error of a whole line, such as its distance from the next line, is common to all of its
-    points. The strips follow the direction in which points lie closest. Without such a direction
-    there are two pairs of strips, along the axes and at 45 degrees to them: the crossing lines of
+    points. The waves follow the direction in which points lie closest. Without such a direction
+    there are two pairs of waves, along the axes and at 45 degrees to them: the crossing lines of
     two scan heads on an upright board have no common direction.
 
     Parameters
@@ -514,24 +514,23 @@ def line_strips(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nd
 
     Returns
     -------
-    array of int, shape (2, n) or (4, n)
-        See :func:`mmqa_lab.stats.strips`. Fewer than 50 points, or points at a single place, form
-        one block and have no interval.
+    array, shape (2, 5, n) or (4, 5, n)
+        See :func:`mmqa_lab.stats.waves`. NaN, so no interval, for fewer than 50 points or points at
+        a single place.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(16) * 0.04)
-    >>> strips, _ = line_strips(np.stack([x.ravel(), y.ravel()], axis=1))
-    >>> [len(set(line)) for line in strips.reshape(16, 40).tolist()] == [1] * 16  # each line whole
-    True
+    >>> line_waves(np.stack([x.ravel(), y.ravel()], axis=1)).shape
+    (2, 5, 640)
     """
     xy = np.asarray(xy, dtype=np.float64)
     if len(xy) < FEWEST or not np.ptp(xy, axis=0).any():
-        return np.zeros((2, len(xy)), dtype=int)
+        return np.full((2, 1, len(xy)), np.nan)
     found = directional(xy) if found is None else found
     if found.g > 1 + CHANCE / np.sqrt(found.n):
-        return stats.strips(xy, found.direction_deg)
-    return np.vstack([stats.strips(xy, 0), stats.strips(xy, 45)])
+        return stats.waves(xy, found.direction_deg)
+    return np.vstack([stats.waves(xy, 0), stats.waves(xy, 45)])
 
 
 def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.ndarray:
