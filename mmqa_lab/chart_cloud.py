@@ -182,11 +182,11 @@ class CloudQuality(Shown):
         means. The operator's error is not included, see
         :func:`mmqa_lab.repeatability.repeatability`.
 
-        Two kinds of intervals are too wide. The density of points on lines hardly varies between
-        scans, because the errors of neighbouring lines cancel. Slow waves show only a part of
-        this, so the interval of the density is several times too wide. Without a direction of
-        lines, the direction of g is chosen from the points. This narrows the distribution of g,
-        but not its interval.
+        Some intervals are too wide. The density of points on lines hardly varies between scans,
+        because the errors of neighbouring lines cancel. Slow waves show only a part of this, so the
+        interval of the density is several times too wide. Without a direction of lines, the wider
+        of two intervals is given (about a third too wide for random points), and the direction of
+        g is chosen from the points. This narrows the distribution of g, but not its interval.
 
         Examples
         --------
