@@ -298,7 +298,6 @@ def test_hardly_any_points_have_no_poles(method, n, rng):
     [
         ({"method": "hough"}, "Invalid method 'hough'. Must be one of learned, fgi, itc."),
         ({"threshold": -0.1}, "Invalid threshold -0.1. Must be > 0."),
-        ({"shell": 0.2}, "Invalid choice of learned 'shell'."),
         ({"method": "fgi"}, "Invalid cloud: columns none. The scan-line method needs scan_line"),
     ],
 )

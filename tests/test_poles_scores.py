@@ -59,14 +59,9 @@ def test_a_second_hit_is_a_duplicate_and_not_a_pole():
 
 
 def test_what_is_no_target_is_neither_right_nor_wrong():
-    truth = table(
-        [[0, 0], [5, 0], [10, 0], [15, 0]],
-        visible=[True, False, True, True],
-        height_m=[2.0, 2.0, 0.9, 3.0],
-        ignore=[False, False, False, True],
-    )
-    result = poles.score(table([[0, 0], [5, 0], [10, 0], [15, 0]]), truth)
-    assert list(result.detections["outcome"]) == ["hit", "ignored", "ignored", "ignored"]
+    truth = table([[0, 0], [5, 0], [10, 0]], visible=[True, False, True], height_m=[2.0, 2.0, 0.9])
+    result = poles.score(table([[0, 0], [5, 0], [10, 0]]), truth)
+    assert list(result.detections["outcome"]) == ["hit", "ignored", "ignored"]
     assert result.precision.value == 1.0
     assert result.recall.n == 1
     assert result.to_frame()["n"].tolist() == [1, 1]

@@ -82,11 +82,8 @@ def detect(
     """
     check_choice(method, "method", tuple(METHODS))
     module = {"learned": learned, "fgi": fgi, "itc": itc}[method]
-    known = module.detect.__kwdefaults__
-    for name, value in choices.items():
-        check_choice(name, f"choice of {method}", tuple(known))
-        if name != "trees":
-            check_positive(value, name)
+    if "threshold" in choices:
+        check_positive(choices["threshold"], "threshold")
     cloud = points if isinstance(points, Cloud) else Cloud(points)
     check_same_crs("cloud", cloud.crs, "cloud", None)
     origin = np.floor(cloud.points.min(axis=0)) if len(cloud) else np.zeros(3)

@@ -142,3 +142,22 @@ def joined(a, b, n):
     """Number of the connected component of each of n nodes, from the linked pairs (a, b)."""
     graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
     return connected_components(graph, directed=False)[1]
+
+
+def principal_axes(points, part):
+    """Return centres (k, 3), variances (k, 3, ascending) and axes (k, 3, 3) of parts of a cloud.
+
+    The columns of the axes are unit vectors. Points (n, 3) in metres; ``part`` (n,) has all of the
+    numbers from 0 to k - 1.
+
+    Examples
+    --------
+    >>> _, variances, _ = principal_axes(np.array([[0, 0, 0], [0, 0, 2.0]]), np.zeros(2, int))
+    >>> variances.tolist()
+    [[0.0, 0.0, 1.0]]
+    """
+    centre = pd.DataFrame(points).groupby(part).mean().to_numpy()
+    off = points - centre[part]
+    products = (off[:, :, None] * off[:, None, :]).reshape(-1, 9)
+    scatter = pd.DataFrame(products).groupby(part).mean().to_numpy()
+    return centre, *np.linalg.eigh(scatter.reshape(-1, 3, 3))

@@ -12,9 +12,10 @@ method keeps them.
 """
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 
-from mmqa_lab.poles.common import drop_duplicates, first_reason, joined, pairs, table
+from mmqa_lab.poles.common import drop_duplicates, first_reason, joined, principal_axes, table
 from mmqa_lab.scan_pattern import revolutions_from_time
 
 GROUP_M, MISSING = 0.10, 2
@@ -59,42 +60,37 @@ def detect(points, lines, *, explain=False):
     points, line, pulse = points[order], lines[0][order], lines[1][order]
     group, groups = segment_lines(points, line, pulse)
     member = np.append(_clusters(groups), -1)[group]  # -1, no group, takes the last
-    everything, kept = points, member >= 0
-    points, line, member = points[kept], line[kept], _merged(points[kept], member[kept])
-    kept = member >= 0
-    points, line, member = points[kept], line[kept], member[kept]
+    everything, kept = cKDTree(points), member >= 0
+    points, line = points[kept], line[kept]
+    member = _merged(points, member[kept])
     axes = _axes(points, member)
     n = len(axes["ratio"])
     seen = np.unique(np.column_stack([member, line]), axis=0)[:, 0]
     reason = first_reason(
         n,
-        length=axes["high"] - axes["low"] < LENGTH_M,
+        length=np.ptp(axes["ends"], axis=1) < LENGTH_M,
         sweeps=np.bincount(seen, minlength=n) < SWEEPS,
         tilt=axes["direction"][:, 2] < np.cos(np.radians(TILT_DEG)),
         elongation=axes["ratio"] < ELONGATION,
     )
-    ends, share = np.column_stack([axes["low"], axes["high"]]), np.zeros(n)
-    ends_of_members = np.cumsum(np.bincount(member, minlength=n))[:-1]
-    own = np.split(np.argsort(member, kind="stable"), ends_of_members)
-    diameter = np.full(n, np.nan)
+    share, diameter = np.zeros(n), np.full(n, np.nan)
     for k in np.flatnonzero(reason == ""):
-        axis = axes["centre"][k], axes["direction"][k]
-        accepted, share[k] = _mask(everything, points[own[k]], axis)
-        part = own[k][accepted]
-        along = (points[part] - axis[0]) @ axis[1]
+        own, axis = np.flatnonzero(member == k), (axes["centre"][k], axes["direction"][k])
+        accepted, share[k] = _mask(everything, points[own], axis)
+        part = own[accepted]
+        along = _about(points[part], axis)[0]
         if len(np.unique(line[part])) < SWEEPS or np.ptp(along) < LENGTH_M:
             reason[k] = "mask"
             continue
-        ends[k] = along.min(), along.max()
+        axes["ends"][k] = along.min(), along.max()
         diameter[k] = chord_diameter(points[part], axis[1], line[part])
-    low, high = (axes["centre"] + end[:, None] * axes["direction"] for end in ends.T)
-    middle = (low + high) / 2
-    drop_duplicates(middle[:, :2], share, reason, 2 * MERGE_M)
+    low, high = (axes["centre"] + end[:, None] * axes["direction"] for end in axes["ends"].T)
+    x, y, _ = (low + high).T / 2
+    drop_duplicates(np.column_stack([x, y]), share, reason, 2 * MERGE_M)
     lean = axes["direction"][:, :2] / np.maximum(axes["direction"][:, 2:], 1e-6)
-    rows = {"x_m": middle[:, 0], "y_m": middle[:, 1], "z_base_m": low[:, 2]}
-    rows |= {"height_m": high[:, 2] - low[:, 2], "diameter_m": diameter, "lean_x": lean[:, 0]}
-    rows |= {"lean_y": lean[:, 1], "score": share, "rejected_by": reason}
-    return table(rows, "fgi", explain=explain)
+    rows = {"x_m": x, "y_m": y, "z_base_m": low[:, 2], "height_m": high[:, 2] - low[:, 2]}
+    rows |= {"diameter_m": diameter, "lean_x": lean[:, 0], "lean_y": lean[:, 1]}
+    return table(rows | {"score": share, "rejected_by": reason}, "fgi", explain=explain)
 
 
 def segment_lines(points, line, pulse):
@@ -109,11 +105,9 @@ def segment_lines(points, line, pulse):
     groups : dict of str to array
         Of each accepted group: ``centre`` (k, 3), half its chord ``half`` (k,), ``line`` (k,).
     """
-    if not len(points):
-        return line, {"centre": points, "half": pulse, "line": line}
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > GROUP_M
     broken = apart | (np.diff(line) != 0) | (np.diff(pulse) > MISSING + 1)
-    first = np.concatenate([[0], np.flatnonzero(broken) + 1])
+    first = np.flatnonzero(np.append(True, broken)[: len(points)])
     count = np.diff(np.append(first, len(points)))
     chord = np.linalg.norm(points[first + count - 1] - points[first], axis=1)
     good = (count >= FEWEST) & (chord <= WIDEST_M)
@@ -125,44 +119,31 @@ def segment_lines(points, line, pulse):
 
 def _clusters(groups):
     """Cluster of each group: groups that overlap in plan on neighbouring lines are linked."""
-    n = len(groups["half"])
-    if n == 0:
-        return np.empty(0, np.int64)
     reach = WIDEST_M + OVERLAP_M
-    lines = (groups["line"] - groups["line"].min()) * (reach / (NEIGHBOURS + 0.5))
+    lines = groups["line"] * (reach / (NEIGHBOURS + 0.5))
     tree = cKDTree(np.column_stack([groups["centre"][:, :2], lines]))
     a, b = tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
     distance = np.hypot(*(groups["centre"][a, :2] - groups["centre"][b, :2]).T)
     linked = groups["line"][a] != groups["line"][b]
     linked &= distance <= groups["half"][a] + groups["half"][b] + OVERLAP_M
-    return joined(a[linked], b[linked], n)
+    return joined(a[linked], b[linked], len(lines))
 
 
 def _axes(points, member):
     """Centre, direction, ends along the axis and eigenvalue ratio of each cluster."""
-    n = member.max(initial=-1) + 1
-    count = np.bincount(member, minlength=n)
-    centre = np.stack([np.bincount(member, axis, n) for axis in points.T], axis=1)
-    centre = centre / np.maximum(count, 1)[:, None]
-    off = points - centre[member]
-    products = (off[:, :, None] * off[:, None, :]).reshape(-1, 9)
-    scatter = np.stack([np.bincount(member, values, n) for values in products.T], axis=1)
-    values, vectors = np.linalg.eigh(scatter.reshape(-1, 3, 3))
+    centre, values, vectors = principal_axes(points, member)
     direction = vectors[:, :, 2] * np.where(vectors[:, 2, 2] < 0, -1.0, 1.0)[:, None]
-    along = (off * direction[member]).sum(axis=1)
-    low, high = np.full(n, np.inf), np.full(n, -np.inf)
-    np.minimum.at(low, member, along)
-    np.maximum.at(high, member, along)
+    along = pd.Series(((points - centre[member]) * direction[member]).sum(axis=1)).groupby(member)
+    ends = np.column_stack([along.min(), along.max()])
     ratio = values[:, 2] / np.maximum(values[:, 1], 1e-12)
-    ends = {"low": low, "high": high}
-    return ends | {"centre": centre, "direction": direction, "ratio": ratio}
+    return {"centre": centre, "direction": direction, "ends": ends, "ratio": ratio}
 
 
 def _merged(points, member):
-    """Cluster of each point after the merger of coaxial clusters; -1 for clusters below 0.2 m."""
+    """Cluster of each point after the merger of coaxial clusters that rise by 0.2 m or more."""
     axes = _axes(points, member)
-    n, centre, direction = len(axes["ratio"]), axes["centre"], axes["direction"]
-    low, high = (centre[:, 2] + axes[end] * direction[:, 2] for end in ("low", "high"))
+    centre, direction = axes["centre"], axes["direction"]
+    low, high = centre[:, 2] + axes["ends"].T * direction[:, 2]
     tall = np.flatnonzero(high - low >= 0.2)
     reach = MERGE_M + np.tan(np.radians(MERGE_DEG)) * GAP_M
     a, b = cKDTree(centre[tall, :2]).query_pairs(reach, output_type="ndarray").T
@@ -175,9 +156,7 @@ def _merged(points, member):
     parallel = (direction[a] * direction[b]).sum(axis=1) >= np.cos(np.radians(MERGE_DEG))
     parallel |= np.minimum((high - low)[a], (high - low)[b]) < SHORT_M
     linked = (np.hypot(*apart.T) <= MERGE_M) & parallel & (gap <= GAP_M)
-    part = np.full(n, -1)
-    part[tall] = np.unique(joined(a[linked], b[linked], n)[tall], return_inverse=True)[1]
-    return part[member]
+    return joined(a[linked], b[linked], len(low))[member]
 
 
 def _about(points, axis):
@@ -194,9 +173,8 @@ def _mask(everything, own, axis):
     must form an upright, elongated shape.
     """
     along, across = _about(own, axis)
-    lean = np.hypot(*axis[1][:2]) / max(axis[1][2], 0.1)
-    reach = across.max() + SHELL_M + lean * np.abs(along).max()
-    near = everything[pairs(axis[0][None, :2], everything, reach)[1]]
+    reach = np.hypot(np.abs(along).max(), across.max() + SHELL_M)
+    near = everything.data[everything.query_ball_point(axis[0], reach)]
     near_along, near_across = _about(near, axis)
     accepted, shares = np.zeros(len(own), dtype=bool), []
     for begin in np.arange(along.min(), along.max() - MASK_M + 1e-9, STEP_M):
@@ -231,15 +209,14 @@ def chord_diameter(points, direction, line):
     Parameters
     ----------
     points : array, shape (n, 3)
-        Points of the shaft, metres.
+        Points of the shaft, sorted by scan line, metres.
     direction : array, shape (3,)
         Unit vector along the axis.
     line : array of int, shape (n,)
         Scan line of each point.
     """
     flat = points - np.outer(points @ direction, direction)
-    order = np.argsort(line, kind="stable")
-    parts = np.split(flat[order], np.flatnonzero(np.diff(line[order])) + 1)
+    parts = np.split(flat, np.flatnonzero(np.diff(line)) + 1)
     parts = [part for part in parts if len(part) >= 2]
     if len(parts) < 5:
         return np.nan
@@ -267,10 +244,9 @@ def scan_lines(cloud):
             f"Invalid cloud: columns {columns}. The scan-line method needs scan_line and pulse or "
             "gps_time, or gps_time with pauses."
         )
-    head, place = np.zeros(len(cloud), np.int64), np.asarray(along, np.float64)
-    for name in ("head", "point_source_id"):
-        if name in cloud:
-            head = head * 256 + np.unique(cloud[name], return_inverse=True)[1]
+    heads = [cloud[name] for name in ("head", "point_source_id") if name in cloud]
+    head = np.unique([*heads, np.zeros(len(cloud))], axis=1, return_inverse=True)[1]
+    place = np.asarray(along, np.float64)
     if "scan_line" in cloud:
         line = np.asarray(cloud["scan_line"], np.int64)
     else:

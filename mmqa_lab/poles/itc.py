@@ -12,10 +12,11 @@ trees.
 
 import cv2
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 
 from mmqa_lab.cloud import sort_into_cells
-from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, joined, table
+from mmqa_lab.poles.common import drop_duplicates, ground, joined, principal_axes, table
 
 GROUND_M = 0.3
 """Points lower than this above the ground belong to the ground."""
@@ -29,6 +30,8 @@ the diagonal from slice to slice; most empty slices in a row within a stack."""
 
 LENGTH_M = 1.0
 
+STACK = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "lean_x", "lean_y", "score"]
+
 PLANE_CELL_M, THICK_M, TURN_DEG, OFF_M, WALL_M = 0.4, 0.03, 12.0, 0.10, (1.5, 2.0)
 """Edge of the cells in which planes are fitted; largest thickness of a plane; largest angle and
 offset between neighbouring planes; least length and height of a wall."""
@@ -39,24 +42,19 @@ def detect(points, *, explain=False):
 
     Lengths are in metres. The diameter is the median of the rectangles' longer sides.
     """
-    above = points[:, 2] - ground(points)(points) >= GROUND_M if len(points) else slice(None)
-    points = points[above]
-    stacks = np.empty((0, 8))
     if len(points):
-        component = components(points)
-        level = np.floor((points[:, 2] - points[:, 2].min()) / SLICE_M).astype(np.int64)
+        points = points[points[:, 2] - ground(points)(points) >= GROUND_M]
+    stacks, base = [], points[:, 2].min(initial=np.inf)
+    if len(points):
+        component, level = components(points), ((points[:, 2] - base) / SLICE_M).astype(np.int64)
         order = np.lexsort([level, component])
-        cuts = np.flatnonzero(np.diff(component[order])) + 1
-        parts = np.split(order, cuts)
-        stacks = np.array([_stack(points[part, :2], level[part]) for part in parts])
-    x, y, lean_x, lean_y, first, last, diameter, share = stacks.T
-    height = (last - first) * SLICE_M
-    reason = first_reason(len(stacks), length=height < LENGTH_M)
-    drop_duplicates(np.column_stack([x, y]), share, reason, 2 * SHIFT_M)
-    base = first * SLICE_M + points[:, 2].min(initial=np.inf)
-    rows = {"x_m": x, "y_m": y, "z_base_m": base, "height_m": height, "diameter_m": diameter}
-    rows |= {"lean_x": lean_x, "lean_y": lean_y, "score": share, "rejected_by": reason}
-    return table(rows, "itc", explain=explain)
+        parts = np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
+        stacks = [_stack(points[part, :2], level[part]) for part in parts]
+    rows = pd.DataFrame(stacks, columns=STACK, dtype=float)
+    rows["z_base_m"] += base
+    reason = np.where(rows["height_m"] < LENGTH_M, "length", "").astype(object)
+    drop_duplicates(rows[["x_m", "y_m"]].to_numpy(), rows["score"], reason, 2 * SHIFT_M)
+    return table(rows.assign(rejected_by=reason), "itc", explain=explain)
 
 
 def components(points):
@@ -79,32 +77,25 @@ def _touching(places):
 
 
 def _stack(xy, level):
-    """The longest stack of similar small slices of a component whose points are sorted by level.
+    """``STACK`` of the longest stack of similar small slices of a component, its base from level 0.
 
-    Returns place, lean, first level, last level + 1, diameter, and the stack's share of slices.
+    The points, (n, 2) in metres, are sorted by level. The score is the stack's share of the slices.
     """
     first = np.flatnonzero(np.diff(level, prepend=-1))
     boxes = [cv2.minAreaRect(part.astype(np.float32)) for part in np.split(xy - xy[0], first[1:])]
     centre, size = (np.array([box[k] for box in boxes]) for k in (0, 1))
     diagonal, level = np.hypot(*size.T), level[first]
-    breaks = (np.diff(level) > MISSING + 1) | (np.abs(np.diff(diagonal)) > GROWTH_M)
-    breaks |= np.hypot(*np.diff(centre, axis=0).T) > SHIFT_M
     narrow = diagonal <= DIAGONAL_M
-    breaks |= ~(narrow[1:] & narrow[:-1])
-    ends = np.concatenate([[0], np.flatnonzero(breaks) + 1, [len(level)]])
-    begin, end = ends[:-1], ends[1:]
-    lengths = np.where(narrow[begin] & (end - begin > 1), level[end - 1] - level[begin] + 1, 0)
-    best = lengths.argmax()
-    part = slice(begin[best], end[best])
-    height = (level[part] + 0.5) * SLICE_M
-    middle = (height[0] + height[-1]) / 2
-    lean, place = np.zeros(2), np.median(centre[part], axis=0)
-    if len(height) > 2:
-        lean, place = np.polyfit(height - middle, centre[part], 1)
-    low = level[begin[best]]
-    share = (end[best] - begin[best]) / len(level)
-    ends = low, low + lengths[best]
-    return [*(xy[0] + place), *lean, *ends, np.median(size[part].max(axis=1)), share]
+    breaks = ~(narrow[1:] & narrow[:-1]) | (np.diff(level) > MISSING + 1)
+    breaks |= np.abs(np.diff(diagonal)) > GROWTH_M
+    breaks |= np.hypot(*np.diff(centre, axis=0).T) > SHIFT_M
+    parts = np.split(np.arange(len(level)), np.flatnonzero(breaks) + 1)
+    best = max(parts, key=lambda part: np.ptp(level[part]))
+    low, high = level[best[0]], level[best[-1]]
+    rise = SLICE_M * (level[best] - (low + high) / 2)
+    lean, place = np.linalg.lstsq(np.stack([rise, np.ones(len(best))], axis=1), centre[best])[0]
+    diameter, share = np.median(size[best].max(axis=1)), len(best) / len(level)
+    return [*xy[0] + place, SLICE_M * low, SLICE_M * (high + 1 - low), diameter, *lean, share]
 
 
 def walls(points):
@@ -120,26 +111,16 @@ def walls(points):
     True
     """
     cell, places = _cells(points, PLANE_CELL_M)
-    n = len(places)
-    count = np.bincount(cell, minlength=n)[:, None]
-    centre = np.stack([np.bincount(cell, axis, n) for axis in points.T], axis=1) / count
-    off = points - centre[cell]
-    products = (off[:, :, None] * off[:, None, :]).reshape(-1, 9)
-    scatter = np.stack([np.bincount(cell, values, n) for values in products.T], axis=1) / count
-    values, vectors = np.linalg.eigh(scatter.reshape(-1, 3, 3))
-    normal, flat = vectors[:, :, 0], (count[:, 0] >= 4) & (values[:, 0] < THICK_M**2)
+    centre, values, vectors = principal_axes(points, cell)
+    normal, flat = vectors[:, :, 0], (np.bincount(cell) >= 4) & (values[:, 0] < THICK_M**2)
     flat &= (values[:, 1] > 4 * values[:, 0]) & (values[:, 1] > (PLANE_CELL_M / 10) ** 2)
     a, b = _touching(places).T
     joint = centre[b] - centre[a]
     agree = np.abs((normal[a] * normal[b]).sum(axis=1)) > np.cos(np.radians(TURN_DEG))
     for k in (a, b):
-        agree &= np.abs((joint * normal[k]).sum(axis=1)) < OFF_M
-    agree &= flat[a] & flat[b]
-    part = joined(a[agree], b[agree], n)
-    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-    np.minimum.at(low, part[flat], centre[flat])
-    np.maximum.at(high, part[flat], centre[flat])
-    extent = np.where(np.isfinite(low), high - low, 0)
+        agree &= flat[k] & (np.abs((joint * normal[k]).sum(axis=1)) < OFF_M)
+    part = joined(a[agree], b[agree], len(places))
+    groups = pd.DataFrame(centre[flat]).groupby(part[flat])
+    x, y, z = (groups.max() - groups.min()).reindex(part).to_numpy().T
     wall = flat & (np.abs(normal[:, 2]) < np.sin(np.radians(15)))
-    long, high = np.hypot(extent[:, 0], extent[:, 1]) >= WALL_M[0], extent[:, 2] >= WALL_M[1]
-    return (wall & (long & high)[part])[cell]
+    return (wall & (np.hypot(x, y) >= WALL_M[0]) & (z >= WALL_M[1]))[cell]

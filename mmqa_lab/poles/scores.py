@@ -167,7 +167,7 @@ def score(
         As :func:`mmqa_lab.poles.detect` returns it.
     references : DataFrame
         ``x_m``, ``y_m``. Optional columns: ``height_m`` (less than 1 m: no target), ``visible``
-        (False: no target), ``ignore`` (True: no target), ``lean_x``, ``lean_y``, diameters.
+        (False: no target), ``lean_x``, ``lean_y``, diameters.
     gate : float
         Largest distance of a match, metres.
     corridor : float, optional
@@ -197,8 +197,6 @@ def score(
     target = ~(references.get("height_m", pd.Series(9.0, references.index)) < 1.0).to_numpy()
     if "visible" in references:
         target &= references["visible"].to_numpy(bool)
-    if "ignore" in references:
-        target &= ~references["ignore"].to_numpy(bool)
     inside = np.ones(len(found), dtype=bool)
     if corridor is not None:
         if trajectory is None:
@@ -211,19 +209,16 @@ def score(
     reference, distance = np.full(len(found), -1), np.full(len(found), np.nan)
     reference[pairs["detection"]] = pairs["reference"]
     distance[pairs["detection"]] = pairs["distance_m"]
+    hit = np.zeros(len(found), dtype=bool)
+    hit[pairs["detection"]] = target[pairs["reference"]]
     near = _distances(found, references) <= gate
-    outcome = np.full(len(found), "false", dtype=object)
-    outcome[near.any(axis=1)] = "ignored"
-    outcome[near[:, target].any(axis=1)] = "duplicate"
-    matched = reference >= 0
-    outcome[matched] = np.where(target[reference[matched]], "hit", "ignored")
-    outcome[~inside & (outcome != "hit")] = "outside"
-    right = int((outcome == "hit").sum())
-    wrong = int(np.isin(outcome, ("false", "duplicate")).sum())
-    is_found = np.isin(references.index, pairs["reference"])
+    cases = hit, ~inside, reference >= 0, near[:, target].any(axis=1), near.any(axis=1)
+    names = "hit", "outside", "ignored", "duplicate", "ignored"
+    outcome = np.select(cases, names, "false").astype(object)
+    right, wrong = int(hit.sum()), int(np.isin(outcome, ("false", "duplicate")).sum())
     return Score(
-        wilson(int((is_found & target).sum()), int(target.sum())),
+        wilson(right, int(target.sum())),
         wilson(right, right + wrong),
         found.assign(outcome=outcome, reference=reference, distance_m=distance),
-        references.assign(target=target, found=is_found),
+        references.assign(target=target, found=np.isin(references.index, pairs["reference"])),
     )
