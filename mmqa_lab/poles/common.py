@@ -10,6 +10,10 @@ from scipy.spatial import cKDTree
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
 """Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
 
+ROOF_WINDOW, ROOF_M = 13, 2.5
+"""Low points this much above the lowest cell of a window are no ground: nothing is seen behind a
+roof, so the opening keeps it."""
+
 
 def ground(points):
     """Return a function of points that gives the height of the ground under them.
@@ -48,6 +52,7 @@ def ground(points):
     filled = _filled(lowest, np.isfinite(lowest))
     opened = ndimage.grey_opening(filled, size=(GROUND_WINDOW, GROUND_WINDOW), mode="nearest")
     known = np.isfinite(lowest) & (lowest - opened <= GROUND_STEP_M)
+    known &= lowest <= ndimage.minimum_filter(lowest, ROOF_WINDOW) + ROOF_M
     grid = _filled(lowest, known) if known.any() else filled
 
     def height(xy):
