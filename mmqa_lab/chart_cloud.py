@@ -42,6 +42,9 @@ PAIRS = 5.0
 COARSE_MM = 1e-3
 """Smaller steps of coordinates are never too coarse."""
 
+FULL = 1.5
+"""Ratio of a polygon's area to the hull of its points above which a remark is given."""
+
 BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
 remark is given."""
@@ -395,7 +398,8 @@ def evaluate_cloud(
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
-    remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, axes)
+    remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
+    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
     remarks += _remark_on_bend(xy, 1000 * plane.residuals, step_mm, scale)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
@@ -496,7 +500,7 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _remarks_on_points(gaps, step_mm, sigma_mm, axes):
+def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     """Remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
@@ -521,6 +525,8 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, axes):
         "Points spread alike in all directions: principal axes, and f, are by chance.": (
             axes != "horizontal" and wide < ALIKE * narrow
         ),
+        f"Points lie on {100 * hull_m2 / max(outline_m2, 1e-300):.0f} % of the polygon: its "
+        "density counts the rest too.": outline_m2 > FULL * hull_m2,
     }
     return [sentence for sentence, applies in sentences.items() if applies]
 
@@ -539,6 +545,23 @@ def _remark_on_bend(xy, residuals_mm, step_mm, scale):
         f"The surface is bent: its form is {100 * share:.0f} % of the variance of the distances. "
         f"Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
     ]
+
+
+def _remark_on_layers(residuals_mm, step_mm):
+    """A remark if the distances from the plane have two peaks, so they are not noise alone."""
+    low, high = np.quantile(residuals_mm, [0.005, 0.995])
+    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
+    if len(residuals_mm) < 100 or not high - low > 4 * width:
+        return []
+    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
+    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
+    lower = np.minimum(before, after)
+    k = np.argmax(lower - counts)
+    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+        return []
+    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
+    a, b = np.add(peaks, width / 2)
+    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
 
 
 def _step(points):

@@ -244,6 +244,21 @@ def test_the_plot_says_the_figures(rng):
     assert said[2] == f"±std = {quality.std_mm:.1f} mm"
 
 
+def test_a_polygon_that_is_mostly_empty_is_said(rng):
+    points = rng.random((4000, 3)) * [10, 2, 0]
+    square = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0.0]])
+    remarks = evaluate_cloud(points, polygon=square).remarks
+    assert "Points lie on 20 % of the polygon: its density counts the rest too." in remarks
+
+
+@pytest.mark.parametrize(("apart_m", "said"), [(0, False), (0.1, True)])
+def test_two_layers_are_said(rng, apart_m, said):
+    points = rng.random((4000, 3)) * [1, 1, 0] + [0, 0, 1] * rng.normal(0, 0.01, (4000, 1))
+    points[::2, 2] += apart_m
+    remarks = " ".join(evaluate_cloud(points).remarks)
+    assert ("two layers" in remarks) == said
+
+
 @pytest.mark.parametrize(("rise_m", "said"), [(0, False), (0.2, True)])
 def test_a_bent_surface_is_said_with_the_noise_about_it(rng, rise_m, said):
     points = rng.uniform(-1, 1, (4000, 3)) * [2, 1, 0] + [0, 0, 1] * rng.normal(0, 0.01, (4000, 1))
