@@ -5,7 +5,6 @@ RESULTS.md; ``--seeds``, ``--patterns`` and ``--draws`` make it smaller, 0 leave
 """
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -32,7 +31,7 @@ CLASSES = {
 
 INTERVALS = (
     *("edge of an image", "Siemens star", "sensor calibration", "reflectance"),
-    "radiometric block",
+    *("NDVI", "radiometric block"),
 )
 """Estimates of images."""
 
@@ -88,16 +87,9 @@ def line_pairs(patterns):
     write_section("Chart images: line pairs", frame.assign(of=patterns))
 
 
-def is_binned(case):
-    """Whether a case has the standard's bins, where it names a fit."""
-    return case.get("fit", "binned") == "binned"
-
-
 def intervals(draws):
-    """Coverage of edges, stars, sensors and reflectances; errors of edges by lens."""
+    """Coverage of edges, stars, sensors, reflectances, blocks; errors of edges by lens."""
     chosen = [one for one in ESTIMATES if one.name in INTERVALS]
-    # sigmoids do not contain that a lens is no Gaussian
-    chosen = [replace(one, cases=tuple(filter(is_binned, one.cases))) for one in chosen]
     parts = [shares(one, simulated(one, draws)) for one in chosen]
     write_section("Images: intervals", pd.concat(parts))
     edges = image_resolution.bench(noises=(0.01,), seeds=range(max(draws // 5, 1))).run()
