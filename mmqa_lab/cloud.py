@@ -163,6 +163,11 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     places : array of int, shape (m, d)
         Place of each cell with points, in cells from the origin; the last axis runs fastest.
 
+    Raises
+    ------
+    ValueError
+        If the box around the points has too many cells to be numbered.
+
     Examples
     --------
     >>> order, starts, places = sort_into_cells(np.array([[0.9, 0.2], [0.1, 0.1], [0.8, 0.3]]), 0.5)
@@ -170,7 +175,12 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
     index = np.floor(points / size).astype(np.int64)
-    order = np.lexsort(index.T[::-1])
-    other = (np.diff(index[order], axis=0) != 0).any(axis=1)  # than the cell of the point before
-    starts = np.concatenate([[0], 1 + np.flatnonzero(other), [len(order)]])
-    return order, starts, index[order[starts[:-1]]]
+    low = index.min(axis=0)
+    index -= low
+    wide = index.max(axis=0) + 1
+    if np.prod(wide.astype(float)) > 2.0**62:
+        raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
+    key = np.ravel_multi_index(tuple(index.T), tuple(wide))
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return order, np.append(first, len(order)), index[order[first]] + low
