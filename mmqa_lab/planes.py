@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
@@ -523,10 +523,10 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
 
     The space is cut into cells with an edge of a quarter of ``size``. In every block of eight cells
     planes through three neighbouring points are tried around the fullest cell. The plane with most
-    points of the neighbourhood is refined. The best of these planes grow first, cell by cell, and
-    are refitted on the way. The trials are repeated among the remaining points. At the end each
-    point goes to the nearest plane around it. The planes are then fitted again to the points that
-    belong to a single plane.
+    points of the neighbourhood is fitted to them. The best of these planes grow first, cell by
+    cell, are fitted again and grow again. The trials are repeated among the remaining points. At
+    the end each point goes to the nearest plane around it. The planes are then fitted again to the
+    points that belong to a single plane.
 
     Parameters
     ----------
@@ -592,8 +592,7 @@ def detect_planes(points: ArrayLike, *, tolerance: float = 0.05, size: float = 2
     for _ in range(4):
         if not search.round():
             break
-    owner, clear = np.full(len(points), -1), np.zeros(len(points), dtype=bool)
-    owner[grid.order], clear[grid.order] = search.assigned()
+    owner, clear = (values[np.argsort(grid.order)] for values in search.assigned())
     return _patches(points, owner, clear, tolerance, minimum)
 
 
@@ -661,9 +660,8 @@ class Grid:
         n = len(self.size)
         self.cell = np.repeat(np.arange(n), self.size)
         pairs = cKDTree(self.places).query_pairs(1, p=np.inf, output_type="ndarray").T
-        pairs = np.concatenate([pairs, pairs[::-1], np.tile(np.arange(n), (2, 1))], axis=1)
-        ones = np.ones(pairs.shape[1], dtype=bool)
-        self.near = csr_array((ones, pairs.astype(np.int32)), shape=(n, n))
+        half = csr_array((np.ones(pairs.shape[1], dtype=bool), pairs.astype(np.int32)), (n, n))
+        self.near = csr_array(half + half.T + eye_array(n, dtype=bool))
 
     def rows(self, cells):
         """Rows of the points in some cells, and the index at which each cell begins."""
@@ -682,7 +680,7 @@ class _Search:
     def __init__(self, grid, tolerance, least_points):
         self.grid, self.tolerance, self.least = grid, tolerance, least_points
         self.owner = np.full(len(grid.points), -1)
-        self.seen = np.zeros(len(grid.size), dtype=bool)
+        self.seen, self.spreads = np.zeros(len(grid.size), dtype=int), 0
         self.planes, self.taken = [], []
         self.trials = np.random.default_rng(0).random((32, 3))
 
@@ -692,10 +690,8 @@ class _Search:
         free = np.flatnonzero(self.owner < 0)
         counts = np.bincount(grid.cell[free], minlength=len(grid.size))
         # the fullest cell of every block of eight
-        blocks = grid.places // 2
-        order = np.lexsort((-counts, *blocks.T))
-        seeds = order[np.r_[True, (np.diff(blocks[order], axis=0) != 0).any(axis=1)]]
-        seeds = seeds[counts[seeds] > 0]
+        fullest = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts)]
+        seeds = fullest[np.unique(grid.places[fullest] // 2, axis=0, return_index=True)[1]]
         first = np.searchsorted(grid.cell[free], np.arange(len(counts)))
         rank = np.arange(len(free)) - first[grid.cell[free]]
         # about three points per cell, so that dense and sparse parts count alike
@@ -716,57 +712,38 @@ class _Search:
     def grow(self, seed, centre, normal):
         """Keep the plane of the points connected with the cell of a seed, if it is large enough."""
         cells, grown = np.array([seed]), 0
-        for turn in range(4):
-            cells, number, beside, plane = self._spread(cells, centre, normal, refit=turn == 0)
-            if len(cells) < LEAST_AREA * CELLS_PER_SIZE**2 or number < self.least:
+        for _ in range(4):
+            cells, rows, beside = self._spread(cells, centre, normal)
+            if len(cells) < LEAST_AREA * CELLS_PER_SIZE**2 or len(rows) < self.least:
                 return
             if len(cells) <= grown:
                 break
-            grown, (centre, normal) = len(cells), plane
-        if number < 1.5 * beside:  # a filled volume has twice as many points beside
+            grown, (centre, normal) = len(cells), _fitted(self.grid.points[rows])
+        if len(rows) < 1.5 * beside:  # a filled volume has twice as many points beside
             return
-        rows, _ = self.grid.rows(cells)
-        rows = rows[self.owner[rows] < 0]
-        off = np.abs((self.grid.points[rows] - centre) @ normal)
-        self.owner[rows[off <= self.tolerance]] = len(self.planes)
+        self.owner[rows] = len(self.planes)
         self.planes.append((centre, normal))
         self.taken.append(cells)
 
-    def _spread(self, front, centre, normal, refit):
-        """Connected cells of a plane, number of points on it and beside it, and the fitted plane.
-
-        With ``refit`` the plane is fitted again whenever its points have doubled. It is never
-        fitted to the first cell alone, whose points may lie on a single scan line.
-        """
-        cells, points, beside, looked, fitted = [], [], 0, [], 4 * LEAST_TRIAL
+    def _spread(self, front, centre, normal):
+        """Connected cells that a plane takes, its free points in them, number of points beside."""
+        cells, rows, beside = [], [], 0
+        self.spreads += 1
         while len(front):
-            self.seen[front] = True
-            looked.append(front)
-            taken, found, aside = self._takes(front, centre, normal)
-            cells.append(taken)
-            points.append(found)
-            beside += aside
-            if refit and len(cells) > 1 and sum(map(len, points)) >= 2 * fitted:
-                fitted = sum(map(len, points))
-                centre, normal = _fitted(np.concatenate(points))
-            front = self.grid.around(taken)
-            front = front[~self.seen[front]]
-        self.seen[np.concatenate(looked)] = False
-        points = np.concatenate(points)
-        plane = _fitted(points) if len(points) >= 3 else (centre, normal)
-        return np.concatenate(cells), len(points), beside, plane
-
-    def _takes(self, cells, centre, normal):
-        """Cells that a plane takes, its free points in them, and the number of points beside it."""
-        rows, first = self.grid.rows(cells)
-        points = self.grid.points[rows]
-        off, free = np.abs((points - centre) @ normal), self.owner[rows] < 0
-        on = free & (off <= self.tolerance)
-        counts = np.add.reduceat(on, first, dtype=int)
-        # tails of a noisy wall and strips of a floor have a smaller share
-        takes = (counts > 0) & (counts >= 0.25 * self.grid.size[cells])
-        beside = (free & (off <= 3 * self.tolerance)).sum() - counts[takes].sum()
-        return cells[takes], points[on & np.repeat(takes, self.grid.size[cells])], beside
+            self.seen[front] = self.spreads
+            within, first = self.grid.rows(front)
+            off = np.abs((self.grid.points[within] - centre) @ normal)
+            free = self.owner[within] < 0
+            on = free & (off <= self.tolerance)
+            # tails of a noisy wall and strips of a floor have a smaller share
+            least = np.maximum(1, 0.25 * self.grid.size[front])
+            takes = np.add.reduceat(on, first, dtype=int) >= least
+            cells.append(front[takes])
+            rows.append(within[on & np.repeat(takes, self.grid.size[front])])
+            beside += (free & (off <= 3 * self.tolerance)).sum() - len(rows[-1])
+            front = self.grid.around(cells[-1])
+            front = front[self.seen[front] < self.spreads]
+        return np.concatenate(cells), np.concatenate(rows), beside
 
     def assigned(self):
         """Owner (the nearest plane) of each point, and whether it is the only plane.
@@ -812,29 +789,24 @@ def _fitted(points):
 
 
 def _pieces(drawn, near, trials, tolerance, edge):
-    """Refined planes through three points with most neighbours on them: score, centre, normal."""
+    """Planes fitted to what the best planes of three points take: score, centre, normal."""
     there = near < len(drawn)
-    local = np.concatenate([drawn, np.full((1, 3), np.nan)])[near]
+    local = np.concatenate([drawn, np.zeros((1, 3))])[near]
     picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)
     a, b, c = (np.take_along_axis(local, picks[..., i, None], axis=1) for i in range(3))
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=2)
     normals = across / np.maximum(area, 1e-12)[..., None]
     off = np.abs(np.einsum("std,snd->stn", normals, local) - (normals * a).sum(axis=2)[..., None])
-    votes = (off <= tolerance).sum(axis=2) * (area > 0.5 * edge**2)
-    best = votes.argmax(axis=1)[:, None, None]
-    centre = np.take_along_axis(a, best, axis=1)[:, 0]
-    normal = np.take_along_axis(normals, best, axis=1)[:, 0]
-    good = (there.sum(axis=1) >= LEAST_TRIAL) & (votes.max(axis=1) > 0)
-    local = np.where(there[..., None], local, 0.0)
-    for _ in range(3):
-        on = there & (np.abs(np.einsum("snd,sd->sn", local - centre[:, None], normal)) <= tolerance)
-        number = np.maximum(on.sum(axis=1), 1)
-        good &= number >= LEAST_TRIAL
-        centre = (local * on[..., None]).sum(axis=1) / number[:, None]
-        shifted = (local - centre[:, None]) * on[..., None]
-        values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
-        normal = vectors[:, :, 0]
+    on = (off <= tolerance) & there[:, None]
+    votes = on.sum(axis=2) * (area > 0.5 * edge**2)
+    best = np.arange(len(votes)), votes.argmax(axis=1)
+    on = on[best]
+    number = np.maximum(on.sum(axis=1), 1)
+    centre = (local * on[..., None]).sum(axis=1) / number[:, None]
+    shifted = (local - centre[:, None]) * on[..., None]
+    values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
     # points without any plane have a mean square residual of a third of the squared tolerance
     score = number * (1 - values[:, 0] / number / (tolerance**2 / 3))
-    return np.where(good, score, 0.0), centre, normal
+    good = votes.max(axis=1) >= LEAST_TRIAL
+    return np.where(good, score, 0.0), centre, vectors[:, :, 0]

@@ -384,9 +384,8 @@ def correspond(
     distances = np.asarray(distances, dtype=np.float64)
     near = distances <= delta
     if matcher == "fragments":
-        rows, columns = np.nonzero(near)
-        stretches = Pairs(*_from_common_origin(test, model), rows, columns).stretches
-        return _apart(near.shape, rows, columns, stretches, distances[near])
+        lines = Pairs(*_from_common_origin(test, model), *np.nonzero(near))
+        return _apart(lines, distances[near])
     if matcher == "all" or not near.any():
         return near
     if matcher == "hungarian":  # a cell at the threshold still counts
@@ -401,15 +400,17 @@ def correspond(
     return nearest & (distances.argmin(axis=0) == rows)
 
 
-def _apart(shape, rows, columns, stretches, costs):
-    """Accept pairs in the order of their costs if their stretches do not overlap; bool (p, q)."""
-    pairs, taken = np.zeros(shape, dtype=bool), defaultdict(list)
-    for k in np.argsort(costs, kind="stable"):
-        places = ("test", rows[k]), ("model", columns[k])
-        if all(_free(part[k], taken[place]) for part, place in zip(stretches, places, strict=True)):
-            pairs[rows[k], columns[k]] = True
-            for part, place in zip(stretches, places, strict=True):
-                taken[place].append(part[k])
+def _apart(lines, costs):
+    """Accept pairs in the order of finite costs if their stretches do not overlap; bool (p, q)."""
+    pairs, taken = np.zeros(lines.shape, dtype=bool), defaultdict(list)
+    for k in np.argsort(costs, kind="stable")[: np.isfinite(costs).sum()]:
+        row, column = lines.rows[k], lines.columns[k]
+        stretches = [part[k] for part in lines.stretches]
+        others = taken["test", row], taken["model", column]
+        if all(map(_free, stretches, others)):
+            pairs[row, column] = True
+            for stretch, other in zip(stretches, others, strict=True):
+                other.append(stretch)
     return pairs
 
 
@@ -494,8 +495,8 @@ TURN_RAD = np.radians(1.0)
 HYPOTHESES = 2000
 """Number of displacements tried."""
 
-CLUTTER_PER_M2 = 0.1
-"""Density of unrelated parallel lines."""
+CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
+"""Density of unrelated parallel lines; standard deviation of drift that neighbours do not show."""
 
 
 class Pairs:
@@ -503,11 +504,11 @@ class Pairs:
 
     ``place`` (n, 3) is the middle of the common stretch on the model line. ``frame`` (n, 2, 3) has
     two unit vectors across the line. ``offset`` (n, 2) is test line minus model line at that place,
-    along the frame. ``variance`` (n,) is the part of its variance from uncertain directions.
-    ``overlap`` (n,) is the common stretch as a share of the shorter line. ``stretches`` are two
-    arrays (n, 2): the ends of the common stretch on the test and on the model line, m from their
-    midpoints, low > high across a gap. ``moved`` (3,) or (n, 3) is subtracted from the test set
-    before the common stretch is found. Places are relative to the mean midpoint of the model lines.
+    along the frame. ``overlap`` (n,) is the common stretch as a share of the shorter line.
+    ``stretches`` are two arrays (n, 2): the ends of the common stretch on the test and on the model
+    line, m from their midpoints, low > high across a gap. ``moved`` (3,) or (n, 3) is subtracted
+    from the test set before the common stretch is found. Places are relative to the mean midpoint
+    of the model lines.
     """
 
     def __init__(self, test, model, rows, columns, moved=0.0):
@@ -531,8 +532,6 @@ class Pairs:
         self.place = midpoints(self.model)[columns] + on_axis - centre
         apart = between + (middle - self.s)[:, None] * way - on_axis
         self.offset = np.einsum("nkd,nd->nk", self.frame, apart)
-        # a line's direction has a standard deviation of 0.3 degrees
-        self.variance = np.radians(0.3) ** 2 * ((middle - self.s) ** 2 + middle**2)
         self.overlap = (high - low) / (2 * np.minimum(*self.half))
 
     def again(self, moved):
@@ -543,19 +542,6 @@ class Pairs:
         """Design matrix (n, 2, 4) of offsets for a vector and a rotation about a vertical axis."""
         turned = np.einsum("nkd,nd->nk", self.frame, _levers(self.place - centre))
         return np.concatenate([self.frame, turned[..., None]], axis=2)
-
-    def likely_ends(self):
-        """Log likelihood ratio of true to false pairs, from the gaps between their ends.
-
-        Ends at the same place differ by 0.55 m (normal), ends of a shortened line by 5 m
-        (exponential). A share of 0.6 of the ends of true pairs is at the same place. For false
-        pairs the share is 0.37, since they often share the ground or the building.
-        """
-        gaps = np.abs([self.s + sign * (self.half[0] - self.half[1]) for sign in (-1, 1)])
-        agree = np.sqrt(2 / np.pi) / 0.55 * np.exp(-((gaps / 0.55) ** 2) / 2)
-        cut = np.exp(-gaps / 5) / 5
-        true, false = (share * agree + (1 - share) * cut for share in (0.6, 0.37))
-        return np.log(true / false).sum(axis=0)
 
 
 def _levers(arm):
@@ -585,8 +571,8 @@ class Displacement(Shown):
     vector: np.ndarray
     covariance: np.ndarray
     pairs: np.ndarray
-    turn_deg: float = np.nan
-    centre: np.ndarray | None = None
+    turn_deg: float
+    centre: np.ndarray
 
     @property
     def n(self) -> int:
@@ -632,7 +618,7 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     """
     pairs = np.asarray(pairs)
     rows, columns = np.nonzero(pairs)
-    unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), pairs)
+    unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), pairs, np.nan, np.zeros(3))
     if len(np.unique(rows)) < 3:
         return unknown
     lines = Pairs(*_from_common_origin(test, model), rows, columns)
@@ -745,17 +731,14 @@ def _hypotheses(lines, radius):
     a, b = a[use][:HYPOTHESES], b[use][:HYPOTHESES]
     shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
     shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
-    weight = np.minimum(1, 2 * np.minimum(*lines.half) / 3)
     first = np.flatnonzero(np.r_[True, np.diff(lines.rows) > 0])
-    # |offset - frame shift|^2 as one product of matrices; lines within 0.35 m agree
-    products = np.einsum("kd,ke->kde", shifts, shifts).reshape(-1, 9)
-    unknowns = np.column_stack([np.ones(len(shifts)), -2 * shifts, products])
-    knowns = np.column_stack([(right**2).sum(axis=1), right, normal.reshape(-1, 9)]).T
-    scores = [
-        np.maximum.reduceat(np.maximum(0, 1 - part @ knowns / 0.35**2) * weight, first, 1)
-        for part in np.array_split(unknowns, len(unknowns) // 200 + 1)
-    ]
-    return shifts, np.concatenate(scores).sum(axis=1)
+    scores = []
+    for part in np.array_split(shifts, len(shifts) // 200 + 1):
+        off = lines.offset[..., None] - lines.frame @ part.T
+        # lines within 0.35 m agree; each test line counts once
+        agree = np.maximum(0, 1 - (off**2).sum(axis=1) / 0.35**2)
+        scores.append(np.maximum.reduceat(agree, first).sum(axis=0))
+    return shifts, np.concatenate(scores)
 
 
 def _starts(shifts, scores):
@@ -769,59 +752,45 @@ def _starts(shifts, scores):
 
 def _refined(lines, start):
     """Evidence and pairs from a start, by alternate updates of pairs and displacement."""
-    moved, noise = np.broadcast_to(start, (len(lines.rows), 3)), 0.25
-    spread = np.broadcast_to(0.04 * np.eye(3), (len(lines.rows), 3, 3))
+    moved, noise = np.broadcast_to(start, (len(lines.rows), 3)), 0.3
     outcome = 0.0, np.zeros(lines.shape, dtype=bool)
-    for k in range(10):
+    for _ in range(10):
         lines = lines.again(moved)
-        density, off = _log_density(lines, moved, spread, noise)
-        density += lines.likely_ends()
-        ease = np.log(CLUTTER_PER_M2 * min(1.0, 0.05 * 2.0**k))
-        allowed = np.flatnonzero(density > ease)
-        stretches = [part[allowed] for part in lines.stretches]
-        rows, columns = lines.rows[allowed], lines.columns[allowed]
-        pairs = _apart(lines.shape, rows, columns, stretches, -density[allowed])
+        off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
+        variance = noise**2 + LEFT_M**2
+        squares = (off**2).sum(axis=1) / variance
+        # true pairs share 0.18 of the shorter line at least, and 99.7 % of them are as near
+        allowed = (lines.overlap >= 0.18) & (squares < stats.chi2.ppf(0.997, 2))
+        pairs = _apart(lines, np.where(allowed, squares, np.inf))
         members = np.flatnonzero(pairs[lines.rows, lines.columns])
         if len(members) < 3:
             break
-        outcome = (density[members] - np.log(CLUTTER_PER_M2)).sum(), pairs
+        # log likelihood ratio of true pairs to unrelated lines
+        ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
+        outcome = ratio.sum(), pairs
         noise = np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
-        moved, spread = _field(lines, members, noise)
+        moved = _field(lines, members, noise)
     return outcome
 
 
-def _log_density(lines, moved, spread, noise):
-    """Log density of each pair's offset given the expected displacement, and the residual."""
-    off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
-    covariance = lines.frame @ spread @ lines.frame.swapaxes(1, 2)
-    covariance = covariance + (noise**2 + lines.variance)[:, None, None] * np.eye(2)
-    squares = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=1)
-    density = -squares / 2 - np.log(2 * np.pi) - np.log(np.linalg.det(covariance)) / 2
-    # the common stretch must be 0.18 of the shorter line at least
-    density[(lines.overlap < 0.18) | (squares > stats.chi2.ppf(0.997, 2))] = -np.inf
-    return density, off
-
-
 def _field(lines, members, noise):
-    """Displacement (n, 3) and covariance (n, 3, 3) at all pairs, each from the other pairs.
+    """Displacement (n, 3) at all pairs, each from the other pairs.
 
     Drift has a standard deviation of 0.25 m and a correlation length of 30 m.
     """
     frame, place = lines.frame[members], lines.place[members]
-    weight = 1 / (noise**2 + lines.variance[members])
     centre = place.mean(axis=0)
     design = lines.design(centre)[members]
-    prior = np.diag([1e-6, 1e-6, 1e-6, 1 / TURN_RAD**2])
-    normal = np.einsum("n,nkd,nke->de", weight, design, design) + prior
-    mean = np.linalg.solve(normal, np.einsum("n,nkd,nk->d", weight, design, lines.offset[members]))
+    prior = noise**2 * np.diag([1e-6, 1e-6, 1e-6, 1 / TURN_RAD**2])
+    normal = np.einsum("nkd,nke->de", design, design) + prior
+    mean = np.linalg.solve(normal, np.einsum("nkd,nk->d", design, lines.offset[members]))
     steady = mean[:3] + mean[3] * _levers(lines.place - centre)
-    rest = lines.offset[members] - design @ mean
     felt = np.exp(-cdist(lines.place, place) / 30)
     felt[members, np.arange(len(members))] = 0
-    pulls = np.einsum("n,nkd,nk->nd", weight, frame, rest)
-    holds = np.einsum("n,nkd,nke->nde", weight, frame, frame)
-    spread = np.linalg.inv(np.tensordot(felt, holds, 1) + np.eye(3) / 0.25**2)
-    return steady + np.einsum("nde,ne->nd", spread, felt @ pulls), spread
+    pulls = felt @ np.einsum("nkd,nk->nd", frame, lines.offset[members] - design @ mean)
+    holds = np.tensordot(felt, frame.swapaxes(1, 2) @ frame, 1)
+    holds += (noise / 0.25) ** 2 * np.eye(3)
+    return steady + np.linalg.solve(holds, pulls[..., None])[..., 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -836,52 +805,35 @@ class Directed:
         Test segments in rows, model segments in columns, in either direction.
     parts : Components
         Parts of the distances of the k pairs, in the order of ``np.nonzero(pairs)``.
-    length : array, shape (k,)
-        Length of the target of each pair, which is its weight in the mean, m.
+    share : array, shape (k,)
+        Weight of each pair: the length of its target as a share of all pairs' targets, or of the
+        whole target set with ``norm="all"``.
     source : array of int, shape (k,)
         Source segment of each pair.
     coverage : float
         Share of the source set's length that is paired.
-    total : float
-        Divisor of the weighted sum of :meth:`olhd`, m.
     """
 
     threshold: Threshold
     pairs: np.ndarray
     parts: Components
-    length: np.ndarray
+    share: np.ndarray
     source: np.ndarray
     coverage: float
-    total: float
 
     @property
     def n(self):
         """Number of pairs."""
-        return len(self.length)
+        return len(self.share)
 
     def olhd(self, weight):
         """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (equation 7)."""
-        return float(self.length @ self.parts.distance(weight) / self.total) if self.n else np.nan
+        return float(self.share @ self.parts.distance(weight)) if self.n else np.nan
 
     @property
     def perpendicular_only(self):
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
-        return float(self.length @ self.parts.perpendicular / self.total) if self.n else np.nan
-
-    @np.errstate(invalid="ignore")  # a draw may have no pair of a kind
-    def bootstrap(self, statistic, rng):
-        """A statistic of the pairs' weights (r, k) -> (r, ...), and its 95 % interval.
-
-        Source segments are drawn with their pairs. The interval is widened by Student's t.
-        """
-        clusters, cluster = np.unique(self.source, return_inverse=True)
-        value, n = statistic(self.length[None])[0], len(clusters)
-        if n < 2:
-            return value, np.full((2, *value.shape), np.nan)
-        draws = rng.multinomial(n, np.full(n, 1 / n), size=1000)[:, cluster] * self.length
-        ends = np.nanquantile(statistic(draws), (0.025, 0.975), axis=0)
-        wider = stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975) * np.sqrt(n / (n - 1))
-        return value, value + wider * (ends - value)
+        return float(self.share @ self.parts.perpendicular) if self.n else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -932,9 +884,8 @@ class LHD(Shown):
     @property
     def perpendicular_only(self) -> float:
         """The larger directed mean of the perpendicular distances alone, m."""
-        return float(
-            np.fmax(self.test_model.perpendicular_only, self.model_test.perpendicular_only)
-        )
+        sides = self.test_model, self.model_test
+        return float(np.fmax(*(side.perpendicular_only for side in sides)))
 
     @property
     def _larger(self):
@@ -945,27 +896,33 @@ class LHD(Shown):
     def interval(self, *, seed: int = 0) -> tuple[float, float]:
         """95 % confidence interval of the value for fixed pairs and threshold: (low, high), m.
 
-        By bootstrap of the source segments. It covers the choice of the segments, not errors of the
-        pairs. NaN with fewer than two sources.
+        By bootstrap of the source segments with their pairs, widened by Student's t. It covers the
+        choice of the segments, not errors of the pairs. NaN with fewer than two sources.
         """
-        rng, side = np.random.default_rng(seed), self._larger
-        distances = side.parts.distance(self.weight)
+        side = self._larger
+        sources, source = np.unique(side.source, return_inverse=True)
+        n = len(sources)
+        if n < 2:
+            return np.nan, np.nan
+        drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=1000)
+        weights = np.vstack([side.share, drawn[:, source] * side.share])
         # each draw is divided by its own sum of weights, for both norms
-        _, ends = side.bootstrap(lambda weights: weights @ distances / weights.sum(axis=1), rng)
-        low, high = ends * side.length.sum() / side.total
-        return float(np.maximum(low, 0)), float(high)
+        value, *draws = weights @ side.parts.distance(self.weight) / weights.sum(axis=1)
+        wider = stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975) * np.sqrt(n / (n - 1))
+        ends = value + wider * (np.quantile(draws, (0.025, 0.975)) - value)
+        low, high = ends * side.share.sum()
+        return float(max(low, 0)), float(high)
 
+    @np.errstate(invalid="ignore")  # there may be no right pair
     def split(self, *, truth: ArrayLike | None = None) -> pd.DataFrame:
-        """Return the parts of the value: ``part``, ``value_m``, ``low_m``, ``high_m``.
+        """Return the parts of the value: ``part``, ``value_m``.
 
         The parts of the larger direction add up to its distance. *displacement*: mean shift of the
         correctly paired lines across themselves, from the displacement and rotation of the set.
         *position*: excess of their perpendicular distance. *direction*: contribution of the angle.
-        Position and direction come from the extraction of edges and from drift. *ends*:
-        contribution of the parallel distance. *false pairs*: contribution of the pairs that are not
-        in ``truth`` (bool, (p, q); by default the pairs of :func:`match_displaced`). The 95 %
-        confidence intervals come from a bootstrap of the source segments and the covariance of the
-        displacement. NaN if the displacement is unknown.
+        *ends*: of the distance along the lines. *false pairs*: contribution of the pairs that are
+        not in ``truth`` (bool, (p, q); by default the pairs of :func:`match_displaced`). NaN if the
+        displacement is unknown.
         """
         truth = match_displaced(self.test, self.model).pairs if truth is None else truth
         side, truth = self._larger, np.asarray(truth)
@@ -973,27 +930,14 @@ class LHD(Shown):
         if side is self.model_test:  # in the order of its parts
             columns, rows = np.nonzero(side.pairs.T)
         pairs = Pairs(*_from_common_origin(self.test, self.model), rows, columns)
-        right = truth[rows, columns]
         moved = fit_displacement(self.test, self.model, side.pairs & truth)
-        if not np.isfinite(moved.vector).all():
-            return _table_of_parts(np.full((3, len(PARTS)), np.nan))
-        rng, parts = np.random.default_rng(0), side.parts
         across = np.einsum("nkd,nd->nk", pairs.frame, moved.at(pairs.place))
+        parts = side.parts
         squares = parts.perpendicular**2, self.weight * parts.angle**2, parts.parallel**2
-        levels = np.sqrt(np.cumsum(squares, axis=0))
-
-        def means(weights):
-            """Mean of each part, (r, parts), for weights of the pairs (r, k)."""
-            drawn = rng.multivariate_normal(np.zeros(3), moved.covariance, len(weights))
-            drawn *= len(weights) > 1  # a single row of weights is the measurement itself
-            moves = across + np.einsum("nkd,rd->rnk", pairs.frame, drawn)
-            own = weights * right
-            sums = np.vstack([(own * np.linalg.norm(moves, axis=2)).sum(axis=1), levels @ own.T])
-            steps = [*(sums / own.sum(axis=1)), weights @ levels[-1] / weights.sum(axis=1)]
-            return np.column_stack([steps[0], np.diff(steps, axis=0).T, steps[-1]])
-
-        value, ends = side.bootstrap(means, rng)
-        return _table_of_parts([value, *ends])
+        sizes = np.vstack([np.linalg.norm(across, axis=1), np.sqrt(np.cumsum(squares, axis=0))])
+        right = side.share * truth[rows, columns]
+        steps = [*(sizes @ right / right.sum()), side.share @ sizes[-1] / side.share.sum()]
+        return pd.DataFrame({"part": PARTS, "value_m": [steps[0], *np.diff(steps), steps[-1]]})
 
     def kinds(self) -> pd.Series:
         """Return the number of groups of each kind of correspondence (section 2.3), Series of int.
@@ -1032,12 +976,6 @@ class LHD(Shown):
                 "coverage": [side.coverage for side in both],
             }
         )
-
-
-def _table_of_parts(values):
-    """Table of the parts of a distance and their intervals (3, parts)."""
-    columns = dict(zip(("value_m", "low_m", "high_m"), values, strict=True))
-    return pd.DataFrame({"part": PARTS} | columns)
 
 
 def hausdorff(test: ArrayLike, model: ArrayLike, **choices) -> float:
@@ -1081,12 +1019,11 @@ def lhd(
     model: ArrayLike,
     *,
     weight: float = 10.0,
-    sensitivity: float = 0.5,
     matcher: str = "all",
     rotate: str = "test",
     within: str = "containment",
     norm: str = "pairs",
-    threshold: Callable | None = None,
+    threshold: Callable = peak_threshold,
     pairs: ArrayLike | None = None,
     radius: float = 4.0,
 ) -> LHD:
@@ -1102,8 +1039,6 @@ def lhd(
         Segments, m.
     weight : float
         W of the angle, >= 0.
-    sensitivity : float
-        Least prominence of the peak that gives the threshold, m. It affects the result more than W.
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments", "displaced"}
         ``all`` is the published method. ``displaced`` estimates the displacement first
         (:func:`match_displaced`); if it finds too few pairs, ``fragments`` is used.
@@ -1112,9 +1047,9 @@ def lhd(
     norm : {"pairs", "all"}
         Divisor of the weighted sum of equation 7: the summed length of all pairs (a mean, which
         agrees with the published numbers), or of all targets (as printed).
-    threshold : callable, optional
-        Takes the nearest distances of a direction (m) and returns a :class:`Threshold`. By default
-        :func:`peak_threshold` with ``sensitivity``.
+    threshold : callable
+        Takes the nearest distances of a direction (m) and returns a :class:`Threshold`. For other
+        settings of :func:`peak_threshold` use ``functools.partial``.
     pairs : array_like of bool, shape (p, q), optional
         Known pairs, used instead of threshold and matcher.
     radius : float
@@ -1162,7 +1097,6 @@ def lhd(
     check_choice(matcher, "matcher", (*MATCHERS, "displaced"))
     check_choice(norm, "norm", ("pairs", "all"))
     test, model = check_segments(test, "test"), check_segments(model, "model")
-    threshold = threshold or partial(peak_threshold, sensitivity=sensitivity)
     settings = {"weight": weight, "rotate": rotate, "within": within, "norm": norm}
     one_way = partial(_one_way, threshold=threshold, **settings)
     asked = matcher
@@ -1200,14 +1134,14 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
         pairs = correspond(distances, found.delta, matcher=matcher, test=source, model=target)
     rows, columns = np.nonzero(pairs)
     own, length = lengths(source), lengths(target)
+    total = length[columns].sum() if norm == "pairs" else length.sum()
     return Directed(
         threshold=found,
         pairs=pairs,
         parts=Components(*(part[rows, columns] for part in vars(parts).values())),
-        length=length[columns],
+        share=length[columns] / total,
         source=rows,
         coverage=float(own[np.unique(rows)].sum() / own.sum()) if len(own) else np.nan,
-        total=float(length[columns].sum() if norm == "pairs" else length.sum()),
     )
 
 
@@ -1293,11 +1227,8 @@ def _compared(names, test, model, radius, choices):
     """The two rows of a comparison."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         found = lhd(test, model, radius=radius, **choices)
-    moved, table, remarks = (
-        match_displaced(test, model, radius=radius),
-        found.to_frame(),
-        found.remarks,
-    )
+    moved = match_displaced(test, model, radius=radius)
+    table, remarks = found.to_frame(), found.remarks
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
     table.insert(0, "comparison", "-".join(names))
     table["lhd_low_m"], table["lhd_high_m"] = found.interval()

@@ -106,7 +106,7 @@ def extract_edges(
     rows = []
     if len(patches) > 1:
         lines = _Lines(points, patches, size / 2, tolerance)
-        for line, sides in lines.supported(size / 2):
+        for line, sides in lines.supported():
             clear = tolerance / np.sqrt(lines.sine2[line])
             for low, high, counts in _runs(sides, size / CELLS_PER_SIZE, clear):
                 if high[0] - low[0] >= size / 2 and min(counts) >= 4:
@@ -119,14 +119,11 @@ class _Lines:
     """Intersection lines of neighbouring planes."""
 
     def __init__(self, points, patches, reach, tolerance):
-        self.tolerance = tolerance
-        owner = np.full(len(points), -1, dtype=np.int32)
-        for number, patch in enumerate(patches):
-            owner[patch.clear] = number
-        owned = np.flatnonzero(owner >= 0)
-        self.patches, self.origin = patches, points[owned].mean(axis=0)
-        self.grid = Grid(points[owned], reach)
-        self.owner = owner[owned][self.grid.order]
+        self.patches, self.reach, self.tolerance = patches, reach, tolerance
+        owned = points[np.concatenate([patch.clear for patch in patches])]
+        owner = np.repeat(np.arange(len(patches)), [len(patch.clear) for patch in patches])
+        self.origin, self.grid = owned.mean(axis=0), Grid(owned, reach)
+        self.owner = owner[self.grid.order]
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
         cells = np.unique(np.stack([self.grid.cell, self.owner]), axis=1)
@@ -147,16 +144,14 @@ class _Lines:
         height = ((other - start) * second).sum(axis=1) / self.sine2
         self.foot = start + height[:, None] * (second - cosine[:, None] * first)
 
-    def supported(self, reach):
+    def supported(self):
         """Yield each line with its points on both planes, as rows station, depth, height."""
-        for line, (first, second) in enumerate(self.pairs):
-            sides = [
-                self._beside(line, *pair, reach) for pair in ((first, second), (second, first))
-            ]
-            if all(side.shape[1] for side in sides):
+        for line, pair in enumerate(self.pairs):
+            sides = [self._beside(line, *order) for order in (pair, pair[::-1])]
+            if all(side.size for side in sides):
                 yield line, sides
 
-    def _beside(self, line, own, other, reach):
+    def _beside(self, line, own, other):
         """Points of a patch within reach of its line with another, sorted by station."""
         cells = [
             matrix.indices[matrix.indptr[k] : matrix.indptr[k + 1]]
@@ -167,7 +162,7 @@ class _Lines:
         way = self.direction[line]
         axes = np.stack([way, np.cross(self.normals[own], way), self.normals[own]])
         side = axes @ (points - self.foot[line]).T
-        side = side[:, np.abs(side[1]) <= reach]
+        side = side[:, np.abs(side[1]) <= self.reach]
         return side[:, np.argsort(side[0], kind="stable")]
 
     def edge(self, line, low, high, sides, size):
