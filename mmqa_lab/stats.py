@@ -25,6 +25,10 @@ HALF_WAVES = np.arange(3, 13, 2)
 """Numbers of half waves over the points, for the errors that neighbours share. A single one would
 count a trend as an error. Even numbers would count that points at the edges lack neighbours."""
 
+PARTS = 256
+COSINES = np.sqrt(2) * np.cos(np.pi * HALF_WAVES[:, None] * (np.arange(PARTS) + 0.5) / PARTS)
+"""The waves in parts of equal numbers of points, of mean 0 and mean square 1."""
+
 
 @dataclass(frozen=True)
 class Rate(Shown):
@@ -264,7 +268,7 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
 
 
 def waves(xy: ArrayLike, direction: float) -> np.ndarray:
-    """Return waves over the points across a direction, and waves along it.
+    """Number the points by their order across a direction and along it, for slow waves.
 
     Parameters
     ----------
@@ -272,30 +276,27 @@ def waves(xy: ArrayLike, direction: float) -> np.ndarray:
         Coordinates in a plane.
     direction : float
         Degrees counter-clockwise from the first axis, the direction of scan lines. The points of a
-        line then lie at nearly the same place of each wave across.
+        line then get nearly the same number across.
 
     Returns
     -------
-    array, shape (2, 5, n)
-        Cosines over the order of the points, of mean 0 and mean square 1, see ``HALF_WAVES``.
+    array of int, shape (2, n)
+        0 to 255: which of 256 parts of equal numbers of points. The waves are cosines over these
+        parts, see ``HALF_WAVES``.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40), np.arange(16))
-    >>> across, along = waves(np.stack([x.ravel(), y.ravel()], axis=1), 0)
-    >>> across.shape, across[0, [0, 639]].round(2)  # three half waves from the first line on
-    ((5, 640), array([ 1.41, -1.41]))
+    >>> waves(np.stack([x.ravel(), y.ravel()], axis=1), 0)[:, [0, 39, 639]].tolist()
+    [[0, 15, 255], [0, 249, 255]]
     """
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
     place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
-    place = np.ascontiguousarray(place.T)
-    is_tied = (np.diff(np.sort(place)) == 0).any()  # else the default is as good and faster
-    order, n = np.argsort(place, kind="stable" if is_tied else None), len(xy)
-    cosines = np.sqrt(2) * np.cos(np.pi * HALF_WAVES[:, None] * (np.arange(n) + 0.5) / n)
-    found = np.empty((2, *cosines.shape))
+    order, n = np.argsort(place, axis=0, kind="stable").T, len(place)
+    found = np.empty((2, n), dtype=np.intp)
     for way, places in zip(found, order, strict=True):
-        way[:, places] = cosines
+        way[places] = np.arange(n) * PARTS // n
     return found
 
 
@@ -309,7 +310,7 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     Parameters
     ----------
     values : array_like, shape (n,)
-    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
 
     Returns
@@ -342,7 +343,7 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     ----------
     values : array_like, shape (n,)
         NaN if not measurable; infinity is a large value.
-    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
 
     Returns
@@ -385,7 +386,7 @@ def median_ratio_interval(
     ----------
     top, bottom : array_like, shape (n,)
         Positive; NaN if not measurable.
-    block : array_like of int, shape (n,), or array, shape (2, k, n) or (4, k, n)
+    block : array_like of int, shape (n,), (2, n) or (4, n)
         As for :func:`median_interval`.
 
     Returns
@@ -444,9 +445,11 @@ def _reach_by_waves(rows, across, along):
     no whole line shares, is subtracted (Cameron, Gelbach and Miller 2011,
     doi:10.1198/jbes.2010.07136).
     """
-    count = len(across)
-    apart = np.array([(((across * row) @ along.T) ** 2).mean() for row in rows])
-    sums = ((across @ rows.T) ** 2 + (along @ rows.T) ** 2).mean(axis=0)
+    places, count = across * PARTS + along, len(COSINES)
+    table = np.array([np.bincount(places, row, PARTS**2) for row in rows])
+    table = table.reshape(len(rows), PARTS, PARTS)
+    apart = ((COSINES @ table @ COSINES.T) ** 2).mean(axis=(1, 2))
+    sums = sum(((table.sum(axis=way) @ COSINES.T) ** 2).mean(axis=1) for way in (1, 2))
     variances = np.maximum(sums - apart, apart)
     share = 1 - apart / np.maximum(variances, 1e-300)  # of what whole lines share
     freedom = 1 / (share**2 / count + (1 - share) ** 2 / count**2)

@@ -514,19 +514,19 @@ def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
 
     Returns
     -------
-    array, shape (2, 5, n) or (4, 5, n)
-        See :func:`mmqa_lab.stats.waves`. NaN, so no interval, for fewer than 50 points or points at
-        a single place.
+    array of int, shape (2, n) or (4, n)
+        See :func:`mmqa_lab.stats.waves`. A single block, so no interval, shape (n,), for fewer than
+        50 points or points at a single place.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(16) * 0.04)
     >>> line_waves(np.stack([x.ravel(), y.ravel()], axis=1)).shape
-    (2, 5, 640)
+    (2, 640)
     """
     xy = np.asarray(xy, dtype=np.float64)
     if len(xy) < FEWEST or not np.ptp(xy, axis=0).any():
-        return np.full((2, 1, len(xy)), np.nan)
+        return np.zeros(len(xy), dtype=np.intp)
     found = directional(xy) if found is None else found
     if found.g > 1 + CHANCE / np.sqrt(found.n):
         return stats.waves(xy, found.direction_deg)
