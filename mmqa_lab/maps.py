@@ -105,7 +105,8 @@ def _evaluated(local, first, size, cell, radius, inner):
     found = {"n": counts, "density": counts / cell**2}
     for k in range(4):
         found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group)
-    found["f"] = found["d4"] / found["d1"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found["f"] = np.where(found["d1"] > 0, found["d4"] / found["d1"], np.nan)
     missing = np.isnan(distances[:, 3]).astype(float)
     found["incomplete_share"] = np.add.reduceat(missing, starts) / counts
     deviations = _deviations(local[inner][order], starts, counts, group)
