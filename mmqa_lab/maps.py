@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -225,13 +226,14 @@ def _sorted_points(paths, folder, side):
     for left in folder.glob("*.xyz"):  # of a run that was stopped while sorting
         left.unlink()
     origin = crs = None
-    places = set()
+    places, without = set(), set()
     for path in paths:
         for part in iterate_cloud(path, columns=()):
             if origin is None:
                 origin = (np.floor(part.points.min(axis=0) / side) * side).tolist()
             crs = crs or part.crs
             check_same_crs(str(path), part.crs, "first cloud", crs)
+            without |= {str(path)} if part.crs is None else set()
             local = part.points - origin
             own = np.floor(local[:, :2] / side).astype(int)
             places |= set(map(tuple, np.unique(own, axis=0).tolist()))
@@ -241,6 +243,9 @@ def _sorted_points(paths, folder, side):
                     file.write(local[(own == place).all(axis=1)].tobytes())
     if not places:
         raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
+    if crs is not None and without:
+        listed = ", ".join(sorted(without))
+        warnings.warn(f"No coordinate system in {listed}: taken for {crs.name}.", stacklevel=3)
     crs = None if crs is None else crs.to_wkt()
     return {"tiles": sorted(places), "origin": origin, "crs": crs}
 

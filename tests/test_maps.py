@@ -139,11 +139,13 @@ def test_maps_are_written_as_netcdf_and_geotiff(tmp_path):
         assert raster.read(1)[0, 0] == value
 
 
-def test_tiles_without_points_have_none(tmp_path):
+def test_tiles_without_points_and_files_without_a_coordinate_system(tmp_path):
     near, far = street(n=500), street(n=500) + [40.0, 0, 0]
     io.write_cloud(tmp_path / "a.laz", Cloud(near, crs=pyproj.CRS("EPSG:25832")))
     io.write_cloud(tmp_path / "b.laz", Cloud(far))
-    run = maps.map_campaign([tmp_path / "a.laz", tmp_path / "b.laz"], tmp_path / "run", tile=4)
+    files = [tmp_path / "a.laz", tmp_path / "b.laz"]
+    with pytest.warns(UserWarning, match=r"No coordinate system in .*b\.laz: taken for ETRS89"):
+        run = maps.map_campaign(files, tmp_path / "run", tile=4)
     found = maps.open_map(run)
     assert np.diff(found["x"]) == pytest.approx(0.5)
     assert int(found["n"].sum()) == 1000
