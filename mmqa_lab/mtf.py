@@ -50,9 +50,6 @@ SIGMAS_PX = (0.15, 12.0)
 
 SMALLEST_ANGLE_DEG = 3.0
 
-SQUARE = np.pi / 4
-"""A square wave's amplitude over that of its fundamental."""
-
 PLAIN_PX = 3.0
 """Pixels this far from all borders of a sector show its plain grey value."""
 
@@ -565,7 +562,7 @@ def measure_star(
     # three standard deviations of the Gaussian of the same MTF50
     clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
     levels, borders = _plain_levels(pixels, place, n, radius, clear)
-    scale = 2 * SQUARE * _plain_share(lens, borders) / np.ptp(levels)
+    scale = 2 * _plain_level(lens, borders) / np.ptp(levels)
     return StarMtf(
         frequency=frequency,
         mtf=scale * amplitude,
@@ -830,12 +827,12 @@ def _lens_of(frequency, contrast):
     return partial(lens_mtf, best, float(np.exp(fits[best].x)))
 
 
-def _plain_share(lens, borders):
-    """Share of the contrast that a lens leaves in the middle of the sectors, a square wave."""
+def _plain_level(lens, borders):
+    """Level in the middle of the sectors behind a lens, of a square wave with fundamental 1."""
     width, total = borders.sum(axis=0), 0.0
     for k in range(1, 22, 2):
         left = lens(k / (2 * width))
-        total = total + left * np.sin(np.pi * k * borders[0] / width) / (SQUARE * k)
+        total = total + left * np.sin(np.pi * k * borders[0] / width) / k
     return float(total.mean())
 
 
