@@ -7,6 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mmqa_lab.cloud import sort_into_cells
+
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
 """Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
 
@@ -39,25 +41,21 @@ def ground(points):
     >>> ground(street)(np.array([[10.0, 10.0]])).tolist()
     [0.0]
     """
-    low = np.floor(points[:, :2].min(axis=0))
-    i, j = ((points[:, :2] - low) / GROUND_CELL_M).astype(np.int64).T
-    shape = i.max() + 1, j.max() + 1
-    cell = i * shape[1] + j
-    order = np.lexsort([points[:, 2], cell])
-    cell, z = cell[order], points[order, 2]
-    first = np.flatnonzero(np.diff(cell, prepend=-1))
-    third = np.minimum(first + 2, np.append(first[1:], len(cell)) - 1)
-    lowest = np.full(shape, np.inf)
-    lowest.flat[cell[first]] = z[third]
+    points = points[points[:, 2].argsort()]
+    order, starts, places = sort_into_cells(points[:, :2], GROUND_CELL_M)
+    third = order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]
+    low = places.min(axis=0)
+    lowest = np.full(places.max(axis=0) - low + 1, np.inf)
+    lowest[tuple((places - low).T)] = points[third, 2]
     filled = _filled(lowest, np.isfinite(lowest))
     opened = ndimage.grey_opening(filled, size=(GROUND_WINDOW, GROUND_WINDOW), mode="nearest")
-    known = np.isfinite(lowest) & (lowest - opened <= GROUND_STEP_M)
+    known = lowest - opened <= GROUND_STEP_M  # the lowest cell of all is always known
     known &= lowest <= ndimage.minimum_filter(lowest, ROOF_WINDOW) + ROOF_M
-    grid = _filled(lowest, known) if known.any() else filled
+    grid = _filled(lowest, known)
 
     def height(xy):
         """Height of the ground at places (m, 2) or (m, 3)."""
-        place = (np.asarray(xy)[:, :2] - low).T / GROUND_CELL_M - 0.5
+        place = (np.asarray(xy)[:, :2] / GROUND_CELL_M - low).T - 0.5
         return ndimage.map_coordinates(grid, place, order=1, mode="nearest")
 
     return height
@@ -80,11 +78,7 @@ def pairs(xy, points, reach):
     (array([0]), array([0]))
     """
     cell, other = (np.floor(part[:, :2] / reach).astype(np.int64) for part in (xy, points))
-    if not len(cell) or not len(other):
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    low = np.minimum(cell.min(axis=0), other.min(axis=0)) - 1
-    cell, other = cell - low, other - low
-    wide = max(cell[:, 0].max(), other[:, 0].max()) + 2
+    wide = 2**31  # more than any number of cells along x
     key = other[:, 1] * wide + other[:, 0]
     order = np.argsort(key, kind="stable")
     key = key[order]
@@ -128,10 +122,7 @@ def first_reason(n, **failed):
     >>> first_reason(2, length=np.array([True, False]), tilt=np.array([True, False])).tolist()
     ['length', '']
     """
-    reason = np.full(n, "", dtype=object)
-    for name, wrong in reversed(failed.items()):
-        reason[np.asarray(wrong)] = name
-    return reason
+    return np.select([*failed.values()], [*failed], np.full(n, "")).astype(object)
 
 
 def drop_duplicates(xy, score, reason, distance):
