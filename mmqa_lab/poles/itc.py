@@ -46,7 +46,9 @@ def detect(points, *, explain=False):
         points = points[points[:, 2] - ground(points)(points) >= GROUND_M]
     stacks, base = [], points[:, 2].min(initial=np.inf)
     if len(points):
-        component, level = components(points), ((points[:, 2] - base) / SLICE_M).astype(np.int64)
+        cell, count, touching = _cells(points, LINK_M)
+        component = joined(*touching, count)[cell]
+        level = ((points[:, 2] - base) / SLICE_M).astype(np.int64)
         order = np.lexsort([level, component])
         parts = np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
         stacks = [_stack(points[part, :2], level[part]) for part in parts]
@@ -57,23 +59,16 @@ def detect(points, *, explain=False):
     return table(rows.assign(rejected_by=reason), "itc", explain=explain)
 
 
-def components(points):
-    """Return the number of the connected component of each point (n, 3, metres), shape (n,)."""
-    cell, places = _cells(points, LINK_M)
-    return joined(*_touching(places).T, len(places))[cell]
-
-
 def _cells(points, size):
-    """Number of the occupied cell of each point (n,), and the indices of the cells (k, 3)."""
+    """Occupied cell of each point (n,), number of cells, pairs (2, k) of cells that touch.
+
+    Cells touch at a face, an edge or a corner.
+    """
     order, starts, places = sort_into_cells(points, size)
     cell = np.empty(len(points), np.int64)
     cell[order] = np.repeat(np.arange(len(places)), np.diff(starts))
-    return cell, places
-
-
-def _touching(places):
-    """Pairs (k, 2) of occupied cells that share a face, an edge or a corner."""
-    return cKDTree(places).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    pairs = cKDTree(places).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    return cell, len(places), pairs.T
 
 
 def _stack(xy, level):
@@ -110,16 +105,15 @@ def walls(points):
     >>> bool(walls(wall).all())
     True
     """
-    cell, places = _cells(points, PLANE_CELL_M)
+    cell, count, (a, b) = _cells(points, PLANE_CELL_M)
     centre, values, vectors = principal_axes(points, cell)
     normal, flat = vectors[:, :, 0], (np.bincount(cell) >= 4) & (values[:, 0] < THICK_M**2)
     flat &= (values[:, 1] > 4 * values[:, 0]) & (values[:, 1] > (PLANE_CELL_M / 10) ** 2)
-    a, b = _touching(places).T
     joint = centre[b] - centre[a]
     agree = np.abs((normal[a] * normal[b]).sum(axis=1)) > np.cos(np.radians(TURN_DEG))
     for k in (a, b):
         agree &= flat[k] & (np.abs((joint * normal[k]).sum(axis=1)) < OFF_M)
-    part = joined(a[agree], b[agree], len(places))
+    part = joined(a[agree], b[agree], count)
     groups = pd.DataFrame(centre[flat]).groupby(part[flat])
     x, y, z = (groups.max() - groups.min()).reindex(part).to_numpy().T
     wall = flat & (np.abs(normal[:, 2]) < np.sin(np.radians(15)))
