@@ -205,12 +205,9 @@ def score(
         corridor = check_positive(corridor, "corridor", unit="m")
         target &= path_distance(_plan(references, "references"), path) <= corridor
         inside = path_distance(_plan(found, "detections"), path) <= corridor
-    pairs = match(found, references, gate=gate)
-    reference, distance = np.full(len(found), -1), np.full(len(found), np.nan)
-    reference[pairs["detection"]] = pairs["reference"]
-    distance[pairs["detection"]] = pairs["distance_m"]
-    hit = np.zeros(len(found), dtype=bool)
-    hit[pairs["detection"]] = target[pairs["reference"]]
+    pairs = match(found, references, gate=gate).set_index("detection").reindex(found.index)
+    reference = pairs["reference"].fillna(-1).astype(int).to_numpy()
+    hit = np.append(target, False)[reference]  # -1, no reference, takes the last
     near = _distances(found, references) <= gate
     cases = hit, ~inside, reference >= 0, near[:, target].any(axis=1), near.any(axis=1)
     names = "hit", "outside", "ignored", "duplicate", "ignored"
@@ -219,6 +216,6 @@ def score(
     return Score(
         wilson(right, int(target.sum())),
         wilson(right, right + wrong),
-        found.assign(outcome=outcome, reference=reference, distance_m=distance),
-        references.assign(target=target, found=np.isin(references.index, pairs["reference"])),
+        found.assign(outcome=outcome, reference=reference, distance_m=pairs["distance_m"]),
+        references.assign(target=target, found=np.isin(references.index, reference)),
     )
