@@ -65,11 +65,10 @@ def detect(points, lines, *, explain=False):
     member = _merged(points, member[kept])
     axes = _axes(points, member)
     n = len(axes["ratio"])
-    seen = np.unique(np.column_stack([member, line]), axis=0)[:, 0]
     reason = first_reason(
         n,
         length=np.ptp(axes["ends"], axis=1) < LENGTH_M,
-        sweeps=np.bincount(seen, minlength=n) < SWEEPS,
+        sweeps=pd.Series(line).groupby(member).nunique() < SWEEPS,
         tilt=axes["direction"][:, 2] < np.cos(np.radians(TILT_DEG)),
         elongation=axes["ratio"] < ELONGATION,
     )
@@ -146,8 +145,7 @@ def _merged(points, member):
     low, high = centre[:, 2] + axes["ends"].T * direction[:, 2]
     tall = np.flatnonzero(high - low >= 0.2)
     reach = MERGE_M + np.tan(np.radians(MERGE_DEG)) * GAP_M
-    a, b = cKDTree(centre[tall, :2]).query_pairs(reach, output_type="ndarray").T
-    a, b = tall[a], tall[b]
+    a, b = tall[cKDTree(centre[tall, :2]).query_pairs(reach, output_type="ndarray").T]
     gap = np.maximum(low[a], low[b]) - np.minimum(high[a], high[b])
     half = (centre[b, 2] - centre[a, 2])[:, None] / 2
     slope = direction[:, :2] / np.maximum(direction[:, 2:], 0.5)
@@ -250,9 +248,7 @@ def scan_lines(cloud):
     if "scan_line" in cloud:
         line = np.asarray(cloud["scan_line"], np.int64)
     else:
-        line = np.copy(head)
-        for number in np.unique(head):
-            line[head == number] = revolutions_from_time(place[head == number])
+        line = pd.Series(place).groupby(head).transform(revolutions_from_time).to_numpy()
     line = line - line.min(initial=0) + head * (np.ptp(line) + 10 if len(line) else 0)
     if np.array_equal(place, np.floor(place)):
         return line, place
