@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from mmqa_lab._checks import check_plan, check_points, check_positive
+from mmqa_lab._results import Shown
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.stats import Rate, wilson
 
@@ -92,7 +93,7 @@ def _plan(table, name):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Score:
+class Score(Shown):
     """How well detections agree with a reference.
 
     Parameters
@@ -119,9 +120,6 @@ class Score:
 
     def __repr__(self) -> str:
         return f"<Score: recall {self.recall}, precision {self.precision}, F1 {self.f1:.3f}>"
-
-    def _repr_html_(self) -> str:
-        return self.to_frame()._repr_html_()
 
     def to_frame(self) -> pd.DataFrame:
         """Return recall and precision: ``quantity``, ``k``, ``n``, ``value``, ``low``, ``high``."""
