@@ -28,11 +28,7 @@ __all__ = ["METHODS", "Score", "detect", "match", "score"]
 
 
 def detect(
-    points: Cloud | ArrayLike,
-    *,
-    method: str = "learned",
-    explain: bool = False,
-    **choices,
+    points: Cloud | ArrayLike, *, method: str = "learned", explain: bool = False, **choices
 ) -> pd.DataFrame:
     """Detect poles.
 
@@ -90,5 +86,5 @@ def detect(
     lines = (fgi.scan_lines(cloud),) if method == "fgi" else ()
     found = module.detect(cloud.points - origin, *lines, explain=explain, **choices)
     found.insert(0, "id", np.arange(1, len(found) + 1))
-    shifts = dict(zip(("x_m", "y_m", "z_base_m"), origin, strict=True))
-    return found.assign(**{name: found[name] + shift for name, shift in shifts.items()})
+    found[["x_m", "y_m", "z_base_m"]] += origin
+    return found
