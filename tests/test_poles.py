@@ -135,7 +135,7 @@ def test_explain_names_the_test_that_rejected_and_adds_up(rng):
     assert set(table["rejected_by"]) <= {"", "score", "length", "duplicate"}
     trees = learned.shipped()
     parts = table[[f"adds_{name}" for name in learned.MEASURES]].sum(axis=1)
-    odds = parts + trees.value[trees.root].sum()
+    odds = parts + trees.parts(table[list(learned.MEASURES)])[1]
     assert np.allclose(1 / (1 + np.exp(-odds)), trees.score(table[list(learned.MEASURES)]))
     reasons = poles.detect(cloud, method="fgi", explain=True)["rejected_by"]
     assert {"", "length"} <= set(reasons)
@@ -165,6 +165,10 @@ def test_trees_follow_their_nodes_as_lightgbm_does(rng):
     assert set(used) == {"run_m", "beside"}
     longer = trees.score(x.assign(run_m=x["run_m"] + 1))
     assert (longer >= score).all()  # a longer run is never less a pole
+    other = x["points"] > 2
+    more = learned.grow(x, other.astype(int), start=trees, rounds=60)
+    assert ((more.score(x) > 0.5) == other).mean() > 0.97  # the new trees correct the old
+    assert np.allclose(learned.Trees(*(part[: len(trees.left)] for part in more)).score(x), score)
     without = learned.grow(x, label.astype(int), rounds=5, leave=("run_m",))
     assert not (without.feature[without.left >= 0] == [*learned.MEASURES].index("run_m")).any()
 

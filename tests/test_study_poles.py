@@ -177,3 +177,15 @@ def test_real_references(real):
     assert (targets["height_m"] >= 1).all()
     assert 120 < len(targets) < 220
     assert poles.score(poles.detect(whole), truth).f1 > 0.7
+
+
+def test_a_real_reference_leans_as_its_points_do(rng):
+    z, lean = rng.uniform(0, 9, 300), np.array([0.05, -0.03])
+    arm = np.column_stack([20 + np.maximum(z - 3, 0), 0 * z])
+    points = np.vstack([np.column_stack([xy, z]) for xy in (z[:, None] * lean, arm)])
+    points[:, :2] += rng.normal(0, 0.03, (600, 2))
+    found = study._components(Cloud(points, {"label": np.full(600, 1103)}), study.ASKED)
+    one = found.iloc[0]
+    assert one[["lean_x", "lean_y"]].to_numpy(float) == pytest.approx(lean, abs=0.005)
+    assert one[["x_m", "y_m"]].to_numpy(float) == pytest.approx(4.5 * lean, abs=0.03)
+    assert (found.iloc[1:][["lean_x", "lean_y"]] == 0).all(axis=None)
