@@ -114,15 +114,15 @@ def table(rows, method, *, explain=False):
     return frame.sort_values(["y_m", "x_m"], ignore_index=True)
 
 
-def first_reason(n, **failed):
-    """Name, for each of ``n`` candidates, the first test it failed; empty if none.
+def first_reason(**failed):
+    """Name, for each candidate, the first test it failed; empty if none.
 
     Examples
     --------
-    >>> first_reason(2, length=np.array([True, False]), tilt=np.array([True, False])).tolist()
+    >>> first_reason(length=np.array([True, False]), tilt=np.array([True, False])).tolist()
     ['length', '']
     """
-    return np.select([*failed.values()], [*failed], np.full(n, "")).astype(object)
+    return np.select([*failed.values()], [*failed], "").astype(object)
 
 
 def drop_duplicates(xy, score, reason, distance):

@@ -66,7 +66,6 @@ def detect(points, lines, *, explain=False):
     axes = _axes(points, member)
     n = len(axes["ratio"])
     reason = first_reason(
-        n,
         length=np.ptp(axes["ends"], axis=1) < LENGTH_M,
         sweeps=pd.Series(line).groupby(member).nunique() < SWEEPS,
         tilt=axes["direction"][:, 2] < np.cos(np.radians(TILT_DEG)),

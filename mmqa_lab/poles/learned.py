@@ -492,7 +492,7 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     score[open_] /= len(PLACES)
     low, high = found.shaft["low"], found.shaft["high"]
     short = found.measures["column_m"].to_numpy() < LENGTH_M
-    reason = first_reason(len(score), score=score < threshold, length=short)
+    reason = first_reason(score=score < threshold, length=short)
     xy = found.middle
     drop_duplicates(xy, score, reason, APART_M)
     kept, (diameter, half) = reason == "", np.full((2, len(score)), np.nan)
