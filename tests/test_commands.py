@@ -14,6 +14,7 @@ import pytest
 
 from mmqa_lab import chart_cloud, charts, commands, io, samples, simulate
 from mmqa_lab.__main__ import main
+from mmqa_lab.commands import machine
 from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
 
 IMAGE = "image chart.png --linear --corners '19.5,269.5; 269.5,269.5; 269.5,19.5; 19.5,19.5'"
@@ -95,7 +96,7 @@ def test_a_table_is_printed_and_written(name, call, tmp_path):
 
 
 def test_a_command_is_its_function():
-    table = commands.evaluate([samples.path("road_patch")])
+    table = commands.surveys.evaluate([samples.path("road_patch")])
     quality = chart_cloud.evaluate_cloud(io.read_cloud(samples.path("road_patch")))
     assert table["f"].item() == quality.f
 
@@ -120,17 +121,17 @@ def test_calibrate_writes_corrected_clouds(call, tmp_path):
 
 def test_what_is_empty_or_wide_fits_the_terminal():
     wide = pd.DataFrame({f"a_long_name_{k}": [k / 3] * 2 for k in range(20)} | {"none": ["", ""]})
-    text = commands.as_text(wide.assign(remarks=["said once", "said once"], missing=0))
+    text = machine.as_text(wide.assign(remarks=["said once", "said once"], missing=0))
     assert max(map(len, text.splitlines())) <= 100
     assert text.count("said once") == 1
     assert not {"none", "missing"} & set(text.split())
-    assert commands.as_text(wide[:0]).splitlines()[-1] == "none"
+    assert machine.as_text(wide[:0]).splitlines()[-1] == "none"
 
 
 def test_help_and_preparing_need_the_standard_library_alone(tmp_path):
     venv.create(tmp_path / "bare", with_pip=False)
     python = tmp_path / "bare" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    root = Path(commands.__file__).parents[1]
+    root = Path(commands.__file__).parents[2]
     for command in ("studies", "test", "lab"):
         code = (
             "import mmqa_lab.__main__ as m; m.prepare = lambda want: print(want.name) or 1 / 0\n"

@@ -1,209 +1,17 @@
-"""The commands of ``mmqa``: the signature of a function is its arguments, its docstring its help.
+"""The commands on a user's own clouds, photographs and tables.
 
-A command reads files by ``io``, calls a room's function with arrays and returns a table.
-:func:`table` registers it and adds ``--json``, ``--csv`` and ``--report``. :func:`run` states each
-error in one sentence. Rooms are imported inside the commands, so that help is quick.
+A command reads files by ``io``, calls a room's function with arrays and returns a table. Its
+signature is its arguments, its docstring its help. Rooms are imported inside the commands, so that
+help is quick.
 """
 
-import functools
-import importlib
-import inspect
-import os
 import re
-import subprocess
-import sys
-import textwrap
-import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import Parameter
 
-from mmqa_lab import __version__
-
-# Columns of a terminal that tables fit into.
-WIDTH = 100
-
-FIGURES = (".pdf", ".png", ".svg")
-
-TEST_CORES = ("-n=logical", "--maxprocesses=4")
-
-ABOUT = """The quality of mobile mapping point clouds and images.
-
-Evaluate your own data, run studies of published metrics, or open the notebooks.
-"""
-
-app = App(
-    "mmqa",
-    help=ABOUT,
-    version=__version__,
-    help_format="markdown",
-    default_parameter=Parameter(negative=()),
-)
-
-SHARED = {
-    "json": (bool, False, "Print a JSON list of rows, with null where not measurable."),
-    "csv": (Path | None, None, "Write the rows into this CSV file, too."),
-    "report": (Path | None, None, "Write a page (.html) with rows, remarks and hashes of files."),
-}
-
-
-def table(function):
-    """Register a command that prints its table; the function itself stays as it is."""
-
-    @functools.wraps(function)
-    def command(*files, json=False, csv=None, report=None, **choices):
-        inputs = _inputs([*files, *choices.values()], choices.get("out"))
-        _refuse_outputs(csv, report, choices.get("out"), inputs)
-        frame = function(*files, **choices)
-        if csv is not None:
-            from mmqa_lab.io import write_atomically
-
-            write_atomically(csv, frame)
-        if report is not None:
-            _write_report(report, function.__name__, frame, inputs, choices.get("out"))
-        print(as_json(frame) if json else as_text(frame))
-
-    only = inspect.Parameter.KEYWORD_ONLY
-    shared = [
-        inspect.Parameter(name, only, default=one, annotation=Annotated[kind, Parameter(help=text)])
-        for name, (kind, one, text) in SHARED.items()
-    ]
-    signature = inspect.signature(function)
-    command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *shared])
-    command.__annotations__ = {one.name: one.annotation for one in shared} | dict(
-        function.__annotations__
-    )
-    del command.__wrapped__
-    app.command(command, name=function.__name__.rstrip("_"))
-    return function
-
-
-def _inputs(given, out):
-    """The texts and paths that a command was given, other than its output."""
-    listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
-    return [str(one) for one in listed if one is not out and isinstance(one, str | Path)]
-
-
-def _refuse_outputs(csv, report, out, inputs):
-    """Raise before any work if an output has a wrong ending or is an input."""
-    for path, ending in ((csv, ".csv"), (report, ".html"), (out, "")):
-        if path is None:
-            continue
-        if ending and (path.suffix.lower() != ending or path.is_dir()):
-            raise ValueError(f"Invalid file {path}. Must end in {ending}.")
-        if str(path) in inputs:
-            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
-
-
-def _write_report(page, command, frame, inputs, out):
-    """Write rows, remarks and the figure of a command as a page, with hashes of the files read."""
-    from mmqa_lab.run.pages import write_report
-
-    rows = frame.drop(columns="remarks", errors="ignore").dropna(axis=1, how="all")
-    if len(rows) < 4 and len(rows.columns) > 9:  # a page is narrow
-        rows = rows.set_index(rows.columns[0]).T.reset_index(names="")
-    write_report(
-        page,
-        title=f"mmqa {command.rstrip('_')}",
-        sentences=_sentences(frame, "remarks"),
-        tables={"Results": rows},
-        figures={out.name: out} if out is not None and out.suffix == ".png" else {},
-        files=[one for one in inputs if Path(one).is_file()],
-    )
-
-
-def run(arguments):
-    """Run a command line and return its exit status."""
-    words = list(arguments)
-    name = words[0] if words and not words[0].startswith("-") else ""
-    warnings.showwarning = lambda message, *_, **__: _say(name, message)
-    try:
-        status = app(words, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
-        return status if isinstance(status, int) else 0
-    except BrokenPipeError:  # as in: mmqa info *.laz | head
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (CycloptsError, ValueError, TypeError, ImportError, OSError) as error:
-        if "--raise" in words:
-            raise
-        _say(name, " ".join(str(error).split()))
-        return 2
-    except KeyboardInterrupt:
-        _say(name, "interrupted; what was finished is kept.")
-        return 130
-
-
-def _say(command, sentence):
-    """Print a sentence on stderr."""
-    print(f"mmqa {command}".strip() + f": {sentence}", file=sys.stderr)
-
-
-def as_json(frame):
-    """A table as JSON: a list with an object for each row."""
-    return frame.to_json(orient="records", indent=1, double_precision=15)
-
-
-def as_text(frame):
-    """A table as text of at most 100 columns, with each remark once below it."""
-    if frame.empty:
-        return f"{' '.join(frame.columns)}\nnone"
-    below = _sentences(frame, "remarks")
-    frame = frame.drop(columns="remarks", errors="ignore").replace("", None)
-    if "missing" in frame and not frame["missing"].any():
-        frame = frame.drop(columns="missing")
-    frame = frame.dropna(axis=1, how="all")
-    for name in frame.columns[1:]:
-        if frame[name].astype(str).str.len().max() > WIDTH / 2:
-            below = [*_sentences(frame, name), *below]
-            frame = frame.drop(columns=name)
-    first = frame.columns[0]
-    shown = frame.set_index(first).rename_axis(index=None, columns=first)
-    style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
-    text = shown.to_string(**style)
-    if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
-        text = shown.T.rename_axis(index=None, columns="").to_string(**style)
-    return "\n".join([text, *(textwrap.fill(line, WIDTH - 1) for line in below)])
-
-
-def _sentences(frame, column):
-    """The texts of a column, each once, behind the name of its file."""
-    if column not in frame:
-        return []
-    names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
-    names = names if column == "remarks" else names + f"{column}: "
-    return (names + frame[column])[frame[column].fillna("") != ""].unique()
-
-
-def _figure(value):
-    """A number as text with four significant digits; a large number with two decimals."""
-    return f"{round(value, 2):.10g}" if abs(value) >= 1000 else f"{value:.4g}"
-
-
-def _progress(items, unit):
-    """Go through items and show a progress bar on stderr if that is a terminal."""
-    from tqdm import tqdm
-
-    return tqdm(items, unit=unit, disable=None, leave=False)
-
-
-def _figure_file(path):
-    """Raise before any work if a figure has a wrong ending."""
-    if path is not None and path.suffix.lower() not in FIGURES:
-        raise ValueError(f"Invalid figure {path}. Must end in {', '.join(FIGURES)}.")
-
-
-def _write_figure(path, draw):
-    """Draw in the package's style and write the figure."""
-    from mmqa_lab import plots
-    from mmqa_lab._figures import finish_figure
-    from mmqa_lab.io import write_atomically
-
-    with plots.style():
-        figure = draw()
-        finish_figure(figure)
-        write_atomically(path, lambda file: figure.savefig(file))
+from mmqa_lab.commands.machine import check_figure, progress, table, write_figure
 
 
 @table
@@ -220,7 +28,7 @@ def info(clouds: list[Path], /):
     from mmqa_lab import io
     from mmqa_lab.cloud import describe
 
-    rows = [{"file": one.name} | describe(io.read_cloud(one)) for one in _progress(clouds, "cloud")]
+    rows = [{"file": one.name} | describe(io.read_cloud(one)) for one in progress(clouds, "cloud")]
     return pd.DataFrame(rows)
 
 
@@ -257,9 +65,9 @@ def evaluate(
 
     from mmqa_lab import chart_cloud, io
 
-    _figure_file(out)
+    check_figure(out)
     rows = []
-    for file in _progress(clouds, "cloud"):
+    for file in progress(clouds, "cloud"):
         cloud = io.read_cloud(file, columns=())
         ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
         quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, rho0=rho0)
@@ -267,7 +75,7 @@ def evaluate(
         frame.insert(0, "file", file.name)
         rows.append(frame.assign(remarks=" ".join(quality.remarks)))
     if out is not None:
-        _write_figure(out, quality.plot)
+        write_figure(out, quality.plot)
     return pd.concat(rows, ignore_index=True)
 
 
@@ -419,7 +227,7 @@ def pattern(
     from mmqa_lab import chart_cloud, io, scan_pattern
 
     rows = []
-    for file in _progress(clouds, "cloud"):
+    for file in progress(clouds, "cloud"):
         cloud = io.read_cloud(file)
         if polygon is not None:
             ring = io.read_polygon(polygon, crs=cloud.crs)
@@ -468,7 +276,7 @@ def lhd(
     names = [file.stem for file in files]
     names = names if len(set(names)) == len(names) else [str(file) for file in files]
     sets = {}
-    for name, file in zip(names, _progress(files, "file"), strict=True):
+    for name, file in zip(names, progress(files, "file"), strict=True):
         if file.suffix.lower() in (".csv", ".txt"):
             sets[name] = io.read_segments(file)
         else:
@@ -516,7 +324,7 @@ def poles(
     from mmqa_lab.cloud import Cloud
 
     parts = []
-    for number, file in enumerate(_progress(clouds, "cloud")):
+    for number, file in enumerate(progress(clouds, "cloud")):
         cloud = io.read_cloud(file)
         head = {"head": np.full(len(cloud), number)} if len(clouds) > 1 else {}
         parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
@@ -628,7 +436,7 @@ def calibrate(
     from mmqa_lab import boresight, io
     from mmqa_lab.simulate import Trajectory
 
-    clouds = [io.read_cloud(file) for file in _progress(drives, "cloud")]
+    clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
     paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
     paths = paths * len(clouds) if len(paths) == 1 else paths
     if len(paths) != len(clouds):
@@ -724,20 +532,20 @@ def image(
 
     from mmqa_lab import chart_image, charts
 
-    _figure_file(out)
+    check_figure(out)
     choices = {
         "corners": None if corners is None else _corners(corners),
         "panorama": panorama,
         "gamma": "linear" if linear else "srgb",
     }
     rows, layout = [], charts.imaging_chart(chart)
-    for file in _progress(images, "image"):
+    for file in progress(images, "image"):
         quality = chart_image.evaluate_file(file, layout, **choices)
         frame = quality.to_frame()
         frame.insert(0, "file", file.name)
         rows.append(frame)
     if out is not None:
-        _write_figure(out, lambda: _two_panels(quality))
+        write_figure(out, lambda: _two_panels(quality))
     return pd.concat(rows, ignore_index=True)
 
 
@@ -798,7 +606,7 @@ def radiometry(
     if known is None and measure != "sharpness":
         raise ValueError(f"Invalid {measure} without targets. Must have --targets.")
     rows = []
-    for file in _progress(images, "image"):
+    for file in progress(images, "image"):
         values = io.read_bands(file)
         shown = known
         if known is not None and "image" in known:
@@ -840,248 +648,3 @@ def tender(criteria: str, results: str, /, *, details: bool = False):
         found = io.read_table(results, "results")
     verdicts = tender.verdicts(wanted, found)
     return verdicts if details else tender.qualification(verdicts)
-
-
-@table
-def bench(
-    study: str,
-    /,
-    *,
-    method: list[str] | None = None,
-    quick: bool = False,
-    workers: int = 1,
-    out: Path | None = None,
-    raise_: Annotated[bool, Parameter("--raise")] = False,
-):
-    """Run a study's comparison of methods, with methods of your own among them.
-
-    A method is a function of the study's data. It is measured on the same cases as the others and
-    ranked with an interval. A case on which it fails is left out.
-
-    Parameters
-    ----------
-    study
-        Short name of the study, such as anisotropy.
-    method
-        Your own MODULE:FUNCTION, in a file of the current directory. May be given several times.
-    quick
-        Use few cases, for a first look.
-    workers
-        Number of processes.
-    out
-        Write results, tables and figures into this folder.
-    raise_
-        Stop where your method fails, and print the traceback.
-    """
-    from concurrent.futures import ProcessPoolExecutor
-    from dataclasses import replace
-
-    import pandas as pd
-
-    from mmqa_lab import bench
-    from mmqa_lab.studies import chosen
-
-    comparison = chosen([study])[0].bench(quick=quick)
-    own = dict(_named_function(text) for text in method or [])
-    taken = own.keys() & comparison.methods.keys()
-    if taken:
-        raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
-    comparison.methods = {**comparison.methods, **own}
-    if raise_ and own:
-        replace(comparison, methods=own, costs_cells=()).run()
-    pool = ProcessPoolExecutor(workers) if workers > 1 else None
-    results = comparison.run(executor=pool)
-    figures = [name for name in comparison.figures if name in results]
-    figures = figures or list(bench.figure_names(results))
-    rows = []
-    for name in figures:
-        part = bench.summary(results, name)
-        part.columns = ["method", "mean", "low", "high", "n", "missing"]
-        rows.append(part.assign(figure=name))
-    tables = comparison.tables(results) if comparison.tables else {}
-    tables["summary"] = pd.concat(rows, ignore_index=True)
-    answer = next(iter(tables.values()))
-    if out is not None:
-        kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
-        drawn = {name: bench.summary(results, name) for name in figures}
-        if comparison.tables and list(answer)[2:4] == ["low", "high"]:
-            drawn = {answer.columns[1]: answer}
-        _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=own))
-    return answer
-
-
-def _named_function(text):
-    """Name and function of MODULE:FUNCTION, in the current directory."""
-    module, _, name = text.partition(":")
-    sys.path.insert(0, str(Path.cwd()))
-    try:
-        function = getattr(importlib.import_module(module), name)
-        if not callable(function):
-            raise TypeError(f"{name} is not callable")
-    except Exception as error:  # the module of a reader may raise anything
-        raise ValueError(
-            f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
-        ) from error
-    return name, function
-
-
-def _write_bench(folder, tables, draw):
-    """Write the tables and the figure of a bench, and print the names of the files."""
-    from mmqa_lab.io import write_atomically
-
-    for name, one in tables.items():
-        write_atomically(folder / f"{name}.csv", one)
-    for ending in FIGURES:
-        _write_figure(folder / f"methods{ending}", draw)
-    written = [f"{name}.csv" for name in tables] + [f"methods{ending}" for ending in FIGURES]
-    print(f"{folder}: {', '.join(written)}", file=sys.stderr)
-
-
-@app.command
-def studies(
-    names: Annotated[list[str] | None, Parameter()] = None,
-    /,
-    *,
-    quick: bool = False,
-    workers: int | None = None,
-    store: bool = False,
-    out: Path | None = None,
-):
-    """Run the studies: every notebook, without a screen, with tables, figures and pages.
-
-    Results are written into notebooks/results/, those of a quick run into notebooks/results/quick/;
-    the page index.html in that folder shows them all. A study that fails does not stop the others.
-    The exit status is 1 if a study failed or, with the delivered parameters, a check did not pass.
-
-    Parameters
-    ----------
-    names
-        Short names of studies, such as mimic. By default all studies.
-    quick
-        Use small parameters, for a first look.
-    workers
-        Number of studies that run at the same time. By default as many as cores and memory permit.
-    store
-        Store the outputs in the notebooks of the repository, and their thumbnails beside them.
-    out
-        Write the results into this folder instead.
-    """
-    from mmqa_lab.run import notebooks, pages, verdict
-    from mmqa_lab.run import store as storing
-    from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
-
-    usual = results_folder(notebooks_folder())
-    folder = (out or (usual / "quick" if quick else usual)).resolve()
-    wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]
-    print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
-    failed = False
-    for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
-        untrue = not quick and any(not check["passed"] for check in record["checks"])
-        failed = failed or bool(record["failure"]) or untrue
-        print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
-        pages.write_pages(folder, STUDIES)
-    if store:
-        storing.store(notebooks_folder(), folder, wanted)
-    return int(failed)
-
-
-def _fitting_workers():
-    """The number of processes for which there are cores and memory."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    try:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    except (AttributeError, ValueError, OSError):  # Windows does not tell the free memory
-        return cores
-    return max(1, min(cores, int(free / 1.5)))  # a study may need 1.5 GB
-
-
-def _run_studies(run_study, studies, folder, quick, workers):
-    """Run each study in a process of its own; yield it with its record when it ends."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
-    workers = min(workers or _fitting_workers(), len(studies))
-    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
-        tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
-        for task in as_completed(tasks):
-            yield tasks[task], task.result()
-    finally:  # after an interruption no other study begins
-        pool.shutdown(cancel_futures=True)
-
-
-@app.command
-def student(
-    out: Path,
-    /,
-    *names: str,
-    quick: bool = False,
-    sheets: Path | None = None,
-    checks: Path | None = None,
-):
-    """Write copies of the notebooks for a class: without the answers, with checks of the work.
-
-    Parameters
-    ----------
-    out
-        Write the copies into this folder. It must not contain such notebooks yet.
-    names
-        Short names of studies, such as mimic. By default all studies.
-    quick
-        Use small parameters, so that a class reaches the first exercise soon.
-    sheets
-        Write pages for the teacher into this folder: solutions, answers by number, lesson plans.
-    checks
-        Write copies with the checks of the exercises into this folder. Those of the class then have
-        none.
-    """
-    from mmqa_lab.run import students
-    from mmqa_lab.studies import chosen
-
-    wanted = chosen(names)
-    paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
-    if checks is not None:
-        paths += students.write_student_notebooks(wanted, checks, quick=quick)
-    if sheets is not None:
-        paths += students.write_solutions(wanted, sheets, quick=quick)
-    print(*paths, sep="\n")
-
-
-@app.command
-def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
-    """Open the notebooks in JupyterLab.
-
-    Parameters
-    ----------
-    options
-        Options that are passed on to jupyter lab.
-    """
-    from mmqa_lab.run.pages import TEMPLATES
-    from mmqa_lab.studies import notebooks_folder
-
-    command = [sys.executable, "-m", "jupyterlab", "--LabApp.news_url=None", *options]
-    config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
-    environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
-    return subprocess.call(command, cwd=notebooks_folder(), env=environment)
-
-
-@app.command
-def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
-    """Run the tests: style by ruff, then every test on up to four cores.
-
-    Parameters
-    ----------
-    options
-        Options that are passed on to pytest.
-    """
-    root = Path(__file__).resolve().parents[1]
-    if not (root / "tests").is_dir():
-        raise FileNotFoundError(f"Invalid folder {root}: no tests. Must be the repository.")
-    steps = (
-        ["ruff", "check", "."],
-        ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", *TEST_CORES, *options],
-    )
-    statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
-    return next((status for status in statuses if status), 0)

@@ -1,0 +1,260 @@
+"""The commands of the laboratory: benches, studies, students' copies, notebooks and tests."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, table, write_figure
+
+
+@table
+def bench(
+    study: str,
+    /,
+    *,
+    method: list[str] | None = None,
+    quick: bool = False,
+    workers: int = 1,
+    out: Path | None = None,
+    raise_: Annotated[bool, Parameter("--raise")] = False,
+):
+    """Run a study's comparison of methods, with methods of your own among them.
+
+    A method is a function of the study's data. It is measured on the same cases as the others and
+    ranked with an interval. A case on which it fails is left out.
+
+    Parameters
+    ----------
+    study
+        Short name of the study, such as anisotropy.
+    method
+        Your own MODULE:FUNCTION, in a file of the current directory. May be given several times.
+    quick
+        Use few cases, for a first look.
+    workers
+        Number of processes.
+    out
+        Write results, tables and figures into this folder.
+    raise_
+        Stop where your method fails, and print the traceback.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from dataclasses import replace
+
+    import pandas as pd
+
+    from mmqa_lab import bench
+    from mmqa_lab.studies import chosen
+
+    comparison = chosen([study])[0].bench(quick=quick)
+    own = dict(_named_function(text) for text in method or [])
+    taken = own.keys() & comparison.methods.keys()
+    if taken:
+        raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
+    comparison.methods = {**comparison.methods, **own}
+    if raise_ and own:
+        replace(comparison, methods=own, costs_cells=()).run()
+    pool = ProcessPoolExecutor(workers) if workers > 1 else None
+    results = comparison.run(executor=pool)
+    figures = [name for name in comparison.figures if name in results]
+    figures = figures or list(bench.figure_names(results))
+    rows = []
+    for name in figures:
+        part = bench.summary(results, name)
+        part.columns = ["method", "mean", "low", "high", "n", "missing"]
+        rows.append(part.assign(figure=name))
+    tables = comparison.tables(results) if comparison.tables else {}
+    tables["summary"] = pd.concat(rows, ignore_index=True)
+    answer = next(iter(tables.values()))
+    if out is not None:
+        kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
+        drawn = {name: bench.summary(results, name) for name in figures}
+        if comparison.tables and list(answer)[2:4] == ["low", "high"]:
+            drawn = {answer.columns[1]: answer}
+        _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=own))
+    return answer
+
+
+def _named_function(text):
+    """Name and function of MODULE:FUNCTION, in the current directory."""
+    module, _, name = text.partition(":")
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        function = getattr(importlib.import_module(module), name)
+        if not callable(function):
+            raise TypeError(f"{name} is not callable")
+    except Exception as error:  # the module of a reader may raise anything
+        raise ValueError(
+            f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
+        ) from error
+    return name, function
+
+
+def _write_bench(folder, tables, draw):
+    """Write the tables and the figure of a bench, and print the names of the files."""
+    from mmqa_lab.io import write_atomically
+
+    for name, one in tables.items():
+        write_atomically(folder / f"{name}.csv", one)
+    for ending in FIGURE_ENDINGS:
+        write_figure(folder / f"methods{ending}", draw)
+    written = [f"{name}.csv" for name in tables] + [f"methods{ending}" for ending in FIGURE_ENDINGS]
+    print(f"{folder}: {', '.join(written)}", file=sys.stderr)
+
+
+@app.command
+def studies(
+    names: Annotated[list[str] | None, Parameter()] = None,
+    /,
+    *,
+    quick: bool = False,
+    workers: int | None = None,
+    store: bool = False,
+    out: Path | None = None,
+):
+    """Run the studies: every notebook, without a screen, with tables, figures and pages.
+
+    Results are written into notebooks/results/, those of a quick run into notebooks/results/quick/;
+    the page index.html in that folder shows them all. A study that fails does not stop the others.
+    The exit status is 1 if a study failed or, with the delivered parameters, a check did not pass.
+
+    Parameters
+    ----------
+    names
+        Short names of studies, such as mimic. By default all studies.
+    quick
+        Use small parameters, for a first look.
+    workers
+        Number of studies that run at the same time. By default as many as cores and memory permit.
+    store
+        Store the outputs in the notebooks of the repository, and their thumbnails beside them.
+    out
+        Write the results into this folder instead.
+    """
+    from mmqa_lab.run import notebooks, pages, verdict
+    from mmqa_lab.run import store as storing
+    from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
+
+    usual = results_folder(notebooks_folder())
+    folder = (out or (usual / "quick" if quick else usual)).resolve()
+    wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]
+    print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
+    failed = False
+    for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
+        untrue = not quick and any(not check["passed"] for check in record["checks"])
+        failed = failed or bool(record["failure"]) or untrue
+        print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
+        pages.write_pages(folder, STUDIES)
+    if store:
+        storing.store(notebooks_folder(), folder, wanted)
+    return int(failed)
+
+
+def _fitting_workers():
+    """The number of processes for which there are cores and memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    try:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    except (AttributeError, ValueError, OSError):  # Windows does not tell the free memory
+        return cores
+    return max(1, min(cores, int(free / 1.5)))  # a study may need 1.5 GB
+
+
+def _run_studies(run_study, studies, folder, quick, workers):
+    """Run each study in a process of its own; yield it with its record when it ends."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    workers = min(workers or _fitting_workers(), len(studies))
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
+        for task in as_completed(tasks):
+            yield tasks[task], task.result()
+    finally:  # after an interruption no other study begins
+        pool.shutdown(cancel_futures=True)
+
+
+@app.command
+def student(
+    out: Path,
+    /,
+    *names: str,
+    quick: bool = False,
+    sheets: Path | None = None,
+    checks: Path | None = None,
+):
+    """Write copies of the notebooks for a class: without the answers, with checks of the work.
+
+    Parameters
+    ----------
+    out
+        Write the copies into this folder. It must not contain such notebooks yet.
+    names
+        Short names of studies, such as mimic. By default all studies.
+    quick
+        Use small parameters, so that a class reaches the first exercise soon.
+    sheets
+        Write pages for the teacher into this folder: solutions, answers by number, lesson plans.
+    checks
+        Write copies with the checks of the exercises into this folder. Those of the class then have
+        none.
+    """
+    from mmqa_lab.run import students
+    from mmqa_lab.studies import chosen
+
+    wanted = chosen(names)
+    paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
+    if checks is not None:
+        paths += students.write_student_notebooks(wanted, checks, quick=quick)
+    if sheets is not None:
+        paths += students.write_solutions(wanted, sheets, quick=quick)
+    print(*paths, sep="\n")
+
+
+@app.command
+def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
+    """Open the notebooks in JupyterLab.
+
+    Parameters
+    ----------
+    options
+        Options that are passed on to jupyter lab.
+    """
+    from mmqa_lab.run.pages import TEMPLATES
+    from mmqa_lab.studies import notebooks_folder
+
+    command = [sys.executable, "-m", "jupyterlab", "--LabApp.news_url=None", *options]
+    config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
+    environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
+    return subprocess.call(command, cwd=notebooks_folder(), env=environment)
+
+
+TEST_CORES = ("-n=logical", "--maxprocesses=4")
+
+
+@app.command
+def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
+    """Run the tests: style by ruff, then every test on up to four cores.
+
+    Parameters
+    ----------
+    options
+        Options that are passed on to pytest.
+    """
+    root = Path(__file__).resolve().parents[2]
+    if not (root / "tests").is_dir():
+        raise FileNotFoundError(f"Invalid folder {root}: no tests. Must be the repository.")
+    steps = (
+        ["ruff", "check", "."],
+        ["ruff", "format", "--check", "."],
+        ["pytest", "-q", "-ra", *TEST_CORES, *options],
+    )
+    statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
+    return next((status for status in statuses if status), 0)

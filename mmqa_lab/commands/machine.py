@@ -1,0 +1,212 @@
+"""What all commands share: registration, outputs, tables as text, errors in one sentence.
+
+:func:`table` registers a command and adds ``--json``, ``--csv`` and ``--report``. :func:`run`
+states each error in one sentence.
+"""
+
+import functools
+import inspect
+import os
+import sys
+import textwrap
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+from mmqa_lab import __version__
+
+__all__ = [
+    "FIGURE_ENDINGS",
+    "app",
+    "as_json",
+    "as_text",
+    "check_figure",
+    "progress",
+    "run",
+    "table",
+    "write_figure",
+]
+
+# Columns of a terminal that tables fit into.
+WIDTH = 100
+
+FIGURE_ENDINGS = (".pdf", ".png", ".svg")
+
+ABOUT = """The quality of mobile mapping point clouds and images.
+
+Evaluate your own data, run studies of published metrics, or open the notebooks.
+"""
+
+app = App(
+    "mmqa",
+    help=ABOUT,
+    version=__version__,
+    help_format="markdown",
+    default_parameter=Parameter(negative=()),
+)
+
+SHARED = {
+    "json": (bool, False, "Print a JSON list of rows, with null where not measurable."),
+    "csv": (Path | None, None, "Write the rows into this CSV file, too."),
+    "report": (Path | None, None, "Write a page (.html) with rows, remarks and hashes of files."),
+}
+
+
+def table(function):
+    """Register a command that prints its table; the function itself stays as it is."""
+
+    @functools.wraps(function)
+    def command(*files, json=False, csv=None, report=None, **choices):
+        inputs = _inputs([*files, *choices.values()], choices.get("out"))
+        _refuse_outputs(csv, report, choices.get("out"), inputs)
+        frame = function(*files, **choices)
+        if csv is not None:
+            from mmqa_lab.io import write_atomically
+
+            write_atomically(csv, frame)
+        if report is not None:
+            _write_report(report, function.__name__, frame, inputs, choices.get("out"))
+        print(as_json(frame) if json else as_text(frame))
+
+    only = inspect.Parameter.KEYWORD_ONLY
+    shared = [
+        inspect.Parameter(name, only, default=one, annotation=Annotated[kind, Parameter(help=text)])
+        for name, (kind, one, text) in SHARED.items()
+    ]
+    signature = inspect.signature(function)
+    command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *shared])
+    command.__annotations__ = {one.name: one.annotation for one in shared} | dict(
+        function.__annotations__
+    )
+    del command.__wrapped__
+    app.command(command, name=function.__name__.rstrip("_"))
+    return function
+
+
+def _inputs(given, out):
+    """The texts and paths that a command was given, other than its output."""
+    listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
+    return [str(one) for one in listed if one is not out and isinstance(one, str | Path)]
+
+
+def _refuse_outputs(csv, report, out, inputs):
+    """Raise before any work if an output has a wrong ending or is an input."""
+    for path, ending in ((csv, ".csv"), (report, ".html"), (out, "")):
+        if path is None:
+            continue
+        if ending and (path.suffix.lower() != ending or path.is_dir()):
+            raise ValueError(f"Invalid file {path}. Must end in {ending}.")
+        if str(path) in inputs:
+            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
+
+
+def _write_report(page, command, frame, inputs, out):
+    """Write rows, remarks and the figure of a command as a page, with hashes of the files read."""
+    from mmqa_lab.run.pages import write_report
+
+    rows = frame.drop(columns="remarks", errors="ignore").dropna(axis=1, how="all")
+    if len(rows) < 4 and len(rows.columns) > 9:  # a page is narrow
+        rows = rows.set_index(rows.columns[0]).T.reset_index(names="")
+    write_report(
+        page,
+        title=f"mmqa {command.rstrip('_')}",
+        sentences=_sentences(frame, "remarks"),
+        tables={"Results": rows},
+        figures={out.name: out} if out is not None and out.suffix == ".png" else {},
+        files=[one for one in inputs if Path(one).is_file()],
+    )
+
+
+def run(arguments):
+    """Run a command line and return its exit status."""
+    words = list(arguments)
+    name = words[0] if words and not words[0].startswith("-") else ""
+    warnings.showwarning = lambda message, *_, **__: _say(name, message)
+    try:
+        status = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except BrokenPipeError:  # as in: mmqa info *.laz | head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (CycloptsError, ValueError, TypeError, ImportError, OSError) as error:
+        if "--raise" in words:
+            raise
+        _say(name, " ".join(str(error).split()))
+        return 2
+    except KeyboardInterrupt:
+        _say(name, "interrupted; what was finished is kept.")
+        return 130
+
+
+def _say(command, sentence):
+    """Print a sentence on stderr."""
+    print(f"mmqa {command}".strip() + f": {sentence}", file=sys.stderr)
+
+
+def as_json(frame):
+    """A table as JSON: a list with an object for each row."""
+    return frame.to_json(orient="records", indent=1, double_precision=15)
+
+
+def as_text(frame):
+    """A table as text of at most 100 columns, with each remark once below it."""
+    if frame.empty:
+        return f"{' '.join(frame.columns)}\nnone"
+    below = _sentences(frame, "remarks")
+    frame = frame.drop(columns="remarks", errors="ignore").replace("", None)
+    if "missing" in frame and not frame["missing"].any():
+        frame = frame.drop(columns="missing")
+    frame = frame.dropna(axis=1, how="all")
+    for name in frame.columns[1:]:
+        if frame[name].astype(str).str.len().max() > WIDTH / 2:
+            below = [*_sentences(frame, name), *below]
+            frame = frame.drop(columns=name)
+    first = frame.columns[0]
+    shown = frame.set_index(first).rename_axis(index=None, columns=first)
+    style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
+    text = shown.to_string(**style)
+    if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
+        text = shown.T.rename_axis(index=None, columns="").to_string(**style)
+    return "\n".join([text, *(textwrap.fill(line, WIDTH - 1) for line in below)])
+
+
+def _sentences(frame, column):
+    """The texts of a column, each once, behind the name of its file."""
+    if column not in frame:
+        return []
+    names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
+    names = names if column == "remarks" else names + f"{column}: "
+    return (names + frame[column])[frame[column].fillna("") != ""].unique()
+
+
+def _figure(value):
+    """A number as text with four significant digits; a large number with two decimals."""
+    return f"{round(value, 2):.10g}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def progress(items, unit):
+    """Go through items and show a progress bar on stderr if that is a terminal."""
+    from tqdm import tqdm
+
+    return tqdm(items, unit=unit, disable=None, leave=False)
+
+
+def check_figure(path):
+    """Raise before any work if a figure has a wrong ending."""
+    if path is not None and path.suffix.lower() not in FIGURE_ENDINGS:
+        raise ValueError(f"Invalid figure {path}. Must end in {', '.join(FIGURE_ENDINGS)}.")
+
+
+def write_figure(path, draw):
+    """Draw in the package's style and write the figure."""
+    from mmqa_lab import plots
+    from mmqa_lab._figures import finish_figure
+    from mmqa_lab.io import write_atomically
+
+    with plots.style():
+        figure = draw()
+        finish_figure(figure)
+        write_atomically(path, lambda file: figure.savefig(file))
