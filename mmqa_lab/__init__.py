@@ -4,6 +4,7 @@ Each room is a module named by a noun of the field. Import the room that you nee
 ``from mmqa_lab import chart_cloud``. A room imports only rooms above it in this list:
 
 - ``_checks``: checks of arguments, each with one sentence
+- ``rotations``: rotations of vehicles and scanners, directions across an axis
 - ``cloud``: the container of points and their named columns
 - ``published``: what the five sources print, as data; the ledger of verdicts
 - ``stats``: recall, precision, RMSE, NMAD; confidence intervals, bootstrap
@@ -14,7 +15,7 @@ Each room is a module named by a noun of the field. Import the room that you nee
 - ``charts``: the test charts, to print and to measure
 - ``samples``: the clouds that come with the package, and larger public ones
 - ``chart_cloud``: the figures of one planar surface: density, sigma_MAD, d1..d4, f, g, intervals
-- ``testfield``: errors of heights and positions on a test field, and their growth with distance
+- ``test_field``: errors of heights and positions on a test field, and their growth with distance
 - ``lines``: edges of clouds, line-segment Hausdorff distance, displacement between line sets
 - ``radiometry``: radiance, reflectance, anisotropy, even blocks of images
 - ``repeatability``: how far figures vary when the surface is selected again (ISO 5725)

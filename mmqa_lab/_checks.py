@@ -201,3 +201,15 @@ def check_choice(value, name, choices):
         names = ", ".join(map(str, choices))
         raise ValueError(f"Invalid {name} {value!r}. Must be one of {names}.")
     return value
+
+
+def check_values(values, name, *, positive=False):
+    """Return finite float64 numbers of any shape, checked to be above zero if ``positive``."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")
+    bad = ~np.isfinite(array) | (positive & (array <= 0))
+    if bad.any():
+        must = "> 0 and finite" if positive else "finite"
+        raise ValueError(f"Invalid {name} {array[bad].flat[0]}. Must be {must}.")
+    return array.astype(np.float64)

@@ -34,7 +34,7 @@ from mmqa_lab._checks import check_choice, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
-from mmqa_lab.scan_pattern import rotations
+from mmqa_lab.rotations import rotations
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Parameters of each head: boresight, and corrections to the assumed lever arm."""
@@ -199,12 +199,12 @@ def calibrate(
     Examples
     --------
     >>> from mmqa_lab.simulate import Scanner, System
-    >>> from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+    >>> from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
     >>> tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.0, 0.3)}
     >>> head = Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt)
-    >>> street = make_testfield(length_m=40, seed=1)
+    >>> street = make_test_field(length_m=40, seed=1)
     >>> system = System("one head", (head,))
-    >>> drives = drive_testfield(street, system, seed=4, pulses_per_s=20_000)
+    >>> drives = drive_test_field(street, system, seed=4, pulses_per_s=20_000)
     >>> known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
     >>> found = calibrate(drives, **known, patches=100)
     >>> heading = found.table["parameter"] == "heading_deg"

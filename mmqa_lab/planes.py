@@ -457,14 +457,6 @@ def _principal(local, weights):
     return centre, vectors.T
 
 
-def across(axes):
-    """Two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3)."""
-    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
-    first = np.cross(axes, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(axes, first)], axis=1)
-
-
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 """Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
 Points of a plane are connected across one cell."""

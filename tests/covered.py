@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.stats import chi2, t
 
-from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, testfield
+from mmqa_lab import bench, chart_image, charts, lines, simulate, stats, test_field
 from mmqa_lab.boresight import calibrate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.mtf import fit_edge, measure_star
@@ -30,8 +30,8 @@ from mmqa_lab.scan_pattern import ScanSetup, Target, measure_pattern, propagate,
 from mmqa_lab.simulate.canyon import CENTRE_M, canyon
 from mmqa_lab.simulate.point_patterns import point_pattern
 from mmqa_lab.simulate.targets import PointSpread, render_edge, render_star
-from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
-from mmqa_lab.studies import test_field
+from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
+from mmqa_lab.studies import test_field as study
 from mmqa_lab.studies.mimic import simulate_patch
 
 Z = 1.959964
@@ -141,7 +141,7 @@ def trend(seed, n):
     """The growth of errors with distance."""
     rng = np.random.default_rng(seed)
     distance = rng.uniform(2, 35, n)
-    found = testfield.trend(distance, 5 + 0.3 * distance + rng.normal(0, 3, n))
+    found = test_field.trend(distance, 5 + 0.3 * distance + rng.normal(0, 3, n))
     return {"slope": (found["slope_low"], found["slope_high"], 0.3)}
 
 
@@ -355,13 +355,13 @@ def mounting(seed, drift):
     errors = {"m": (0.008,) * 3, "deg": (0.004, 0.004, 0.012)} if drift else {"m": 0.0, "deg": 0.0}
     navigation = simulate.NavigationErrors(drift_m=errors["m"], drift_deg=errors["deg"])
     path_std = {f"path_std_{unit}": values for unit, values in errors.items()}
-    street = make_testfield(length_m=48, seed=seed)
-    system = test_field.two_heads(navigation)
-    drives = drive_testfield(street, system, seed=seed, pulses_per_s=30_000)
+    street = make_test_field(length_m=48, seed=seed)
+    system = study.two_heads(navigation)
+    drives = drive_test_field(street, system, seed=seed, pulses_per_s=30_000)
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
     found = calibrate(drives, control=control, patches=40, **known, **path_std)
-    truth = np.hstack([test_field.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
+    truth = np.hstack([study.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
     kinds = {"deg": "boresight", "m": "lever arm"}
     return {
@@ -382,8 +382,8 @@ def levelled(seed, reach_m):
     points[:, 2] = 0.02 + 0.008 * map_coordinates(error / error.std(), points[:, :2].T / cell)
     points[:, 2] += rng.normal(0, 0.005, len(points))
     known = rng.uniform(1, 19, (4100, 3)) * [3, 1, 0] + [0, 0, 1] * rng.normal(0, 0.011, (4100, 1))
-    table = testfield.height_differences(points, known)
-    row, other = (testfield.height_accuracy(rows).iloc[0] for rows in (table[:100], table[100:]))
+    table = test_field.height_differences(points, known)
+    row, other = (test_field.height_accuracy(rows).iloc[0] for rows in (table[:100], table[100:]))
     # the intervals are for other reference points of the same field: what its errors share is in it
     ends = {name: row[[f"{name}_low_mm", f"{name}_high_mm"]] for name in ("mean", "rmse")}
     return {
@@ -404,7 +404,7 @@ def positions(seed, n):
     survey = place + rng.normal(0, 0.014, (n, 2))
     targets = pd.DataFrame(survey, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.14)
     cloud = np.column_stack([xy.reshape(-1, 2), height.ravel()])
-    row = testfield.plan_accuracy(testfield.plan_differences(cloud, targets)).iloc[0]
+    row = test_field.plan_accuracy(test_field.plan_differences(cloud, targets)).iloc[0]
     rmse = *row[["rmse_low_mm", "rmse_high_mm"]], None, row["rmse_mm"]
     shifts = {
         f"shift in plan: {axis}": (*row[[f"mean_{axis}_low_mm", f"mean_{axis}_high_mm"]], true)

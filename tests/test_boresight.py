@@ -7,13 +7,13 @@ import pytest
 from mmqa_lab.boresight import _OnPlanes, _OnPoles, _Shots, calibrate, corrected
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import straight
-from mmqa_lab.simulate.testfield import make_testfield
+from mmqa_lab.simulate.test_field import make_test_field
 from mmqa_lab.studies import test_field as study
 
 
 @pytest.fixture(scope="module")
 def street():
-    return make_testfield(length_m=48, seed=1)
+    return make_test_field(length_m=48, seed=1)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 from mmqa_lab import chart_cloud, charts, commands, io, samples, simulate
 from mmqa_lab.__main__ import main
 from mmqa_lab.commands import machine
-from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
+from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
 
 IMAGE = "image chart.png --linear --corners '19.5,269.5; 269.5,269.5; 269.5,19.5; 19.5,19.5'"
 
@@ -102,9 +102,9 @@ def test_a_command_is_its_function():
 
 
 def test_calibrate_writes_corrected_clouds(call, tmp_path):
-    street = make_testfield(length_m=40, seed=1)
+    street = make_test_field(length_m=40, seed=1)
     head = simulate.Scanner(pulse_rate_hz=1e4, mirror_frequency_hz=50, heading_deg=45, tilt_deg=30)
-    drives = drive_testfield(street, simulate.System("one head", (head,)), seed=4)
+    drives = drive_test_field(street, simulate.System("one head", (head,)), seed=4)
     rows = []
     for name, (cloud, path) in zip(("there", "back"), drives, strict=True):
         io.write_cloud(tmp_path / f"{name}.laz", cloud)

@@ -18,10 +18,10 @@ ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE = ROOT / "mmqa_lab"
 
 LAYERS = (
-    "__init__ _checks _compiled _results",
+    "__init__ _checks _compiled _results rotations",
     "cloud published",
     "stats spacing planes io",
-    "scan_pattern charts samples chart_cloud testfield lines radiometry repeatability",
+    "scan_pattern charts samples chart_cloud test_field lines radiometry repeatability",
     "boresight poles chart_image mtf tender image_targets",
     "simulate",
     "bench _figures plots views maps widgets",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.published import table as printed_table
+from mmqa_lab.rotations import turned
 from mmqa_lab.scan_pattern import mimic
 
 THETA_A = 0.12
@@ -114,8 +115,8 @@ def test_table_3_to_the_printed_digits_and_its_reading():
     # with column vectors (heading first) equation 1 gives other spacings, 0.0751 m in row 1
     spacing = []
     for row in table.itertuples():
-        plane = mimic.turned(x=45) @ mimic.turned(z=45) @ [0, 1, 0]
-        tilt = mimic.turned(y=row.beta_targ_deg)
-        level = np.cross([0, 0, 1], tilt @ mimic.turned(z=row.alpha_targ_deg) @ [1, 0, 0])
+        plane = turned(x=45) @ turned(z=45) @ [0, 1, 0]
+        tilt = turned(y=row.beta_targ_deg)
+        level = np.cross([0, 0, 1], tilt @ turned(z=row.alpha_targ_deg) @ [1, 0, 0])
         spacing.append(0.1 * abs(plane[1] / (plane @ level)) * np.linalg.norm(level))
     assert (np.round(spacing, 3) == table["mimic_m"]).tolist() == [False, True, False, False, True]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab import simulate
-from mmqa_lab.scan_pattern import rotations
+from mmqa_lab.rotations import rotations
 from mmqa_lab.simulate import NavigationErrors, Trajectory
 from mmqa_lab.simulate.trajectories import gauss_markov
 

@@ -9,14 +9,14 @@ from conftest import spoiled
 
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import System, system
-from mmqa_lab.simulate.testfield import REFERENCE_STD_M, make_testfield
+from mmqa_lab.simulate.test_field import REFERENCE_STD_M, make_test_field
 from mmqa_lab.studies import test_field as study
 
 
 @pytest.fixture(scope="module")
 def street():
     # a surveyed position is known to about 2 cm (section 3.3.2), in both coordinates together
-    return make_testfield(length_m=48, plan_std_m=0.02 / np.sqrt(2), seed=1)
+    return make_test_field(length_m=48, plan_std_m=0.02 / np.sqrt(2), seed=1)
 
 
 @pytest.fixture(scope="module")

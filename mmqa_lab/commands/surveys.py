@@ -368,28 +368,28 @@ def accuracy(
     out
         Write every difference into this CSV file.
     """
-    from mmqa_lab import io, testfield
+    from mmqa_lab import io, test_field
 
     points = io.read_cloud(cloud, columns=())
     if (reference is None) == (targets is None):
         raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
     if targets is not None:
-        differences = testfield.plan_differences(points, _targets(targets))
-        summary = testfield.plan_accuracy(differences)
+        differences = test_field.plan_differences(points, _targets(targets))
+        summary = test_field.plan_accuracy(differences)
         missing = differences["reason"].value_counts().drop("", errors="ignore")
         summary["remarks"] = " ".join(
             f"{reason.capitalize()}: {n}." for reason, n in missing.items()
         )
     else:
         heights = io.read_heights(reference, crs=points.crs)
-        summary, differences = testfield.compare_heights(points, heights, radius=radius)
+        summary, differences = test_field.compare_heights(points, heights, radius=radius)
     if out is not None:
         io.write_atomically(out, differences)
     return summary
 
 
 def _targets(path, **columns):
-    """Targets of a CSV file as ``testfield.plan_differences`` takes them."""
+    """Targets of a CSV file as ``test_field.plan_differences`` takes them."""
     from mmqa_lab import io
 
     frame = io.read_table(path, "targets")

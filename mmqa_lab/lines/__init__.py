@@ -45,7 +45,7 @@ from scipy.spatial.distance import cdist
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.edges import extract_edges as extract_edges
-from mmqa_lab.planes import across
+from mmqa_lab.rotations import across
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 BLOCK_PAIRS = 500_000

@@ -33,11 +33,12 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive, check_values
 from mmqa_lab._results import Shown
+from mmqa_lab.rotations import turned
 from mmqa_lab.scan_pattern import mimic
 from mmqa_lab.scan_pattern.measure import MEASURED, measure_pattern, revolutions_from_time
-from mmqa_lab.scan_pattern.mimic import LEVEL, check_values, rotations, target_normal, turned
+from mmqa_lab.scan_pattern.mimic import LEVEL, target_normal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,37 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmqa_lab._checks import check_values
+from mmqa_lab.rotations import turned
+
 # A surface closer to level than 0.1 degree has no horizontal line of its own.
 LEVEL = np.sin(np.radians(0.1))
-
-
-def rotations(roll, pitch, heading):
-    """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
-
-    Examples
-    --------
-    >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
-    [1.0, 0.0, 0.0]
-    """
-    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
-    (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
-    rows = [
-        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
-        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
-        [-cp * sr, sp, cp * cr],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def turned(*, z=0.0, x=0.0, y=0.0):
-    """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
-
-    Examples
-    --------
-    >>> (turned(z=90) @ [1, 0, 0]).round(12).tolist()
-    [0.0, 1.0, 0.0]
-    """
-    return rotations(np.radians(y), np.radians(x), -np.radians(z))
 
 
 def scanner_normal(alpha_scan, gamma_scan):
@@ -304,15 +278,3 @@ def _check_strike(alpha_scan, alpha_targ):
         raise ValueError(
             f"Invalid alpha_targ {alpha_targ}. Must be < 90 degrees from {alpha_scan}."
         )
-
-
-def check_values(values, name, *, positive=False):
-    """Return finite float64 numbers of any shape, checked to be above zero if ``positive``."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")
-    bad = ~np.isfinite(array) | (positive & (array <= 0))
-    if bad.any():
-        must = "> 0 and finite" if positive else "finite"
-        raise ValueError(f"Invalid {name} {array[bad].flat[0]}. Must be {must}.")
-    return array.astype(np.float64)

@@ -13,8 +13,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.planes import across
-from mmqa_lab.scan_pattern import rotations
+from mmqa_lab.rotations import across, rotations
 
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""

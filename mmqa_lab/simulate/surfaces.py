@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.planes import across
+from mmqa_lab.rotations import across
 
 RECTANGLE, DISC, SHAFT = range(3)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""

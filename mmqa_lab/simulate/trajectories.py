@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from mmqa_lab._checks import check_number, check_points, check_positive
-from mmqa_lab.scan_pattern import rotations
+from mmqa_lab.rotations import rotations
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ import pandas as pd
 from mmqa_lab import bench as benches
 from mmqa_lab import published
 from mmqa_lab.boresight import calibrate, corrected
-from mmqa_lab.scan_pattern import rotations
+from mmqa_lab.rotations import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured
-from mmqa_lab.simulate.testfield import drive_testfield, make_testfield
-from mmqa_lab.testfield import height_accuracy, height_differences, plan_accuracy, plan_differences
+from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
+from mmqa_lab.test_field import height_accuracy, height_differences, plan_accuracy, plan_differences
 
 REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
 """Files of the real drives."""
@@ -258,7 +258,7 @@ def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
         of both heads.
     """
     tested = two_heads(PATHS[navigation])
-    drives = drive_testfield(street, tested, seed=seed, pulses_per_s=pulses_per_s)
+    drives = drive_test_field(street, tested, seed=seed, pulses_per_s=pulses_per_s)
     surveyed = {"poles": street.poles, "control": street.ground(spacing_m=2.0, seed=seed)}
     truth = np.hstack([BORESIGHT_DEG, -np.array(LEVER_ARM_ERROR_M)])
     known = {"lever_arms_m": tested.assumed_lever_arms, "true_values": truth}
@@ -340,7 +340,7 @@ def bench(
     """
 
     def make(navigation, reference_std_m, seed):
-        street = make_testfield(length_m=length_m, reference_std_m=reference_std_m, seed=seed)
+        street = make_test_field(length_m=length_m, reference_std_m=reference_std_m, seed=seed)
         survey = two_drives(street, navigation=navigation, pulses_per_s=pulses_per_s, seed=seed + 3)
         return survey, survey
 

@@ -101,7 +101,7 @@ class SimulatedField:
         return [there, back]
 
 
-def make_testfield(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1):
+def make_test_field(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1):
     """Return a street with everything that is measured on the test field.
 
     Parameters
@@ -126,7 +126,7 @@ def make_testfield(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_
 
     Examples
     --------
-    >>> street = make_testfield(length_m=40)
+    >>> street = make_test_field(length_m=40)
     >>> reach = street.origin[0] - 2.5 - street.ground(spacing_m=1.0, seed=1)[:, 0].min()
     >>> round(float(reach), 1)
     34.5
@@ -153,7 +153,7 @@ def make_testfield(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_
     return SimulatedField(scene, origin, length, targets, survey, plan)
 
 
-def drive_testfield(street, system, *, seed, pulses_per_s=np.inf):
+def drive_test_field(street, system, *, seed, pulses_per_s=np.inf):
     """Return what a system delivers of both drives.
 
     Parameters

@@ -4,13 +4,13 @@ EuroSDR 2013, mobile laser scanning, chapter 3 (Finnish Geodetic Institute): fiv
 field whose ground, poles and corners were surveyed (section 3.1), evaluated after systematic errors
 were removed (section 3.2). Start here::
 
-    from mmqa_lab import testfield
+    from mmqa_lab import test_field
 
-    table = testfield.height_differences(cloud, reference)          # or the reason for none
-    testfield.height_accuracy(table)                                # shift kept, shift removed
-    table["distance_m"] = testfield.distance_to_path(reference, trajectory)
-    testfield.trend(table["distance_m"], (table["dz_m"] - table["dz_m"].mean()).abs())
-    testfield.plan_accuracy(testfield.plan_differences(cloud, targets))
+    table = test_field.height_differences(cloud, reference)          # or the reason for none
+    test_field.height_accuracy(table)                                # shift kept, shift removed
+    table["distance_m"] = test_field.distance_to_path(reference, trajectory)
+    test_field.trend(table["distance_m"], (table["dz_m"] - table["dz_m"].mean()).abs())
+    test_field.plan_accuracy(test_field.plan_differences(cloud, targets))
 
 ASPRS Positional Accuracy Standards (edition 2, 2023) call the RMSE of height with the shift kept
 RMSE_V, that of the plan (equation 3-1) RMSE_H, and add to both the uncertainty of the check points'

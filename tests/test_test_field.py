@@ -7,7 +7,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import t
 
 from mmqa_lab import io
-from mmqa_lab.testfield import (
+from mmqa_lab.test_field import (
     height_accuracy,
     height_differences,
     plan_accuracy,

@@ -1,0 +1,48 @@
+"""Rotations of a vehicle, of scanners and of targets, and directions across an axis."""
+
+import numpy as np
+
+__all__ = ["across", "rotations", "turned"]
+
+
+def rotations(roll, pitch, heading):
+    """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
+
+    Examples
+    --------
+    >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
+    [1.0, 0.0, 0.0]
+    """
+    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
+    (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
+    rows = [
+        [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],
+        [-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr],
+        [-cp * sr, sp, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def turned(*, z=0.0, x=0.0, y=0.0):
+    """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
+
+    Examples
+    --------
+    >>> (turned(z=90) @ [1, 0, 0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    return rotations(np.radians(y), np.radians(x), -np.radians(z))
+
+
+def across(axes):
+    """Two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3).
+
+    Examples
+    --------
+    >>> across(np.array([[0.0, 0.0, 1.0]])).tolist()
+    [[[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]]
+    """
+    helper = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axes, first)], axis=1)
