@@ -3,6 +3,7 @@
 Each room is a module named by a noun of the field. Import the room that you need, as in
 ``from mmqa_lab import chart_cloud``. A room imports only rooms above it in this list:
 
+- ``_data``: tables and folders that come with the package
 - ``_checks``: checks of arguments, each with one sentence
 - ``rotations``: rotations of vehicles and scanners, directions across an axis
 - ``cloud``: the container of points and their named columns
@@ -36,30 +37,4 @@ Each room is a module named by a noun of the field. Import the room that you nee
 - ``commands``: the commands of ``mmqa``
 """
 
-import sysconfig
-import tomllib
-from pathlib import Path
-
-__version__ = "0.3.0"
-
-
-def _shipped(name):
-    """The folder of the notebooks or samples: in the repository, or where the wheel puts it."""
-    root = Path(__file__).resolve().parents[1]
-    if (root / "pyproject.toml").is_file():
-        return root / name
-    schemes = {sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user")}
-    bases = [Path(sysconfig.get_path("data", scheme)) for scheme in schemes]
-    folders = [base / "share" / "mmqa_lab" / name for base in (*bases, root)]
-    return next((folder for folder in folders if folder.is_dir()), folders[0])
-
-
-def _tables(path):
-    """The tables of a TOML file, with tuples in place of lists."""
-
-    def with_tuples(value):
-        if isinstance(value, dict):
-            return {name: with_tuples(one) for name, one in value.items()}
-        return tuple(map(with_tuples, value)) if isinstance(value, list) else value
-
-    return with_tuples(tomllib.loads(Path(path).read_text("utf-8")))
+__version__ = "0.4.0"

@@ -19,14 +19,14 @@ from matplotlib import font_manager
 from matplotlib.collections import PathCollection
 from numpy.typing import ArrayLike
 
-from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice
+from mmqa_lab._data import read_toml
 from mmqa_lab.planes import flat_points
 
 __all__ = ["draw_points", "style", "subplots"]
 __dir__ = __all__.copy
 
-JOURNALS = _tables(Path(__file__).with_suffix(".toml"))
+JOURNALS = read_toml(Path(__file__).with_suffix(".toml"))
 """A publisher's rules for figures: widths of one column and of the whole text, fonts in the order
 of preference, size of the letters, and the source. New publishers are added with their source.
 """

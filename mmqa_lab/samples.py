@@ -6,18 +6,18 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mmqa_lab import _shipped, _tables
 from mmqa_lab._checks import check_choice
+from mmqa_lab._data import read_toml, shipped_folder
 
 __all__ = ["has_real", "path", "real_path", "road_patch_heads"]
 __dir__ = __all__.copy
 
-FOLDER = _shipped("data_samples")
+FOLDER = shipped_folder("data_samples")
 
 # The environment variable that names the folder of larger public clouds.
 REAL_VARIABLE = "MMQA_DATA"
 
-_ROWS = _tables(Path(__file__).with_suffix(".toml"))["samples"]
+_ROWS = read_toml(Path(__file__).with_suffix(".toml"))["samples"]
 SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS}
 """The files of ``data_samples`` by name: file, sha256, licence, origin, units and contents."""
 

@@ -18,7 +18,7 @@ ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE = ROOT / "mmqa_lab"
 
 LAYERS = (
-    "__init__ _checks _compiled _results rotations",
+    "__init__ _data _checks _compiled _results rotations",
     "cloud published",
     "stats spacing planes io",
     "scan_pattern charts samples chart_cloud test_field lines radiometry repeatability",

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._data import read_toml
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
@@ -80,7 +80,7 @@ class Plan:
     pipes_per_100m: float = 3.0
 
 
-_TABLES = _tables(Path(__file__).with_suffix(".toml"))
+_TABLES = read_toml(Path(__file__).with_suffix(".toml"))
 
 PLANS = {name: Plan(**rates) for name, rates in _TABLES["plans"].items()}
 """Streets by name. ``table-4-1`` was chosen so that its rates come near those of that table."""

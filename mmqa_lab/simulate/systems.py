@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from mmqa_lab import _tables
 from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._data import read_toml
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.point_patterns import hard_core_points
 from mmqa_lab.simulate.scan import Scanner, scan
@@ -157,12 +157,12 @@ def _systems(tables):
     return found
 
 
-PRESETS = _with_scanners(_tables(Path(__file__).with_name("presets.toml")))
+PRESETS = _with_scanners(read_toml(Path(__file__).with_name("presets.toml")))
 """Scanners as their makers describe them, by the name that the command line knows. Mount and vary
 them with ``dataclasses.replace``. Each says where its numbers come from and whether they are
 nominal or calibrated."""
 
-_TABLES = _tables(Path(__file__).with_name("systems.toml"))
+_TABLES = read_toml(Path(__file__).with_name("systems.toml"))
 
 SYSTEMS = _systems(_TABLES)
 """Of Cahalane et al. 2014: ``xp1`` and ``lynx-m1``, without navigation errors; of EuroSDR 2013: the

@@ -5,8 +5,8 @@ from importlib import import_module
 from inspect import signature
 from pathlib import Path
 
-from mmqa_lab import _shipped, _tables
 from mmqa_lab._checks import check_choice
+from mmqa_lab._data import read_toml, shipped_folder
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Study:
         return make(**{name: small[name] for name in signature(make).parameters if name in small})
 
 
-_LISTED = _tables(Path(__file__).with_name("catalogue.toml"))
-_SMALL = _tables(Path(__file__).with_name("quick.toml"))
+_LISTED = read_toml(Path(__file__).with_name("catalogue.toml"))
+_SMALL = read_toml(Path(__file__).with_name("quick.toml"))
 
 STUDIES = tuple(Study(**row, quick=_SMALL.get(row["stem"], {})) for row in _LISTED["studies"])
 
@@ -57,7 +57,7 @@ def notebooks_folder():
     FileNotFoundError
         If the package was installed without them.
     """
-    folder = _shipped("notebooks")
+    folder = shipped_folder("notebooks")
     if not folder.is_dir():
         raise FileNotFoundError(f"Invalid folder {folder}: no notebooks. Must be installed.")
     return folder
