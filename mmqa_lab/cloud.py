@@ -10,13 +10,25 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_same_crs
 
+__all__ = ["Cloud", "describe", "path_distance", "sort_into_cells", "unit_remarks"]
+
+# More points in a square of one unit's side than any survey in metres has: the unit is degrees.
+CROWDED = 1e8
+
+# Neighbours of a mobile mapping cloud lie nearer than this, m.
+FARTHEST_NEIGHBOUR_M = 1.5
+
+# Points below which nothing is said of a unit.
+FEWEST_FOR_UNIT = 50
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cloud:
     """Points and the attributes that came with them.
 
     A cloud is an array (``np.asarray(cloud)``, shape (n, 3)), it is indexed like one (masks,
-    slices, index arrays give a cloud, a number gives a point), and ``cloud["ring"]`` is a column.
+    slices, index arrays give a cloud; a number gives a point, ``cloud[:, :2]`` coordinates), and
+    ``cloud["ring"]`` is a column.
 
     Parameters
     ----------
@@ -77,7 +89,7 @@ class Cloud:
         if isinstance(which, str):
             return self.columns[check_choice(which, "column", self.columns)]
         points = self.points[which]
-        if points.ndim == 1:
+        if isinstance(which, tuple) or points.ndim == 1:
             return points
         columns = {key: values[which] for key, values in self.columns.items()}
         return Cloud(points, columns, self.name, self.resolution, self.crs)
@@ -117,17 +129,72 @@ def describe(cloud: Cloud) -> dict:
     >>> found["columns"], int(found["time_span_s"])
     ('head (2), gps_time (2)', 4)
     """
-    box = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)], axis=1).ravel()
+    ends = cloud.points if len(cloud) else np.full((1, 3), np.nan)
+    box = np.stack([ends.min(axis=0), ends.max(axis=0)], axis=1).ravel()
+    unnamed = ["No coordinate system: taken for metres."] * (cloud.crs is None)
+    times = len(cloud) and "gps_time" in cloud
     counts = {name: len(np.unique(values)) for name, values in cloud.columns.items()}
     return {
         "points": len(cloud),
         **{f"{a}_{end}_m": v for a, end, v in zip("xxyyzz", ["low", "high"] * 3, box, strict=True)},
         "crs": "" if cloud.crs is None else cloud.crs.name,
         "resolution_mm": 1000 * cloud.resolution,
-        "time_span_s": np.ptp(cloud["gps_time"]) if "gps_time" in cloud else np.nan,
+        "time_span_s": np.ptp(cloud["gps_time"]) if times else np.nan,
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
-        "remarks": "No coordinate system: taken for metres." if cloud.crs is None else "",
+        "remarks": " ".join([*unnamed, *unit_remarks(cloud, crs=cloud.crs)]),
     }
+
+
+def unit_remarks(points: ArrayLike, *, crs: object = None, share: float = 1.0) -> list[str]:
+    """Return what speaks against coordinates in metres with z upwards, a sentence for each.
+
+    Reading warns of it (``io.read_cloud``, ``io.iterate_cloud``), since files often name no
+    coordinate system. What cannot be in metres is said: more than a hundred million points in a
+    square metre of a cloud higher than wide (degrees), steps of a whole metre, or points that lie
+    metres apart (millimetres, centimetres). Feet cannot be told from coordinates.
+
+    Parameters
+    ----------
+    points : Cloud or array_like, shape (n, 3)
+        A cloud, or a part of one.
+    crs : pyproj.CRS, optional
+        What the file names.
+    share : float
+        Share of the whole cloud's points: a part may be thinner than the whole.
+
+    Returns
+    -------
+    list of str
+        Empty where nothing speaks against metres, and for fewer than 50 points.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> in_metres = rng.random((1000, 3))
+    >>> unit_remarks(in_metres), unit_remarks(in_metres * 1000)
+    ([], ['Points lie 41.7 units apart: they look like millimetres, but are taken for metres.'])
+    >>> unit_remarks(in_metres / [1e5, 1e5, 1] + [11.5, 48.1, 500])
+    ['Coordinates look like degrees, but are taken for metres.']
+    """
+    points = np.asarray(points)
+    if crs is not None and getattr(crs, "is_geocentric", False):
+        return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
+    if len(points) < FEWEST_FOR_UNIT:
+        return []
+    local = points - points[0]
+    wide, high = np.ptp(local[:, :2], axis=0).max(), np.ptp(local[:, 2])
+    crowded = len(points) > CROWDED * wide**2 and high > wide > 0
+    if crowded and np.abs(points[:, :2]).max() <= 180:
+        return ["Coordinates look like degrees, but are taken for metres."]
+    if wide > 0 and (points == np.round(points)).all():
+        return ["Coordinates are whole numbers, as in millimetres, but are taken for metres."]
+    seeds = local[np.linspace(0, len(local) - 1, 7).astype(int)]
+    squares = [((local - seed) ** 2).sum(axis=1) for seed in seeds]
+    apart = np.sqrt(np.median([square[square > 0].min(initial=np.inf) for square in squares]))
+    if apart * np.sqrt(share) > FARTHEST_NEIGHBOUR_M:
+        found = f"Points lie {apart:.3g} units apart: they look like millimetres"
+        return [f"{found}, but are taken for metres."]
+    return []
 
 
 def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:

@@ -27,7 +27,7 @@ from mmqa_lab._checks import (
     check_polygon,
     check_same_crs,
 )
-from mmqa_lab.cloud import Cloud
+from mmqa_lab.cloud import Cloud, unit_remarks
 
 LAS_ENDINGS = (".las", ".laz")
 TIFF_ENDINGS = (".tif", ".tiff")
@@ -148,6 +148,8 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     cloud = Cloud.concatenate(iterate_cloud(path, columns=columns), name=Path(path).stem)
     if not len(cloud):
         raise ValueError(f"Invalid cloud {path}: no points. Must contain one or more.")
+    for remark in unit_remarks(cloud, crs=cloud.crs):
+        warnings.warn(f"{path}: {remark}", stacklevel=2)
     return cloud
 
 

@@ -1,0 +1,71 @@
+"""What cannot be in metres is said."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmqa_lab import samples
+from mmqa_lab.cloud import Cloud, describe, unit_remarks
+from mmqa_lab.io import read_cloud
+
+PER_DEGREE_M = 111_000.0
+
+
+def street(seed, density, length, shift):
+    """Ground and one facade of a street of this length, at this density, m."""
+    rng = np.random.default_rng(seed)
+    ground = rng.random((int(density * length * 12), 3)) * [length, 12, 0.05]
+    facade = rng.random((int(density * length * 9), 3)) * [length, 0.02, 9]
+    return np.concatenate([ground, facade]) + shift
+
+
+@given(
+    seed=st.integers(0, 99),
+    density=st.sampled_from([1, 20, 500]),
+    length=st.sampled_from([3.0, 30.0]),
+    east=st.floats(0, 1e7),
+    unit=st.sampled_from(["m", "mm", "degrees"]),
+)
+def test_units_are_told_apart_at_any_density_place_and_size(seed, density, length, east, unit):
+    cloud = street(seed, density, length, [east, east / 2, 100])
+    if unit == "mm":
+        cloud = cloud * 1000
+    if unit == "degrees":
+        cloud = cloud / [PER_DEGREE_M, PER_DEGREE_M, 1]
+    said = " ".join(unit_remarks(cloud))
+    assert ("millimetres" in said) == (unit == "mm")
+    assert ("degrees" in said) == (unit == "degrees")
+
+
+def test_flat_ground_in_degrees_is_said():
+    plane = np.random.default_rng(2).random((500, 3)) * [2e-5, 1e-5, 0.01] + [11.5, 48.1, 500]
+    assert "degrees" in unit_remarks(plane)[0]
+
+
+def test_sample_clouds_are_in_metres():
+    for name in samples.SAMPLES:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert unit_remarks(read_cloud(samples.path(name))) == []
+
+
+def test_reading_says_what_is_not_in_metres(tmp_path):
+    np.savetxt(tmp_path / "mm.xyz", street(0, 20, 5, 0) * 1000, fmt="%.2f")
+    with pytest.warns(UserWarning, match=r"mm\.xyz: Points lie .* look like millimetres"):
+        cloud = read_cloud(tmp_path / "mm.xyz")
+    assert "millimetres" in describe(cloud)["remarks"]
+
+
+def test_an_empty_cloud_is_described():
+    found = describe(Cloud(np.empty((0, 3)), {"gps_time": np.empty(0)}))
+    assert found["points"] == 0
+    assert np.isnan([found["x_low_m"], found["z_high_m"], found["time_span_s"]]).all()
+
+
+def test_pairs_of_indices_give_coordinates_as_of_an_array():
+    cloud = Cloud(np.arange(12.0).reshape(4, 3), {"ring": [1, 2, 3, 4]})
+    assert np.array_equal(cloud[:, :2], cloud.points[:, :2])
+    assert cloud[1, 2] == 5
