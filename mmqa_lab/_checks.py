@@ -1,5 +1,6 @@
 """Argument checks with one message pattern: what is wrong, its value, what is expected."""
 
+import difflib
 import numbers
 from pathlib import Path
 
@@ -199,6 +200,23 @@ def check_choice(value, name, choices):
     """
     if value not in choices:
         names = ", ".join(map(str, choices))
+        raise ValueError(f"Invalid {name} {value!r}. Must be one of {names}.")
+    return value
+
+
+def check_known(value, name, known):
+    """Return ``value`` if it is one of many known words; else name the nearest of them.
+
+    Examples
+    --------
+    >>> check_known("densty", "quantity", ("density", "f"))
+    Traceback (most recent call last):
+    ValueError: Invalid quantity 'densty'. Must be one of density, f; 'density' is the nearest.
+    """
+    if value not in known:
+        words = [word for word in known if word]
+        nearest = difflib.get_close_matches(str(value), words, 1, 0.0)
+        names = f"{', '.join(words)}; {nearest[0]!r} is the nearest"
         raise ValueError(f"Invalid {name} {value!r}. Must be one of {names}.")
     return value
 

@@ -1,27 +1,57 @@
 """A tender's verdicts: measured figures against criteria, with margin and uncertainty.
 
-:func:`verdicts` compares any figures with any criteria, :func:`qualification` sums up per system.
+:func:`verdict` is the rule for one figure, :func:`verdicts` compares any figures with any
+criteria, :func:`qualification` sums up per system. Of marks a is better than b, and b than c.
 :func:`published_criteria` and :func:`published_results` are those of Pfeifer et al. 2021
 (doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2.
 """
 
 import operator
+import re
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_positive
+from mmqa_lab._checks import check_choice, check_columns, check_known
 from mmqa_lab.chart_image.rules import MARKS, expected_marks
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
 
-__all__ = ["published_criteria", "published_results", "qualification", "verdicts"]
+__all__ = [
+    "QUANTITIES",
+    "published_criteria",
+    "published_results",
+    "qualification",
+    "verdict",
+    "verdicts",
+]
 __dir__ = __all__.copy
 
 RELATIONS = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
 
-VERDICTS = ("met", "exempt", "not met", "undecided", "not measured")
+VERDICTS = ("met", "exempt", "not met", "undecided", "not certain", "not measured")
+
+SPACINGS_MM = (0.5, 1e5)
+"""What spacings can be; a value below it is one in metres."""
+
+QUANTITIES = {
+    "density_per_m2": (0.05, 1e7, "density"),
+    "sigma_mad_mm": (0.05, 1e4, "sigma_MAD|noise"),
+    "std_mm": (0.05, 1e4, "std|noise"),
+    **{f"d{k}_mm": (*SPACINGS_MM, f"d{k}") for k in (1, 2, 3, 4)},
+    "e95_mm": (*SPACINGS_MM, "e95"),
+    "f": (0.1, 1e3, "f|d1|d4"),
+    "g": (0.1, 1e3, "g"),
+    "pixel_mm": (0.05, 1e4, "pixel_h|pixel_v|pixel size"),
+    "w_mm": (0.05, 1e4, "w_h|w_v|width"),
+    **{f"legibility{size}": (0, 2, "legibility") for size in ("", "_40mm", "_60mm")},
+}
+"""Quantities: the least and the largest value above zero that can be, and the words by which a
+remark names the figure."""
+
+NO_WIDTH = 1e-4
+"""An interval narrower than this share of the figure states no uncertainty."""
 
 COVERAGE = 1.96
 """Multiples of a figure's standard deviation within which a threshold leaves it undecided."""
@@ -31,6 +61,15 @@ CRITERIA = ("criterion", "quantity", "relation", "threshold")
 RESULTS = ("system", "quantity", "value")
 
 PLACE = ["distance_m", "view", "direction"]
+
+OPTIONAL = (*PLACE, "sigma", "low", "high", "remarks", "rho0_per_m2")
+"""Columns that criteria or results may have."""
+
+NOTES = ("set", "unit", "n", "source", "note")
+"""Columns that say more and decide nothing."""
+
+WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
+"""Views of a chart; directions in which lengths in the image are measured."""
 
 SETS = ("test", "scenario 1", "scenario 2")
 """Sets of criteria that Pfeifer et al. 2021 print: the test (section 4.2), two examples (4.4)."""
@@ -48,21 +87,72 @@ REPEATED = ("selection_density", "selection_precision", "bar_std")
 """Printed numbers (section 4.4) that say how repeatable a figure is."""
 
 
+def verdict(
+    value: float,
+    relation: str,
+    threshold: float,
+    *,
+    low: float = np.nan,
+    high: float = np.nan,
+    quantity: str = "",
+    remarks: str = "",
+) -> str:
+    """Compare one figure with one threshold: the rule of all verdicts.
+
+    Parameters
+    ----------
+    value, threshold : float
+        NaN where the figure is not measured.
+    relation : {">=", ">", "<=", "<"}
+        Of the figure to the threshold.
+    low, high : float
+        95 % interval; without one the value alone decides.
+    quantity, remarks : str
+        Of the figure: a remark that names it, or what it is made of, says that it is not certain.
+
+    Returns
+    -------
+    str
+        *met* or *not met* where the whole interval is; *undecided* where the threshold lies within
+        it; *not certain* where a remark doubts the figure or its interval has no width; *not
+        measured*.
+
+    Examples
+    --------
+    >>> verdict(8.6, "<=", 10, low=6.8, high=9.9), verdict(8.6, "<=", 10, low=6.8, high=10.9)
+    ('met', 'undecided')
+    >>> remark = "Coordinates are in steps of 10 mm: too coarse for sigma_MAD 8.6 mm."
+    >>> verdict(8.6, "<=", 10, low=6.8, high=9.9, quantity="sigma_mad_mm", remarks=remark)
+    'not certain'
+    """
+    holds = RELATIONS[check_choice(relation, "relation", tuple(RELATIONS))]
+    bare = np.isfinite([low, high]).all() and high - low <= NO_WIDTH * abs(value)
+    low, high = (value if np.isnan(end) else end for end in (low, high))
+    if np.isnan([low, high]).any():
+        return "not measured"
+    if bare or _doubted(quantity, remarks):
+        return "not certain"
+    met = holds(low, threshold), holds(high, threshold)
+    return "met" if all(met) else "undecided" if any(met) else "not met"
+
+
 def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     """Compare every system's figures with every criterion.
 
     Parameters
     ----------
     criteria : DataFrame
-        A row per criterion: ``criterion`` (name), ``quantity``, ``relation`` (>=, >, <=, <),
-        ``threshold`` (a number, or a mark a, b, c); optionally ``distance_m``, ``view`` and
-        ``direction``, where empty means every figure of that quantity, and for f ``rho0_per_m2``,
-        the density from which its exemption follows (:func:`mmqa_lab.spacing.exempt`).
+        A row per criterion: ``criterion`` (name), ``quantity`` (of ``QUANTITIES``, or your own in
+        both tables), ``relation`` (>=, >, <=, <), ``threshold`` (a number, or a mark a, b, c: >= b
+        and <= b both mean b or better, > b and < b better than b); optionally ``distance_m``,
+        ``view`` (orthogonal, forward, backward) and ``direction`` (h, v), where empty means every
+        figure of that quantity, and for f ``rho0_per_m2``, the density from which its exemption
+        follows (:func:`mmqa_lab.spacing.exempt`). Empty rows do not count.
     results : DataFrame
         A row per figure: ``system``, ``quantity``, ``value`` (a number, or a mark a, b, c; empty
         where not measured); optionally ``sigma`` (standard deviation) or ``low`` and ``high`` (95 %
         interval, or a bound of what could not be measured), ``distance_m``, ``view``,
-        ``direction``.
+        ``direction``, ``remarks`` (doubts about the figure, as ``evaluate`` prints them).
 
     Returns
     -------
@@ -70,16 +160,16 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
         A row per system, criterion and figure: ``system``, ``criterion``, ``quantity``,
         ``distance_m``, ``view``, ``direction``, ``value``, ``low``, ``high``, ``relation``,
         ``threshold``, ``margin`` (positive inside; in the quantity's unit, for marks in steps) and
-        ``verdict``: *met*, *not met*, *undecided* (the threshold lies within low and high, or
-        within 1.96 sigma), *exempt* (f where d1 and d4, with their intervals, are small enough for
-        the density asked for; where only a part of the intervals is, *not met* is *undecided*) or
-        *not measured*.
+        ``verdict``: that of :func:`verdict` (sigma gives an interval of 1.96 of it), or *exempt* (f
+        where d1 and d4, with their intervals, are small enough for the density asked for; where
+        only a part of the intervals is, or a remark doubts them, *not met* is *undecided*).
 
     Raises
     ------
     ValueError
-        If a column is missing, a name repeats, a relation is another, a value or threshold is
-        neither a number nor a mark, or a value lies outside of its own interval.
+        If a column is missing or misspelled, a name repeats, a quantity, relation, view or
+        direction is not known, a system is spelt in two ways, a value or threshold is neither a
+        number nor a mark or cannot be in its unit, or a value lies outside of its own interval.
 
     Examples
     --------
@@ -93,6 +183,10 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     [['B', 1.0, 'met'], ['C', -1.0, 'not met']]
     """
     criteria, results = _criteria(criteria), _results(results)
+    own = set(criteria["quantity"]) & set(results["quantity"])
+    for table in (criteria, results):
+        for quantity in table["quantity"].unique():
+            check_known(quantity, "quantity", (*QUANTITIES, *sorted(own - set(QUANTITIES))))
     rows = []
     for system in results["system"].drop_duplicates():
         figures = results[results["system"] == system]
@@ -103,7 +197,7 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
             for figure in fitting.itertuples():
                 row = _row(system, criterion, figure)
                 maybe, surely = _exemption(figures, criterion, figure)
-                if surely:
+                if surely and row["verdict"] != "not certain":
                     row["verdict"] = "exempt"
                 elif maybe and row["verdict"] == "not met":
                     row["verdict"] = "undecided"
@@ -124,8 +218,8 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         ``system``, ``verdict`` (*qualifies* when all figures meet their criteria or are exempt;
         *fails* when one does not; else *open*), the numbers of figures ``met``, ``exempt``,
-        ``not_met``, ``undecided``, ``not_measured``, ``because``: the criteria that are not met, or
-        leave it open, and ``sentence``: what follows and why.
+        ``not_met``, ``undecided``, ``not_certain``, ``not_measured``, ``because``: the criteria
+        that are not met, or leave it open, and ``sentence``: what follows and why.
 
     Examples
     --------
@@ -140,7 +234,7 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)
-        open_ones = ["undecided", "not measured"]
+        open_ones = ["undecided", "not certain", "not measured"]
         undecided = "open" if counts[open_ones].any() else "qualifies"
         verdict = "fails" if counts["not met"] else undecided
         deciding = part[part["verdict"].isin(["not met"] if verdict == "fails" else open_ones)]
@@ -266,18 +360,23 @@ def _criteria(criteria):
         raise ValueError(f"Invalid criteria: {twice.iloc[0]!r} twice. Must be distinct.")
     for row in criteria.itertuples():
         check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
-        if not np.isfinite(_rank(row.threshold, f"threshold of {row.criterion!r}")):
-            raise ValueError(f"Invalid threshold of {row.criterion!r}: none. Must be given.")
-    for rho0 in criteria["rho0_per_m2"].dropna():
-        check_positive(rho0, "rho0_per_m2")
+        name = f"threshold of {row.criterion!r}"
+        if np.isnan(_rank(row.threshold, name)):
+            raise ValueError(f"Invalid {name}: none. Must be given.")
+        _check_unit(row.threshold, row.quantity, name)
+        _check_unit(row.rho0_per_m2, "density_per_m2", "rho0_per_m2")
     return criteria
 
 
 def _results(results):
     """Results checked and with every column."""
+    results = results.rename(columns={"remark": "remarks"})
     results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
     if (results["sigma"] < 0).any():
         raise ValueError(f"Invalid sigma {results['sigma'].min()}. Must be 0 or more.")
+    spelt = results["system"].drop_duplicates()
+    for system in spelt[spelt.str.casefold().duplicated()]:
+        raise ValueError(f"Invalid system {system!r}. Must be spelt alike in all its rows.")
     for row in results.itertuples():
         name = f"{row.quantity} of {row.system}"
         rank = _rank(row.value, name)
@@ -286,23 +385,60 @@ def _results(results):
                 f"Invalid {name} {row.value!r}: low {row.low:g}, high {row.high:g}. Must lie "
                 "between them."
             )
+        _check_unit(row.value, row.quantity, name)
     return results
 
 
 def _whole(frame, needed, numbers, what):
-    """A copy with every column: optional words empty, optional numbers NaN."""
+    """A copy without empty rows and with every column: words empty, numbers NaN where not given."""
     check_columns(frame, needed, what)
+    for name in frame.columns[~frame.columns.isin([*needed, *OPTIONAL, *NOTES])]:
+        check_known(name, f"column of {what}", (*needed, *OPTIONAL, *NOTES))
+    frame = frame.reset_index(drop=True).replace(r"^\s*$", np.nan, regex=True).dropna(how="all")
     if frame.empty:
         raise ValueError(f"Invalid {what}: no rows. Must have one or more.")
-    words = [name for name in ("view", "direction", *numbers) if name not in frame]
-    frame = frame.assign(**dict.fromkeys(words, ""))
-    frame[["view", "direction"]] = frame[["view", "direction"]].fillna("").astype(str)
+    missing = [name for name in (*WORDS, "remarks", *numbers) if name not in frame]
+    frame = frame.assign(**dict.fromkeys(missing, np.nan))
+    for name in [*needed[:2], *WORDS, "remarks"]:
+        empty = frame[name].isna()
+        if name in needed and empty.any():
+            raise ValueError(f"Invalid {what}: no {name} in row {empty.idxmax() + 1}. Must be one.")
+        frame[name] = frame[name].astype(object).where(~empty, "").astype(str).str.strip()
+    for name, known in WORDS.items():
+        for word in frame[name].unique():
+            check_known(word, name, ("", *known))
     for name in numbers:
-        try:
-            frame[name] = pd.to_numeric(frame[name].replace("", np.nan))
-        except ValueError as error:
-            raise ValueError(f"Invalid {name} in {what}: {error}. Must be numbers.") from None
+        given = frame[name].astype(object).map(_step_of_mark)
+        frame[name] = pd.to_numeric(given, errors="coerce")
+        bad = frame[name].isna() & given.notna()
+        if bad.any():
+            where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
+            raise ValueError(f"Invalid {name} in {what}: {where}. Must be a number.")
     return frame
+
+
+def _step_of_mark(value):
+    """Steps of a mark from a; anything else as it is."""
+    return float(MARKS.index(value.strip())) if _is_mark(value) else value
+
+
+def _is_mark(value):
+    return isinstance(value, str) and value.strip() in MARKS
+
+
+def _check_unit(value, quantity, name):
+    """Raise where a known quantity cannot have this value, as one in another unit."""
+    value = _rank(value, name)
+    low, high, _ = QUANTITIES.get(quantity, (-np.inf, np.inf, ""))
+    if value != 0 and not (np.isnan(value) or low <= value <= high):
+        limits = f"{low:g} and {high:g}, in the unit of {quantity}"
+        raise ValueError(f"Invalid {name} {value:g}. Must be between {limits}.")
+
+
+def _doubted(quantity, remarks):
+    """Whether a remark names the figure."""
+    words = QUANTITIES.get(quantity, (0, 0, re.escape(quantity) or r"\b\B"))[2]
+    return re.search(rf"\b({words})\b", remarks) is not None
 
 
 def _rank(value, name):
@@ -310,7 +446,7 @@ def _rank(value, name):
     if value is None or value == "":
         return np.nan
     try:
-        number = float(MARKS.index(value) if value in MARKS else value)
+        number = float(_step_of_mark(value))
     except (TypeError, ValueError):
         raise ValueError(f"Invalid {name} {value!r}. Must be a number or a mark a, b, c.") from None
     if np.isinf(number):
@@ -341,28 +477,34 @@ def _exemption(figures, criterion, figure):
         return False, False
     rows = [found.iloc[0] for found in spacings]
     ends = np.array([_interval(row, _rank(row["value"], "spacing")) for row in rows]) / 1000
-    return tuple(exempt(*ends, criterion.rho0_per_m2).tolist())
+    maybe, surely = exempt(*ends, criterion.rho0_per_m2).tolist()
+    return maybe, surely and not any(_doubted(row["quantity"], row["remarks"]) for row in rows)
 
 
 def _row(system, criterion, figure):
     """The verdict on one figure, or on a criterion without one."""
-    limit = _rank(criterion.threshold, "threshold")
+    limit, relation = _rank(criterion.threshold, "threshold"), criterion.relation
+    marks = _is_mark(criterion.threshold)
+    if marks:  # better marks are fewer steps from a
+        relation = relation.replace(">", "<")
     place = criterion if figure is None else figure
-    rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure)
-    sign = 1 if criterion.relation.startswith(">") else -1
+    rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure, marks)
     row = {"system": system, "criterion": criterion.criterion, "quantity": criterion.quantity}
     row |= {name: getattr(place, name) for name in PLACE}
     row |= {"value": None if figure is None else figure.value, "low": low, "high": high}
     row |= {"relation": criterion.relation, "threshold": criterion.threshold}
+    sign = 1 if relation.startswith(">") else -1
     row["margin"] = sign * (rank - limit) + 0.0  # no negative zero
-    return row | {"verdict": _verdict(RELATIONS[criterion.relation], limit, low, high)}
+    known = {"quantity": criterion.quantity, "remarks": getattr(figure, "remarks", "")}
+    if low != high or (not marks and np.isfinite([figure.low, figure.high]).all()):
+        known |= {"low": low, "high": high}
+    return row | {"verdict": verdict(rank, relation, limit, **known)}
 
 
-def _ends(criterion, figure):
+def _ends(criterion, figure, marks):
     """A figure as a number, and the ends of its interval; NaN where it was not measured."""
     rank = _rank(figure.value, criterion.quantity)
-    is_mark = figure.value in MARKS
-    if np.isfinite(rank) and is_mark != (str(criterion.threshold) in MARKS):
+    if np.isfinite(rank) and marks != _is_mark(figure.value):
         raise ValueError(
             f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
             f"kind of the threshold {criterion.threshold!r}."
@@ -378,14 +520,6 @@ def _interval(figure, rank):
     reach = COVERAGE * figure.sigma if figure.sigma > 0 else 0.0
     low = rank - reach if np.isnan(figure.low) else figure.low
     return low, rank + reach if np.isnan(figure.high) else figure.high
-
-
-def _verdict(relation, limit, low, high):
-    """The verdict by both ends of an interval."""
-    if np.isnan(low):
-        return "not measured"
-    met = relation(low, limit), relation(high, limit)
-    return "met" if all(met) else "undecided" if any(met) else "not met"
 
 
 def _image_row(row):

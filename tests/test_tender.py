@@ -220,8 +220,109 @@ def test_an_uncertain_exemption_leaves_open_what_f_does_not_meet(low, high, f, v
         (CRITERIA, RESULTS.assign(value=np.inf), "Must be finite"),
         (CRITERIA, RESULTS.assign(low=3, high=2), "Must lie between them"),
         (CRITERIA.assign(rho0_per_m2=-1), RESULTS, "Invalid rho0_per_m2 -1"),
+        (CRITERIA.replace("w_mm", "w_m"), RESULTS, "'w_m'. Must .*'w_mm' is the nearest"),
+        (CRITERIA, RESULTS.replace("density_per_m2", "densty"), "'density_per_m2' is the nearest"),
+        (CRITERIA, RESULTS.replace({"direction": {"h": "horizontal"}}), "Invalid direction 'hori"),
+        (CRITERIA, RESULTS.replace({"view": {"forward": "front"}}), "Invalid view 'front'"),
+        (CRITERIA, RESULTS.replace({"system": {"Y": "x"}}), "Invalid system 'x'. Must be spelt"),
+        (CRITERIA, RESULTS.rename(columns={"distance_m": "distance"}), "column of results 'dist"),
+        (
+            CRITERIA,
+            RESULTS.assign(quantity="w_mm", value=0.008),
+            "w_mm of X 0.008. Must be between",
+        ),
+        (CRITERIA.assign(threshold=4e7), RESULTS, "threshold of 'density' 4e[+]07"),
+        (CRITERIA, RESULTS.assign(system=["X", *[None] * 13]), "no system in row 2"),
     ],
 )
 def test_rejects(criteria, results, sentence):
     with pytest.raises(ValueError, match=sentence):
         tender.verdicts(criteria, results)
+
+
+MARK_WORDS = [(">=", "b", "ab"), ("<=", "b", "ab"), (">", "b", "a"), ("<", "b", "a"),
+              (">=", "c", "abc"), (">", "c", "ab"), ("<=", "a", "a")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("relation", "threshold", "good"), MARK_WORDS)
+def test_better_marks_meet_what_is_asked_whichever_sign_is_written(relation, threshold, good):
+    criteria = pd.DataFrame([("t", "legibility", relation, threshold)], columns=tender.CRITERIA)
+    results = pd.DataFrame([(f"S{m}", "legibility", m) for m in "abc"], columns=tender.RESULTS)
+    found = tender.verdicts(criteria, results)
+    assert found["verdict"].tolist() == ["met" if m in good else "not met" for m in "abc"]
+    assert (found["margin"] >= 0).tolist() == [m <= threshold for m in "abc"]
+
+
+COARSE = "Coordinates are in steps of 10 mm: too coarse for sigma_MAD 8.6 mm and d1 9.98 mm."
+
+
+@pytest.mark.parametrize(
+    ("quantity", "remark", "verdict"),
+    [
+        ("sigma_mad_mm", COARSE, "not certain"),
+        ("f", COARSE, "not certain"),  # d4 / d1
+        ("d4_mm", COARSE, "met"),
+        ("density_per_m2", COARSE, "met"),
+        (
+            "density_per_m2",
+            "16881 points share their place: they raise the density.",
+            "not certain",
+        ),
+        ("sigma_mad_mm", "Distances have two layers, 0 and 9 mm: not noise alone.", "not certain"),
+    ],
+)
+def test_a_remark_that_names_a_figure_makes_it_not_certain(quantity, remark, verdict):
+    criteria = pd.DataFrame([("c", quantity, "<=", 100)], columns=tender.CRITERIA)
+    row = {"system": "S", "quantity": quantity, "value": 9.0, "remarks": remark}
+    table = tender.verdicts(criteria, pd.DataFrame([row]))
+    assert table["verdict"].item() == verdict
+    summary = tender.qualification(table)
+    assert summary["verdict"].item() == ("qualifies" if verdict == "met" else "open")
+    assert tender.verdict(9.0, "<=", 100, quantity=quantity, remarks=remark) == verdict
+
+
+def test_remarks_of_a_cloud_reach_the_verdict():
+    from mmqa_lab import chart_cloud, io, samples
+
+    cloud = io.read_cloud(samples.path("road_patch"))  # steps of 10 mm
+    remarks = " ".join(chart_cloud.evaluate_cloud(cloud).remarks)
+    for quantity in ("sigma_mad_mm", "f", "density_per_m2"):
+        assert tender.verdict(3.0, "<", 9, quantity=quantity, remarks=remarks) == "not certain"
+
+
+def test_an_interval_without_width_says_nothing():
+    assert tender.verdict(22.36068, "<", 30, low=22.36058, high=22.36068) == "not certain"
+    assert tender.verdict(22.36, "<", 30) == "met"
+    criteria = pd.DataFrame([("c", "d4_mm", "<", 30)], columns=tender.CRITERIA)
+    row = {"system": "S", "quantity": "d4_mm", "value": 20.0, "low": 20.0, "high": 20.0}
+    assert tender.verdicts(criteria, pd.DataFrame([row]))["verdict"].item() == "not certain"
+
+
+def test_spacings_that_a_remark_doubts_exempt_nothing():
+    columns = [*tender.CRITERIA, "rho0_per_m2"]
+    criteria = pd.DataFrame([("h", "f", "<", 2.0, 3000)], columns=columns)
+    figures = [("S", "f", 2.5), ("S", "d1_mm", 7.0), ("S", "d4_mm", 18.0)]
+    results = pd.DataFrame(figures, columns=tender.RESULTS)
+    assert tender.verdicts(criteria, results)["verdict"].item() == "exempt"
+    remarks = ["", COARSE, ""]
+    assert (
+        tender.verdicts(criteria, results.assign(remarks=remarks))["verdict"].item() == "undecided"
+    )
+    remarks = [COARSE, "", ""]
+    doubted = tender.verdicts(criteria, results.assign(remarks=remarks))
+    assert doubted["verdict"].item() == "not certain"
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.booleans(), min_size=2, max_size=9), st.sampled_from(["", " ", None]))
+def test_empty_rows_of_a_spreadsheet_do_not_count(empty, nothing):
+    def spread(table):
+        rows = iter(table.to_dict("records"))
+        none = dict.fromkeys(table, nothing)
+        parts = [none if gap else next(rows, none) for gap in empty]
+        return pd.DataFrame([*parts, *rows, none])
+
+    found = tender.verdicts(spread(CRITERIA), spread(RESULTS))
+    expected = tender.verdicts(CRITERIA, RESULTS)
+    assert found["verdict"].tolist() == expected["verdict"].tolist()
+    assert found["system"].tolist() == expected["system"].tolist()

@@ -621,16 +621,24 @@ def radiometry(
 def tender(criteria: str, results: str, /, *, details: bool = False):
     """Compare systems' results with the criteria of a tender, in a sentence for each system.
 
+    Quantities: density_per_m2, sigma_mad_mm, std_mm, d1_mm to d4_mm, e95_mm, f, g (of a cloud);
+    pixel_mm, w_mm, legibility, legibility_40mm, legibility_60mm (of a photograph); or your own, in
+    both files. Legibility has marks, better first: a each letter can be read, b the text can be
+    read, c it cannot. At least b is written >= b or <= b: both mean a or b. Which quantity tells
+    what depends on the task: a figure is asked for because of what shall be done with the data.
+
     Parameters
     ----------
     criteria
         CSV file with criterion, quantity, relation (>=, >, <=, <), threshold and, where they
-        matter, distance_m, view, direction. Or pfeifer2021:test, pfeifer2021:1, pfeifer2021:2: the
-        test and both scenarios of Pfeifer et al. 2021 (doi 10.3390/rs13020237); or pfeifer2021:g,
-        the test with g in place of f.
+        matter, distance_m, view (orthogonal, forward, backward), direction (h, v), rho0_per_m2 (of
+        f: the density from which it does not matter). Or pfeifer2021:test, pfeifer2021:1,
+        pfeifer2021:2: the test and both scenarios of Pfeifer et al. 2021 (doi
+        10.3390/rs13020237); or pfeifer2021:g, the test with g in place of f.
     results
         CSV file with system, quantity, value and, where known, sigma or low and high, distance_m,
-        view, direction. Or pfeifer2021, the paper's Tables 1 and 2.
+        view, direction, remarks: a remark that names the figure makes it not certain. Or
+        pfeifer2021, the paper's Tables 1 and 2.
     details
         Print a row for each figure instead of one for each system.
     """
