@@ -7,6 +7,7 @@ Every figure has a 95 % confidence interval from the points, see :meth:`CloudQua
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,16 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
-from mmqa_lab.spacing import FEWEST, DirectionalSpacing, Spacing, exempt, line_waves, quadrants
+from mmqa_lab.spacing import (
+    FEWEST,
+    DirectionalSpacing,
+    EmptySpace,
+    Spacing,
+    empty_space,
+    exempt,
+    line_waves,
+    quadrants,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,8 +157,8 @@ class CloudQuality(Shown):
 
     @property
     def f(self) -> float:
-        """Inhomogeneity d4 / d1; NaN if d1 is zero or if d1 or d4 is not measurable."""
-        return self.spacing.f if self.d1_mm > 0 else np.nan
+        """Inhomogeneity d4 / d1; NaN if d1 or d4 is not measurable."""
+        return self.spacing.f
 
     @property
     def f_exempt(self) -> bool | None:
@@ -164,6 +174,21 @@ class CloudQuality(Shown):
     def directional(self) -> DirectionalSpacing:
         """The spacing by direction, with the ratio g."""
         return self.spacing.directional
+
+    @property
+    def g(self) -> float:
+        """Spacing across the direction in which points lie closest, over that along it."""
+        return self.directional.g
+
+    @cached_property
+    def empty_space(self) -> EmptySpace:
+        """Distances from places within the outline to their nearest points."""
+        return empty_space(self.xy, outline=self.outline)
+
+    @property
+    def e95_mm(self) -> float:
+        """Empty-space distance: 95 % of the places within the outline have a point this near."""
+        return 1000 * self.empty_space.e95
 
     def intervals(self) -> pd.DataFrame:
         """Return every figure with its 95 % confidence interval.
@@ -196,7 +221,8 @@ class CloudQuality(Shown):
         >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [1, 1, 0.01]
         >>> table = evaluate_cloud(points).intervals().set_index("figure")
         >>> table.index.tolist()
-        ['density', 'std', 'sigma_mad', 'd1', 'd2', 'd3', 'd4', 'f', 'g']
+        ['density', 'std', 'sigma_mad', 'd1', 'd2', 'd3', 'd4', 'f', 'g', 'e95']
+        >>> table = table.dropna()
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
@@ -212,7 +238,8 @@ class CloudQuality(Shown):
             ("sigma_mad", self.sigma_mad_mm, *ends, "mm"),
         ]
         names = ["figure", "value", "low", "high", "unit"]
-        parts = [self.spacing.to_frame(), self.directional.to_frame().iloc[2:]]
+        empty = pd.DataFrame([("e95", self.e95_mm, np.nan, np.nan, "mm")], columns=names)
+        parts = [self.spacing.to_frame(), self.directional.to_frame().iloc[2:], empty]
         parts = [pd.DataFrame(rows, columns=names), *(part[names] for part in parts)]
         return pd.concat(parts, ignore_index=True)
 
@@ -222,7 +249,7 @@ class CloudQuality(Shown):
         first += ("density_hull_per_m2", "std_mm", "sigma_mad_mm")
         row = {name: getattr(self, name) for name in first}
         row |= {f"d{k}_mm": d for k, d in enumerate(self.d_mm, 1)}
-        row |= {"f": self.f, "f_exempt": self.f_exempt}
+        row |= {"f": self.f, "f_exempt": self.f_exempt, "g": self.g, "e95_mm": self.e95_mm}
         row |= {name: getattr(self.spacing, name) for name in ("incomplete_share", "coincident")}
         return pd.DataFrame([row | {"axes": self.axes, "remarks": " ".join(self.remarks)}])
 
@@ -265,13 +292,16 @@ class CloudQuality(Shown):
         Parameters
         ----------
         spacings : Axes
-            For the nearest and the farthest quadrant distance of each point, with d1 and d4.
+            For the nearest and the farthest quadrant distance of each point, with d1, d4 and e95.
         residuals : Axes
             For the distances from the plane, with std and sigma_MAD on both sides of zero.
         """
         from mmqa_lab.plots import COLOURS
 
         self.spacing.plot(ax=spacings)
+        e95 = {"color": COLOURS["black"], "ls": ":", "label": f"$e_{{95}}$ = {self.e95_mm:.1f} mm"}
+        spacings.axvline(self.e95_mm, **e95)
+        spacings.legend(loc="upper left", bbox_to_anchor=(0, 1.42), borderaxespad=0)
         half = max(4 * self.sigma_mad_mm, 0.5)
         shown = np.clip(1000 * self.plane.residuals, -half, half)
         residuals.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
