@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t
 
 from mmqa_lab import samples
 from mmqa_lab.io import read_cloud
@@ -191,3 +192,23 @@ def test_road_patch_of_two_heads():
     assert crossing == pytest.approx(89, abs=0.1)
     with pytest.raises(ValueError, match="Must be one pass of one head"):
         measure_pattern(road, gps_time=time)
+
+
+@pytest.mark.parametrize("name", ["5 m, 45/45", "12 m, 45/30, -20/30"])
+def test_standard_deviations_are_those_of_patches_without_each_block(name):
+    """The jackknife by its definition: the patch is measured again without each block."""
+    cloud, truth = simulated(name, size_m=0.8, seed=3)
+    present, group = np.unique(cloud["scan_line"], return_inverse=True)
+    count = min(40, len(present))
+
+    def measured(rows):
+        columns = {name: cloud[name][rows] for name in ("gps_time", "scan_line")}
+        return measure_pattern(cloud.points[rows], **columns, reference=truth.beam)
+
+    parts = [measured(group * count // len(present) != k) for k in range(count)]
+    left = [[getattr(one, quantity) for quantity in MEASURED] for one in parts]
+    reach = t.ppf(0.975, count - 1) / 1.959964
+    expected = reach * np.sqrt((count - 1) * np.var(left, axis=0))
+    # figures without a block are linear here; which points are strays may change with it
+    std = measured(np.ones(len(cloud), dtype=bool)).std
+    np.testing.assert_allclose(list(std.values()), expected, rtol=0.15)

@@ -25,6 +25,7 @@ FEW = 16  # number of runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 LEAST_OFF_M = 1e-4  # points nearer to their profile are always kept
 MANY = 150  # least number of points for a fit of curvature and of the turn of the beam
+TURNED = 1e-7  # a direction is final once it turns by less, radians
 BLOCKS = 40  # blocks of profiles left out in turn; single profiles if there are fewer
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
 LONGEST_S = 300_000.0  # a longer span of times passes the end of a GPS week
@@ -158,15 +159,15 @@ def measure_pattern(
     numbers = np.full(len(points), -1)
     numbers[near] = revolutions_from_time(time[near]) if line is None else line[near]
     used, share = _without_strays(local, numbers, np.flatnonzero(near))
-    rows = local[used], numbers[used], _pulses(time, numbers, used)
-    fit = _fitted(*rows[:2], centre)
+    fit = _fitted(local[used], numbers[used], centre)
     _check_one_head(fit, share)
+    found, *left = _figures(fit, _pulses(time, numbers, used))
     return PatternMeasurement(
         direction=fit.along,
         profiles=len(fit.numbers),
         points=len(used),
-        std=dict(zip(MEASURED, _jackknifed(*rows, centre), strict=True)),
-        **dict(zip(MEASURED, _figures(*rows, centre), strict=True)),
+        std=dict(zip(MEASURED, _jackknifed(np.array(left)), strict=True)),
+        **dict(zip(MEASURED, found.tolist(), strict=True)),
     )
 
 
@@ -208,7 +209,8 @@ class _Fit(NamedTuple):
     offsets: np.ndarray  # of the profiles across
     gap: float  # mean gap between neighbours: slope of offsets over numbers
     beside: np.ndarray  # distances of points beside their profile
-    along: np.ndarray  # unit vectors in space along the profiles, and the plane's normal
+    along: np.ndarray  # unit vectors in space along the profiles, across them, off the plane
+    across: np.ndarray
     normal: np.ndarray
 
 
@@ -223,15 +225,32 @@ def _fitted(local, numbers, centre):
     for _ in range(4):
         axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         x, y = axes @ uv.T
-        terms = [x, off]
-        if len(x) >= MANY:
-            terms += [off * x, off * y, x**2, x * y]
-        slopes, offsets, beside = solve_groups(np.stack(terms, axis=1), y, group)
+        slopes, offsets, beside = solve_groups(_profile_terms(x, y, off), y, group)
         turn += np.arctan(slopes[0])
-    weights = np.sqrt(np.bincount(group))
-    gap = abs(np.polyfit(present - present[0], offsets, 1, w=weights)[0])
-    along = axes[0] @ flat.axes
-    return _Fit(x, y, off, group, present, offsets, gap, beside, along, flat.normal)
+        if abs(slopes[0]) < TURNED:
+            break
+    gap = abs(_slopes(present, offsets, np.bincount(group)))
+    return _Fit(x, y, off, group, present, offsets, gap, beside, *axes @ flat.axes, flat.normal)
+
+
+def _profile_terms(x, y, off):
+    """What the place of a point across its profile depends on: direction, slide, curvature."""
+    terms = [x, off] if len(x) < MANY else [x, off, off * x, off * y, x**2, x * y]
+    return np.stack(terms, axis=1)
+
+
+def _pulse_terms(x, y, off):
+    """What the pulse of a point depends on: its place, and the slide along the beam."""
+    degree = 1 if len(x) < MANY else 3
+    powers = [(i, j) for i in range(1, degree + 1) for j in range(degree + 1 - i)]
+    return np.stack([*(x**i * y**j for i, j in powers), off], axis=1)
+
+
+def _slopes(numbers, offsets, weights):
+    """Slopes of offsets (..., m) over numbers (m,) by weighted least squares."""
+    share = weights / weights.sum(axis=-1, keepdims=True)
+    about = numbers - (share @ numbers)[..., None]
+    return (share * about * offsets).sum(axis=-1) / (share * about**2).sum(axis=-1)
 
 
 def _check_one_head(fit, share):
@@ -246,40 +265,67 @@ def _check_one_head(fit, share):
         )
 
 
-def _figures(local, numbers, pulse, centre):
-    """The five quantities of ``MEASURED``."""
-    fit = _fitted(local, numbers, centre)
-    level = np.cross([0.0, 0.0, 1.0], fit.normal)
-    size, angle, spacing = np.linalg.norm(level), np.nan, np.nan
-    if size >= LEVEL:
-        angle = np.arccos(min(abs(fit.along @ level) / size, 1.0))
+def _figures(fit, pulse):
+    """The five quantities of ``MEASURED``, of all points and without each block: (1 + blocks, 5).
+
+    Sums over a block are taken from the sums over all. Without a block the plane turns by a small
+    angle, to which all other figures are linear.
+    """
+    count = min(BLOCKS, len(fit.numbers))
+    block_of = np.arange(len(fit.numbers)) * count // len(fit.numbers)
+    left = count, block_of[fit.group]
+    ones, terms = np.ones_like(fit.x), _profile_terms(fit.x, fit.y, fit.off)
+    _, rise, fall = _left_out(np.stack([ones, fit.x, fit.y], axis=1), fit.off, *left).T
+    means, level = group_means(terms, fit.group), group_means(fit.y, fit.group)
+    slopes = _left_out(terms - means[fit.group], fit.y - level[fit.group], *left)
+    used = block_of != np.arange(-1, count)[:, None]
+    gap = np.abs(_slopes(fit.numbers, level - slopes @ means.T, used * np.bincount(fit.group)))
+    gap *= 1 + slopes[:, 1] * fall
+    turn = slopes[:, 0] + slopes[:, 1] * rise
+    along = fit.along + np.outer(turn, fit.across) + np.outer(rise, fit.normal)
+    normal = fit.normal - np.outer(rise, fit.along) - np.outer(fall, fit.across)
+    flat = np.cross([0.0, 0.0, 1.0], normal)
+    size, angle, spacing = np.linalg.norm(flat, axis=1), np.nan, np.nan
+    if size[0] >= LEVEL:
+        cosine = np.abs((along * flat).sum(axis=1)) / (size * np.linalg.norm(along, axis=1))
+        angle = np.arccos(np.minimum(cosine, 1.0))
     if np.isfinite(pulse).all():
-        # pulses are a polynomial of place and the slide; few points allow the first degree only
-        degree = 1 if len(pulse) < MANY else 3
-        powers = [(i, j) for i in range(1, degree + 1) for j in range(degree + 1 - i)]
-        terms = np.stack([*(fit.x**i * fit.y**j for i, j in powers), fit.off], axis=1)
-        spacing = abs(1 / solve_groups(terms, pulse, fit.group)[0][0])
+        terms = _pulse_terms(fit.x, fit.y, fit.off)
+        terms -= group_means(terms, fit.group)[fit.group]
+        rates = _left_out(terms, pulse - group_means(pulse, fit.group)[fit.group], *left)
+        spacing = np.abs(1 / (rates[:, 0] + rates[:, -1] * rise))
     with np.errstate(divide="ignore", invalid="ignore"):
-        spacings = [fit.gap, fit.gap / np.sin(angle), fit.gap / np.cos(angle)]
-    return [float(one) for one in (*spacings, np.degrees(angle), spacing)]
+        figures = gap, gap / np.sin(angle), gap / np.cos(angle), np.degrees(angle), spacing
+    return np.stack(np.broadcast_arrays(*figures), axis=1)
 
 
-def _jackknifed(local, numbers, pulse, centre):
-    """Standard deviations of the five quantities, by jackknife over blocks of profiles.
+def _left_out(terms, values, count, block):
+    """Least squares of values (n,) on terms (n, k), with all rows and without each block."""
+    rows = np.column_stack([terms, values])[np.argsort(block, kind="stable")]
+    parts = np.split(rows, np.cumsum(np.bincount(block))[:-1])
+    sums = np.array([np.zeros([rows.shape[1]] * 2), *(part.T @ part for part in parts)])
+    sums = sums.sum(axis=0) - sums
+    return _solved(sums[:, :-1, :-1], sums[:, :-1, -1])
+
+
+def _solved(products, sums):
+    """Solutions (..., k) of normal equations; a term without spread gets the coefficient 0."""
+    scale = np.sqrt(np.diagonal(products, axis1=-2, axis2=-1))
+    scale = np.where(scale <= 1e-9 * scale.max(axis=-1, keepdims=True), np.inf, scale)
+    even = products / scale[..., None] / scale[..., None, :]
+    solved = np.linalg.pinv(even, rcond=1e-12) @ (sums / scale)[..., None]
+    return solved[..., 0] / scale
+
+
+def _jackknifed(left):
+    """Standard deviations of the five quantities from their values without each block.
 
     They are widened so that 1.96 of them are the 95 % interval by Student's t.
     """
-    present, group = np.unique(numbers, return_inverse=True)
-    count = min(BLOCKS, len(present))
-    if count < 4:
+    if len(left) < 4:
         return [np.nan] * 5
-    block = (group * count) // len(present)
-    left = [
-        _figures(local[block != k], numbers[block != k], pulse[block != k], centre)
-        for k in range(count)
-    ]
-    reach = stdtrit(count - 1, 0.975) / 1.959964
-    return (reach * np.sqrt((count - 1) * np.var(left, axis=0))).tolist()
+    reach = stdtrit(len(left) - 1, 0.975) / 1.959964
+    return (reach * np.sqrt((len(left) - 1) * np.var(left, axis=0))).tolist()
 
 
 def _pulses(time, numbers, used):
@@ -326,11 +372,8 @@ def solve_groups(terms, values, group):
     """
     means, level = group_means(terms, group), group_means(values, group)
     about, target = terms - means[group], values - level[group]
-    scale = np.sqrt(np.mean(about**2, axis=0))
-    scale[scale <= 1e-9 * scale.max()] = np.inf
-    about /= scale
-    scaled = np.linalg.pinv(about.T @ about, rcond=1e-12) @ (about.T @ target)
-    return scaled / scale, level - means @ (scaled / scale), target - about @ scaled
+    found = _solved(about.T @ about, about.T @ target)
+    return found, level - means @ found, target - about @ found
 
 
 def group_means(values, group):
