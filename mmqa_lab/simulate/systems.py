@@ -248,19 +248,48 @@ def pass_chart(sensor, distance, *, seed, height=0.0):
     height = check_number(height, "height", unit="m")
     if isinstance(sensor, MatchingCamera):
         return _matched(sensor, distance, height, np.random.default_rng(seed))
-    scene = Scene([board((distance, 0, 0), 1, 1, heading=FACING_THE_ROAD, label="chart")])
+    chart = board((distance, 0, 0), 1, 1, heading=FACING_THE_ROAD, label="chart")
+    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
     path = straight(2 * REACH * distance, SPEED, start=(0, shift - REACH * distance, height))
+    return drive_past(Scene([chart]), sensor, path, corners, seed=[seed])
+
+
+def drive_past(scene, scanner, path, corners, *, seed):
+    """Return the points of a part of a scene; only beams that may reach it are fired.
+
+    Parameters
+    ----------
+    scene : Scene
+    scanner : Scanner
+    path : Trajectory
+    corners : array_like, shape (k, 3)
+        Corners of the part of the scene, m.
+    seed : list of int
+
+    Returns
+    -------
+    Cloud
+        As of :func:`mmqa_lab.simulate.scan`, with some points around the part.
+
+    Examples
+    --------
+    >>> corners = chart_corners((5, 0, 0), heading=FACING_THE_ROAD)
+    >>> wall = Scene([board((5, 0, 0), 4, 4, heading=FACING_THE_ROAD)])
+    >>> path = straight(50, 10, start=(0, -25, 0))
+    >>> cloud = drive_past(wall, SYSTEM_A, path, corners, seed=[1])
+    >>> 4400 < (np.abs(cloud.points[:, 1:]) < 0.5).all(axis=1).sum() < 4500
+    True
+    """
     parts = []
-    for k, (between, angles) in enumerate(_views(sensor, path, distance)):
-        looking = replace(sensor, field_of_view_deg=angles)
-        parts.append(scan(scene, looking, path, seed=[seed, k], between=between))
+    for k, (between, angles) in enumerate(_views(scanner, path, np.asarray(corners))):
+        looking = replace(scanner, field_of_view_deg=angles)
+        parts.append(scan(scene, looking, path, seed=[*seed, k], between=between))
     return Cloud.concatenate(parts)
 
 
-def _views(scanner, path, distance):
-    """Parts of a drive from which beams reach the chart (s), and the scan angles they need."""
-    corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
+def _views(scanner, path, corners):
+    """Parts of a drive from which beams reach the corners (s), and the scan angles they need."""
     times = np.linspace(0, path.duration_s, 40 * REACH + 1)
     vectors = corners - path.at(times)[0][:, None]
     angle, elevation = scanner.angles(vectors @ scanner.mounting)
